@@ -2,33 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.response import UNITS
-from pinn_cli.report.estimates import Estimates, Histories
+from pinn_cli.record.record import Truth
+from pinn_cli.record.response import Response
+from pinn_cli.report.estimates import Estimates, Histories, error_percent
+from pinn_cli.report.results import Results
 from pinn_cli.system.energy import dissipated_power, stored_by_memory, trapezoids
 from pinn_cli.system.quantities import CONNECTION_FORCE
+from pinn_cli.system.structure import Structure
+from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.estimated_structure import estimated_structure
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_matrix
-
-    from pinn_cli.record.record import Truth
-    from pinn_cli.record.response import Response
-    from pinn_cli.report.results import Results
-    from pinn_cli.system.structure import Structure
-    from pinn_cli.training.estimate import Estimate
-
-DRIFT_COLUMNS = (
-    "connection", "peak", "std", "lower_90", "upper_90", "time_of_peak", "true_peak", "true_time_of_peak",
-    "error_percent",
-)  # fmt: skip
-ENERGY_COLUMNS = (
-    "connection", "dissipated", "std", "lower_90", "upper_90", "share_percent", "true", "error_percent"
-)  # fmt: skip
 
 
 def drifts(structure: Structure, estimate: Estimate, truth: Response) -> Histories:
@@ -42,39 +27,48 @@ def drifts(structure: Structure, estimate: Estimate, truth: Response) -> Histori
     stretch, known = structure.drifts_of_dofs, estimate.connections
     found = _with_supports(estimate.response, structure.supports) @ stretch.T
     std = np.full(found.shape, np.nan) if known is None else known.elongation_std
-    true = _elongation(stretch, _with_supports(truth, structure.supports))
-    unit, names, time = UNITS["displacement"], structure.drift_names, estimate.response.time
-    own = Histories("drift", "drift", unit, "connection", names, time, {"estimate": found, "std": std})
+    displacement = _with_supports(truth, structure.supports)
+    joins = abs(stretch) @ np.isnan(displacement).any(axis=0).astype(float) > 0.0
+    true = np.where(joins, np.nan, np.nan_to_num(displacement) @ stretch.T)
+    names, sources = structure.drift_names, {"estimate": found, "std": std}
+    own = Histories("drift", "connection", names, estimate.response.time, sources)
     return own.beside(true=true if np.isfinite(true).any() else None)
 
 
+def _with_supports(response: Response, supports: int) -> np.ndarray:
+    """(N, n + S), displacements of DOFs and of supports, NaN where these are not known."""
+    unknown = np.full((len(response.time), supports), np.nan)
+    return np.hstack((response.displacement, unknown if response.supports is None else response.supports[:, 0]))
+
+
 def drift_table(drifts: Histories) -> pd.DataFrame:
-    """One row per connection and pair (the content of ``drift.csv``): `DRIFT_COLUMNS`.
+    """One row per connection and pair (the content of ``drift.csv``).
 
     ``peak`` is the largest absolute drift, m, at ``time_of_peak``, s. Its 90 % interval is that of the drift at this
     time: two peaks of nearly the same height are not told apart. Cells of what is not known are empty (NaN).
     """
-    found, sample = drift_peaks(drifts)
-    when = drifts.peaks("true")[1]
-    columns = {
-        "connection": found.names,
-        "peak": found.estimate,
-        "std": found.std,
-        "lower_90": np.maximum(found.lower_90, 0.0),
-        "upper_90": found.upper_90,
-        "time_of_peak": drifts.time[sample],
-        "true_peak": found.true,
-        "true_time_of_peak": np.where(np.isfinite(found.true), drifts.time[when], np.nan),
-        "error_percent": found.error_percent,
-    }
-    return pd.DataFrame(columns, columns=list(DRIFT_COLUMNS))
+    found, (_, sample), (_, when) = drift_peaks(drifts), drifts.peaks(), drifts.peaks("true")
+    lower, upper = found.interval
+    return pd.DataFrame(
+        {
+            "connection": found.names,
+            "peak": found.estimate,
+            "std": found.std,
+            "lower_90": np.maximum(lower, 0.0),
+            "upper_90": upper,
+            "time_of_peak": drifts.time[sample],
+            "true_peak": found.true,
+            "true_time_of_peak": np.where(np.isfinite(found.true), drifts.time[when], np.nan),
+            "error_percent": error_percent(found.estimate, found.true),
+        }
+    )
 
 
-def drift_peaks(drifts: Histories) -> tuple[Estimates, np.ndarray]:
-    """The largest absolute drift of every connection, m, and its sample (C,)."""
+def drift_peaks(drifts: Histories) -> Estimates:
+    """The largest absolute drift of every connection, m."""
     peak, sample = drifts.peaks()
     std = drifts.of("std")[sample, np.arange(len(peak))]
-    return Estimates.gaussian(drifts.places, peak, std, drifts.peaks("true")[0]), sample
+    return Estimates(drifts.places, peak, std, drifts.peaks("true")[0])
 
 
 def connection_forces(structure: Structure, estimate: Estimate, truth: Truth) -> Histories | None:
@@ -89,10 +83,10 @@ def connection_forces(structure: Structure, estimate: Estimate, truth: Truth) ->
         force = structure.connection_force(e, de, truth.parameters, response.hidden)
         if np.isfinite(own := force[:, structure.added]).any():
             sources["true"] = own
-    unit, names = UNITS[CONNECTION_FORCE], structure.drift_names
+    names = structure.drift_names
     beside = ((0, 0), (0, len(names) - len(structure.added)))
     padded = {name: np.pad(values, beside, constant_values=np.nan) for name, values in sources.items()}
-    return Histories(CONNECTION_FORCE, "internal force", unit, "connection", names, response.time, padded)
+    return Histories(CONNECTION_FORCE, "connection", names, response.time, padded)
 
 
 def dissipated_energy(results: Results) -> Estimates:
@@ -107,9 +101,9 @@ def dissipated_energy(results: Results) -> Estimates:
     energy = dissipated(structure, estimate.response) if energy is None else energy
     std, unknown = None if known is None else known.dissipated_std, np.full(len(energy), np.nan)
     told = true is not None and len(true.added) == len(energy) and np.isfinite(truth.velocity).all()
-    names = tuple(structure.labels.connection(i) for i in structure.added)
     true_energy = dissipated(true, truth) if true is not None and told else unknown
-    return Estimates.gaussian(names, energy, unknown if std is None else std, true_energy)
+    names = structure.drift_names[: len(energy)]
+    return Estimates(names, energy, unknown if std is None else std, true_energy)
 
 
 def dissipated(structure: Structure, response: Response) -> np.ndarray:
@@ -127,32 +121,18 @@ def dissipated(structure: Structure, response: Response) -> np.ndarray:
 
 
 def energy_table(energy: Estimates) -> pd.DataFrame:
-    """One row per connection (the content of ``energy.csv``): `ENERGY_COLUMNS`; J, and the share of all connections."""
-    total = float(np.sum(energy.estimate))
-    unknown = np.full(len(energy.estimate), np.nan)
-    columns = {
-        "connection": energy.names,
-        "dissipated": energy.estimate,
-        "std": energy.std,
-        "lower_90": energy.lower_90,
-        "upper_90": energy.upper_90,
-        "share_percent": 100.0 * energy.estimate / total if total > 0.0 else unknown,
-        "true": energy.true,
-        "error_percent": energy.error_percent,
-    }
-    return pd.DataFrame(columns, columns=list(ENERGY_COLUMNS))
-
-
-def _with_supports(response: Response, supports: int) -> np.ndarray:
-    """(N, n + S), displacements of DOFs and of supports, NaN where these are not known."""
-    if not supports:
-        return response.displacement
-    unknown = np.full((len(response.time), supports), np.nan)
-    return np.hstack((response.displacement, unknown if response.supports is None else response.supports[:, 0]))
-
-
-def _elongation(stretch: csr_matrix, displacement: np.ndarray) -> np.ndarray:
-    """(N, C) of displacements (N, n + S) that may be NaN."""
-    unknown = np.isnan(displacement).any(axis=0)
-    joins = abs(stretch) @ unknown.astype(float) > 0.0
-    return np.where(joins, np.nan, np.nan_to_num(displacement) @ stretch.T)
+    """One row per connection (the content of ``energy.csv``): energies in J, and the share of all connections."""
+    found, total = energy.estimate, float(np.sum(energy.estimate))
+    lower, upper = energy.interval
+    return pd.DataFrame(
+        {
+            "connection": energy.names,
+            "dissipated": found,
+            "std": energy.std,
+            "lower_90": lower,
+            "upper_90": upper,
+            "share_percent": 100.0 * found / total if total > 0.0 else np.nan,
+            "true": energy.true,
+            "error_percent": error_percent(found, energy.true),
+        }
+    )

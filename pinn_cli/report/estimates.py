@@ -10,9 +10,8 @@ import numpy as np
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import GROUND, QUANTITIES, UNITS
 from pinn_cli.report.results import Results
-from pinn_cli.system.quantities import SUPPORT
+from pinn_cli.system.quantities import CONNECTION_FORCE, SUPPORT
 from pinn_cli.training.central_interval import HALF_WIDTH_90
-from pinn_cli.training.estimate import Estimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,28 +20,20 @@ class Estimates:
 
     Attributes:
         names: (P,), what each is called.
-        estimate, std: (P,), in the unit of the numbers.
-        lower_90, upper_90: (P,), the central 90 % interval.
+        estimate, std: (P,), in the unit of the numbers; their intervals are those of normal distributions.
         true: (P,).
     """
 
     names: tuple[str, ...]
     estimate: np.ndarray
     std: np.ndarray
-    lower_90: np.ndarray
-    upper_90: np.ndarray
     true: np.ndarray
 
-    @classmethod
-    def gaussian(cls, names: tuple[str, ...], estimate: np.ndarray, std: np.ndarray, true: np.ndarray) -> Estimates:
-        """With the intervals of normal distributions."""
-        half = HALF_WIDTH_90 * std
-        return cls(names, estimate, std, estimate - half, estimate + half, true)
-
     @property
-    def error_percent(self) -> np.ndarray:
-        """(P,), see :func:`error_percent`."""
-        return error_percent(self.estimate, self.true)
+    def interval(self) -> np.ndarray:
+        """(2, P), the central 90 % interval."""
+        half = HALF_WIDTH_90 * self.std
+        return np.stack((self.estimate - half, self.estimate + half))
 
 
 def error_percent(estimate: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -58,8 +49,6 @@ class Histories:
 
     Attributes:
         name: Of the quantity in ``response.nc``: ``displacement``, ``connection_force``.
-        words: The same for people: ``internal force``.
-        unit: SI.
         axis: What the places are: ``dof``, ``connection``, ``support``; "" of the ground, which is one.
         places: (C,), their names, or their numbers from 1.
         time: (N,), s.
@@ -68,12 +57,21 @@ class Histories:
     """
 
     name: str
-    words: str
-    unit: str
     axis: str
     places: tuple[str, ...]
     time: np.ndarray
     found: Mapping[str, np.ndarray]
+
+    @property
+    def unit(self) -> str:
+        """Of the values, SI."""
+        return {**UNITS, "drift": UNITS["displacement"]}[self.name]
+
+    @property
+    def words(self) -> str:
+        """What people call the quantity."""
+        special = {GROUND: "ground acceleration", CONNECTION_FORCE: "internal force"}
+        return special.get(self.name) or (f"{SUPPORT[self.name]} of the support" if self.name in SUPPORT else self.name)
 
     def of(self, source: str) -> np.ndarray:
         """(N, C), NaN where there is none."""
@@ -88,50 +86,43 @@ class Histories:
 
     def beside(self, **found: np.ndarray | None) -> Histories:
         """The same with further sources, those that are not None."""
-        return replace(self, found={**self.found, **_there(found)})
+        return replace(self, found={**self.found, **{name: x for name, x in found.items() if x is not None}})
 
 
 def dof_histories(results: Results) -> list[Histories]:
     """Motion and force of every DOF: estimated, true where known at any DOF, and observed."""
-    estimate, record, truth = results.estimate, results.record, results.truth.response
-    places = tuple(record.dof_name(i) for i in range(record.ndof))
-    return [
-        Histories(quantity, quantity, UNITS[quantity], "dof", places, record.time, _there(sources))
-        for quantity in QUANTITIES
-        for true in [getattr(truth, quantity)]
-        for sources in [
-            {
-                **_estimated(estimate, quantity),
-                "true": true if np.isfinite(true).any() else None,
-                "observed": observed(record, quantity),
-            }
-        ]
-    ]
+    estimate, record = results.estimate, results.record
+    places, out = tuple(record.dof_name(i) for i in range(record.ndof)), []
+    for name in QUANTITIES:
+        true = getattr(results.truth.response, name)
+        own = Histories(name, "dof", places, record.time, {})
+        found = {"estimate": getattr(estimate.response, name), "std": getattr(estimate.std, name)}
+        known = {"true": true if np.isfinite(true).any() else None, "observed": observed(record, name)}
+        out.append(own.beside(**found, **known))
+    return out
 
 
 def ground_history(results: Results) -> Histories | None:
     """The ground's acceleration; None where nobody knows of any."""
-    record, truth = results.record, results.truth.response
-    sources = {**_estimated(results.estimate, GROUND), "true": truth.ground_acceleration}
-    found = {name: x[:, None] for name, x in sources.items() if x is not None}
+    estimate, record, truth = results.estimate, results.record, results.truth.response
+    sources = {"estimate": estimate.response, "std": estimate.std, "true": truth}
+    moved = {source: getattr(response, GROUND) for source, response in sources.items()}
+    found = {source: x[:, None] for source, x in moved.items() if x is not None}
     if record.ground_acceleration is not None:
         found["observed"] = observed(record, GROUND)
-    words = GROUND.replace("_", " ")
-    return Histories(GROUND, words, UNITS[GROUND], "", ("ground",), record.time, found) if found else None
+    return Histories(GROUND, "", ("ground",), record.time, found) if found else None
 
 
 def support_histories(results: Results) -> list[Histories]:
     """The motion of supports, where they move: estimated and observed."""
-    estimate, record = results.estimate, results.record
-    out = []
-    for order, (name, quantity) in enumerate(SUPPORT.items()):
+    estimate, record, out = results.estimate, results.record, []
+    for order, name in enumerate(SUPPORT):
         moved = {"estimate": estimate.response.supports, "std": estimate.std.supports}
         found = {source: x[:, order] for source, x in moved.items() if x is not None}
         if name in record.supports:
             found["observed"] = observed(record, name)
         if found:
-            words, places = f"{quantity} of the support", tuple(record.support_names)
-            out.append(Histories(name, words, UNITS[name], "support", places, record.time, found))
+            out.append(Histories(name, "support", tuple(record.support_names), record.time, found))
     return out
 
 
@@ -140,11 +131,3 @@ def observed(record: Record, quantity: str) -> np.ndarray:
     # A force that is known to be zero is 0 in the record; nobody has measured it.
     shown = np.where(record.sensors(quantity), record.histories(quantity), np.nan)
     return np.where(record.missing[quantity], np.nan, shown) if quantity in record.missing else shown
-
-
-def _estimated(estimate: Estimate, quantity: str) -> dict[str, np.ndarray | None]:
-    return {"estimate": getattr(estimate.response, quantity), "std": getattr(estimate.std, quantity)}
-
-
-def _there(found: Mapping[str, np.ndarray | None]) -> dict[str, np.ndarray]:
-    return {name: values for name, values in found.items() if values is not None}

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -26,144 +25,81 @@ _TYPES = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
 _LINE, _LABEL = 80, 20
 
 
-class Export(ABC):
+@dataclass(frozen=True)
+class Export:
     """Estimate and standard deviation of every quantity and DOF, in a file named ``response`` and the export's suffix.
 
     Attributes:
         name: As in ``report.export``.
+        write: Writes what `pinn_cli.report.netcdf.response_dataset` makes to a file, whole or not at all.
     """
 
-    name: ClassVar[str]
-
-    def check(self) -> None:  # noqa: B027  # most need nothing
-        """Refuse what this machine cannot write, before anything is estimated.
-
-        Raises:
-            InputError: A package is not installed.
-        """
-
-    @abstractmethod
-    def write(self, dataset: xr.Dataset, path: Path) -> None:
-        """Write the file, whole or not at all.
-
-        Args:
-            dataset: As `pinn_cli.report.dataset.response_dataset` makes it.
-            path: Of the file.
-        """
+    name: str
+    write: Callable[[xr.Dataset, Path], None]
 
 
-@dataclass(frozen=True, eq=False)
-class DofHistory:
-    """One quantity of one DOF.
-
-    Attributes:
-        quantity: displacement, velocity, acceleration or force.
-        number: Of the DOF, from 1.
-        dof: Its name, or its number as text.
-        unit: SI.
-        estimate, std: (N,).
-    """
-
-    quantity: str
-    number: int
-    dof: str
-    unit: str
-    estimate: np.ndarray
-    std: np.ndarray
-
-
-def histories(dataset: xr.Dataset) -> Iterator[DofHistory]:
-    """Every quantity, DOF by DOF."""
-    numbers = dataset["dof"].values
-    names = dataset["dof_name"].values if "dof_name" in dataset.coords else numbers
-    for quantity in QUANTITIES:
-        estimate, std = dataset[quantity], dataset[f"{quantity}_std"].values
-        unit = str(estimate.attrs["units"])
-        for i, (number, name) in enumerate(zip(numbers, names, strict=True)):
-            yield DofHistory(quantity, int(number), str(name), unit, estimate.values[:, i], std[:, i])
-
-
-class CsvExport(Export):
+def write_csv(dataset: xr.Dataset, path: Path) -> None:
     """Columns ``t``, ``displacement_1``, ``displacement_1_std`` and so on, s and SI units, ten significant digits."""
-
-    name = "csv"
-
-    def write(self, dataset: xr.Dataset, path: Path) -> None:
-        """See :class:`Export`."""
-        columns = {"t": dataset["time"].values}
-        for history in histories(dataset):
-            name = f"{history.quantity}_{history.dof}"
-            columns |= {name: history.estimate, f"{name}_std": history.std}
-        write_table(pd.DataFrame(columns), path)
+    columns = {"t": dataset["time"].values}
+    for quantity in QUANTITIES:
+        for i, dof in enumerate(_dof_names(dataset)):
+            columns[f"{quantity}_{dof}"] = dataset[quantity].values[:, i]
+            columns[f"{quantity}_{dof}_std"] = dataset[f"{quantity}_std"].values[:, i]
+    write_table(pd.DataFrame(columns), path)
 
 
-class MatExport(Export):
+def write_mat(dataset: xr.Dataset, path: Path) -> None:
     """Version 5: ``t`` (N × 1, s), ``displacement``, ``displacement_std`` and so on (N × DOFs), ``dof`` (their names).
 
     ``units`` is a structure with the unit of every quantity.
     """
+    from scipy.io import savemat
 
-    name = "mat"
-
-    def write(self, dataset: xr.Dataset, path: Path) -> None:
-        """See :class:`Export`."""
-        from scipy.io import savemat
-
-        every = list(histories(dataset))
-        content: dict[str, object] = {"t": dataset["time"].values[:, None]}
-        for quantity in QUANTITIES:
-            content |= {name: dataset[name].values for name in (quantity, f"{quantity}_std")}
-        content["dof"] = np.array(list(dict.fromkeys(history.dof for history in every)), dtype=object)
-        content["units"] = {history.quantity: history.unit for history in every} | {"t": "s"}
-        file = BytesIO()
-        savemat(file, content, do_compression=True)
-        write_bytes(file.getvalue(), path)
+    content: dict[str, object] = {"t": dataset["time"].values[:, None]}
+    for quantity in QUANTITIES:
+        content |= {name: dataset[name].values for name in (quantity, f"{quantity}_std")}
+    content["dof"] = np.array(_dof_names(dataset), dtype=object)
+    content["units"] = {quantity: dataset[quantity].attrs["units"] for quantity in QUANTITIES} | {"t": "s"}
+    file = BytesIO()
+    savemat(file, content, do_compression=True)
+    write_bytes(file.getvalue(), path)
 
 
-class UffExport(Export):
-    """A universal file: data sets 58, two for each quantity and DOF: the estimate and its standard deviation.
+def write_uff(dataset: xr.Dataset, path: Path) -> None:
+    """A universal file of data sets 58, two for each quantity and DOF: the estimate and its standard deviation.
 
     The response node is the DOF's number, its direction a scalar. ID line 1 is ``displacement 1`` or ``displacement 1
     std``. Numbers have twelve digits, the time step six, as the format has it; ID line 5 has the step's others.
     """
-
-    name = "uff"
-
-    def check(self) -> None:
-        """See :class:`Export`."""
-        try:
-            import_module("pyuff")
-        except ModuleNotFoundError:
-            allowed = "a format whose package is installed; uff needs pyuff"
-            raise InputError("report.export", self.name, allowed, "pip install 'pinn-cli[uff]'") from None
-
-    def write(self, dataset: xr.Dataset, path: Path) -> None:
-        """See :class:`Export`."""
-        pyuff: Any = import_module("pyuff")
-        time = dataset["time"].values
-        si = pyuff.prepare_164(
-            units_code=1, units_description="SI: m, N", temp_mode=1, length=1.0, force=1.0, temp=1.0,
-            temp_offset=273.15,
-        )  # fmt: skip
-        sets = [_data_set(pyuff, time, history, kind) for history in histories(dataset) for kind in ("", "std")]
-        with replacing(path) as beside:
-            pyuff.UFF(str(beside)).write_sets([si, *sets])
+    pyuff: Any = import_module("pyuff")
+    si = {"units_code": 1, "units_description": "SI: m, N", "length": 1.0, "force": 1.0}
+    sets = [pyuff.prepare_164(**si, temp_mode=1, temp=1.0, temp_offset=273.15)]
+    for quantity in QUANTITIES:
+        for i, (dof, number) in enumerate(zip(_dof_names(dataset), dataset["dof"].values, strict=True)):
+            for name, title in ((quantity, f"{quantity} {dof}"), (f"{quantity}_std", f"{quantity} {dof} std")):
+                sets.append(_data_set(pyuff, dataset[name][:, i], title, int(number)))
+    with replacing(path) as beside:
+        pyuff.UFF(str(beside)).write_sets(sets)
 
 
-def _data_set(pyuff: Any, time: np.ndarray, history: DofHistory, kind: str) -> Any:
-    title = " ".join(filter(None, (history.quantity, history.dof, kind)))
+def _data_set(pyuff: Any, history: xr.DataArray, title: str, node: int) -> Any:
+    time = history["time"].values
     step = float(time[-1] - time[0]) / (len(time) - 1)
     return pyuff.prepare_58(
         binary=0, func_type=_TIME_RESPONSE, id1=title[:_LINE], id2="estimated by pinn-run", id3="NONE", id4="NONE",
-        id5=f"time step {step:.16g} s", load_case_id=0, rsp_ent_name="NONE", rsp_node=history.number, rsp_dir=0,
+        id5=f"time step {step:.16g} s", load_case_id=0, rsp_ent_name="NONE", rsp_node=node, rsp_dir=0,
         ref_ent_name="NONE", ref_node=0, ref_dir=0, abscissa_spacing=1, abscissa_spec_data_type=_TIME,
-        abscissa_axis_units_lab="s", ordinate_spec_data_type=_TYPES[history.quantity],
-        ordinate_axis_units_lab=history.unit[:_LABEL], orddenom_spec_data_type=0, z_axis_spec_data_type=0,
-        data=np.ascontiguousarray(history.std if kind else history.estimate, dtype=np.float64), x=time,
+        abscissa_axis_units_lab="s", ordinate_spec_data_type=_TYPES[title.split()[0]],
+        ordinate_axis_units_lab=history.attrs["units"][:_LABEL], orddenom_spec_data_type=0, z_axis_spec_data_type=0,
+        data=np.ascontiguousarray(history.values, dtype=np.float64), x=time,
     )  # fmt: skip
 
 
-EXPORTS: dict[str, type[Export]] = {export.name: export for export in (CsvExport, MatExport, UffExport)}
+def _dof_names(dataset: xr.Dataset) -> list[str]:
+    return [str(name) for name in dataset["dof_name" if "dof_name" in dataset.coords else "dof"].values]
+
+
+EXPORTS = {name: Export(name, write) for name, write in (("csv", write_csv), ("mat", write_mat), ("uff", write_uff))}
 
 
 def exports_of(names: Any) -> tuple[Export, ...]:
@@ -174,7 +110,10 @@ def exports_of(names: Any) -> tuple[Export, ...]:
     """
     if not isinstance(names, Sequence) or isinstance(names, str) or not all(name in EXPORTS for name in names):
         raise InputError("report.export", names, f"a list of any of {', '.join(EXPORTS)}")
-    exports = tuple(EXPORTS[name]() for name in dict.fromkeys(names))
-    for export in exports:
-        export.check()
-    return exports
+    try:
+        if "uff" in names:
+            import_module("pyuff")
+    except ModuleNotFoundError:
+        allowed = "a format whose package is installed; uff needs pyuff"
+        raise InputError("report.export", "uff", allowed, "pip install 'pinn-cli[uff]'") from None
+    return tuple(EXPORTS[name] for name in dict.fromkeys(names))

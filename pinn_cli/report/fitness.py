@@ -8,17 +8,12 @@ other's name.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.response import QUANTITIES
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from pinn_cli.record.response import Response
+from pinn_cli.record.response import QUANTITIES, Response
 
 FORMULAS = ("fitness_percent", "range_fitness_percent")
 
@@ -65,12 +60,9 @@ def fitness_table(estimate: Response, truth: Response, observed: np.ndarray) -> 
     quantity (its column is all NaN), and in a group without DOFs.
 
     Args:
-        estimate: The estimated response, (time, dof) for each quantity.
-        truth: The true response, same shapes; NaN where unknown.
+        estimate: (time, dof) for each quantity.
+        truth: The same, NaN where unknown.
         observed: (dof,) bool: DOFs with any response sensor.
-
-    Returns:
-        Columns: ``group``, ``quantity``, ``fitness_percent``, ``range_fitness_percent``.
 
     Raises:
         ValueError: If shapes disagree, or an estimated column is finite in one place and not in another: an average
@@ -86,35 +78,19 @@ def fitness_table(estimate: Response, truth: Response, observed: np.ndarray) -> 
 
 
 def fitness_rows(scores: Mapping[str, np.ndarray], observed: np.ndarray) -> pd.DataFrame:
-    """The table of :func:`fitness_table` from scores that have been found.
-
-    Args:
-        scores: Quantity to both formulas of every DOF, (2, dof).
-        observed: (dof,) bool: DOFs with any response sensor.
-    """
-    rows = [
-        (group, quantity, *_mean_of_filled(scores[quantity][:, members]))
-        for group, members in groups(observed).items()
-        for quantity in QUANTITIES
-    ]
+    """The same from both formulas of every DOF, (2, dof), for every quantity."""
+    rows = []
+    for group, members in groups(observed).items():
+        for quantity in QUANTITIES:
+            own = scores[quantity][:, members]
+            filled = np.isfinite(own)
+            counts, sums = filled.sum(axis=1), np.where(filled, own, 0.0).sum(axis=1)
+            rows.append((group, quantity, *np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)))
     return pd.DataFrame(rows, columns=["group", "quantity", *FORMULAS])
 
 
 def groups(observed: np.ndarray) -> dict[str, np.ndarray]:
     """The groups of DOFs that a table reports, in its order, each as a mask (dof,)."""
-    dofs = np.arange(1, len(observed) + 1)
-    named = {
-        "all": dofs > 0,
-        "first": dofs == 1,
-        "last": dofs == len(observed),
-        "observed": np.asarray(observed, dtype=bool),
-        "unobserved": ~np.asarray(observed, dtype=bool),
-    }
+    dofs, seen = np.arange(1, len(observed) + 1), np.asarray(observed, dtype=bool)
+    named = {"all": dofs > 0, "first": dofs == 1, "last": dofs == len(dofs), "observed": seen, "unobserved": ~seen}
     return named | {f"dof_{dof}": dofs == dof for dof in dofs}
-
-
-def _mean_of_filled(scores: np.ndarray) -> np.ndarray:
-    """Average (2, dof) over the DOFs that have a value; NaN where none has."""
-    filled = np.isfinite(scores)
-    counts = filled.sum(axis=1)
-    return np.where(counts > 0, np.where(filled, scores, 0.0).sum(axis=1) / np.maximum(counts, 1), np.nan)

@@ -9,20 +9,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from pinn_cli.record.free_run import NoFreeRunError, free_run_of
+from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
 from pinn_cli.report.fitness import fitness_percent, fitness_table
+from pinn_cli.system.structure import Structure
+from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.estimated_structure import estimated_structure
-
-if TYPE_CHECKING:
-    from pinn_cli.record.record import Record
-    from pinn_cli.system.structure import Structure
-    from pinn_cli.training.estimate import Estimate
 
 REFERENCES = ("truth", "sensors", "estimate")
 
@@ -69,21 +66,28 @@ def free_run(prescribed: Structure, estimate: Estimate, record: Record) -> FreeR
         response = free_run_of(structure, record, estimate.response, 0)
     except NoFreeRunError as error:
         return FreeRun(None, str(error))
-    return FreeRun(response, *_contradiction(structure, estimate, record, response))
+    agreement = _agreement(response, estimate)
+    if not agreement < CONTRADICTED_BELOW:
+        return FreeRun(response)
+    extent = f"to {agreement:.1f} % only" if agreement > 0.0 else "not at all"
+    first = len(record.time) // EXCUSED_SHARE
+    excused = _excused_agreement(structure, estimate, record, first)
+    if excused >= CONTRADICTED_BELOW:
+        later = f"under the estimated force and from {record.time[first]:.4g} s on, to {excused:.1f} %"
+        why = "the noise of the measured force or the estimated start explains it"
+        return FreeRun(response, f"the free run's displacements agree with the estimate {extent}; {later}: {why}")
+    found = f"in a free run their displacements agree with it {extent}"
+    why = "the model, the parameters or the response is wrong"
+    warning = f"warning: the estimated parameters do not reproduce the estimated response: {found}; {why}"
+    return FreeRun(response, warning, agreement)
 
 
 def free_run_table(run: FreeRun, estimate: Estimate, record: Record, truth: Response) -> pd.DataFrame:
-    """Both fitness formulas of the free run's motion (the content of ``free_run.csv``).
+    """Both fitness formulas of the free run's motion (the content of ``free_run.csv``); the force is given.
 
-    Args:
-        run: Cells are empty where it has no response.
-        estimate: The response that it is compared with, beside truth and sensors.
-        record: The sensors, noise included; group averages go over the DOFs that have one.
-        truth: NaN where unknown.
-
-    Returns:
-        The columns of `pinn_cli.report.fitness.fitness_table` and, before ``group``, ``against``: `REFERENCES`.
-        Displacement, velocity and acceleration only: the force is given.
+    Its columns are those of `pinn_cli.report.fitness.fitness_table` and, before them, ``against``: `REFERENCES`. Cells
+    are empty where the run has no response, or its reference is unknown. The sensors are noisy; averages over groups
+    go over the DOFs that have one.
     """
     response = run.response or Response.unknown(record.time, record.ndof)
     sensors = Response(record.time, record.displacement, record.velocity, record.acceleration, record.force)
@@ -95,23 +99,6 @@ def free_run_table(run: FreeRun, estimate: Estimate, record: Record, truth: Resp
     return pd.concat(tables, ignore_index=True)
 
 
-def _contradiction(structure: Structure, estimate: Estimate, record: Record, response: Response) -> tuple[str, float]:
-    """What to say of a free run that is not what was estimated, and its agreement; "" where it is."""
-    agreement = _agreement(response, estimate)
-    if not agreement < CONTRADICTED_BELOW:
-        return "", math.nan
-    extent = f"to {agreement:.1f} % only" if agreement > 0.0 else "not at all"
-    first = len(record.time) // EXCUSED_SHARE
-    excused = _excused_agreement(structure, estimate, record, first)
-    if excused >= CONTRADICTED_BELOW:
-        later = f"under the estimated force and from {record.time[first]:.4g} s on, to {excused:.1f} %"
-        why = "the noise of the measured force or the estimated start explains it"
-        return f"the free run's displacements agree with the estimate {extent}; {later}: {why}", math.nan
-    found = f"in a free run their displacements agree with it {extent}"
-    why = "the model, the parameters or the response is wrong"
-    return f"warning: the estimated parameters do not reproduce the estimated response: {found}; {why}", agreement
-
-
 def _excused_agreement(structure: Structure, estimate: Estimate, record: Record, first: int) -> float:
     """Agreement where only the model and its parameters can be to blame, %; NaN where the run overflows.
 
@@ -120,20 +107,19 @@ def _excused_agreement(structure: Structure, estimate: Estimate, record: Record,
     DOF carries a force that is estimated from the motion alone, this excuses wrong parameters too: the estimated force
     makes up for them.
     """
-    force = np.where(record.sensors("force"), estimate.response.force, record.force)
-    ground = estimate.response.ground_acceleration
-    if ground is None:
-        ground = record.ground_acceleration
+    found = estimate.response
+    force = np.where(record.sensors("force"), found.force, record.force)
+    ground = record.ground_acceleration if found.ground_acceleration is None else found.ground_acceleration
     try:
         acting = replace(record, force=force, ground_acceleration=ground)
-        if estimate.response.supports is not None:
-            acting = acting.carried_by(estimate.response.supports, first)
-        return _agreement(free_run_of(structure, acting, estimate.response, first, first), estimate)
+        if found.supports is not None:
+            acting = acting.carried_by(found.supports, first)
+        return _agreement(free_run_of(structure, acting, found, first, first), estimate)
     except NoFreeRunError:
-        return float("nan")
+        return math.nan
 
 
 def _agreement(response: Response, estimate: Estimate) -> float:
     """Printed fitness of the displacements against the last estimated ones, mean over DOFs, %; NaN if none moves."""
     scores = fitness_percent(response.displacement, estimate.response.displacement[-len(response.time) :])
-    return float(np.mean(scores[np.isfinite(scores)])) if np.isfinite(scores).any() else float("nan")
+    return float(np.mean(scores[np.isfinite(scores)])) if np.isfinite(scores).any() else math.nan

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
@@ -12,16 +12,12 @@ from pinn_cli.model.file import write_model
 from pinn_cli.model.knowledge import Levels, ParameterKnowledge
 from pinn_cli.model.model import Model
 from pinn_cli.record.response import GROUND, QUANTITIES
+from pinn_cli.report.results import Results
 from pinn_cli.system.quantities import CALIBRATION_UNITS
+from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.training.record_scales import force_and_velocity_scale
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from pinn_cli.report.results import Results
-    from pinn_cli.training.estimate import Estimate
-    from pinn_cli.verdict.finding import Verdict
+from pinn_cli.verdict.finding import Verdict
 
 _log = logging.getLogger(__name__)
 
@@ -73,16 +69,13 @@ def _of_intervals(estimate: Estimate) -> ParameterKnowledge:
 
 
 def _levels(results: Results) -> Levels:
-    summary, record = results.estimate.summary, results.record
-    sensors = {}
+    summary, record, sensors = results.estimate.summary, results.record, {}
     supports = [(quantity, len(record.support_names)) for quantity in record.supports]
     for quantity, channels in (*((quantity, record.ndof) for quantity in QUANTITIES), (GROUND, 1), *supports):
         found = summary.get(f"sigma_{quantity}")
         if isinstance(found, list) and len(found) == channels:
             sensors[quantity] = np.array([np.nan if sigma is None else sigma for sigma in found], dtype=float)
     force = np.nan if results.problem is None else force_and_velocity_scale(results.problem)[0]
-    discrepancy, features = (
-        np.nan if (found := summary.get(name)) is None else float(found)
-        for name in ("sigma_discrepancy", "features_per_dof")
-    )
+    told = (summary.get(name) for name in ("sigma_discrepancy", "features_per_dof"))
+    discrepancy, features = (np.nan if found is None else float(found) for found in told)
     return Levels(sensors, discrepancy, record.step, float(force), features / record.duration)

@@ -3,25 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from pinn_cli.report.estimates import error_percent
 from pinn_cli.system.natural_modes import NaturalModes, frequency
+from pinn_cli.system.structure import Structure
+from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.training.propagation import half_widths_90
-
-if TYPE_CHECKING:
-    from pinn_cli.system.structure import Structure
-    from pinn_cli.training.estimate import Estimate
-
-COLUMNS = (
-    "mode", "frequency", "lower_90", "upper_90", "damping_ratio", "damping_ratio_lower_90", "damping_ratio_upper_90",
-    "mac", "prescribed_frequency", "prescribed_damping_ratio", "true_frequency", "true_damping_ratio",
-    "frequency_error_percent", "damping_ratio_error_percent", "true_mac",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,14 +79,12 @@ class ModeEstimates:
         modes = NaturalModes.of(structure)
         if modes is None:
             return None
-        by_square, by_ratio = modes.slopes([found.parameter for found in estimate.parameters])
-        squares, ratios = (
-            np.stack((value - below, value + above))
-            for value, (below, above) in (
-                (values, half_widths_90(slopes, estimate.parameters, estimate.correlation))
-                for values, slopes in ((modes.squares, by_square), (modes.damping_ratios, by_ratio))
-            )
-        )
+        intervals = []
+        slopes = modes.slopes([found.parameter for found in estimate.parameters])
+        for values, slope in zip((modes.squares, modes.damping_ratios), slopes, strict=True):
+            below, above = half_widths_90(slope, estimate.parameters, estimate.correlation)
+            intervals.append(np.stack((values - below, values + above)))
+        squares, ratios = intervals
         return cls(
             tuple(structure.dof_name(i) for i in range(structure.ndof)),
             not structure.is_modal and not structure.labels.connections,
@@ -117,10 +106,10 @@ class ModeEstimates:
 def mode_table(modes: ModeEstimates) -> pd.DataFrame:
     """One row per mode, the lowest frequency first (the content of ``modes.csv``).
 
-    Its columns are `COLUMNS` and a column ``shape_<dof>`` per DOF, the displacement where the mode's largest is one.
     Frequencies are in Hz and undamped; ``lower_90`` and ``upper_90`` are of the frequency. ``mac`` is the modal
     assurance criterion against the prescribed mode that is most alike, whose frequency and damping follow; ``true_mac``
-    the same of the true one. Cells of what is not known are empty (NaN).
+    the same of the true one. A column ``shape_<dof>`` per DOF is its displacement where the mode's largest is one.
+    Cells of what is not known are empty (NaN).
     """
     prescribed, true = modes.prescribed, modes.true
     columns: dict[str, np.ndarray] = {
@@ -140,5 +129,4 @@ def mode_table(modes: ModeEstimates) -> pd.DataFrame:
         "damping_ratio_error_percent": error_percent(modes.damping_ratios, true.damping_ratios),
         "true_mac": true.mac,
     }
-    shapes = {f"shape_{name}": row for name, row in zip(modes.dofs, modes.shapes, strict=True)}
-    return pd.DataFrame({name: columns[name] for name in COLUMNS} | shapes)
+    return pd.DataFrame(columns | {f"shape_{dof}": row for dof, row in zip(modes.dofs, modes.shapes, strict=True)})

@@ -25,18 +25,12 @@ COLUMNS = (
 
 
 def parameters_over_time(model: Model, estimate: Estimate, run: str) -> pd.DataFrame | None:
-    """One row per record and parameter (the content of ``parameters_over_time.csv``).
+    """One row per record and parameter (the content of ``parameters_over_time.csv``): `COLUMNS`.
 
-    Args:
-        model: What the record's prior was; the history in its directory goes on.
-        estimate: Of the record.
-        run: Name of its run.
-
-    Returns:
-        Columns: `COLUMNS`. ``record`` counts from 1. ``estimate``, ``std`` and the 90 % interval are what is known
-        after the record; ``alone`` what the record says by itself. Of a parameter that changed, ``change`` is by how
-        much if nothing else did that is not named, and ``chance`` the probability that uncertainty alone makes so much
-        of it. None where nothing was compared.
+    ``record`` counts from 1. ``estimate``, ``std`` and the 90 % interval are what is known after the record; ``alone``
+    what the record says by itself. Of a parameter that changed, ``change`` is by how much if nothing else did that is
+    not named, and ``chance`` the probability that uncertainty alone makes so much of it. None where nothing was
+    compared with the model that was the record's prior, and whose history goes on.
     """
     if estimate.changes is None:
         return None
@@ -46,13 +40,7 @@ def parameters_over_time(model: Model, estimate: Estimate, run: str) -> pd.DataF
 
 
 def window_rows(number: int, run: str, estimate: Estimate) -> pd.DataFrame:
-    """The rows of one window of a record, with the same columns.
-
-    Args:
-        number: Of the window, among the records before it and the windows.
-        run: What it is called.
-        estimate: Of it.
-    """
+    """The rows of one window of a record, counted among the records before it and the windows."""
     own = [found.parameter for found in estimate.parameters if found.kind not in CALIBRATION_UNITS]
     return _rows(number, run, estimate, own)
 

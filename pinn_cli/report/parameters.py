@@ -49,12 +49,8 @@ def parameter_table(
 ) -> pd.DataFrame:
     """One row per system parameter (the content of ``parameters.csv``): `PARAMETER_COLUMNS`.
 
-    ``error_percent`` is empty (NaN) where the truth is unknown or zero. A parameter was either prescribed or is unknown
-    and has a ``start``, the value at which its search began: the other column is empty.
-
-    Args:
-        estimates: One per parameter.
-        true: Kind to values (members,), or None where the truth is unknown (a record from a rig).
+    ``true`` has values (members,) by kind; None of a record from a rig. A parameter was either prescribed or is unknown
+    and has a ``start``, the value at which its search began. Cells of what is not known are empty (NaN).
     """
     rows = [
         (p.name, true_value(p.parameter, true), p.believed, p.start, p.estimate, np.nan, p.std, p.lower_90, p.upper_90)
@@ -84,19 +80,13 @@ def correlation_table(parameters: Sequence[ParameterEstimate], correlation: np.n
 
 
 def parameter_estimates(samples: PosteriorSamples, parameters: Sequence[Parameter]) -> list[ParameterEstimate]:
-    """The posterior mean, standard deviation and central 90 % interval of every parameter, all of them unknown.
-
-    Args:
-        samples: p parameters, all chains together.
-        parameters: Those p.
-    """
+    """Mean, standard deviation and central 90 % interval of every parameter in all chains, all of them unknown."""
     draws = samples.pooled
     lower, upper = np.quantile(draws, CENTRAL_90, axis=0)
-    found = zip(parameters, draws.mean(axis=0), draws.std(axis=0, ddof=1), lower, upper, strict=True)
-    return [
-        ParameterEstimate(replace(parameter, prior_std=float(prior), unknown=True), *map(float, values))
-        for (parameter, *values), prior in zip(found, samples.prior.std(axis=0, ddof=1), strict=True)
-    ]
+    rows = np.stack((draws.mean(axis=0), draws.std(axis=0, ddof=1), lower, upper), axis=1).tolist()
+    believed = zip(parameters, samples.prior.std(axis=0, ddof=1).tolist(), strict=True)
+    own = [replace(parameter, prior_std=prior_std, unknown=True) for parameter, prior_std in believed]
+    return [ParameterEstimate(parameter, *row) for parameter, row in zip(own, rows, strict=True)]
 
 
 def posterior_correlation(draws: np.ndarray) -> np.ndarray:
@@ -143,9 +133,7 @@ def identifiability_table(parameters: Sequence[ParameterEstimate], correlation: 
 def identifiability_warnings(parameters: Sequence[ParameterEstimate], correlation: np.ndarray | None) -> list[str]:
     """What a reader must know before trusting the unknown parameters, one sentence each; none if all is well.
 
-    Args:
-        parameters: p of them; only the unknown ones are judged.
-        correlation: (p, p), in their order; None where the training gives none.
+    Arguments are those of :func:`identifiability_table`.
     """
     unknown = [p for p in parameters if p.unknown]
     if unknown and not any(np.isfinite(p.std) for p in unknown):

@@ -4,31 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
 from pinn_cli.record.channels import channels
-from pinn_cli.record.response import MEASURED_QUANTITIES
+from pinn_cli.record.record import Record, Truth
+from pinn_cli.record.response import MEASURED_QUANTITIES, Response
 from pinn_cli.report.connections import dissipated_energy, drift_table, drifts, energy_table
+from pinn_cli.report.export import Export
 from pinn_cli.report.fitness import fitness_table
 from pinn_cli.report.free_run import FreeRun, free_run, free_run_table
 from pinn_cli.report.parameters import parameter_table
 from pinn_cli.report.residuals import residual_table
-from pinn_cli.report.results import with_labels
+from pinn_cli.report.results import Results, RunDescription, with_labels
 from pinn_cli.runs.writing import write_table
+from pinn_cli.training.estimate import Estimate
+from pinn_cli.verdict.finding import Verdict
 from pinn_cli.verdict.judge import judge
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from pinn_cli.record.record import Record, Truth
-    from pinn_cli.record.response import Response
-    from pinn_cli.report.export import Export
-    from pinn_cli.report.results import Results, RunDescription
-    from pinn_cli.training.estimate import Estimate
-    from pinn_cli.verdict.finding import Verdict
 
 COLUMNS = (
     "record", "folder", "samples", "duration_s", "sampling_rate_hz", "sensors", "sigma_discrepancy",
@@ -63,7 +58,7 @@ class EstimatorTables:
 
     def __getstate__(self) -> dict[str, Any]:
         # Between processes goes what was found.
-        return {**self.__dict__, "residuals": self.residuals, "find_residuals": None}
+        return {**self.__dict__, "find_residuals": self.residuals.copy}
 
     @classmethod
     def of(
@@ -71,24 +66,17 @@ class EstimatorTables:
         free_run: Response | None = None,
     ) -> EstimatorTables:  # fmt: skip
         """Score an estimate against the truth, where it is known, and against the sensors."""
-        labelled = partial(with_labels, labels=run.labels_of(name))
-        return cls(
-            name,
-            labelled(fitness_table(estimate.response, truth.response, record.observed)),
-            labelled(parameter_table(estimate.parameters, truth.parameters)),
-            lambda: labelled(residual_table(estimate, record, free_run)),
-        )
+        labels = run.labels_of(name)
+        fitness = with_labels(fitness_table(estimate.response, truth.response, record.observed), labels)
+        parameters = with_labels(parameter_table(estimate.parameters, truth.parameters), labels)
+        return cls(name, fitness, parameters, lambda: with_labels(residual_table(estimate, record, free_run), labels))
 
     def above(self, other: EstimatorTables | None) -> EstimatorTables:
         """These rows with those of another estimator below; columns that are empty in one of them stay as they are."""
         if other is None:
             return self
-        return EstimatorTables(
-            self.name,
-            _joined(self.fitness, other.fitness),
-            _joined(self.parameters, other.parameters),
-            lambda: _joined(self.residuals, other.residuals),
-        )
+        fitness, parameters = _joined(self.fitness, other.fitness), _joined(self.parameters, other.parameters)
+        return EstimatorTables(self.name, fitness, parameters, lambda: _joined(self.residuals, other.residuals))
 
 
 def _joined(above: pd.DataFrame, below: pd.DataFrame) -> pd.DataFrame:
@@ -137,12 +125,10 @@ class RecordReport:
     def every_table(self) -> tuple[EstimatorTables, EstimatorTables | None]:
         """The network's tables, and the baseline's."""
         results, run = self.results, self.results.run
-        ours = EstimatorTables.of(
-            "pinn", run, results.estimate, results.record, results.truth, self.free.response
-        )  # fmt: skip
-        if results.baseline is None:
-            return ours, None
-        return ours, EstimatorTables.of(run.baseline, run, results.baseline, results.record, results.truth)
+        seen = results.record, results.truth
+        ours = EstimatorTables.of("pinn", run, results.estimate, *seen, self.free.response)
+        other = results.baseline
+        return ours, None if other is None else EstimatorTables.of(run.baseline, run, other, *seen)
 
     def tables(self) -> tuple[EstimatorTables, EstimatorTables | None]:
         """These, found now."""
@@ -151,15 +137,17 @@ class RecordReport:
     def write(self) -> None:
         """Write its files."""
         # Not above: xarray would be read before anything is printed.
-        from pinn_cli.report.dataset import response_dataset, write_dataset
+        from pinn_cli.report.netcdf import response_dataset, write_dataset
 
         results, directory = self.results, self.directory
         labels, (ours, theirs) = results.run.labels_of(estimator="pinn"), self.every_table
-        stretched = drifts(results.prescribed, results.estimate, results.truth.response)
+        stretched, both = drifts(results.prescribed, results.estimate, results.truth.response), ours.above(theirs)
         tables = {
             "free_run": with_labels(self.free_table, labels | {"estimator": "free_run"}),
             "drift": with_labels(drift_table(stretched), labels),
             "energy": with_labels(energy_table(dissipated_energy(results)), labels),
+            "fitness": both.fitness,
+            "residuals": both.residuals,
         }
         for name, table in tables.items():
             write_table(table, directory / f"{name}.csv")
@@ -167,26 +155,19 @@ class RecordReport:
         write_dataset(dataset, directory / "response.nc")
         for export in self.exports:
             export.write(dataset, directory / f"response.{export.name}")
-        both = ours.above(theirs)
-        write_table(both.fitness, directory / "fitness.csv")
-        write_table(both.residuals, directory / "residuals.csv")
 
 
 def records_table(each: Sequence[tuple[Results, EstimatorTables, Verdict | None]]) -> pd.DataFrame:
-    """One row per record: the content of ``records.csv``, `COLUMNS`.
+    """One row per record, from 1: the content of ``records.csv``, `COLUMNS`.
 
-    ``record`` is counted from 1; the NMSE are the largest of any sensor, see
-    :func:`pinn_cli.report.residuals.residual_table`; ``verdict`` is that of the record alone.
-
-    Args:
-        each: Results, tables and verdict of every record.
+    The NMSE are the largest of any sensor, see :func:`pinn_cli.report.residuals.residual_table`; ``verdict`` is that of
+    the record alone.
     """
     rows = []
     for number, (results, tables, verdict) in enumerate(each, start=1):
-        record = results.record
+        record, discrepancy = results.record, results.estimate.summary.get("sigma_discrepancy")
         largest = tables.residuals[["nmse_percent", "free_run_nmse_percent"]].max()
         counts = len(channels(record, MEASURED_QUANTITIES))
-        discrepancy = results.estimate.summary.get("sigma_discrepancy")
         shape = (len(record.time), record.duration, record.sampling_rate, counts, discrepancy)
         rows.append((number, record_folder(number), *shape, *largest, verdict.word if verdict else None))
     return pd.DataFrame(rows, columns=list(COLUMNS))

@@ -10,23 +10,17 @@ parameters in N samples the distance is about K / N. So the size of a deviation 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pandas as pd
 from scipy.special import kolmogorov
 
 from pinn_cli.record.channels import clipped_percent, constant_percent, every_channel
-from pinn_cli.record.response import GROUND
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import GROUND, Response
 from pinn_cli.record.spectrum import band_share, signal_edges
 from pinn_cli.system.quantities import FORCE, SUPPORT
+from pinn_cli.training.estimate import Estimate
 from pinn_cli.verdict.noise_findings import noise_found
-
-if TYPE_CHECKING:
-    from pinn_cli.record.channels import Channel
-    from pinn_cli.record.record import Record
-    from pinn_cli.record.response import Response
-    from pinn_cli.training.estimate import Estimate
 
 COLUMNS = (
     "quantity", "dof", "samples", "signal_rms", "residual_rms", "nmse_percent", "sigma", "residual_over_sigma",
@@ -39,69 +33,52 @@ MANY = 2000  # independent shares, from which on the limit of their distribution
 
 
 def nmse_percent(left: np.ndarray, signal: np.ndarray) -> float:
-    """100 mean(r^2) / variance of the signal: 0 is perfect, 100 predicts nothing; NaN of a constant signal.
+    """100 mean(r^2) / variance of a signal (N,) of which r (N,) is left: 0 is perfect, 100 predicts nothing.
 
-    Args:
-        left: r (N,), what is left of it.
-        signal: (N,).
+    NaN of a constant signal.
     """
     variance = float(np.var(signal))
     return 100.0 * float(np.mean(left**2)) / variance if variance > 0.0 else np.nan
 
 
 def residual_table(estimate: Estimate, record: Record, free_run: Response | None = None) -> pd.DataFrame:
-    """One row per sensor.
+    """One row per sensor (the content of ``residuals.csv``): `COLUMNS`; what is not known is empty (NaN).
+
+    ``dof`` is counted from 1, 0 is the ground, and a sensor that feels something else has none; ``channel`` is what
+    messages call it. In the unit of the quantity: ``signal_rms`` (about the mean), ``residual_rms`` and
+    ``mean_residual`` of r = measured - estimated, ``sigma`` (noise found). In per cent: ``nmse_percent`` (see
+    `nmse_percent`), ``free_run_nmse_percent`` (the same of the free run; force and ground have none, being given),
+    ``band_share_percent`` (of the signal's power, between ``band_low_hz`` and ``band_high_hz``, where the signal stands
+    out of its noise), ``clipped_percent`` and ``constant_percent`` (see there). Of r about its mean: ``whiteness`` (the
+    probability that white noise would look less white; near 0, r is not white), ``spectrum_deviation`` (the distance
+    that this judges), ``largest_autocorrelation`` (with its sign, within `LAGS` lags; white noise stays within about
+    3 / sqrt(samples)).
 
     Args:
         estimate: Its response is compared with the sensors; its ``summary`` has the noise found.
         record: The sensors.
         free_run: Of the estimated system under the measured force, (N, n) each; None where there is none.
-
-    Returns:
-        Columns: `COLUMNS`. ``dof`` is counted from 1, 0 is the ground, and a sensor that feels something
-        else has none; ``channel`` is what messages call it. In the unit of the quantity:
-        ``signal_rms`` (about the mean), ``residual_rms`` and ``mean_residual`` of r = measured - estimated, ``sigma``
-        (noise found). In per cent: ``nmse_percent`` (see `nmse_percent`), ``free_run_nmse_percent`` (the same of the
-        free run; force and ground have none, being given), ``band_share_percent`` (of the signal's power, between
-        ``band_low_hz`` and ``band_high_hz``, where the signal stands out of its noise), ``clipped_percent`` and
-        ``constant_percent`` (see there). Of r about its mean: ``whiteness`` (the probability that white noise would
-        look less white; near 0, r is not white), ``spectrum_deviation`` (the distance that this judges),
-        ``largest_autocorrelation`` (with its sign, within `LAGS` lags; white noise stays within about 3 /
-        sqrt(samples)). What is not known is empty (NaN).
     """
-    rows = [_row(estimate, record, free_run, channel) for channel in every_channel(record)]
+    rows = []
+    for channel in every_channel(record):
+        signal, dof = channel.measured, channel.dof + 1 if channel.gauge is None else None
+        left = signal - channel.of(estimate.response)
+        own, sigma = channel.sampled(left), noise_found(estimate, channel)
+        rms, largest = float(np.sqrt(np.mean(own**2))), max(autocorrelation(left, LAGS), key=abs)
+        low, high = signal_edges(signal, record.step)
+        free = np.nan
+        if free_run is not None and channel.quantity not in INPUTS:
+            free = nmse_percent(signal - channel.of(free_run), signal)
+        rows.append(
+            (
+                channel.quantity, dof, len(own), float(np.std(signal)), rms, nmse_percent(own, channel.sampled(signal)),
+                sigma, rms / sigma if sigma > 0.0 else np.nan, float(np.mean(own)), white_probability(left),
+                float(largest), cumulated_deviation(left), low, high,
+                100.0 * band_share(signal, record.step, low, high), free, clipped_percent(signal),
+                constant_percent(signal), channel.name,
+            )
+        )  # fmt: skip
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"dof": "Int64"})
-
-
-def _row(estimate: Estimate, record: Record, free_run: Response | None, channel: Channel) -> dict[str, object]:
-    signal, left = channel.measured, channel.measured - channel.of(estimate.response)
-    own = channel.sampled(left)
-    sigma, rms = noise_found(estimate, channel), float(np.sqrt(np.mean(own**2)))
-    correlation = autocorrelation(left, LAGS)
-    low, high = signal_edges(signal, record.step)
-    return {
-        "quantity": channel.quantity,
-        "dof": channel.dof + 1 if channel.gauge is None else None,
-        "samples": len(own),
-        "signal_rms": float(np.std(signal)),
-        "residual_rms": rms,
-        "nmse_percent": nmse_percent(own, channel.sampled(signal)),
-        "sigma": sigma,
-        "residual_over_sigma": rms / sigma if sigma > 0.0 else np.nan,
-        "mean_residual": float(np.mean(own)),
-        "whiteness": white_probability(left),
-        "largest_autocorrelation": float(max(correlation, key=abs)),
-        "spectrum_deviation": cumulated_deviation(left),
-        "band_low_hz": low,
-        "band_high_hz": high,
-        "band_share_percent": 100.0 * band_share(signal, record.step, low, high),
-        "free_run_nmse_percent": np.nan
-        if free_run is None or channel.quantity in INPUTS
-        else nmse_percent(signal - channel.of(free_run), signal),
-        "clipped_percent": clipped_percent(signal),
-        "constant_percent": constant_percent(signal),
-        "channel": channel.name,
-    }
 
 
 def autocorrelation(values: np.ndarray, lags: int) -> np.ndarray:

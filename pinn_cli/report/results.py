@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -10,8 +11,6 @@ import pandas as pd
 from pinn_cli.training.calibrated_record import as_calibrated
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from pinn_cli.model.model import Model
     from pinn_cli.posterior.result import PosteriorResult
     from pinn_cli.record.record import Record, Truth
@@ -74,7 +73,7 @@ class RunDescription:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """All that a run has found.
+    """All that a run has found; None where there is none.
 
     Attributes:
         run: Which run it is.
@@ -82,17 +81,15 @@ class Results:
         record: What the estimator saw.
         truth: What it is scored against; NaN where unknown.
         estimate: What it found.
-        baseline: What the configured baseline found; None where there is none.
+        baseline: What the configured baseline found.
         posterior: Of the parameters, where one was asked for.
         score: Of the estimate without the truth, where one was asked for.
         problem: That was solved; without it there is no verdict.
-        linear_response: Of the structure without its nonlinearity under the same force, for the figure of a linear
-            model error (paper, Fig. 6).
-        true: The structure that a simulated record comes from, for scoring; None of a measured record.
-        validation: What the identified system is tried on and no estimator has seen; None: nothing.
-        model: What the run began with; None: no earlier run.
-        further: Of further records that were solved together with this one, whose ``estimate`` then has the parameters
-            of all.
+        linear_response: Of the structure without its nonlinearity under the same force (paper, Fig. 6).
+        true: The structure that a simulated record comes from, for scoring.
+        validation: What the identified system is tried on and no estimator has seen.
+        model: What the run began with, of an earlier run.
+        further: Of records that were solved together with this one, whose ``estimate`` then has the parameters of all.
     """
 
     run: RunDescription
@@ -118,16 +115,14 @@ class Results:
 
 
 def further_results(first: Results, problems: Sequence[Problem], truths: Sequence[Truth]) -> tuple[Results, ...]:
-    """Those of the records that were solved together with the first one.
+    """Those of the records that were solved together with the first one, whose estimate is that of all.
 
-    Args:
-        first: With the estimate of all.
-        problems: Of the other records.
-        truths: Of the other records.
+    Problems and truths are those of the other records.
     """
+    alone = replace(first, baseline=None, posterior=None, score=None, linear_response=None)
     found = []
     for problem, truth, estimate in zip(problems, truths, first.estimate.by_record[1:], strict=True):
         record = as_calibrated(problem.record, estimate)
-        own = replace(first, record=record, truth=truth, estimate=estimate, problem=replace(problem, record=record))
-        found.append(replace(own, baseline=None, posterior=None, score=None, linear_response=None))
+        own = replace(problem, record=record)
+        found.append(replace(alone, record=record, truth=truth, estimate=estimate, problem=own))
     return tuple(found)

@@ -33,19 +33,17 @@ PACKAGES = (
 def run_record(results: Results, verdict: Verdict | None, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Seconds by stage, the training's summary (iterations, why it stopped, ...), and what it takes to run it again."""
     run, observed = results.run, observed_digest(own.record for own in results.by_record)
-    baseline = {"name": run.baseline, **results.baseline.summary} if results.baseline else None
-    records = [own.estimate.summary for own in results.by_record] if results.further else None
-    optional = {
-        "records": records,
-        "baseline": baseline,
-        "posterior": _sampling(results.posterior),
-        "validation": _score(results),
-    }
-    return {
-        **run_facts(run, results.estimate.summary, observed, seconds),
-        **{name: entry for name, entry in optional.items() if entry is not None},
-        **(verdict.record() if verdict else {}),
-    }
+    content = run_facts(run, results.estimate.summary, observed, seconds)
+    if results.further:
+        content["records"] = [own.estimate.summary for own in results.by_record]
+    if results.baseline:
+        content["baseline"] = {"name": run.baseline, **results.baseline.summary}
+    if results.posterior:
+        content["posterior"] = _sampling(results.posterior)
+    if results.score is not None:
+        content["validation"] = {"name": run.validation, "score": _finite(results.score.value)}
+        content["validation"] |= {"reason": results.score.reason} if results.score.reason else {}
+    return content | (verdict.record() if verdict else {})
 
 
 def run_facts(
@@ -69,9 +67,7 @@ def run_facts(
     }
 
 
-def _sampling(posterior: PosteriorResult | None) -> dict[str, Any] | None:
-    if posterior is None:
-        return None
+def _sampling(posterior: PosteriorResult) -> dict[str, Any]:
     samples, worst = posterior.samples, posterior.diagnostics
     chains, draws = samples.draws.shape[:2]
     return {
@@ -85,14 +81,6 @@ def _sampling(posterior: PosteriorResult | None) -> dict[str, Any] | None:
         "smallest_ess_tail": _finite(worst["ess_tail"].min()),
         "quality_check": list(posterior.verdict) or "passed",
     }
-
-
-def _score(results: Results) -> dict[str, Any] | None:
-    score = results.score
-    if score is None:
-        return None
-    reason = {"reason": score.reason} if score.reason else {}
-    return {"name": results.run.validation, "score": _finite(score.value), **reason}
 
 
 def _finite(value: float) -> float | None:
@@ -130,16 +118,13 @@ def peak_memory_mib() -> dict[str, float | None]:
     import torch
 
     cuda = round(torch.cuda.max_memory_allocated() / 2**20, 1) if torch.cuda.is_available() else None
-    return {"process": _resident_mib(), "cuda": cuda}
-
-
-def _resident_mib() -> float | None:
     try:
         import resource
     except ImportError:  # Windows
-        return None
+        return {"process": None, "cuda": cuda}
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return round(peak / (2**20 if sys.platform == "darwin" else 2**10), 1)  # macOS counts bytes, Linux KiB
+    process = round(peak / (2**20 if sys.platform == "darwin" else 2**10), 1)  # macOS counts bytes, Linux KiB
+    return {"process": process, "cuda": cuda}
 
 
 def device_name(device: str) -> str:

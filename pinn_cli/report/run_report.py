@@ -6,56 +6,41 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from pinn_cli.report import published
+from pinn_cli.report import parameters, published
+from pinn_cli.report.export import Export
 from pinn_cli.report.fitness import FORMULAS
+from pinn_cli.report.free_run import FreeRun
 from pinn_cli.report.model import write_run_model
 from pinn_cli.report.modes import ModeEstimates, mode_table
 from pinn_cli.report.over_time import FILE, parameters_over_time
-from pinn_cli.report.parameters import (
-    DIAGNOSTICS,
-    any_unknown,
-    correlation_table,
-    identifiability_table,
-    identifiability_warnings,
-    parameter_estimates,
-    parameter_table,
-    posterior_correlation,
-)
 from pinn_cli.report.record_report import EstimatorTables, RecordReport, record_folder, records_table
-from pinn_cli.report.results import with_labels
+from pinn_cli.report.results import Results, with_labels
 from pinn_cli.report.run_record import run_record
-from pinn_cli.report.terminal import findings, fitness
-from pinn_cli.report.terminal.parameters import diagnostics_text, parameters_text
-from pinn_cli.report.terminal.sensors import sensors_text, validation_text
+from pinn_cli.report.terminal import findings, tables
 from pinn_cli.report.validation_run import ValidationRun, validation_table, with_noise_of
 from pinn_cli.runs.side_by_side import beside, side_by_side
+from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import tidy, write_json, write_table
+from pinn_cli.training.estimate import Estimate, Story
+from pinn_cli.verdict.contradictions import contradictions
+from pinn_cli.verdict.finding import Verdict
 from pinn_cli.verdict.posterior_findings import posterior_findings
 from pinn_cli.verdict.records import contradictions, verdict_of_records
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import xarray as xr
-
-    from pinn_cli.report.export import Export
-    from pinn_cli.report.free_run import FreeRun
-    from pinn_cli.report.results import Results
-    from pinn_cli.runs.stages import Stages
-    from pinn_cli.training.estimate import Estimate, Story
-    from pinn_cli.verdict.finding import Verdict
 
 # Parts that the figures are drawn in, side by side.
 _SHARES = 2
 STORY_COLUMNS = (
     "story", "parameter", "estimate", "std", "lower_90", "upper_90", "free_run_nmse_percent", "segments_nmse_percent",
 )  # fmt: skip
-PEAK_COLUMNS = ("quantity", "of", "unit", "peak", "time", "lower_90", "upper_90")
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +56,7 @@ class FigureShare:
         """Draw all of them, on the cores that there are, which have one matplotlib read for all."""
         import pinn_cli.report.figures  # noqa: F401
 
-        parts = side_by_side([replace(self, part=i, of=_SHARES) for i in range(_SHARES)])
-        parts.each(FigureShare.draw)
+        side_by_side([replace(self, part=i, of=_SHARES) for i in range(_SHARES)]).each(FigureShare.draw)
 
     def draw(self) -> None:
         """Draw and save them."""
@@ -112,8 +96,7 @@ class RunReport:
     @cached_property
     def verdict(self) -> Verdict | None:
         """Of all records; None without a problem."""
-        results = self.results
-        among = contradictions(results.estimate) + posterior_findings(results.posterior)
+        among = contradictions(self.results.estimate) + posterior_findings(self.results.posterior)
         return verdict_of_records(self.verdicts, among)
 
     @cached_property
@@ -128,10 +111,9 @@ class RunReport:
     def tables(self) -> tuple[EstimatorTables, EstimatorTables | None, list[EstimatorTables]]:
         """Of the first record, of the baseline, and of further records."""
         with self.stages("report"):
-            (tables, baseline), *others = self.records.each(RecordReport.tables)
-            parameters = parameter_table(self.results.estimate.parameters, self.results.truth.parameters)
-            first = replace(tables, parameters=with_labels(parameters, self.labels))
-            return first, baseline, [own for own, _ in others]
+            (first, baseline), *others = self.records.each(RecordReport.tables)
+            every = parameters.parameter_table(self.results.estimate.parameters, self.results.truth.parameters)
+            return replace(first, parameters=with_labels(every, self.labels)), baseline, [own for own, _ in others]
 
     @cached_property
     def validation(self) -> tuple[ValidationRun, pd.DataFrame] | None:
@@ -155,10 +137,8 @@ class RunReport:
     @cached_property
     def over_time(self) -> pd.DataFrame | None:
         """The parameters from record to record; None unless this record was compared with earlier ones."""
-        results = self.results
-        if results.model is None:
-            return None
-        return parameters_over_time(results.model, results.estimate, self.directory.name)
+        model = self.results.model
+        return None if model is None else parameters_over_time(model, self.results.estimate, self.directory.name)
 
     def text(self) -> str:
         """All that a run prints, in paragraphs that an empty line parts; the verdict comes last.
@@ -168,22 +148,21 @@ class RunReport:
         and figures.
         """
         results, estimate, posterior = self.results, self.results.estimate, self.results.posterior
-        verdict, free, (tables, baseline, further) = self.verdict, self.free_run, self.tables
-        warnings = identifiability_warnings(estimate.before_any_record, estimate.correlation)
-        scored = bool(np.isfinite(tables.fitness[list(FORMULAS)].to_numpy()).any())
-        # Not where the truth is known: the sensors' table costs as much time as all others together.
-        measured = not results.run.simulated and len(tables.residuals) > 0
+        verdict, free, (ours, baseline, further) = self.verdict, self.free_run, self.tables
+        warnings = parameters.identifiability_warnings(estimate.before_any_record, estimate.correlation)
+        scored = bool(np.isfinite(ours.fitness[list(FORMULAS)].to_numpy()).any())
+        measured = not results.run.simulated and len(ours.residuals) > 0
         paragraphs = [
-            sensors_text([tables, *further], baseline) if measured else "",
-            parameters_text(tables.parameters, warnings, (baseline.name, baseline.parameters) if baseline else None),
-            fitness.fitness_text(tables.fitness, results.record.observed, published.fitness_of(self.labels)),
-            fitness.free_run_text(*free) if scored else fitness.free_run_line(*free),
+            tables.sensors_text([ours, *further], baseline) if measured else "",
+            tables.parameters_text(ours.parameters, warnings, baseline),
+            tables.fitness_text(ours.fitness, results.record.observed, published.fitness_of(self.labels)),
+            tables.free_run_text(*free) if scored else tables.free_run_line(*free),
             findings.stories_text(estimate.stories),
-            "" if posterior is None else diagnostics_text(posterior.diagnostics, posterior.verdict),
-            "" if self.validation is None else validation_text(*self.validation),
+            "" if posterior is None else tables.diagnostics_text(posterior.diagnostics, posterior.verdict),
+            "" if self.validation is None else tables.validation_text(*self.validation),
             findings.changes_text(estimate.changes),
             findings.peaks_text(estimate.peaks),
-            fitness.comparison_text(tables, baseline, self.stages.seconds) if baseline else "",
+            "" if baseline is None else tables.comparison_text(ours, baseline, self.stages.seconds),
             findings.score_text(results.run.validation, results.score),
             "" if verdict is None else findings.verdict_text(verdict),
         ]
@@ -210,11 +189,11 @@ class RunReport:
         Figures are those of :meth:`drawing`.
         """
         results, directory, drawn = self.results, self.directory, self._drawn
-        verdict, (tables, baseline, further) = self.verdict, self.tables
+        verdict, (ours, baseline, further) = self.verdict, self.tables
         with self.stages("report"):
             self.records.each(RecordReport.write)
-            write_tables(results, tables.above(baseline), directory)
-            for name, table in self._further_tables((tables, *further) if further else ()).items():
+            write_tables(results, ours.above(baseline), directory)
+            for name, table in self._further_tables([ours, *further]).items():
                 write_table(table, directory / name)
             if not results.estimate.peaks:
                 write_run_model(results, verdict, directory)
@@ -230,19 +209,18 @@ class RunReport:
                 write_posterior_figures(results, groups, directory / "figures")
         write_json(run_record(results, verdict, self.stages.seconds), directory / "run.json")
 
-    def _further_tables(self, several: Sequence[EstimatorTables]) -> dict[str, pd.DataFrame]:
+    def _further_tables(self, records: Sequence[EstimatorTables]) -> dict[str, pd.DataFrame]:
         """Those that not every run has, by their files: of several records, of other data, of records before."""
         out = {}
-        if several:
-            rows = list(zip(self.results.by_record, several, self.verdicts, strict=True))
+        if len(records) > 1:
+            rows = list(zip(self.results.by_record, records, self.verdicts, strict=True))
             out["records.csv"] = with_labels(records_table(rows), self.labels)
         if self.validation is not None:
             out["validation.csv"] = with_labels(self.validation[1], self.labels)
         if self.over_time is not None:
             out[FILE] = self.over_time
         if self.results.estimate.peaks:
-            rows_of_peaks = [asdict(peak) for peak in self.results.estimate.peaks]
-            out["peaks.csv"] = pd.DataFrame(rows_of_peaks, columns=list(PEAK_COLUMNS))
+            out["peaks.csv"] = pd.DataFrame([asdict(peak) for peak in self.results.estimate.peaks])
         return out
 
     def _draw_tables(self) -> None:
@@ -263,30 +241,29 @@ def _with_posterior(results: Results) -> Results:
     if results.posterior is None:
         return results
     samples = results.posterior.samples
-    parameters = parameter_estimates(samples, [found.parameter for found in results.estimate.parameters])
-    correlation = posterior_correlation(samples.pooled)
+    found = parameters.parameter_estimates(samples, [found.parameter for found in results.estimate.parameters])
+    correlation = parameters.posterior_correlation(samples.pooled)
 
     def sampled(own: Results) -> Results:
-        return replace(own, estimate=replace(own.estimate, parameters=parameters, correlation=correlation))
+        return replace(own, estimate=replace(own.estimate, parameters=found, correlation=correlation))
 
     return replace(sampled(results), further=tuple(map(sampled, results.further)))
 
 
-def write_tables(results: Results, tables: EstimatorTables, directory: Path) -> None:
+def write_tables(results: Results, ours: EstimatorTables, directory: Path) -> None:
     """Write the tables of a run that all its records have in common: parameters, modes, history."""
     estimate, labels = results.estimate, results.run.labels_of(estimator="pinn")
-    parameters, correlation = estimate.parameters, estimate.correlation
-    files = {"parameters": tables.parameters, "history": estimate.history}
+    files = {"parameters": ours.parameters, "history": estimate.history}
     modes = ModeEstimates.of(results.prescribed, estimate, results.true)
     if modes is not None:
         files["modes"] = with_labels(mode_table(modes), labels)
     if results.score is not None:
         files["score"] = results.score.table
-    if any_unknown(parameters):
-        judged = identifiability_table(estimate.before_any_record, correlation)
+    if parameters.any_unknown(estimate.parameters):
+        judged = parameters.identifiability_table(estimate.before_any_record, estimate.correlation)
         files["identifiability"] = with_labels(judged, labels)
-        if correlation is not None:
-            files["correlation"] = correlation_table(parameters, correlation)
+        if estimate.correlation is not None:
+            files["correlation"] = parameters.correlation_table(estimate.parameters, estimate.correlation)
     if estimate.stories:
         files["stories"] = with_labels(story_table(estimate.stories), labels)
     for name, table in files.items():
@@ -311,11 +288,12 @@ def write_posterior(results: Results, directory: Path) -> dict[str, xr.Dataset]:
     if results.posterior is None:
         return {}
     # Not above: xarray would be read before anything is printed.
-    from pinn_cli.report.posterior_data import posterior_groups, write_posterior_data
+    from pinn_cli.report.netcdf import posterior_groups, write_posterior_data
 
     posterior, labels = results.posterior, results.run.labels_of(estimator="pinn")
-    parameters = [found.parameter for found in results.estimate.parameters]
-    groups = posterior_groups(posterior, results.record, parameters, labels)
+    drawn = [found.parameter for found in results.estimate.parameters]
+    groups = posterior_groups(posterior, results.record, drawn, labels)
     write_posterior_data(groups, directory / "posterior.nc")
-    write_table(with_labels(posterior.diagnostics[list(DIAGNOSTICS)], labels), directory / "diagnostics.csv")
+    diagnostics = posterior.diagnostics[list(parameters.DIAGNOSTICS)]
+    write_table(with_labels(diagnostics, labels), directory / "diagnostics.csv")
     return groups

@@ -11,30 +11,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.channels import channels
+from pinn_cli.record.channels import Channel, channels
 from pinn_cli.record.ensemble import Members, affordable_members, spread_of
 from pinn_cli.record.free_run import NoFreeRunError, free_run
-from pinn_cli.record.response import RESPONSE_QUANTITIES, UNITS
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import RESPONSE_QUANTITIES, UNITS, Response
 from pinn_cli.record.supports import SupportErrors
+from pinn_cli.record.validation_data import ValidationRecord
 from pinn_cli.report.residuals import nmse_percent
 from pinn_cli.system.parameters import MASS
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.calibrated_record import as_felt, beside
+from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.training.parameter_draws import drawn_structures, parameter_draws
 from pinn_cli.verdict.noise_findings import noise_found
-
-if TYPE_CHECKING:
-    from pinn_cli.record.channels import Channel
-    from pinn_cli.record.record import Record
-    from pinn_cli.record.response import Response
-    from pinn_cli.record.validation_data import ValidationRecord
-    from pinn_cli.system.structure import Structure
-    from pinn_cli.training.estimate import Estimate
 
 COLUMNS = (
     "quantity", "dof", "unit", "start_time", "stop_time", "begins", "samples", "signal_rms", "error_rms",
@@ -75,15 +70,10 @@ class ValidationRun:
         draws: np.ndarray | None = None,
         seed: int = 0,
     ) -> ValidationRun:
-        """Simulate the identified system where it was not identified.
+        """Simulate the identified system on data other than the record that was seen.
 
-        Args:
-            prescribed: The model that the estimator was given.
-            estimate: Its parameters, and the state that the run may begin with.
-            seen: The record that the estimate is of.
-            data: The other data.
-            draws: (D, p), of the posterior of the parameters; None: of a Gaussian with their deviations.
-            seed: Of what is drawn.
+        ``draws`` (D, p) are of the parameters' posterior; None: of a Gaussian with their deviations. The estimate has
+        the state that the run may begin with.
         """
         record = as_felt(data.record, estimate.parameters)
         structure = estimated_structure(prescribed, estimate.parameters)
@@ -126,7 +116,7 @@ def validation_table(run: ValidationRun, estimate: Estimate) -> pd.DataFrame:
         run: Of the identified system.
         estimate: Whose ``summary`` has the noise found.
     """
-    rows = []
+    rows, time = [], run.record.time
     for channel in channels(run.record, RESPONSE_QUANTITIES):
         measured, simulated, std = run.compared(channel)
         error, sigma = measured - simulated, noise_found(estimate, channel)
@@ -134,22 +124,14 @@ def validation_table(run: ValidationRun, estimate: Estimate) -> pd.DataFrame:
         known = np.isfinite(reach) & np.isfinite(error)
         inside = np.abs(error[known]) <= reach[known]
         rows.append(
-            {
-                "quantity": channel.quantity,
-                "dof": channel.dof + 1,
-                "unit": UNITS[channel.quantity],
-                "start_time": float(run.record.time[run.first]),
-                "stop_time": float(run.record.time[-1]),
-                "begins": "rest" if run.at_rest else "estimate",
-                "samples": len(measured),
-                "signal_rms": float(np.std(measured)),
-                "error_rms": float(np.sqrt(np.mean(error**2))),
-                "nmse_percent": nmse_percent(error, measured),
-                "band_rms": float(np.sqrt(np.mean(spread**2))) if spread.size else np.nan,
-                "sigma": sigma,
-                "inside_95_percent": 100.0 * float(np.mean(inside)) if inside.size else np.nan,
-            }
-        )
+            (
+                channel.quantity, channel.dof + 1, UNITS[channel.quantity], float(time[run.first]), float(time[-1]),
+                "rest" if run.at_rest else "estimate", len(measured), float(np.std(measured)),
+                float(np.sqrt(np.mean(error**2))), nmse_percent(error, measured),
+                float(np.sqrt(np.mean(spread**2))) if spread.size else np.nan, sigma,
+                100.0 * float(np.mean(inside)) if inside.size else np.nan,
+            )
+        )  # fmt: skip
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 

@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.record.response import QUANTITIES
-from pinn_cli.report.dataset import AROUND_DATA
 from pinn_cli.report.fitness import fitness_rows
+from pinn_cli.report.netcdf import AROUND_DATA
 from pinn_cli.report.results import with_labels
 from pinn_cli.runs.reserved_file import replacing_by_reserved
 from pinn_cli.runs.writing import write_text

@@ -18,8 +18,7 @@ from pinn_cli.report.over_time import FILE as OVER_TIME
 from pinn_cli.report.over_time import history
 from pinn_cli.report.run_record import run_facts
 from pinn_cli.report.terminal.findings import verdict_text
-from pinn_cli.report.terminal.fitness import fitness_text
-from pinn_cli.report.terminal.parameters import parameters_text
+from pinn_cli.report.terminal.tables import fitness_text, parameters_text
 from pinn_cli.runs.resume import RESULT
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import replacing, write_json, write_table

@@ -61,16 +61,9 @@ class Drawing:
 
 
 def write_figures(results: Results, directory: Path | str, part: int = 0, of: int = 1) -> list[Path]:
-    """Draw and save figures of a run, as PNG and PDF.
+    """Draw and save one of several parts of a run's figures that are about as much work; the files written.
 
-    Args:
-        results: Of the run; of several records each has figures of its own.
-        directory: Of the run.
-        part: Which of the figures, from 0: those that are about as much work as each other part.
-        of: How many parts there are.
-
-    Returns:
-        The files written.
+    Of several records each has figures of its own. Parts are counted from 0.
     """
     drawings: list[Drawing] = []
     for number, own in enumerate(results.by_record, start=1):
@@ -134,15 +127,7 @@ def write_posterior_figures(results: Results, groups: Mapping[str, xr.Dataset], 
     """Draw and save ``posterior_pairs`` and, where there is something to draw, ``trace``, ``ranks``, ``fitted_force``.
 
     Traces and ranks are those of the parameters with the fewest effective draws; draws that did not come step by step
-    have neither.
-
-    Args:
-        results: With a posterior.
-        groups: Of ``posterior.nc``.
-        directory: Of the figures.
-
-    Returns:
-        The files written.
+    have neither. ``groups`` are those of ``posterior.nc``.
     """
     posterior, draws = results.posterior, groups["posterior"]
     assert posterior is not None

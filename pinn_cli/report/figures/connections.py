@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -27,8 +26,8 @@ MOVING, HARMONICS = 0.95, 4.0
 CLASSES = 24  # of equal size, whose means tell whether the force follows something
 MOST_DOTS = 4000  # of a longer record, evenly chosen
 
-_PEAK: dict[str, Any] = {"color": style.VERMILLION, "linestyle": "none", "marker": "o", "markersize": 3.5}
-_TRUE_PEAK: dict[str, Any] = {"color": style.BLACK, "linestyle": "none", "marker": "|", "markersize": 9.0}
+_PEAK: style.Look = {"color": style.VERMILLION, "linestyle": "none", "marker": "o", "markersize": 3.5}
+_TRUE_PEAK: style.Look = {"color": style.BLACK, "linestyle": "none", "marker": "|", "markersize": 9.0}
 
 
 def drift_figure(drifts: Histories, truth_label: str = "truth") -> Figure:
@@ -74,12 +73,11 @@ def drift_figure(drifts: Histories, truth_label: str = "truth") -> Figure:
 
 def _draw_peaks(axes: Axes, drifts: Histories, factor: float) -> None:
     """The first connection lowest, as the storeys of a building are."""
-    found, _ = drift_peaks(drifts)
+    found = drift_peaks(drifts)
     place = np.arange(len(found.estimate))
     known = np.isfinite(found.std).all()
     if known:
-        ends = factor * np.maximum(found.lower_90, 0.0), factor * found.upper_90
-        axes.hlines(place, *ends, color=style.VERMILLION, linewidth=1.2)
+        axes.hlines(place, *(factor * np.maximum(found.interval, 0.0)), color=style.VERMILLION, linewidth=1.2)
     axes.plot(factor * found.estimate, place, **_PEAK, label="peak, 90 % interval" if known else "peak")
     axes.plot(factor * found.true, place, **_TRUE_PEAK)
     axes.set_xlim(left=0.0)
@@ -175,8 +173,8 @@ class Discrepancy:
         modes = NaturalModes.of(estimated_structure(structure, estimate.parameters))
         natural = np.zeros(0) if modes is None else modes.frequencies
         missing = tuple(doubt.shape for doubt in estimate.doubts if doubt.kind == "mode")
-        of_one = (x[:, at] for x in (forces, slow, elongation, velocity))
-        return cls(names[at], results.record.time[-count:], *of_one, natural, missing)
+        force, slow, e, de = (x[:, at] for x in (forces, slow, elongation, velocity))
+        return cls(names[at], results.record.time[-count:], force, slow, e, de, natural, missing)
 
     def explained_by(self, history: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Means of a history (L,) and of the force in classes of it, and the share of the force that they explain."""
@@ -241,7 +239,7 @@ def _draw_spectrum(axes: Axes, found: Discrepancy) -> None:
     axes.plot(frequency, np.where(slow > 1e-9 * slow.max(initial=0.0), slow, np.nan), color=style.BLUE, linewidth=0.6)
     seen = found.natural[(found.natural >= frequency[0]) & (found.natural <= frequency[-1])]
     for at in seen:
-        dashes = {"linewidth": 0.8, "linestyle": (0, (2.5, 1.2))}
+        dashes: style.Look = {"linewidth": 0.8, "linestyle": (0, (2.5, 1.2))}
         axes.axvline(at, color=style.BLACK, label="natural frequency", **dashes)
     for at in found.missing:
         axes.axvline(at, color=style.VERMILLION, linewidth=1.0, linestyle=(0, (1, 1.2)), label="mode not in the model")

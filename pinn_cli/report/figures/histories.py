@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,7 +14,7 @@ BAND = 1.96  # standard deviations to either side of the estimate: 95 %
 POINTS = 400  # observations drawn in a panel at most
 PERIODS_IN_FULL, PERIODS_SHOWN = 100, 20  # a longer record shows a stretch, else it is a block of ink
 
-Looks = Mapping[str, dict[str, Any]]
+Looks = Mapping[str, style.Look]
 # How each source of a history is drawn, in the order of the legend.
 LOOKS: Looks = {
     "true": {"label": "truth", "linestyle": "-", "linewidth": 1.0, "color": style.BLACK, "zorder": 2.0},
@@ -41,13 +40,8 @@ def draw(
 ) -> None:
     """What there is of one place: lines, with gaps where they are not known, a band, and dots of what was observed.
 
-    Args:
-        axes: Where to draw.
-        histories: Of which.
-        place: Column of them.
-        window: Samples that are shown.
-        factor: From the unit of the histories to that of the panel.
-        looks: Of their sources.
+    ``place`` is a column of the histories, ``window`` has the samples that are shown, ``factor`` leads to the unit of
+    the panel.
     """
     time = histories.time[window]
     for source, look in looks.items():
@@ -59,7 +53,7 @@ def draw(
             continue
         values = factor * histories.of(source)[window, place]
         if np.isfinite(values).any():
-            every = slice(None, None, thinned(len(time)))
+            every = np.arange(0, len(time), thinned(len(time)))
             kept = every if source == "observed" else style.line_indices(np.nan_to_num(values))
             axes.plot(time[kept], values[kept], **look)
     axes.set_xlim(time[0], time[-1])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -15,9 +13,9 @@ from pinn_cli.report.modes import ModeEstimates
 MOST_MODES, IN_A_ROW = 12, 4  # of more modes, the lowest
 MOST_DOF_LABELS = 16
 
-_TRUE: dict[str, Any] = {"color": style.BLACK, "linewidth": 1.0, "zorder": 2.0}
-_PRESCRIBED: dict[str, Any] = {"color": style.BLUE, "linewidth": 0.9, "linestyle": (0, (1, 1.2)), "zorder": 2.1}
-_ESTIMATE: dict[str, Any] = {
+_TRUE: style.Look = {"color": style.BLACK, "linewidth": 1.0, "zorder": 2.0}
+_PRESCRIBED: style.Look = {"color": style.BLUE, "linewidth": 0.9, "linestyle": (0, (1, 1.2)), "zorder": 2.1}
+_ESTIMATE: style.Look = {
     "color": style.VERMILLION, "linewidth": 0.9, "linestyle": (0, (2.5, 1.2)), "marker": "o", "markersize": 3.0,
     "zorder": 2.2,
 }  # fmt: skip

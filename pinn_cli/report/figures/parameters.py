@@ -35,9 +35,9 @@ _AROUND = 0.5, 0.75, 0.3, 0.4  # inch, left, right, above, below
 
 COLUMNS, MOST = 3, 24  # of panels over records
 
-_START: dict[str, Any] = {"linestyle": "none", "color": style.GREY, "zorder": 1}
-_ESTIMATE: dict[str, Any] = {"color": style.VERMILLION, "markersize": 3, "zorder": 3}
-_BARS: dict[str, Any] = {"elinewidth": 0.9, "capsize": 2, "capthick": 0.9}
+_START: style.Look = {"linestyle": "none", "color": style.GREY, "zorder": 1}
+_ESTIMATE: style.Look = {"color": style.VERMILLION, "markersize": 3, "zorder": 3}
+_BARS: style.Look = {"elinewidth": 0.9, "capsize": 2, "capthick": 0.9}
 
 
 def parameters_figure(estimates: Sequence[ParameterEstimate], true: Mapping[str, np.ndarray] | None) -> Figure:
@@ -131,7 +131,12 @@ def _draw_group(axes: Axes, group: Sequence[ParameterEstimate], values: np.ndarr
     names = [given.parameter.label for given in group]
     place = np.array([i + 1 if names[0] else given.parameter.index + 1 for i, given in enumerate(group)])
     if np.isfinite(truth).any():
-        diamond = {"markersize": 4.5, "markerfacecolor": "none", "markeredgecolor": style.BLACK, "markeredgewidth": 0.8}
+        diamond: style.Look = {
+            "markersize": 4.5,
+            "markerfacecolor": "none",
+            "markeredgecolor": style.BLACK,
+            "markeredgewidth": 0.8,
+        }
         axes.plot(place, truth, linestyle="none", marker="D", zorder=2, label="truth", **diamond)
     # The interval stands on its own: a prescribed value below zero turns a relative one round.
     middle, reach = (lower + upper) / 2.0, np.abs(upper - lower) / 2.0
@@ -157,7 +162,7 @@ def _point_to_start(axes: Axes, place: np.ndarray, start: np.ndarray, arrow: str
         return
     across, label = axes.get_xaxis_transform(), "start, off the scale"
     axes.plot(place, np.full(start.size, height), transform=across, marker=arrow, markersize=3.5, label=label, **_START)
-    look: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": 6.5, "color": style.GREY}
+    look: style.Look = {"textcoords": "offset points", "va": "center", "fontsize": 6.5, "color": style.GREY}
     for i, (x, value) in enumerate(zip(place, start, strict=True)):
         if i == 0 or value != start[i - 1]:
             axes.annotate(f"{value:.4g}", (x, height), xycoords=across, xytext=(4, 0), **look)
@@ -197,9 +202,9 @@ def correlation_figure(estimates: Sequence[ParameterEstimate], correlation: np.n
             line(unknown - 0.5, color=style.BLACK, linewidth=0.9)
         for label, first, end in (("unknown", 0, unknown), ("prescribed", unknown, count)):
             if end > first:
-                place, above = ((first + end) / 2 - 0.5, 1.0), {"xytext": (0, 4), "textcoords": "offset points"}
-                across = axes.get_xaxis_transform()
-                axes.annotate(label, place, xycoords=across, ha="center", va="bottom", fontsize=8, **above)
+                look: style.Look = {"textcoords": "offset points", "ha": "center", "va": "bottom", "fontsize": 8}
+                place, across = ((first + end) / 2 - 0.5, 1.0), axes.get_xaxis_transform()
+                axes.annotate(label, place, xycoords=across, xytext=(0, 4), **look)
         for (row, column), value in np.ndenumerate(shown.filled(np.nan) if count <= ANNOTATED else np.zeros((0, 0))):
             if np.isfinite(value):
                 write_correlation(axes, (column, row), value, f"{round(value, 2) + 0.0:.2f}", fontsize=6)
@@ -261,7 +266,7 @@ def _draw_over_records(axes: Axes, own: pd.DataFrame, name: str) -> None:
     axes.fill_between(record, lower, upper, color=style.BLUE, alpha=0.25, linewidth=0, label="90 % band")
     low, high = axes.get_ylim()
     half = factor * HALF_WIDTH_90 * own["alone_std"].to_numpy()
-    dots = {"color": style.GREY, "linestyle": "none", "marker": ".", "markersize": 3.0, "elinewidth": 0.6}
+    dots: style.Look = {"color": style.GREY, "linestyle": "none", "marker": ".", "markersize": 3.0, "elinewidth": 0.6}
     axes.errorbar(record + 0.12, alone, half, label="by the record alone", **dots)
     reach = np.clip(alone, low - 2 * (high - low), high + 2 * (high - low))
     spread, margin = reach[np.isfinite(reach)], 0.1 * (high - low)

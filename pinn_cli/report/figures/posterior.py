@@ -22,7 +22,6 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from pinn_cli.posterior.diagnostics import import_arviz, two_chains
 from pinn_cli.posterior.result import ForcePredictive
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import UNITS
 from pinn_cli.report.estimates import Histories
 from pinn_cli.report.figures import histories, style
 from pinn_cli.report.figures.parameters import write_correlation
@@ -42,7 +41,7 @@ MARGIN = 0.06  # of the span, on either side
 TRUTH_WITHIN = 2.0  # spans: a truth that is further off is left out, else the draws would be a line
 PERIODS_SHOWN = 10  # of the fitted force
 
-_TRUE: dict[str, Any] = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (4, 2)), "label": "true value"}
+_TRUE: style.Look = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (4, 2)), "label": "true value"}
 _BLUES = [to_hex(colour) for colour in colormaps["Blues"](np.linspace(0.22, 0.95, len(REGIONS)))]
 _TAILS, _BARS = _BLUES[0], _BLUES[2]
 
@@ -191,8 +190,8 @@ def trace_figure(draws: xr.Dataset, statistics: xr.Dataset, parameters: Sequence
     Args:
         draws: The group ``posterior``, whose attribute ``tuning_steps`` counts the iterations of the warm-up.
         statistics: The group ``sample_stats``.
-        parameters: That have a row, `IN_TRACES` at most.
-        number: Of all parameters, said below where it is more than these.
+        parameters: That have a row, of so many in all.
+        number: Of all parameters.
     """
     arviz, count, shown = import_arviz(), draws.sizes["chain"], _moving(draws, parameters)
     iteration = draws["draw"] + 1 + draws.attrs.get("tuning_steps", 0)
@@ -226,10 +225,7 @@ def rank_figure(draws: xr.Dataset, parameters: Sequence[Parameter], number: int)
     Carpenter and Buerkner, Bayesian Analysis 16, 2021, section 4.2). A single chain is compared with itself, its first
     half with its second.
 
-    Args:
-        draws: The group ``posterior``, at least two draws of every chain.
-        parameters: That have a panel, `IN_TRACES` at most.
-        number: Of all parameters, said below where it is more than these.
+    Arguments are those of :func:`trace_figure`; there are at least two draws of every chain.
     """
     shown, kind = _moving(draws, parameters), "half" if draws.sizes["chain"] == 1 else "chain"
     compared = {p.name: two_chains(draws[p.name].to_numpy())[:CHAINS_SHOWN] for p in shown}
@@ -281,7 +277,7 @@ def force_predictive_figure(predictive: ForcePredictive, record: Record, dofs: n
     lower, median, upper = np.quantile(predictive.force, (CENTRAL_90[0], 0.5, CENTRAL_90[1]), axis=(0, 1))
     found = {"estimate": median, "lower": lower, "upper": upper, "observed": observed}
     places = tuple(record.dof_name(dof - 1) for dof in dofs)
-    forces = Histories("force", "force", UNITS["force"], "dof", places, record.time[predictive.samples], found)
+    forces = Histories("force", "dof", places, record.time[predictive.samples], found)
     held = np.mean((observed >= lower) & (observed <= upper), axis=0)
     rows = shown_dofs(len(dofs))
     window = predictive_window(median[:, rows])

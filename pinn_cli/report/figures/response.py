@@ -48,7 +48,9 @@ def response_figure(results: Results) -> Figure:
             name = record.dof_name(dof) if record.dofs else f"DOF {dof + 1}"
             axes.set_ylabel(name + ("" if record.observed[dof] else "*"))
         figure.align_ylabels(list(panels[: len(rows), 0]))
-        room = {"handlelength": 2.2} if results.linear_response is None else {"handlelength": 1.8, "columnspacing": 0.8}
+        room: style.Look = (
+            {"handlelength": 2.2} if results.linear_response is None else {"handlelength": 1.8, "columnspacing": 0.8}
+        )
         style.legend(figure, markerscale=1.5, **room)
         notes = [] if record.observed[rows].all() else ["* no response sensor"]
         if len(record.time[window]) < len(record.time):
@@ -158,7 +160,7 @@ def _draw_map(figure: Figure, axes: Axes, record: Record, values: np.ndarray, qu
         axes.patch.set(hatch="////", facecolor="#F2F2F2", edgecolor="#BFBFBF", linewidth=0)
     extent = (record.time[0], record.time[-1], record.ndof + 0.5, 0.5)
     shown = np.ma.masked_invalid(factor * block_maximum(values).T)
-    colours = {"cmap": colormaps["viridis"], "vmin": 0.0, "vmax": factor * peak or 1.0}
+    colours: style.Look = {"cmap": colormaps["viridis"], "vmin": 0.0, "vmax": factor * peak or 1.0}
     image = axes.imshow(shown, extent=extent, aspect="auto", interpolation="nearest", **colours)
     bar = figure.colorbar(image, cax=axes.inset_axes((1.025, 0.0, 0.035, 1.0)))
     bar.outline.set_linewidth(0.4)

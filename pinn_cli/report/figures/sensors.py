@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -12,7 +10,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 from pinn_cli.record.channels import Channel, channels, every_channel
 from pinn_cli.record.cross_spectra import CrossSpectra
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES, UNITS
+from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import periodogram
 from pinn_cli.report.estimates import Histories
 from pinn_cli.report.figures import histories, style
@@ -33,9 +31,9 @@ DECADES = 9  # that a spectrum shows at most, if that is enough to see the resid
 MOST, AVERAGED = 6, 3
 WITH_NOISE = "95 % band with the sensor's noise"
 
-_RESIDUAL: dict[str, Any] = {"color": style.BLUE, "linewidth": 0.6, "zorder": 2}
-_SIGNAL: dict[str, Any] = {"color": style.GREY, "alpha": 0.55, "linewidth": 0.6, "zorder": 1, "label": "sensor"}
-_NOISE: dict[str, Any] = {"color": style.VERMILLION, "linewidth": 0.9, "linestyle": "--", "zorder": 3}
+_RESIDUAL: style.Look = {"color": style.BLUE, "linewidth": 0.6, "zorder": 2}
+_SIGNAL: style.Look = {"color": style.GREY, "alpha": 0.55, "linewidth": 0.6, "zorder": 1, "label": "sensor"}
+_NOISE: style.Look = {"color": style.VERMILLION, "linewidth": 0.9, "linestyle": "--", "zorder": 3}
 
 
 def residuals_figure(estimate: Estimate, record: Record) -> Figure:
@@ -102,8 +100,8 @@ def validation_figure(run: ValidationRun, estimate: Estimate) -> Figure:
         )
         for (history, error), channel in zip(panels, shown, strict=True):
             measured, found, std = (x[:, None] for x in run.of_channel(channel))
-            name, unit, sources = channel.quantity, UNITS[channel.quantity], {"estimate": found, "std": std}
-            each = Histories(name, name, unit, "", (channel.where,), time, {**sources, "true": measured})
+            name, sources = channel.quantity, {"estimate": found, "std": std, "true": measured}
+            each = Histories(name, "", (channel.where,), time, sources)
             factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(measured[window]), initial=0.0)))
             histories.draw(history, each, 0, window, factor, looks)
             history.set_title(f"({style.unit(name, prefix)})", loc="left", fontsize=7, pad=2)

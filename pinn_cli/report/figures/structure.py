@@ -1,22 +1,23 @@
-"""What was understood of a structure that a user wrote down: its masses, the ground, and what joins them."""
+"""What was understood of a structure that a user wrote down: its masses, the ground, and what joins them.
+
+Masses stand in layers above the ground, by how many connections lead there, in an order in which few lines cross.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from scipy.sparse import csr_matrix
 
 from pinn_cli.report.figures import style
-from pinn_cli.report.figures.layers import GROUND_LEVEL, Layout, layout_of
+from pinn_cli.system.structure import Structure
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from pinn_cli.system.structure import Structure
-
+GROUND_LEVEL, MOST_IN_A_ROW = 0.0, 6
+_SWEEPS = 12  # over the layers, in which their orders settle
 _ACROSS, _UP = 1.35, 0.95  # inch, from mass to mass and from layer to layer, where there is room
 _HIGHEST = 9.0  # inch, of the figure
 _FEW = 12  # of connections, up to which letters are large and weights are written down
@@ -28,13 +29,84 @@ _POINTS = np.linspace(0.0, 1.0, 41)[:, None]
 
 
 @dataclass(frozen=True, eq=False)
+class Layout:
+    """Places of the masses.
+
+    Attributes:
+        places: (n, 2), across and up; layers are one apart, and so are neighbours within one.
+        grounded: Whether a connection ends at the ground.
+    """
+
+    places: np.ndarray
+    grounded: bool
+
+    @classmethod
+    def of(cls, matrix: csr_matrix) -> Layout:
+        """Of connections (C, n), row i: which coordinates stretch connection i."""
+        pattern = csr_matrix(abs(matrix) > 0, dtype=float)
+        to_ground = np.asarray(pattern.sum(axis=1)).reshape(-1) == 1
+        neighbours = csr_matrix(pattern.T @ pattern)
+        distance = _distances(matrix, to_ground)
+        layers = []
+        for level in range(int(distance.max()) + 1):
+            layer = np.flatnonzero(distance == level)
+            layers += [part for part in np.array_split(layer, -(-len(layer) // MOST_IN_A_ROW)) if part.size]
+        places = np.empty((matrix.shape[1], 2))
+        for level, layer in enumerate(layers, start=1):
+            places[layer] = np.column_stack((_side_by_side(layer), np.full(len(layer), float(level))))
+        for sweep in range(_SWEEPS):
+            for layer in layers if sweep % 2 == 0 else layers[::-1]:
+                wanted = [places[neighbours[dof].indices, 0].mean() for dof in layer]
+                places[layer[np.argsort(wanted, kind="stable")], 0] = _side_by_side(layer)
+        return cls(places, bool(to_ground.any()))
+
+    def blocked(self, start: np.ndarray, end: np.ndarray) -> bool:
+        """Whether a mass stands on the straight line between two places."""
+        along = end - start
+        length = float(np.hypot(*along))
+        part = (self.places - start) @ along / length**2
+        beside = np.abs((self.places - start) @ np.array([along[1], -along[0]])) / length
+        return bool(np.any((part > 0.1) & (part < 0.9) & (beside < 0.3)))
+
+
+def _side_by_side(layer: np.ndarray) -> np.ndarray:
+    return np.arange(len(layer)) - (len(layer) - 1) / 2.0
+
+
+def _distances(matrix: csr_matrix, to_ground: np.ndarray) -> np.ndarray:
+    """(n,), connections from each coordinate to the ground, by those that were written down first.
+
+    A brace that comes after the storeys leaves them where they are. What no path leads to begins anew.
+    """
+    # Of a frame in the plane the ends at the ground are told by weights that do not cancel.
+    ends = to_ground if to_ground.any() else np.abs(np.asarray(matrix.sum(axis=1)).reshape(-1)) > 1e-9
+    rows = [matrix[i].indices for i in range(matrix.shape[0])]
+    distance = np.full(matrix.shape[1], -1)
+    while (distance < 0).any():
+        placed = [(row, end or bool((distance[row] >= 0).any())) for row, end in zip(rows, ends, strict=True)]
+        reached = next((row for row, leads_on in placed if leads_on and (distance[row] < 0).any()), None)
+        if reached is None:
+            distance[np.argmax(distance < 0)] = 0
+            continue
+        below = distance[reached][distance[reached] >= 0]
+        distance[reached[distance[reached] < 0]] = below.min() + 1 if below.size else 0
+    return distance
+
+
+@dataclass(frozen=True, eq=False)
 class _Connection:
-    """One connection: its name and law, the coordinates that stretch it (from 0), and their weights."""
+    """One connection: its name and law, the coordinates that stretch it (from 0), their weights, and its colour."""
 
     name: str
-    law: str
     coordinates: np.ndarray
     weights: np.ndarray
+    colour: str
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether one end's displacement less the other's stretches it."""
+        weights = np.sort(self.weights)
+        return bool((len(weights) == 1 and abs(weights[0]) == 1.0) or weights.tolist() == [-1.0, 1.0])
 
 
 def structure_figure(structure: Structure) -> Figure:
@@ -46,40 +118,46 @@ def structure_figure(structure: Structure) -> Figure:
     Args:
         structure: With names.
     """
-    connections = _connections(structure)
-    layout = layout_of(structure.incidence.matrix[structure.added])
-    laws = list(dict.fromkeys(connection.law for connection in connections))
-    colours = {law: style.CYCLE[i % len(style.CYCLE)] for i, law in enumerate(laws)}
+    matrix = structure.incidence.matrix[structure.added]
+    layout = Layout.of(matrix)
+    laws = [law.name for law in structure.laws[: len(structure.added)]]  # what is behind them is damping of the whole
+    colours = {law: style.CYCLE[i % len(style.CYCLE)] for i, law in enumerate(dict.fromkeys(laws))}
+    connections = [
+        _Connection(name, matrix[i].indices, matrix[i].data, colours[law])
+        for i, (name, law) in enumerate(zip(structure.labels.connections, laws, strict=True))
+    ]
     few = len(connections) <= _FEW
+    across, highest = layout.places[:, 0], float(layout.places[:, 1].max())
     with style.look():
-        width = float(np.clip(_ACROSS * (layout.width + 1.6), 3.4, style.PAGE_WIDTH))
-        height = float(np.clip(_UP * (layout.height + 1.0), 2.2, _HIGHEST))
+        width = float(np.clip(_ACROSS * (np.ptp(across) + 1.6), 3.4, style.PAGE_WIDTH))
+        height = float(np.clip(_UP * (highest + 1.0), 2.2, _HIGHEST))
         figure = Figure(figsize=(width, height))
         axes = figure.add_axes((0.01, 0.01, 0.98, 0.98 - 0.26 / height))
         axes.set_axis_off()
         taken = [*layout.places]
         lines = _lines(connections, layout)
         for connection, line in zip(connections, lines, strict=True):
-            _draw_connection(axes, connection, line, layout, colours[connection.law], taken, few)
-        _draw_masses(axes, structure, layout, few)
-        _draw_ground(axes, layout, [line[0, 0] for line in lines if line is not None])
-        across = np.concatenate([layout.places[:, 0], *(line[:, 0] for line in lines if line is not None)])
+            look: style.Look = {"color": connection.colour, "linewidth": 1.4 if few else 0.9, "zorder": 1}
+            if line is None:
+                _draw_hub(axes, connection, layout.places[connection.coordinates], taken, look)
+            else:
+                axes.plot(*line.T, **look)
+                place = _free_place([line[round(part * (len(line) - 1))] for part in _PLACES], taken)
+                _write(axes, place, connection.name, 8 if few else 5.5, connection.colour)
+        box = {"boxstyle": "round,pad=0.35", "facecolor": "#F2F2F2", "edgecolor": style.BLACK, "linewidth": 0.7}
+        for dof, (x, y) in enumerate(layout.places):
+            mass = structure.parameter("m", dof).prescribed
+            text = f"{structure.dof_name(dof)}\n" + ("mass unknown" if np.isnan(mass) else f"{mass:.6g} kg")
+            axes.text(x, y, text, fontsize=8 if few else 6, ha="center", va="center", bbox=box, zorder=3)
+        drawn = [line for line in lines if line is not None]
+        if layout.grounded:
+            _draw_ground(axes, np.concatenate([across, [line[0, 0] for line in drawn]]))
+        across = np.concatenate([across, *(line[:, 0] for line in drawn)])
         axes.set_xlim(min(across.min() - 0.45, -1.0), max(across.max() + 0.45, 1.0))
-        axes.set_ylim(GROUND_LEVEL - 0.25, layout.places[:, 1].max() + 0.45)
-        handles = [Line2D([], [], color=colours[law], linewidth=1.4, label=law.replace("_", " ")) for law in laws]
-        figure.legend(handles=handles, loc="upper center", ncols=min(len(laws), 5), bbox_to_anchor=(0.5, 1.0))
+        axes.set_ylim(GROUND_LEVEL - 0.25, highest + 0.45)
+        handles = [Line2D([], [], color=c, linewidth=1.4, label=law.replace("_", " ")) for law, c in colours.items()]
+        figure.legend(handles=handles, loc="upper center", ncols=min(len(handles), 5), bbox_to_anchor=(0.5, 1.0))
     return figure
-
-
-def _connections(structure: Structure) -> list[_Connection]:
-    matrix = structure.incidence.matrix
-    laws = [group.nonlinearity.name for group in structure.groups for _ in range(group.incidence.shape[0])]
-    laws = laws[: len(structure.added)]  # what is behind them is damping of the whole
-    rows = [matrix[i] for i in structure.added]
-    return [
-        _Connection(name, law, row.indices, row.data)
-        for name, law, row in zip(structure.labels.connections, laws, rows, strict=True)
-    ]
 
 
 def _lines(connections: list[_Connection], layout: Layout) -> list[np.ndarray | None]:
@@ -91,7 +169,7 @@ def _lines(connections: list[_Connection], layout: Layout) -> list[np.ndarray | 
     bows: dict[tuple[int, ...], int] = {}
     around = 0
     for connection in connections:
-        if not _is_plain(connection):
+        if not connection.is_plain:
             out.append(None)
             continue
         key = tuple(sorted(connection.coordinates.tolist()))
@@ -102,63 +180,41 @@ def _lines(connections: list[_Connection], layout: Layout) -> list[np.ndarray | 
         bows[key] = turn + 1
         if between and layout.blocked(start, end):
             turn, around = turn + 1 + around % 2, around + 1
-        out.append(_bowed(start, end, turn, on_ground=len(key) == 1))
+        # A straight line, or the arc of the turn-th line between two ends, right and left by turns.
+        along = end - start
+        length = float(np.hypot(*along))
+        reach = 1.1 * (1 if turn % 2 else -1) * ((turn + 1) // 2) * max(1.0, 0.45 * length)
+        if len(key) == 1:
+            start = start + np.array([0.45 * reach, 0.0])
+        control = (start + end) / 2.0 + reach * np.array([along[1], -along[0]]) / max(length, 1e-9)
+        out.append((1 - _POINTS) ** 2 * start + 2 * _POINTS * (1 - _POINTS) * control + _POINTS**2 * end)
     return out
 
 
-def _is_plain(connection: _Connection) -> bool:
-    """Whether one end's displacement less the other's stretches it."""
-    weights = np.sort(connection.weights)
-    return bool((len(weights) == 1 and abs(weights[0]) == 1.0) or weights.tolist() == [-1.0, 1.0])
+def _draw_hub(axes: Axes, connection: _Connection, ends: np.ndarray, taken: list[np.ndarray], look: style.Look) -> None:
+    """A dot between its ends with a line to each, and where there are few connections the weights."""
+    few = look["linewidth"] > 1.0
+    middle = ends.mean(axis=0) if len(ends) > 1 else ends[0] - np.array([0.0, 0.5])
+    around = [(x, y) for y in (0.0, 0.2, -0.2, 0.35, -0.35) for x in (0.0, 0.3, -0.3, 0.6, -0.6)]
+    place = _free_place([middle + np.array(step) + _ABOVE for step in around], taken)
+    hub = place - _ABOVE
+    axes.plot(*hub, "o", markersize=3, **{**look, "zorder": 2})
+    for end, weight in zip(ends, connection.weights, strict=True):
+        axes.plot(*np.stack([hub, end]).T, **{**look, "linewidth": 0.6 * look["linewidth"]})
+        if few:
+            _write(axes, 0.55 * hub + 0.45 * end, f"{weight:.3g}", 6, style.GREY)
+    _write(axes, place, connection.name, 8 if few else 5.5, connection.colour)
 
 
-def _bowed(start: np.ndarray, end: np.ndarray, turn: int, on_ground: bool) -> np.ndarray:
-    """(points, 2): a straight line, or the arc of the turn-th line between two ends, right and left by turns."""
-    side = (1 if turn % 2 else -1) * ((turn + 1) // 2)
-    along = end - start
-    across = np.array([along[1], -along[0]]) / max(float(np.hypot(*along)), 1e-9)
-    reach = 1.1 * side * max(1.0, 0.45 * float(np.hypot(*along)))
-    if on_ground:
-        start = start + np.array([0.45 * reach, 0.0])
-    control = (start + end) / 2.0 + across * reach
-    points: np.ndarray = (1 - _POINTS) ** 2 * start + 2 * _POINTS * (1 - _POINTS) * control + _POINTS**2 * end
-    return points
+def _free_place(places: list[np.ndarray], taken: list[np.ndarray]) -> np.ndarray:
+    """The first of those that are furthest from what is taken, which it joins; names are wider than high."""
 
+    def apart(place: np.ndarray) -> float:
+        return round(float(min(1.0, (np.abs(np.stack(taken) - place) / _ROOM).max(axis=1).min())), 1)
 
-def _draw_connection(
-    axes: Axes, connection: _Connection, line: np.ndarray | None, layout: Layout, colour: str,
-    taken: list[np.ndarray], few: bool,
-) -> None:  # fmt: skip
-    look: dict[str, Any] = {"color": colour, "linewidth": 1.4 if few else 0.9, "zorder": 1}
-    if line is not None:
-        axes.plot(*line.T, **look)
-        places = [line[round(part * (len(line) - 1))] for part in _PLACES]
-    else:
-        ends = layout.places[connection.coordinates]
-        middle = ends.mean(axis=0) if len(ends) > 1 else ends[0] - np.array([0.0, 0.5])
-        places = [
-            middle + np.array([x, y]) + _ABOVE
-            for y in (0.0, 0.2, -0.2, 0.35, -0.35)
-            for x in (0.0, 0.3, -0.3, 0.6, -0.6)
-        ]
-    place = max(places, key=lambda p: round(_distance(p, taken), 1))
+    place = max(places, key=apart)
     taken.append(place)
-    if line is None:
-        hub = place - _ABOVE
-        axes.plot(*hub, "o", markersize=3, **{**look, "zorder": 2})
-        for end, weight in zip(layout.places[connection.coordinates], connection.weights, strict=True):
-            axes.plot(*np.stack([hub, end]).T, **{**look, "linewidth": 0.6 * look["linewidth"]})
-            if few:
-                _write(axes, 0.55 * hub + 0.45 * end, f"{weight:.3g}", 6, style.GREY)
-    _write(axes, place, connection.name, 8 if few else 5.5, colour)
-
-
-def _distance(place: np.ndarray, taken: list[np.ndarray]) -> float:
-    """To the nearest of those that are taken, names being wider than high; beyond one all are as good."""
-    if not taken:
-        return 1.0
-    apart = np.abs(np.stack(taken) - place) / _ROOM
-    return float(min(1.0, apart.max(axis=1).min()))
+    return place
 
 
 def _write(axes: Axes, place: np.ndarray, text: str, size: float, colour: str) -> None:
@@ -166,20 +222,8 @@ def _write(axes: Axes, place: np.ndarray, text: str, size: float, colour: str) -
     axes.text(place[0], place[1], text, fontsize=size, color=colour, ha="center", va="center", bbox=paper, zorder=2.5)
 
 
-def _draw_masses(axes: Axes, structure: Structure, layout: Layout, few: bool) -> None:
-    box = {"boxstyle": "round,pad=0.35", "facecolor": "#F2F2F2", "edgecolor": style.BLACK, "linewidth": 0.7}
-    for dof, place in enumerate(layout.places):
-        mass = structure.parameter("m", dof).prescribed
-        weight = "mass unknown" if np.isnan(mass) else f"{mass:.6g} kg"
-        text, size = f"{structure.dof_name(dof)}\n{weight}", 8 if few else 6
-        axes.text(place[0], place[1], text, fontsize=size, ha="center", va="center", bbox=box, zorder=3)
-
-
-def _draw_ground(axes: Axes, layout: Layout, feet: list[float]) -> None:
-    if not layout.grounded:
-        return
-    across = [*layout.places[:, 0], *feet]
-    left, right = min(across) - 0.5, max(across) + 0.5
+def _draw_ground(axes: Axes, across: np.ndarray) -> None:
+    left, right = across.min() - 0.5, across.max() + 0.5
     axes.plot([left, right], [GROUND_LEVEL, GROUND_LEVEL], color=style.BLACK, linewidth=1.2, zorder=2)
     for x in np.arange(left, right, 0.15):
         axes.plot([x, x - 0.1], [GROUND_LEVEL, GROUND_LEVEL - 0.12], color=style.BLACK, linewidth=0.6, zorder=2)

@@ -14,7 +14,6 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure, SubFigure
@@ -30,49 +29,28 @@ BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILLION, PURPLE, GREY = "#F0E442", "#0072B2", "#D55E00", "#CC79A7", "#7F7F7F"
 CYCLE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 
-DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 4.0, "markeredgewidth": 0}
+Look = dict[str, Any]  # how matplotlib draws something
+DOTS: Look = {"linestyle": "none", "marker": ".", "markersize": 4.0, "markeredgewidth": 0}
 
 SYMBOLS = {
-    "displacement": r"$u$",
-    "velocity": r"$\dot{u}$",
-    "acceleration": r"$\ddot{u}$",
-    "force": r"$f$",
-    "ground_acceleration": r"$\ddot{u}_g$",
-    "connection_force": r"$r$",
-    "support_displacement": r"$s$",
-    "support_velocity": r"$\dot{s}$",
-    "support_acceleration": r"$\ddot{s}$",
-}
+    "displacement": r"$u$", "velocity": r"$\dot{u}$", "acceleration": r"$\ddot{u}$", "force": r"$f$",
+    "ground_acceleration": r"$\ddot{u}_g$", "connection_force": r"$r$", "support_displacement": r"$s$",
+    "support_velocity": r"$\dot{s}$", "support_acceleration": r"$\ddot{s}$",
+}  # fmt: skip
 
 _STYLE: dict[Any, Any] = {
-    "font.family": "STIXGeneral",
-    "mathtext.fontset": "stix",
-    "font.size": 8,
-    "axes.titlesize": 8.5,
-    "axes.labelsize": 8,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "legend.fontsize": 8,
-    "legend.frameon": False,
-    "axes.linewidth": 0.6,
-    "axes.edgecolor": "#404040",
-    "xtick.direction": "in",
-    "ytick.direction": "in",
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.major.size": 2.5,
-    "ytick.major.size": 2.5,
-    "lines.linewidth": 0.9,
-    "lines.markersize": 3,
-    "grid.linewidth": 0.4,
-    "grid.color": "#D9D9D9",
+    "font.family": "STIXGeneral", "mathtext.fontset": "stix", "font.size": 8,
+    "axes.titlesize": 8.5, "axes.labelsize": 8, "xtick.labelsize": 7, "ytick.labelsize": 7, "legend.fontsize": 8,
+    "legend.frameon": False, "axes.linewidth": 0.6, "axes.edgecolor": "#404040",
+    "xtick.direction": "in", "xtick.major.width": 0.6, "xtick.major.size": 2.5,
+    "ytick.direction": "in", "ytick.major.width": 0.6, "ytick.major.size": 2.5,
+    "lines.linewidth": 0.9, "lines.markersize": 3, "grid.linewidth": 0.4, "grid.color": "#D9D9D9",
     "axes.titley": 1.0,  # a fixed place: looking for what a title might collide with takes a third of the drawing time
-    "axes.formatter.limits": (-6, 7),  # prefixes of units do what offsets do
-    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-6, 7), "axes.formatter.useoffset": False,  # prefixes of units do what offsets do
     "path.simplify": True,
     "pdf.fonttype": 42,  # journals refuse Type 3 fonts
     "savefig.dpi": 150,
-}
+}  # fmt: skip
 
 
 @contextmanager
@@ -83,16 +61,10 @@ def look() -> Iterator[None]:
 
 
 def panels(
-    rows: int,
-    columns: int,
-    height: float,
-    *,
-    width: float = PAGE_WIDTH,
-    margins: tuple[float, float, float, float],
-    gaps: tuple[float, float],
-    **options: Any,
-) -> tuple[Figure, np.ndarray]:
-    """A figure with a grid of panels; fixed margins take a tenth of the time of a layout that is computed.
+    rows: int, columns: int, height: float, *, width: float = PAGE_WIDTH,
+    margins: tuple[float, float, float, float], gaps: tuple[float, float], **options: Any,
+) -> tuple[Figure, np.ndarray]:  # fmt: skip
+    """A figure and its grid of panels (rows, columns); fixed margins take a tenth of the time of a computed layout.
 
     Args:
         rows: Number of them.
@@ -102,9 +74,6 @@ def panels(
         margins: Left, right, top, bottom, inch.
         gaps: Between neighbours, across and down, inch.
         options: Of `matplotlib.figure.Figure.subplots`, ``gridspec_kw`` apart.
-
-    Returns:
-        The figure, and its panels (rows, columns).
     """
     left, right, top, bottom = margins
     total = top + rows * height + (rows - 1) * gaps[1] + bottom
@@ -116,14 +85,8 @@ def panels(
 
 
 def legend(figure: Figure | SubFigure, axes: Iterable[Axes] | None = None, **options: Any) -> None:
-    """One legend above, of all that has a label in any of the panels, each label once.
-
-    Args:
-        figure: Above which it stands.
-        axes: Its panels; None: all.
-        options: Of `matplotlib.figure.Figure.legend`.
-    """
-    handles: dict[str, Artist | ErrorbarContainer] = {}
+    """One legend above, of all that has a label in any of the panels (or of these), each label once."""
+    handles: dict[str, Any] = {}
     for each in figure.axes if axes is None else axes:
         for handle, label in zip(*each.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
@@ -159,14 +122,9 @@ def largest(sizes: Sequence[float] | np.ndarray, most: int) -> list[int]:
 
 
 def line_indices(values: np.ndarray, points: int = 1500) -> np.ndarray:
-    """Indices of at most ``points`` samples of a line that keep its outline: the lowest and highest of each bin.
+    """Indices of at most ``points`` samples of a line (time,) without NaN that keep its outline, in increasing order.
 
-    Args:
-        values: (time,), without NaN.
-        points: How many to keep at most; records shorter than that are kept whole.
-
-    Returns:
-        Increasing indices into ``values``.
+    They are the lowest and highest of each bin; records shorter than that are kept whole.
     """
     samples = len(values)
     if samples <= points:
@@ -188,18 +146,16 @@ def save(figure: Figure, directory: Path | str, name: str) -> list[Path]:
         for axis in (axes.xaxis, axes.yaxis):
             if not axis.label.get_text():
                 axis.set_label_coords(0.0, 0.0)  # matplotlib would look for a place beside all tick labels
-    written = []
     # Creation dates and versions would make two equal runs differ.
     kinds: dict[str, dict[str, Any]] = {
         # Half the time of the usual level, a sixth more bytes.
-        ".png": {"metadata": {"Software": None}, "pil_kwargs": {"compress_level": 3}},
-        ".pdf": {"metadata": {"CreationDate": None, "Producer": None}},
+        "png": {"metadata": {"Software": None}, "pil_kwargs": {"compress_level": 3}},
+        "pdf": {"metadata": {"CreationDate": None, "Producer": None}},
     }
-    for suffix, options in kinds.items():
-        place = Path(directory) / f"{name}{suffix}"
+    written = [Path(directory) / f"{name}.{kind}" for kind in kinds]
+    for place, (kind, options) in zip(written, kinds.items(), strict=True):
         with look(), replacing(place) as beside:
-            figure.savefig(beside, format=suffix[1:], **options)
-        written.append(place)
+            figure.savefig(beside, format=kind, **options)
     return written
 
 
@@ -216,9 +172,8 @@ def raised(unit: str) -> str:
 def unit_prefix(magnitude: float, kilo: bool = False) -> tuple[float, str]:
     """The factor and the SI prefix with which a value reads between 0.1 and 1000: 0.02 m is 20 mm, 5e9 N is 5 GN.
 
-    Args:
-        magnitude: The largest absolute value to be shown, in the base unit; 0 or NaN keeps the base unit.
-        kilo: Whether values from 1000 become kilo-units and larger (forces, not displacements).
+    ``magnitude`` is the largest absolute value to be shown, in the base unit; 0 or NaN keeps the base unit. Values from
+    1000 become kilo-units and larger where ``kilo`` says so (forces, not displacements).
     """
     if not magnitude > 0.0:
         return 1.0, ""

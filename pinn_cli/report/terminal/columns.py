@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    import pandas as pd
+import pandas as pd
 
 WIDTH = 100
 MARK = "! "
@@ -57,9 +54,7 @@ def number(value: float, digits: int = 5) -> str:
     if not np.isfinite(value):
         return "-"
     order = math.floor(math.log10(abs(value))) if value else 0
-    if not -5 < order < 7:
-        return f"{value:.{digits - 1}e}"
-    return f"{value:.{max(digits - 1 - order, 0)}f}"
+    return f"{value:.{max(digits - 1 - order, 0)}f}" if -5 < order < 7 else f"{value:.{digits - 1}e}"
 
 
 def count(value: float) -> str:
@@ -69,9 +64,7 @@ def count(value: float) -> str:
 
 def percent(value: float) -> str:
     """A fitness or an error in per cent, short also where it is far off; a dash where there is none."""
-    if not np.isfinite(value):
-        return "-"
-    return f"{value:.2f}" if abs(value) < 1e4 else f"{value:.0e}"
+    return "-" if not np.isfinite(value) else f"{value:.2f}" if abs(value) < 1e4 else f"{value:.0e}"
 
 
 def interval(lower: float, upper: float) -> str:

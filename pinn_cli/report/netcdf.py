@@ -1,0 +1,204 @@
+"""``response.nc``, the labelled time histories of a run, and ``posterior.nc``, its sampled posterior.
+
+The second holds ArviZ's InferenceData, for ``arviz.from_netcdf``. It is written group by group with xarray: ArviZ
+itself takes seconds to import.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from pinn_cli.posterior.base import PosteriorSamples
+from pinn_cli.posterior.result import ForcePredictive, PosteriorResult
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import RESPONSE_QUANTITIES, UNITS, Response
+from pinn_cli.report.connections import connection_forces, drifts
+from pinn_cli.report.estimates import Histories, dof_histories, ground_history, support_histories
+from pinn_cli.report.results import Results
+from pinn_cli.runs.identity import package_version
+from pinn_cli.runs.reserved_file import replacing_by_reserved
+from pinn_cli.runs.writing import write_bytes
+from pinn_cli.system.parameters import LINEAR_TITLES, Parameter
+
+# Bytes at most of names, attributes and HDF5's own tables.
+AROUND_DATA = 2**20
+# The suffix of a variable and its description, by its source.
+SOURCES = {
+    "estimate": ("", "estimated {}"),
+    "std": ("_std", "standard deviation of the estimated {}"),
+    "true": ("_true", "true {}"),
+    "observed": ("_observed", "observed {}"),
+    "free_run": ("_free_run", "{} of the estimated system under the measured force"),
+}
+_DRAWN = ("chain", "draw")
+
+
+def response_dataset(results: Results, free_run: Response | None = None) -> xr.Dataset:
+    """Everything that a figure of the response needs, labelled, and the motion of the estimated system by itself.
+
+    Returns:
+        For each quantity ``displacement`` (estimate), ``displacement_std``, ``displacement_true`` (left out where no
+        DOF's truth is known), ``displacement_observed`` (NaN where there is no sensor, and where it has no sample) and
+        ``displacement_free_run`` (left out where there is none), and so on for velocity, acceleration and force (which
+        has no free run), over ``time`` (s) and ``dof`` (from 1, of a chain nearest the fixed end; ``dof_name`` where
+        DOFs have names); then ``displacement_<name>`` of the baseline and ``displacement_<name>_std``. Where the ground
+        moves, ``ground_acceleration`` and the same of it over ``time``, each left out where there is none. ``drift``,
+        ``drift_std`` and, where known, ``drift_true`` over ``time`` and ``connection`` (its name, or its number from
+        1); the same of ``connection_force``, NaN of pairs of DOFs. Where supports move, ``support_displacement`` and
+        its derivatives, and the same of these, over ``time`` and ``support``. ``observed`` and ``unforced``: DOFs with
+        a response sensor, and those known to carry no force. Attributes are the run's labels.
+    """
+    run, record, truth = results.run, results.record, results.truth
+    of_dofs, ground = dof_histories(results), ground_history(results)
+    stretched = drifts(results.prescribed, results.estimate, truth.response)
+    forces = connection_forces(results.prescribed, results.estimate, truth)
+    variables: dict[str, tuple[Any, ...]] = {}
+    for each in of_dofs:
+        moved = None if free_run is None or each.name not in RESPONSE_QUANTITIES else getattr(free_run, each.name)
+        variables |= _variables(each.beside(free_run=moved), SOURCES)
+    if results.baseline is not None:
+        name, other = run.baseline, results.baseline
+        described = {
+            "estimate": (f"_{name}", f"{{}} estimated by {name}"),
+            "std": (f"_{name}_std", f"standard deviation of the {{}} estimated by {name}"),
+        }
+        for each in of_dofs:
+            found = {"estimate": getattr(other.response, each.name), "std": getattr(other.std, each.name)}
+            variables |= _variables(replace(each, found=found), described)
+    for one in (ground, stretched, *support_histories(results), forces):
+        if one is not None:
+            variables |= _variables(one, SOURCES)
+    fixed = {
+        "Conventions": "CF-1.11",
+        "title": "Estimated response of a structure",
+        "intersample": record.intersample,
+        "frame": None if record.ground_acceleration is None else record.frame,
+    }
+    attributes = netcdf_attributes(fixed | run.labels_of(estimator="pinn"))
+    return xr.Dataset(variables, coords=_coordinates(record, stretched.places), attrs=attributes)
+
+
+def _variables(histories: Histories, sources: Mapping[str, tuple[str, str]]) -> dict[str, tuple[Any, ...]]:
+    """Dimensions, values and attributes of every source, which ``sources`` give a suffix and a description."""
+    out = {}
+    for source, values in histories.found.items():
+        suffix, description = sources[source]
+        dims, shown = (("time", histories.axis), values) if histories.axis else (("time",), values[:, 0])
+        out[histories.name + suffix] = (dims, shown, _told(description.format(histories.words), histories.unit))
+    return out
+
+
+def _coordinates(record: Record, connections: Sequence[str]) -> dict[str, tuple[str, np.ndarray, dict[str, str]]]:
+    dofs = np.arange(1, record.ndof + 1, dtype=np.int32)
+    names = {"dof_name": ("dof", np.array(record.dofs, dtype=object), _told("name"))} if record.dofs else {}
+    supports = {"support": ("support", np.array(record.support_names), _told("support that moves"))}
+    stretched = _told("connection; what it joins is stretched by its drift")
+    return {
+        **names,
+        "time": ("time", record.time, _told("time", "s")),
+        "dof": ("dof", dofs, _told("degree of freedom, of a chain counted from the fixed end", "1")),
+        "observed": ("dof", record.observed, _told("has a displacement, velocity or acceleration sensor")),
+        "unforced": ("dof", record.unforced, _told("is known to carry no force")),
+        **(supports if record.supports else {}),
+        "connection": ("connection", np.array(connections), stretched),
+    }
+
+
+def _told(long_name: str, units: str = "") -> dict[str, str]:
+    return {"long_name": long_name, **({"units": units} if units else {})}
+
+
+def write_dataset(dataset: xr.Dataset, path: Path | str) -> Path:
+    """Write ``dataset`` as netCDF 4 through h5netcdf, variable by variable."""
+    with replacing_by_reserved(path, dataset.nbytes + AROUND_DATA) as file:
+        dataset.to_netcdf(file, engine="h5netcdf", format="NETCDF4")
+    return Path(path)
+
+
+def netcdf_attributes(given: Mapping[str, object]) -> dict[str, object]:
+    """Attributes as netCDF can hold them: no null, no boolean."""
+    kept = {name: value for name, value in given.items() if value is not None}
+    return {name: int(value) if isinstance(value, bool | np.bool_) else value for name, value in kept.items()}
+
+
+def posterior_groups(
+    findings: PosteriorResult, record: Record, parameters: Sequence[Parameter], attributes: Mapping[str, object]
+) -> dict[str, xr.Dataset]:
+    """The groups of an InferenceData.
+
+    Args:
+        findings: The draws and, where there is one, the force's posterior predictive.
+        record: What the force is compared with.
+        parameters: Those that were drawn, in the order of the draws; one whose unit nobody knows is written without.
+        attributes: Of the run: text, numbers and booleans; those that are None are left out.
+
+    Returns:
+        ``/``: attributes only. ``posterior``: a variable per parameter over (chain, draw), and ``sigma_force`` over
+        (chain, draw, force_dof). ``prior``: the parameters over (chain, draw), one chain. With a posterior predictive:
+        ``posterior_predictive`` with ``force`` (chain, draw, time, dof), of the draws and at the times that were
+        predicted, in single precision, and ``observed_data`` with ``force`` (time, dof). ``sample_stats``: (chain,
+        draw), where something was sampled step by step.
+    """
+    samples, version = findings.samples, package_version("pinn-cli")
+    library = {"inference_library": "pinn-cli", **({"inference_library_version": version} if version else {})}
+    posterior = _parameters(samples.draws, parameters)
+    noise = _told("standard deviation of the measured force's noise", UNITS["force"])
+    posterior["sigma_force"] = ((*_DRAWN, "force_dof"), samples.sigma_force, noise)
+    posterior["force_dof"] = ("force_dof", *_dofs(samples))
+    # ArviZ's own names for the two.
+    sampling = {"tuning_steps": samples.warmup, "sampling_time": float(np.max(samples.seconds, initial=0.0))}
+    groups = {
+        "/": xr.Dataset(attrs={**netcdf_attributes(attributes), **library, "method": samples.method}),
+        "posterior": posterior.assign_attrs(library | sampling),
+        "prior": _parameters(samples.prior[None], parameters).assign_attrs(library),
+    }
+    if findings.predictive is not None:
+        for name, group in _forces(findings.predictive, samples, record).items():
+            groups[name] = group.assign_attrs(library)
+    if samples.statistics:
+        statistics = {name: (_DRAWN, values) for name, values in samples.statistics.items()}
+        groups["sample_stats"] = xr.Dataset(statistics, _counted(*samples.draws.shape[:2]))
+    return groups
+
+
+def write_posterior_data(groups: Mapping[str, xr.Dataset], path: Path | str) -> Path:
+    """Write the groups as netCDF 4 through h5netcdf."""
+    return write_bytes(xr.DataTree.from_dict(dict(groups)).to_netcdf(None, engine="h5netcdf", format="NETCDF4"), path)
+
+
+def _parameters(draws: np.ndarray, parameters: Sequence[Parameter]) -> xr.Dataset:
+    """(chains, draws, p) as a variable per parameter."""
+    variables = {}
+    for i, p in enumerate(parameters):
+        title = p.title.lower() if p.kind in LINEAR_TITLES else f"{p.title or p.kind} coefficient"
+        variables[p.name] = (_DRAWN, draws[..., i], _told(f"{title} of {p.owner}", p.unit))
+    return xr.Dataset(variables, _counted(*draws.shape[:2]))
+
+
+def _counted(chains: int, draws: int) -> dict[str, Any]:
+    return {"chain": np.arange(chains), "draw": np.arange(draws)}
+
+
+def _dofs(samples: PosteriorSamples) -> tuple[np.ndarray, dict[str, str]]:
+    return samples.force_dofs.astype(np.int32), _told("degree of freedom, 1 is nearest the fixed end", "1")
+
+
+def _forces(predictive: ForcePredictive, samples: PosteriorSamples, record: Record) -> dict[str, xr.Dataset]:
+    """The predicted force, and what was observed of it."""
+    time = ("time", record.time[predictive.samples], _told("time", "s"))
+    places = {"time": time, "dof": ("dof", *_dofs(samples))}
+    drawn = {"chain": np.arange(len(predictive.force)), "draw": predictive.draws}
+    # Ten times as many numbers as everything else together: seven digits of a noisy force are plenty.
+    force, unit = predictive.force.astype(np.float32), UNITS["force"]
+    predicted = ((*_DRAWN, "time", "dof"), force, _told("force, posterior predictive", unit))
+    measured = record.force[np.ix_(predictive.samples, samples.force_dofs - 1)]
+    return {
+        "posterior_predictive": xr.Dataset({"force": predicted}, drawn | places),
+        "observed_data": xr.Dataset({"force": (("time", "dof"), measured, _told("observed force", unit))}, places),
+    }
