@@ -9,6 +9,8 @@ import pandas as pd
 
 from pinn_cli.record.record import Record, Truth
 from pinn_cli.record.response import QUANTITIES, Response
+from pinn_cli.report.results import Results, RunDescription
+from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing
 from pinn_cli.system.parameters import LINEAR_TITLES, LINEAR_UNITS, Parameter
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
@@ -104,3 +106,10 @@ def make_estimate(ndof: int = 6, observed: int = 2, samples: int = 400, duration
     }  # fmt: skip
     estimate = Estimate(response, std, _parameters(ndof), _history(), {})
     return Case(estimate, record, Truth(truth, parameters), labels)
+
+
+def results_of(case: Case, **changes: object) -> Results:
+    """What a run of a Duffing chain hands to its report."""
+    run = RunDescription("small", 0, "cpu", 1, "", case.labels, True, "none", "kalman_smoother")
+    structure = build_chain(case.record.ndof, Duffing(), m=1.0, c=1.0, k=15.0, kappa=100.0)
+    return replace(Results(run, structure, case.record, case.truth, case.estimate), **changes)

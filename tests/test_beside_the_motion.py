@@ -15,8 +15,7 @@ from pinn_cli.record.noise import Noise
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation, simulate
-from pinn_cli.report.connection_forces import ConnectionForces
-from pinn_cli.report.energy import DissipatedEnergy
+from pinn_cli.report.connections import connection_forces, dissipated_energy, drifts
 from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import InputError
@@ -47,15 +46,15 @@ def test_a_hidden_force():
     assert np.all(fitness_percent(found.displacement, truth.displacement) > 97.0)
     assert np.all(fitness_percent(found.hidden, truth.hidden) > 95.0)
     assert inside(found.hidden, std.hidden, truth.hidden) > 0.8
-    forces = ConnectionForces.of(structure, estimate, measurements.truth)
-    assert np.all(fitness_percent(forces.estimate, forces.true) > 95.0)
-    assert inside(forces.estimate, forces.std, forces.true) > 0.85
+    forces, stretched = connection_forces(structure, estimate, measurements.truth), drifts(structure, estimate, truth)
+    assert np.all(fitness_percent(forces.of("estimate"), forces.of("true")) > 95.0)
+    assert inside(*(forces.of(source) for source in ("estimate", "std", "true"))) > 0.85
     loops = [
-        np.trapezoid(r[:, 1:], e[:, 1:], axis=0)
-        for r, e in ((forces.estimate, forces.elongation), (forces.true, forces.true_elongation))
+        np.trapezoid(forces.of(source)[:, 1:], stretched.of(source)[:, 1:], axis=0) for source in ("estimate", "true")
     ]
     np.testing.assert_allclose(*loops, rtol=0.05)
-    energy = DissipatedEnergy.of(structure, estimate, truth, structure)
+    case = Case(estimate, measurements.record, measurements.truth, {})
+    energy = dissipated_energy(results_of(case, prescribed=structure, true=structure))
     assert np.all(np.abs(energy.estimate - energy.true) < 3.0 * energy.std)
     assert np.all(energy.std < 0.1 * energy.true)
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from small_estimates import results_of
 
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.mat import MatFormat
 from pinn_cli.record.files.uff import UffFormat
 from pinn_cli.record.response import QUANTITIES, UNITS
-from pinn_cli.report.dataset import response_dataset
-from pinn_cli.report.export.formats import EXPORTS, exports_of
+from pinn_cli.report.export import EXPORTS, exports_of
+from pinn_cli.report.netcdf import response_dataset
 from pinn_cli.settings.errors import InputError
 
 
@@ -21,7 +22,7 @@ def case(make_case):
 
 @pytest.fixture
 def dataset(case):
-    return response_dataset(case.estimate, case.record, case.truth.response, case.labels)
+    return response_dataset(results_of(case))
 
 
 def test_every_format_has_every_quantity_of_every_dof(case, dataset, tmp_path):
@@ -80,7 +81,7 @@ def test_a_format_whose_package_is_missing_is_told_before_anything_is_estimated(
     def missing(module: str) -> None:
         raise ModuleNotFoundError(f"No module named {module!r}", name=module)
 
-    monkeypatch.setattr("pinn_cli.report.export.uff.import_module", missing)
+    monkeypatch.setattr("pinn_cli.report.export.import_module", missing)
     with pytest.raises(InputError, match=r"^report.export=uff: must be .*; pip install 'pinn-cli\[uff\]'$"):
         exports_of(["uff"])
     assert [export.name for export in exports_of(["mat", "csv", "mat"])] == ["mat", "csv"]

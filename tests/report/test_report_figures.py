@@ -10,8 +10,9 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
-from small_estimates import other_estimate
+from small_estimates import other_estimate, results_of
 
+from pinn_cli.record.record import Truth
 from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.report.figures import (
     correlation_figure,
@@ -23,17 +24,19 @@ from pinn_cli.report.figures import (
     style,
     write_figures,
 )
-from pinn_cli.report.figures.decimate import block_maximum, line_indices
-from pinn_cli.report.figures.response import PERIODS_SHOWN, shown_dofs, shown_window
-from pinn_cli.report.results import Results, RunDescription
+from pinn_cli.report.figures.histories import PERIODS_SHOWN
+from pinn_cli.report.figures.response import shown_dofs, shown_window
+from pinn_cli.report.figures.style import line_indices
 from pinn_cli.system.building import build_chain
-from pinn_cli.system.connection import Duffing, PowerDamping, VanDerPol
+from pinn_cli.system.connection import PowerDamping, VanDerPol
 
 
 def results(case, estimate=None):
-    run = RunDescription("small", 0, "cpu", 1, "", case.labels, True, "none", "none")
-    structure = build_chain(case.record.ndof, Duffing(), m=1.0, c=1.0, k=15.0, kappa=100.0)
-    return Results(run, structure, case.record, case.truth, estimate or case.estimate)
+    return results_of(case, estimate=estimate or case.estimate)
+
+
+def unknown(case):
+    return Truth(Response.unknown(case.record.time, case.record.ndof), None)
 
 
 def _texts(figure):
@@ -61,13 +64,6 @@ def test_parts_of_the_figures_are_together_all_of_them(make_case, tmp_path):
     assert sorted(stems) == ["drift", "error_map", "modes", "residuals", "response"]
 
 
-def test_nothing_to_draw_is_no_figure(make_case, tmp_path):
-    case = make_case(ndof=1, observed=1)
-    estimate = replace(case.estimate, parameters=[], history=pd.DataFrame({"iteration": [0]}))
-    paths = write_figures(results(case, estimate), tmp_path)
-    assert {path.stem for path in paths} == {"response", "residuals", "error_map", "drift", "modes"}
-
-
 def test_the_same_figure_gives_the_same_bytes(make_case, tmp_path):
     history = make_case().estimate.history
     first, second = (save(history_figure(history), tmp_path / name, "history") for name in ("a", "b"))
@@ -81,7 +77,7 @@ def test_pyplot_is_never_imported():
 
 def test_rows_and_asterisks(make_case):
     case = make_case(ndof=20, observed=7)
-    figure = response_figure(case.estimate, case.record, case.truth.response)
+    figure = response_figure(results_of(case))
     assert shown_dofs(20) == [0, 1, 18, 19]
     assert shown_dofs(6) == list(range(6))
     labels = [axes.get_ylabel() for axes in figure.axes if axes.get_ylabel()]
@@ -94,7 +90,7 @@ def test_rows_and_asterisks(make_case):
 
 def test_the_linear_system_is_a_blue_dash_dot_line(make_case):
     case = make_case(ndof=2, observed=1)
-    figure = response_figure(case.estimate, case.record, None, linear=case.truth.response)
+    figure = response_figure(results_of(case, truth=unknown(case), linear_response=case.truth.response))
     assert "equivalent linear system" in _texts(figure)
     assert "truth" not in _texts(figure)
     assert ("-.", style.BLUE) in {(line.get_linestyle(), line.get_color()) for line in figure.axes[0].lines}
@@ -105,8 +101,8 @@ def test_what_is_unknown_is_not_drawn(make_case):
     velocity = np.where([False, True, False], case.truth.response.velocity, np.nan)
     truth = replace(Response.unknown(case.record.time, 3), velocity=velocity)
     std = Response.unknown(case.record.time, 3)
-    figure = response_figure(replace(case.estimate, std=std), case.record, truth, truth_label="held out")
-    assert _texts(figure) == ["held out", "estimate", "observations"]
+    figure = response_figure(results_of(case, estimate=replace(case.estimate, std=std), truth=Truth(truth, None)))
+    assert set(_texts(figure)) == {"truth", "estimate", "observations"}
     panels = np.reshape(figure.axes, (3, 4))
     drawn = [[style.BLACK in {line.get_color() for line in axes.lines} for axes in row] for row in panels]
     assert drawn == [[False] * 4, [False, True, False, False], [False] * 4]
@@ -114,7 +110,7 @@ def test_what_is_unknown_is_not_drawn(make_case):
 
 def test_observations_are_thinned_and_the_legend_says_so(make_case):
     case = make_case(ndof=2, observed=1, samples=4096)
-    assert "observations (one in 11 shown)" in _texts(response_figure(case.estimate, case.record, None))
+    assert "observations (one in 11 shown)" in _texts(response_figure(results_of(case, truth=unknown(case))))
 
 
 def test_a_long_record_shows_its_middle(make_case):
@@ -124,18 +120,8 @@ def test_a_long_record_shows_its_middle(make_case):
     assert 5.0 < np.ptp(case.record.time[window]) < 2000.0 / 5.0
     crossings = np.diff(np.signbit(case.estimate.response.velocity[window]), axis=0).sum(axis=0)
     assert 0.5 < np.median(crossings) / (2 * PERIODS_SHOWN) < 2.0
-    figure = response_figure(case.estimate, case.record, case.truth.response)
+    figure = response_figure(results_of(case))
     assert any("middle of the record from 0 s to 2000 s" in text.get_text() for text in figure.texts)
-
-
-def test_error_map_shows_the_error_or_the_deviation(make_case):
-    case = make_case(ndof=3, observed=2)
-    truth = replace(case.truth.response, displacement=np.full_like(case.record.force, np.nan))
-    titles = [axes.get_title() for axes in error_map_figure(case.estimate, case.record, truth).axes[:4]]
-    assert titles[0].startswith("Displacement: standard deviation, no truth")
-    assert titles[1].startswith("Velocity: absolute error")
-    titles = [axes.get_title() for axes in error_map_figure(case.estimate, case.record, None).axes[:4]]
-    assert all("no truth" in title for title in titles)
 
 
 def test_error_map_frames_each_run_of_observed_dofs(make_case):
@@ -237,18 +223,6 @@ def test_an_interval_is_drawn_at_its_own_ends_whatever_the_estimate(make_case):
     np.testing.assert_allclose(segment[:, 1], [0.1, 2.0])
 
 
-def test_values_without_intervals_and_large_values(make_case):
-    parameters = [
-        other_estimate(p, unknown=True, estimate=44e3, std=np.nan, lower_90=np.nan, upper_90=np.nan)
-        for p in make_case(ndof=1).estimate.parameters
-        if p.name == "k_1"
-    ]
-    figure = parameters_figure(parameters, None)
-    assert figure.axes[0].get_title() == "Stiffness $k$ (kN/m)"
-    assert figure.axes[0].lines[0].get_ydata() == 44.0
-    assert _texts(figure)[-1] == "estimate"
-
-
 def test_correlation_has_the_unknown_parameters_first(make_case):
     case = make_case(ndof=2)
     correlation = np.eye(6)
@@ -302,15 +276,6 @@ def test_decimation_keeps_extremes_and_ends():
     np.testing.assert_array_equal(line_indices(values[:9], 500), np.arange(9))
 
 
-def test_block_maximum_keeps_peaks_and_gaps():
-    values = np.zeros((1000, 2))
-    values[123, 0], values[:, 1] = 7.0, np.nan
-    reduced = block_maximum(values, 40)
-    assert reduced.shape == (40, 2)
-    assert reduced[:, 0].max() == 7.0
-    assert np.isnan(reduced[:, 1]).all()
-
-
 @pytest.mark.parametrize(
     ("magnitude", "kilo", "expected"),
     [(2.0, True, (1.0, "")), (0.02, False, (1e3, "m")), (3e-5, False, (1e6, "µ")), (2e4, True, (1e-3, "k")),
@@ -319,3 +284,15 @@ def test_block_maximum_keeps_peaks_and_gaps():
 )  # fmt: skip
 def test_unit_prefix(magnitude, kilo, expected):
     assert style.unit_prefix(magnitude, kilo) == expected
+
+
+def test_the_legend_of_everything_fits_the_page(make_case):
+    case = make_case(ndof=2, observed=1, samples=4096)
+    baseline = replace(case.estimate, response=case.truth.response)
+    figure = response_figure(results_of(case, linear_response=case.truth.response, baseline=baseline))
+    figure.draw_without_rendering()
+    extent = figure.legends[0].get_window_extent()
+    assert len(_texts(figure)) == 6
+    assert "kalman smoother" in _texts(figure)
+    assert extent.x0 > 0
+    assert extent.x1 < figure.bbox.x1

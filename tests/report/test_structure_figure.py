@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pinn_cli.report.figures.layers import layout_of
-from pinn_cli.report.figures.structure import structure_figure
-from pinn_cli.report.figures.style import save
+from pinn_cli.report.figures.structure import Layout, structure_figure
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.topology import build_partial_structure, build_structure
 
@@ -47,20 +45,20 @@ def truss(floors: int = 5) -> Structure:
 def test_storeys_stand_above_each_other_whatever_braces_there_are():
     brace, tie = {"between": ["ground", "x2"], **LINE}, {"between": ["x3", "x1"], **LINE}
     for structure in (frame(), frame(brace=brace, tie=tie)):
-        places = layout_of(structure.incidence.matrix).places
+        places = Layout.of(structure.incidence.matrix).places
         np.testing.assert_array_equal(places, [[0.0, 1.0], [0.0, 2.0], [0.0, 3.0]])
 
 
 def test_bodies_that_nothing_holds_have_a_place_too():
     loose = {"a": {"between": ["x1", "x2"], **LINE}, "b": {"between": ["x3", "x4"], **LINE}}
-    layout = layout_of(build_structure(["x1", "x2", "x3", "x4"], 1.0, loose).incidence.matrix)
+    layout = Layout.of(build_structure(["x1", "x2", "x3", "x4"], 1.0, loose).incidence.matrix)
     assert not layout.grounded
     assert len(np.unique(layout.places, axis=0)) == 4
 
 
 @pytest.mark.parametrize("structure", [frame(), truss()], ids=["frame", "truss"])
 def test_masses_do_not_stand_in_each_other_s_place(structure):
-    places = layout_of(structure.incidence.matrix).places
+    places = Layout.of(structure.incidence.matrix).places
     apart = np.abs(places[:, None] - places[None]).max(axis=-1)
     assert apart[~np.eye(len(places), dtype=bool)].min() >= 0.5
 
@@ -92,10 +90,3 @@ def test_names_of_connections_do_not_meet():
     places = np.array([t.get_position() for t in texts if t.get_text() in structure.labels.connections])
     apart = np.abs(places[:, None] - places[None]) / [0.4, 0.15]
     assert apart.max(axis=-1)[~np.eye(len(places), dtype=bool)].min() >= 1.0
-
-
-def test_it_is_saved_as_picture_and_as_page(tmp_path):
-    assert [path.name for path in save(structure_figure(frame()), tmp_path, "structure")] == [
-        "structure.png",
-        "structure.pdf",
-    ]

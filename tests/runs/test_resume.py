@@ -16,7 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.config_names import option_names
 from pinn_cli.record.simulated import Simulated
-from pinn_cli.report import dataset
+from pinn_cli.report import netcdf
 from pinn_cli.runs import identity
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.evidence import Evidence
@@ -92,7 +92,7 @@ def test_killed_in_its_report_a_run_does_not_train_again(
     pinn_run: PinnRun, steps: Steps, tmp_path: Path, whole: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(dataset, "write_dataset", lambda *args: os.kill(os.getpid(), signal.SIGKILL))
+        patch.setattr(netcdf, "write_dataset", lambda *args: os.kill(os.getpid(), signal.SIGKILL))
         assert in_a_child(lambda: pinn_run(*ADAM, "hydra.run.dir=run")) == -signal.SIGKILL
     assert not (tmp_path / "run" / "response.nc").exists()
     steps.undisturbed()

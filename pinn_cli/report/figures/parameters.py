@@ -130,6 +130,12 @@ def _draw_group(axes: Axes, group: Sequence[ParameterEstimate], values: np.ndarr
     estimate, lower, upper, truth = values
     names = [given.parameter.label for given in group]
     place = np.array([i + 1 if names[0] else given.parameter.index + 1 for i, given in enumerate(group)])
+    # The interval stands on its own: a prescribed value below zero turns a relative one round.
+    middle, reach = (lower + upper) / 2.0, np.abs(upper - lower) / 2.0
+    axes.plot(place, estimate, "o", **_ESTIMATE, label="" if np.isfinite(reach).any() else "estimate")
+    if np.isfinite(reach).any():
+        axes.errorbar(place, middle, yerr=reach, fmt="none", ecolor=style.VERMILLION, zorder=3, **_BARS)
+        axes.errorbar([], [], yerr=[], fmt="o", **_ESTIMATE, **_BARS, label="estimate, 90 % interval")
     if np.isfinite(truth).any():
         diamond: style.Look = {
             "markersize": 4.5,
@@ -138,12 +144,6 @@ def _draw_group(axes: Axes, group: Sequence[ParameterEstimate], values: np.ndarr
             "markeredgewidth": 0.8,
         }
         axes.plot(place, truth, linestyle="none", marker="D", zorder=2, label="truth", **diamond)
-    # The interval stands on its own: a prescribed value below zero turns a relative one round.
-    middle, reach = (lower + upper) / 2.0, np.abs(upper - lower) / 2.0
-    axes.plot(place, estimate, "o", **_ESTIMATE, label="" if np.isfinite(reach).any() else "estimate")
-    if np.isfinite(reach).any():
-        axes.errorbar(place, middle, yerr=reach, fmt="none", ecolor=style.VERMILLION, zorder=3, **_BARS)
-        axes.errorbar([], [], yerr=[], fmt="o", **_ESTIMATE, **_BARS, label="estimate, 90 % interval")
     axes.set_xlim(place.min() - 0.6, place.max() + 0.6)
     axes.xaxis.set_major_locator(MaxNLocator(7, integer=True, min_n_ticks=1))
     axes.yaxis.set_major_locator(MaxNLocator(6))

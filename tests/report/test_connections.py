@@ -1,0 +1,191 @@
+"""What connections do: drifts, energy, forces that are left out, against numbers counted by hand and closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_estimates import Case, make_estimate, results_of
+from structures import braced, hysteretic
+
+from pinn_cli.model.misfit import Misfit
+from pinn_cli.record.record import Truth
+from pinn_cli.record.response import Response
+from pinn_cli.record.simulation import simulate
+from pinn_cli.report.connections import dissipated, dissipated_energy, drift_table, drifts, energy_table
+from pinn_cli.report.estimates import Histories
+from pinn_cli.report.figures.connections import Discrepancy, discrepancy_figure, drift_figure
+from pinn_cli.report.netcdf import response_dataset
+from pinn_cli.report.results import Results
+from pinn_cli.system import build_chain
+from pinn_cli.system.connection import Duffing, Linear
+from pinn_cli.system.labels import Labels
+from pinn_cli.training.estimate import ConnectionHistories
+
+TIME = np.linspace(0.0, 10.0, 1001)
+STILL = np.zeros((len(TIME), 3))
+CHAIN = build_chain(3, Linear(), m=1.0, c=1.0, k=15.0)
+NAMED = replace(CHAIN, labels=Labels(connections=("base", "middle", "brace")))
+
+
+def motion(scale: float = 1.0) -> np.ndarray:
+    """Drifts of 1, 2 and -4 mm at most, at 2, 5 and 8 s."""
+    pulses = [scale * 1e-3 * size * np.exp(-((TIME - at) ** 2)) for size, at in ((1, 2), (2, 5), (-4, 8))]
+    return np.cumsum(pulses, axis=0).T
+
+
+def found(structure=CHAIN, known=(0, 1, 2), std: np.ndarray | None = None) -> Histories:
+    """Drifts that are estimated a tenth too large."""
+    true = np.full(STILL.shape, np.nan)
+    true[:, known] = motion()[:, known]
+    connections = None if std is None else ConnectionHistories(STILL, std, std, std)
+    response = Response(TIME, motion(1.1), STILL, STILL, STILL)
+    estimate = replace(make_estimate().estimate, response=response, connections=connections)
+    return drifts(structure, estimate, Response(TIME, true, STILL, STILL, STILL))
+
+
+def test_peaks_and_their_times():
+    table = drift_table(found())
+    assert table["connection"].tolist() == ["1", "2", "3"]
+    np.testing.assert_allclose(table["peak"], [1.1e-3, 2.2e-3, 4.4e-3], rtol=1e-9)
+    np.testing.assert_allclose(table["true_peak"], [1e-3, 2e-3, 4e-3], rtol=1e-9)
+    np.testing.assert_allclose(table["time_of_peak"], [2.0, 5.0, 8.0])
+    np.testing.assert_allclose(table["true_time_of_peak"], [2.0, 5.0, 8.0])
+    np.testing.assert_allclose(table["error_percent"], 10.0)
+    assert table[["std", "lower_90", "upper_90"]].isna().all(axis=None)
+
+
+def test_the_interval_is_that_of_the_drift_at_its_peak():
+    spread = np.linspace(1e-4, 1.1e-3, len(TIME))[:, None] * np.ones(3)
+    table = drift_table(found(NAMED, std=spread))
+    assert table["connection"].tolist() == ["base", "middle", "brace"]
+    np.testing.assert_allclose(table["std"], [3e-4, 6e-4, 9e-4])
+    np.testing.assert_allclose(table["upper_90"], table["peak"] + 1.6448536 * table["std"])
+    np.testing.assert_allclose(table["lower_90"], table["peak"] - 1.6448536 * table["std"], atol=1e-12)
+    assert drift_table(found(std=10.0 * spread))["lower_90"].iloc[1] == 0.0
+
+
+def test_the_truth_of_a_drift_takes_both_ends():
+    table = drift_table(found(known=(0, 2)))
+    for name in ("true_peak", "true_time_of_peak", "error_percent"):
+        assert table[name].notna().tolist() == [True, False, False]
+
+
+def test_a_connection_of_a_frame_is_stretched_by_what_it_joins():
+    structure = braced()
+    response = Response(TIME, *(np.zeros((len(TIME), structure.ndof)) for _ in range(4)))
+    moved = replace(response, displacement=np.sin(TIME)[:, None] * np.array([1.0, 2.5, 3.0]))
+    stretched = drifts(structure, replace(make_estimate().estimate, response=moved), response)
+    expected = np.array([1.0, 1.5, 0.5, 2.5, 2.0, 0.8 * 1.0 - 0.6 * 3.0])
+    np.testing.assert_allclose(stretched.of("estimate")[100], np.sin(TIME[100]) * expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("structure", [CHAIN, NAMED])
+def test_histories_are_written_by_connection(structure):
+    case, stretched = make_estimate(ndof=3, samples=len(TIME)), found(structure)
+    record = replace(case.record, time=TIME)
+    response = Response(TIME, motion(1.1), STILL, STILL, STILL)
+    truth = Truth(Response(TIME, motion(), STILL, STILL, STILL), None)
+    estimate = replace(case.estimate, response=response)
+    dataset = response_dataset(results_of(case, prescribed=structure, estimate=estimate, record=record, truth=truth))
+    assert dataset["connection"].values.tolist() == list(stretched.places)
+    for name, source in (("drift", "estimate"), ("drift_std", "std"), ("drift_true", "true")):
+        np.testing.assert_allclose(dataset[name], stretched.of(source), atol=1e-15)
+        assert dataset[name].dims == ("time", "connection")
+        assert dataset[name].attrs["units"] == "m"
+
+
+def texts(figure) -> list[str]:
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def test_the_figure_shows_histories_and_peaks():
+    figure = drift_figure(found(std=np.full(STILL.shape, 2e-4)))
+    histories, peaks = figure.axes[:-1], figure.axes[-1]
+    assert [axes.get_ylabel() for axes in histories] == ["connection 1", "connection 2", "connection 3"]
+    assert all(len(axes.collections) == 1 for axes in histories)  # the band
+    np.testing.assert_allclose(peaks.get_lines()[0].get_xdata(), [1.1, 2.2, 4.4])  # mm
+    assert texts(figure) == ["truth", "estimate", "95 % band", "peak, 90 % interval"]
+    assert texts(drift_figure(found(known=()))) == ["estimate", "peak"]
+
+
+def test_many_connections_and_many_periods_are_cut_down():
+    time, size = np.linspace(0.0, 400.0, 40001), np.linspace(1.0, 2.0, 30)
+    waves = 1e-3 * size * np.sin(2.0 * np.pi * time)[:, None] * np.exp(-(((time - 300.0) / 60.0) ** 2))[:, None]
+    names = tuple(f"storey_{i}" for i in range(1, 31))
+    figure = drift_figure(Histories("drift", "connection", names, time, {"estimate": waves}))
+    assert [axes.get_ylabel() for axes in figure.axes[:-1]] == [f"storey_{i}" for i in range(23, 31)]
+    first, last = figure.axes[0].get_xlim()
+    assert last - first < 30.0
+    assert first < 300.0 < last
+    assert any("8 of 30" in text.get_text() for text in figure.texts)
+
+
+def test_a_damper_under_a_sine():
+    structure = build_chain(2, Duffing(), m=1.0, c=[2.0, 3.0], k=15.0, kappa=100.0)
+    time = np.linspace(0.0, 5.0, 2001)
+    u = np.outer(np.sin(2.0 * np.pi * time), [0.1, 0.3])
+    v = 2.0 * np.pi * np.outer(np.cos(2.0 * np.pi * time), [0.1, 0.3])
+    # pi c omega X^2 a cycle, five of them; springs give back what they take.
+    expected = 5 * np.pi * np.array([2.0, 3.0]) * 2.0 * np.pi * np.array([0.1, 0.2]) ** 2
+    np.testing.assert_allclose(dissipated(structure, Response(time, u, v, 0 * u, 0 * u)), expected)
+
+
+@pytest.mark.parametrize("structure", [braced(), hysteretic()], ids=["braced", "hysteretic"])
+def test_work_of_the_force_is_dissipated_where_the_motion_has_died_away(structure):
+    n, time = structure.ndof, np.linspace(0.0, 120.0, 2401)
+
+    def force(t: np.ndarray) -> np.ndarray:
+        return np.outer(np.exp(-(((t - 10.0) / 3.0) ** 2)) * np.sin(1.5 * t), np.arange(n) == n - 1) * 2.0
+
+    response = simulate(structure, force, time, substeps=1)
+    work = np.trapezoid(np.sum(force(time) * response.velocity, axis=1), time)
+    assert work > 0.1
+    # A hidden force that is left over holds a spring bent: that much is stored.
+    e = structure.elongation(response.displacement[-1])
+    p = structure.parameters_like(e)
+    left = 0.5 * np.sum(p["k"] * e**2)
+    stored = 0.0 if response.hidden is None else 0.5 * np.sum(response.hidden[-1] ** 2 / p["A"])
+    np.testing.assert_allclose(dissipated(structure, response).sum() + left + stored, work, rtol=2e-3)
+
+
+def test_the_table_of_energy():
+    case = make_estimate(ndof=3)
+    blank = np.zeros_like(case.record.force)
+    known = ConnectionHistories(*[blank] * 4, np.array([1.0, 2.0, 1.0]), np.array([0.1, 0.1, 0.2]))
+    results = results_of(case, estimate=replace(case.estimate, connections=known, parameters=[]))
+    table = energy_table(dissipated_energy(replace(results, true=results.prescribed)))
+    np.testing.assert_allclose(table["share_percent"], [25.0, 50.0, 25.0])
+    np.testing.assert_allclose(table["upper_90"] - table["dissipated"], 1.6448536 * np.array([0.1, 0.1, 0.2]))
+    np.testing.assert_allclose(table["true"], dissipated(results.prescribed, case.truth.response))
+    alone = results_of(case, estimate=replace(case.estimate, parameters=[]))
+    table = energy_table(dissipated_energy(alone))
+    np.testing.assert_allclose(table["dissipated"], dissipated(alone.prescribed, case.estimate.response))
+    assert table[["std", "lower_90", "true", "error_percent"]].isna().all(axis=None)
+
+
+def without(case: Case, friction: float, acting: float = 1.0) -> Results:
+    """Of a chain of three whose second connection rubs, N; and whose motion is a swept sine."""
+    time = case.record.time
+    phase = 2.0 * np.pi * (10.0 + 2.0 * time / time[-1]) * time / time[-1]
+    e = np.sin(phase)[:, None] * np.array([0.01, 0.02, 0.01])
+    force = friction * np.sign(np.gradient(e[:, 1]))
+    # What the coordinates feel beside the law and the inputs: B' r with the other sign.
+    misfit = Misfit.of(case.record.step, np.column_stack((force, -force, 0.0 * force)), acting, 0.0)
+    none = np.zeros_like(e)
+    known = ConnectionHistories(e, none, none, none)
+    estimate = replace(case.estimate, misfit=misfit, connections=known, parameters=[])
+    return results_of(case, prescribed=CHAIN, estimate=estimate)
+
+
+def test_what_is_left_out_is_that_of_the_connection_that_lacks_most(make_case):
+    lacking = Discrepancy.of(without(make_case(ndof=3), 0.2))
+    assert lacking is not None
+    assert lacking.connection == "2"
+    assert np.median(np.abs(lacking.force)) == pytest.approx(0.2, rel=0.01)
+    assert lacking.explained_by(lacking.velocity)[2] > 0.8
+    assert lacking.explained_by(lacking.elongation)[2] < 0.2
+    assert np.corrcoef(lacking.force, np.sign(lacking.velocity))[0, 1] == pytest.approx(1.0, abs=0.02)
+    assert len(discrepancy_figure(lacking).axes) == 4
+    assert Discrepancy.of(without(make_case(ndof=3), 0.2, acting=1e3)) is None

@@ -1,0 +1,138 @@
+"""response.nc written and read back, and posterior.nc as ArviZ reads it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+from fake_posteriors import DUFFING, LABELS, make_record, make_result, make_samples, parameters_of
+from small_estimates import results_of
+
+from pinn_cli.posterior.result import ForcePredictive
+from pinn_cli.record.record import Truth
+from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, UNITS, Response
+from pinn_cli.report.netcdf import (
+    netcdf_attributes,
+    posterior_groups,
+    response_dataset,
+    write_dataset,
+    write_posterior_data,
+)
+from pinn_cli.system.parameters import Parameter
+
+arviz = pytest.importorskip("arviz")
+
+
+@pytest.fixture
+def written(make_case, tmp_path):
+    case = make_case(ndof=3, observed=2)
+    place = write_dataset(response_dataset(results_of(case)), tmp_path / "response.nc")
+    assert list(tmp_path.iterdir()) == [place]
+    with xr.open_dataset(place, engine="h5netcdf") as read:
+        yield case, read
+
+
+def test_every_quantity_comes_in_four(written):
+    case, read = written
+    for quantity in QUANTITIES:
+        sources = {"": case.estimate.response, "_std": case.estimate.std, "_true": case.truth.response}
+        for suffix, source in sources.items():
+            np.testing.assert_array_equal(read[quantity + suffix], getattr(source, quantity))
+            assert read[quantity + suffix].dims == ("time", "dof")
+            assert read[quantity + suffix].attrs["units"] == UNITS[quantity]
+    np.testing.assert_array_equal(read["acceleration_observed"], case.record.acceleration)
+    assert read["displacement_observed"].isnull().all()
+    # The zeros of unforced DOFs are knowledge, not measurements.
+    assert read["force_observed"].notnull().all("time").values.tolist() == [True, False, False]
+
+
+def test_coordinates_and_attributes(written):
+    case, read = written
+    assert read["dof"].values.tolist() == [1, 2, 3]
+    np.testing.assert_array_equal(read["time"], case.record.time)
+    assert read["observed"].values.tolist() == [True, True, False]
+    assert read["unforced"].values.tolist() == [False, True, True]
+    assert (read.attrs["case"], read.attrs["ndof"]) == ("small", 3)
+    assert netcdf_attributes({"a": None, "b": False, "c": "x"}) == {"b": 0, "c": "x"}
+
+
+def test_a_free_run_is_of_the_motion_only(make_case):
+    case = make_case(ndof=2, observed=1)
+    free = case.truth.response
+    dataset = response_dataset(results_of(case), free)
+    for quantity in RESPONSE_QUANTITIES:
+        np.testing.assert_array_equal(dataset[f"{quantity}_free_run"], getattr(free, quantity))
+    assert "force_free_run" not in dataset
+
+
+def test_unknown_truth_is_left_out(make_case):
+    case = make_case(ndof=2, observed=1)
+    nothing = Truth(Response.unknown(case.record.time, 2), None)
+    dataset = response_dataset(results_of(case, truth=nothing))
+    assert not [name for name in dataset if str(name).endswith(("_true", "_free_run"))]
+
+
+def test_variables_of_a_baseline_carry_its_name(make_case):
+    case = make_case(ndof=3)
+    dataset = response_dataset(results_of(case, baseline=case.estimate))
+    for quantity in QUANTITIES:
+        assert dataset[f"{quantity}_kalman_smoother"].attrs["units"] == UNITS[quantity]
+        assert dataset[f"{quantity}_kalman_smoother_std"].shape == dataset[quantity].shape
+
+
+def read_back(result, record, path, labels=LABELS):
+    groups = posterior_groups(result, record, parameters_of(result.samples), labels)
+    return arviz.from_netcdf(write_posterior_data(groups, path / "posterior.nc"))
+
+
+def test_arviz_reads_every_group(tmp_path):
+    samples, record = make_samples(forces=2), make_record()
+    result = make_result(samples, record)
+    data = read_back(result, record, tmp_path)
+    assert set(data.groups()) == {"posterior", "prior", "posterior_predictive", "observed_data", "sample_stats"}
+    assert list(data.posterior.data_vars) == [*DUFFING, "sigma_force"]
+    np.testing.assert_array_equal(data.posterior["kappa_2"], samples.draws[..., 5])
+    np.testing.assert_array_equal(data.posterior["force_dof"], [1, 2])
+    assert dict(data.prior.sizes) == {"chain": 1, "draw": 500}
+    np.testing.assert_array_equal(data.sample_stats["lp"], samples.statistics["lp"])
+    assert (arviz.summary(data, var_names=list(DUFFING), kind="diagnostics")["r_hat"] < 1.05).all()
+    predicted, observed = data.posterior_predictive["force"], data.observed_data["force"]
+    assert predicted.dims == ("chain", "draw", "time", "dof")
+    np.testing.assert_allclose(predicted, result.predictive.force, rtol=1e-6)
+    np.testing.assert_array_equal(predicted["draw"], np.arange(0, 200, 10))
+    np.testing.assert_array_equal(observed, record.force[::2])
+    np.testing.assert_array_equal(observed["time"], record.time[::2])
+
+
+def test_the_force_on_the_last_dof_is_its_own_column(tmp_path):
+    record = make_record(dofs=3)
+    samples = replace(make_samples(), force_dofs=np.array([3]))
+    data = read_back(make_result(samples, record), record, tmp_path)
+    np.testing.assert_array_equal(data.observed_data["force"][:, 0], record.force[::2, 2])
+
+
+def test_units_attributes_and_what_there_is_not(tmp_path):
+    result = make_result(make_samples(statistics={}, method="laplace", chains=1))
+    data = read_back(result, make_record(), tmp_path, LABELS | {"snr_db": None})
+    assert set(data.groups()) == {"posterior", "prior"}
+    units = {name: data.posterior[name].attrs["units"] for name in ("c_1", "k_2", "kappa_2", "sigma_force")}
+    assert units == {"c_1": "N s/m", "k_2": "N/m", "kappa_2": "N/m^3", "sigma_force": "N"}
+    assert (data.attrs["method"], data.attrs["case"]) == ("laplace", "pe")
+    assert "snr_db" not in data.attrs
+    assert data.posterior.attrs["tuning_steps"] == 100
+    groups = posterior_groups(make_result(make_samples(("k_1",))), make_record(), [Parameter("k", 0)], LABELS)
+    assert "units" not in groups["posterior"]["k_1"].attrs
+
+
+def test_a_predicted_force_of_another_shape_is_refused():
+    with pytest.raises(ValueError, match=r"\(4, 20, 100, 1\); it must be \(chains, 20, 200, dofs\)"):
+        ForcePredictive(np.arange(20), np.arange(200), np.zeros((4, 20, 100, 1)))
+
+
+def test_arviz_is_not_imported():
+    code = "import sys, pinn_cli.report.run_report; sys.exit('arviz' in sys.modules or 'xarray' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

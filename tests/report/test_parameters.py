@@ -1,0 +1,195 @@
+"""The tables of parameters: estimates of a training and of draws, how well they are determined, and what is printed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from fake_posteriors import CORRELATION, DUFFING, make_diagnostics, make_samples, true_parameters
+from small_estimates import parameter_estimate
+
+from pinn_cli.model.knowledge import ParameterKnowledge
+from pinn_cli.report.parameters import (
+    PARAMETER_COLUMNS,
+    WELL_DETERMINED,
+    correlation_table,
+    identifiability_table,
+    identifiability_warnings,
+    parameter_estimates,
+    parameter_table,
+    posterior_correlation,
+    worst_sampled,
+)
+from pinn_cli.report.terminal.columns import MARK, WIDTH
+from pinn_cli.report.terminal.tables import PARAMETERS_SHOWN, diagnostics_text
+from pinn_cli.system.parameters import Parameter
+from pinn_cli.training.estimate import Changes, ParameterEstimate
+
+NAN = float("nan")
+MANY = [f"{symbol}_{i}" for symbol in ("c", "k", "kappa") for i in range(1, 11)]
+
+
+def parameter(
+    name: str, estimate: float = 15.0, std: float = 0.15, prior_std: float = 10.0, unknown: bool = True
+) -> ParameterEstimate:
+    lower, upper = estimate - 1.645 * std, estimate + 1.645 * std
+    return parameter_estimate(name, 10.0, estimate, std, lower, upper, prior_std, unknown)
+
+
+def correlated(value: float, count: int = 2) -> np.ndarray:
+    """All of ``count`` parameters independent, but for the first two."""
+    matrix = np.eye(count)
+    matrix[0, 1] = matrix[1, 0] = value
+    return matrix
+
+
+def test_an_error_is_relative_to_the_truth():
+    estimates = [parameter("k_2", 14.7), parameter("kappa_1", 0.0), parameter("c_1")]
+    table = parameter_table(estimates, {"k": np.array([1.0, 15.0]), "kappa": np.array([0.0, 7.0])})
+    np.testing.assert_allclose(table["true"], [15.0, 0.0, NAN])
+    np.testing.assert_allclose(table["error_percent"], [2.0, NAN, NAN])
+    assert list(parameter_table([])) == list(PARAMETER_COLUMNS)
+
+
+def test_an_unknown_parameter_has_a_start_and_nothing_prescribed():
+    table = parameter_table([parameter("k_1", unknown=False), parameter("k_2")])
+    np.testing.assert_array_equal(table["prescribed"], [10.0, NAN])
+    np.testing.assert_array_equal(table["start"], [NAN, 10.0])
+
+
+def test_numbers():
+    parameters = [parameter("k_2"), parameter("k_4", -10.0, 1.0, 0.0), parameter("c_1", 1.0, 0.07, 0.075, False)]
+    correlation = np.array([[1.0, 0.3, -0.4], [0.3, 1.0, 0.1], [-0.4, 0.1, 1.0]])
+    table = identifiability_table(parameters, correlation)
+    np.testing.assert_allclose(table["std_ratio"], [0.015, NAN, 0.07 / 0.075])
+    np.testing.assert_allclose(table["relative_std_percent"], [1.0, 10.0, 7.0])
+    np.testing.assert_allclose(table["largest_correlation"], [-0.4, 0.3, -0.4])
+    assert table["correlated_with"].tolist() == ["c_1", "k_2", "k_2"]
+    assert table["verdict"].tolist()[:2] == [WELL_DETERMINED, WELL_DETERMINED]
+    assert "rests on its prescribed value" in table["verdict"][2]
+    assert identifiability_warnings(parameters, None) == []  # what was prescribed is not warned of
+
+
+@pytest.mark.parametrize("correlation", [None, np.eye(1)])
+def test_one_parameter_or_no_correlation_has_no_neighbour(correlation):
+    table = identifiability_table([parameter("k_1")], correlation)
+    assert table[["largest_correlation", "correlated_with"]].isna().all(axis=None)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (parameter("kappa_2", 100.0, 48.0, 500.0), "poorly determined"),
+        (parameter("kappa_2", 100.0, 62.0, 500.0), "cannot be told from zero"),
+        (parameter("k_2", -10.0, 9.0, 500.0), "cannot be told from zero"),
+        (replace(parameter("k_2", 0.8, 0.6), held=True, upper_90=2.0), "below 2 (95 %)"),
+        (replace(parameter("kappa_2", 15.0, 1.0), held=True), "held at its lower bound"),
+        (parameter("k_2", 15.0, 8.3), "nearly nothing"),
+        (parameter("k_2", 60.0, 6.0), "leans on its prior"),
+    ],
+)
+def test_the_gravest_thing_is_told_of_each(given, told):
+    (line,) = identifiability_warnings([given], None)
+    assert given.name in line
+    assert told in line
+    assert len(line) <= WIDTH - len(MARK)
+
+
+def test_an_update_is_judged_by_what_was_believed_before_the_first_record(make_case):
+    last = [parameter("k_2", 60.0, 6.0), parameter("k_3", 60.0, 8.0), parameter("c_1", 10.0, 0.9, 0.9, unknown=False)]
+    assert len(identifiability_warnings(last, None)) == 2  # each leans on what the records before say
+    nothing = np.zeros(3)
+    known = ParameterKnowledge(nothing, np.eye(3), nothing, nothing, np.array([600.0, 10.0, 9.0]))
+    changes = Changes((), (), 1.0, 1e-3, *[nothing] * 4)
+    update = replace(make_case().estimate, parameters=last, known=known, changes=changes)
+    table = identifiability_table(update.before_any_record, None)
+    assert table["prior_std"].tolist() == [600.0, 10.0, 9.0]
+    assert [verdict == WELL_DETERMINED for verdict in table["verdict"]] == [True, False, True]
+    assert replace(update, changes=None).before_any_record is last
+
+
+def test_parameters_that_stand_in_for_each_other():
+    parameters = [parameter("k_2", std=1.5), parameter("k_3", std=1.5), parameter("k_4")]
+    correlation = correlated(-0.98, 3)
+    (told,) = identifiability_warnings(parameters, correlation)
+    assert "k_2 and k_3" in told
+    assert identifiability_table(parameters, correlation)["verdict"].tolist() == [told, told, WELL_DETERMINED]
+    beside = [parameter("k_2", std=1.5), parameter("k_3", std=1.1, prior_std=4.0, unknown=False)]
+    (told,) = identifiability_warnings(beside, correlated(0.97))
+    assert "prescribed k_3" in told
+    assert identifiability_table(beside, correlated(0.97))["verdict"].tolist() == [told, WELL_DETERMINED]
+    # What is known anyway is well determined, whatever shares its error.
+    well = [parameter("k_2", std=0.01), parameter("kappa_2", 100.0, 20.0, 900.0)]
+    assert identifiability_warnings(well, correlated(-0.99)) == []
+
+
+def test_a_training_without_standard_deviations_is_told_once():
+    parameters = [parameter(f"k_{i}", std=NAN) for i in (2, 4)]
+    assert len(identifiability_warnings(parameters, None)) == 1
+    assert identifiability_table(parameters, None)["verdict"].str.contains("no standard deviation").all()
+
+
+def test_correlation_table():
+    table = correlation_table([parameter("k_2"), parameter("k_4")], correlated(0.25)).set_index("parameter")
+    assert list(table) == list(table.index) == ["k_2", "k_4"]
+    np.testing.assert_array_equal(table, [[1.0, 0.25], [0.25, 1.0]])
+
+
+def test_estimates_of_known_draws():
+    draws = np.arange(1.0, 102.0).reshape(1, 101, 1)
+    samples = replace(make_samples(("k_1",)), draws=draws, prior=np.array([[0.0], [2.0], [4.0]]))
+    (k,) = parameter_estimates(samples, [Parameter("k", 0, 7.0)])
+    assert (k.name, k.prescribed, k.unknown) == ("k_1", 7.0, True)
+    assert (k.estimate, k.lower_90, k.upper_90) == pytest.approx((51.0, 6.0, 96.0))
+    assert k.std == pytest.approx(np.std(draws, ddof=1))
+    assert k.prior_std == pytest.approx(2.0)
+
+
+def test_estimates_of_draws_make_the_parameter_table():
+    estimates = parameter_estimates(make_samples(), [parameter(name).parameter for name in DUFFING])
+    table = parameter_table(estimates, true_parameters()).set_index("parameter")
+    assert list(table.index) == list(DUFFING)
+    assert (table["error_percent"] < 1.0).all()
+    assert ((table["lower_90"] < table["estimate"]) & (table["estimate"] < table["upper_90"])).all()
+
+
+def test_correlation_of_draws():
+    draws = make_samples().pooled
+    correlation = posterior_correlation(draws)
+    assert correlation[2, 4] == pytest.approx(CORRELATION, abs=0.03)
+    np.testing.assert_allclose(correlation, np.corrcoef(draws, rowvar=False), atol=1e-12)
+    still = draws.copy()
+    still[:, 0] = 1.0
+    correlation = posterior_correlation(still)
+    assert np.isnan(correlation[0, 1:]).all()
+    assert np.isfinite(correlation[1:, 1:]).all()
+
+
+def test_the_worst_sampled_keep_their_order():
+    diagnostics = make_diagnostics(make_samples()).assign(ess_tail=[900.0, 800.0, 10.0, 900.0, 20.0, 900.0])
+    assert worst_sampled(diagnostics, 3) == ["c_1", "k_1", "kappa_1"]
+    assert worst_sampled(diagnostics, 9) == list(DUFFING)
+
+
+@pytest.mark.parametrize("names", [("k_1",), DUFFING, MANY], ids=len)
+def test_the_printed_diagnostics_fit_and_show_the_worst_of_many(names):
+    diagnostics = make_diagnostics(make_samples(names, draws=50))
+    diagnostics.loc[0, ["mean", "std", "lower_90", "upper_90"]] = [-1.2345e12, 3.2e-12, -1.2345e12, -1.2345e-12]
+    lines = diagnostics_text(diagnostics, ["R-hat of k_1 is 1.03, and the chains have not mixed " * 3]).splitlines()
+    assert max(map(len, lines)) <= WIDTH
+    assert sum(line.split()[0] in names for line in lines) == min(len(names), PARAMETERS_SHOWN)
+    assert any("diagnostics.csv" in line for line in lines) == (len(names) > PARAMETERS_SHOWN)
+
+
+def test_what_is_printed_of_the_sampling():
+    diagnostics = make_diagnostics(make_samples())
+    text = diagnostics_text(diagnostics)
+    assert text.splitlines()[4].split()[-4:-1] == ["1.002", "1620", "1520"]
+    assert text.endswith("passed")
+    assert "FAILED: 3 divergences" in diagnostics_text(diagnostics, ("3 divergences",))
+    unknown = dict.fromkeys(["r_hat", "ess_bulk", "ess_tail", "mcse_mean"], np.nan)
+    text = diagnostics_text(pd.DataFrame(diagnostics.assign(**unknown)))
+    assert text.splitlines()[2].split()[-4:] == ["-"] * 4
+    assert "passed" not in text

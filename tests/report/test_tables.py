@@ -1,0 +1,167 @@
+"""The tables of both estimators, and what a run prints: it fits 100 columns and says what it leaves out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_estimates import parameter_estimate, results_of
+
+from pinn_cli.record.response import Response
+from pinn_cli.report import published
+from pinn_cli.report.fitness import fitness_table
+from pinn_cli.report.free_run import FreeRun, free_run_table
+from pinn_cli.report.parameters import parameter_table
+from pinn_cli.report.record_report import EstimatorTables
+from pinn_cli.report.terminal.columns import WIDTH
+from pinn_cli.report.terminal.tables import (
+    comparison_text,
+    fitness_text,
+    free_run_line,
+    parameters_text,
+    sensors_text,
+)
+from pinn_cli.training.estimate import ParameterEstimate
+
+
+def tables(case, name="pinn", estimate=None) -> EstimatorTables:
+    return EstimatorTables.of(name, results_of(case).run, estimate or case.estimate, case.record, case.truth)
+
+
+def fits(text: str) -> bool:
+    return max(map(len, text.splitlines())) <= WIDTH
+
+
+def test_rows_of_a_baseline_lie_below_those_of_the_network(make_case):
+    case = make_case(ndof=3)
+    ours = tables(case)
+    both = ours.above(tables(case, "kalman_smoother"))
+    for name in ("fitness", "parameters", "residuals"):
+        table, rows = getattr(both, name), len(getattr(ours, name))
+        assert list(table.columns) == list(getattr(ours, name).columns)
+        assert table["estimator"].tolist() == ["pinn"] * rows + ["kalman_smoother"] * rows
+    none = tables(case, estimate=replace(case.estimate, parameters=[]))
+    assert list(none.above(none).parameters.columns) == list(ours.parameters.columns)
+
+
+@pytest.mark.parametrize("worse", [1.0, -1e6])
+def test_the_text_compares_both(make_case, worse):
+    case = make_case(ndof=6)
+    response = replace(case.estimate.response, displacement=worse * case.estimate.response.displacement)
+    theirs = tables(case, "kalman_smoother", replace(case.estimate, response=response))
+    text = comparison_text(tables(case), theirs, {"estimate": 1.26, "baseline": 12.0})
+    assert fits(text)
+    rows = [line.split() for line in text.splitlines()[-2:]]
+    assert [(row[0], row[-1]) for row in rows] == [("pinn", "1.3"), ("kalman_smoother", "12.0")]
+
+
+@pytest.mark.parametrize("ndof", [1, 6, 20])
+def test_fitness_and_parameters_fit(ndof, make_case):
+    case = make_case(ndof=ndof, observed=1)
+    text = fitness_text(tables(case).fitness, case.record.observed, published.fitness())
+    assert fits(text)
+    assert ("fitness.csv" in text) == (ndof > 10)
+    text = parameters_text(tables(case).parameters)
+    assert fits(text)
+    assert ("the 24 of 60" in text) == (ndof == 20)
+
+
+def test_rows_of_a_short_chain(make_case):
+    case = make_case(ndof=3, observed=2)
+    lines = fitness_text(tables(case).fitness, case.record.observed).splitlines()
+    names = [line.split("  ")[0].rstrip() for line in lines[3:]]
+    assert names[:-1] == ["all", "first", "last", "observed", "unobserved", "dof_1", "dof_2", "dof_3 *"]
+    assert lines[-2].split()[5] == "-"  # no force on the last DOF: an empty cell
+
+
+def test_published_rows_of_this_case_only(make_case):
+    case = make_case()
+    labels = case.labels | {"case": "sr_6dof_snr50"}
+    assert fitness_text(tables(case).fitness, published=published.fitness_of(labels)).count("published") == 3
+    for other in ({"case": "small"}, {"ndof": 7}, {"snr_db": 20.0}):
+        assert published.fitness_of(labels | other).empty
+
+
+def test_of_held_out_sensors_only_what_can_be_scored_is_printed(make_case):
+    case = make_case(ndof=3, observed=2)
+    unknown = Response.unknown(case.record.time, 3)
+    table = fitness_table(case.estimate.response, unknown, case.record.observed)
+    assert fitness_text(table) == ""
+    held_out = np.where([False, False, True], case.truth.response.acceleration, np.nan)
+    table = fitness_table(case.estimate.response, replace(unknown, acceleration=held_out), case.record.observed)
+    lines = fitness_text(table, case.record.observed).splitlines()
+    assert lines[1].split() == ["DOFs", "accel.", "accel."]
+    assert [line.split()[0] for line in lines[3:-1]] == ["all", "last", "unobserved", "dof_3"]
+
+
+def identified(count: int = 2) -> list[ParameterEstimate]:
+    """Every second parameter of two kinds is unknown; of the prescribed ones, the last moved furthest."""
+    return [
+        parameter_estimate(f"{kind}_{i}", 10.0, 10.0 + i, 0.1, 9.0 + i, 11.0 + i, 5.0, unknown=i % 2 == 0)
+        for kind in ("k", "kappa")
+        for i in range(1, 2 * count + 1)
+    ]
+
+
+def test_unknown_parameters_come_first_and_are_marked():
+    lines = parameters_text(parameter_table(identified())).splitlines()
+    names = [line.split("  ")[0] for line in lines]
+    assert names[2:6] == ["k_2 *", "k_4 *", "kappa_2 *", "kappa_4 *"]
+    assert lines[0].split()[:3] == ["parameter", "start", "estimate"]
+    assert lines[7].split()[:3] == ["parameter", "prescribed", "estimate"]
+    assert names[9:13] == ["k_1", "k_3", "kappa_1", "kappa_3"]
+    alone = parameters_text(parameter_table([p for p in identified() if p.unknown]))
+    assert "prescribed" not in alone.splitlines()[0]
+    assert parameters_text(parameter_table([])) == ""
+
+
+def test_all_unknown_parameters_are_shown_and_a_handful_of_the_prescribed():
+    lines = parameters_text(parameter_table(identified(count=20))).splitlines()
+    assert sum(" * " in line for line in lines) == 40
+    assert len([line for line in lines[42:] if line.startswith("k")]) == 8
+    assert lines[45].startswith("k_33 ")
+
+
+def test_warnings_are_marked_counted_and_fit():
+    warnings = [f"k_{i} " + "can hardly be told from the others " * 3 for i in range(15)]
+    text = parameters_text(parameter_table(identified()), warnings)
+    assert text.count("! ") == 12 + 1
+    assert "3 more" in text.splitlines()[-1]
+    assert fits(text)
+
+
+def test_a_baselines_parameters_stand_beside_ours_where_there_is_no_truth(make_case):
+    theirs = parameter_table([replace(p, estimate=77.0, std=0.5) for p in identified()])
+    other = replace(tables(make_case(), "kalman_smoother"), parameters=theirs)
+    text = parameters_text(parameter_table(identified()), baseline=other)
+    assert text.splitlines()[2].split()[-2:] == ["77.000", "0.50"]
+    assert fits(text)
+    known = parameter_table(identified(), {"k": np.ones(4), "kappa": np.ones(4)})
+    assert "kalman_smoother" not in parameters_text(known, baseline=other)
+
+
+def test_sensors_have_a_line_each_with_units_and_no_dashes(make_case):
+    lines = sensors_text([tables(make_case(ndof=3, observed=2))]).splitlines()
+    units = [["acceleration", "1", "m/s^2"], ["acceleration", "2", "m/s^2"], ["force", "1", "N"]]
+    assert [line.split()[:3] for line in lines[2:5]] == units
+    assert "noise" not in lines[0]  # none was found, and there is no free run
+    assert all(cell != "-" for line in lines[2:5] for cell in line.split())
+
+
+def test_sensors_beside_a_baseline_fit_and_of_many_the_worst_are_shown(make_case):
+    case = make_case(ndof=40, observed=40)
+    estimate = replace(case.estimate, summary={"sigma_acceleration": [1e-7] * 40, "sigma_force": [1e-7] * 40})
+    both = (tables(case, name, estimate) for name in ("pinn", "kalman_smoother"))
+    text = sensors_text([next(both)], next(both))
+    assert fits(text)
+    assert "kalman_smoother (%)" in text
+    assert sum(line.startswith(("acceleration", "force")) for line in text.splitlines()) == 24
+
+
+def test_a_free_run_in_a_sentence(make_case):
+    case = make_case(ndof=2)
+    run = FreeRun(case.estimate.response)
+    table = free_run_table(run, case.estimate, case.record, Response.unknown(case.record.time, 2))
+    assert "100.00 %" in free_run_line(run, table)
+    assert free_run_line(FreeRun(None, "no force"), table) == "no force"
