@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_estimates import Case, results_of
 from small_problems import excitation, measured, small_chain
 from structures import hysteretic
 

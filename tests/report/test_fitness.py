@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pinn_cli.record.response import QUANTITIES, Response
+from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report.fitness import both_formulas, fitness_percent, fitness_table
 from pinn_cli.report.results import LABELS, with_labels
 
@@ -71,13 +71,6 @@ def test_group_averages_go_over_the_filled_cells(make_case):
     assert cells["unobserved", "velocity"] == pytest.approx(np.mean(by_dof[2:]))
     assert cells["all", "force"] == cells["first", "force"] == cells["dof_1", "force"]
     assert all(np.isnan(cells[group, "force"]) for group in ("dof_2", "last", "unobserved"))
-
-
-def test_unknown_truth_is_an_empty_table(make_case):
-    case = make_case()
-    nothing = Response.unknown(case.record.time, case.record.ndof)
-    table = fitness_table(case.estimate.response, nothing, case.record.observed)
-    assert table[["fitness_percent", "range_fitness_percent"]].isna().all(axis=None)
 
 
 def test_a_quantity_that_is_not_estimated_is_empty(make_case):

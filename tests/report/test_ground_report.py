@@ -89,14 +89,6 @@ def test_the_ground_has_a_row_of_residuals(shaken):
     assert "ground_acceleration" not in text
 
 
-def test_an_estimator_without_the_ground_leaves_its_row_empty(shaken):
-    case = without_estimate(shaken)
-    row = residual_table(case.estimate, case.record).iloc[-1]
-    assert row["quantity"] == "ground_acceleration"
-    assert row[["residual_rms", "nmse_percent", "whiteness", "sigma"]].isna().all()
-    assert row["signal_rms"] > 0.5
-
-
 def labels(figure):
     return [axes.get_ylabel() for axes in figure.axes]
 

@@ -14,7 +14,6 @@ from pinn_cli.report.modes import ModeEstimates, mode_table
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.labels import Labels
-from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
 
 Z = 1.6448536269514722
@@ -69,16 +68,6 @@ def test_a_frequency_goes_with_the_root_of_a_common_stiffness():
     )
 
 
-def test_a_sensor_has_no_part_in_it():
-    structure = chain()
-    estimate = estimated(structure, {"k": 0.01})
-    gain = ParameterEstimate(Parameter("gain", 0, 1.0, label="a1"), 1.1, 0.1, 0.9, 1.3)
-    beside = replace(estimate, parameters=[gain, *estimate.parameters], correlation=np.eye(4))
-    alone, together = (ModeEstimates.of(structure, each) for each in (estimate, beside))
-    np.testing.assert_array_equal(alone.frequency_interval, together.frequency_interval)
-    np.testing.assert_array_equal(alone.frequencies, together.frequencies)
-
-
 def test_beside_a_bound_an_interval_is_lopsided():
     structure = build_chain(1, Linear(), m=2.0, c=4.0, k=800.0)
     estimate = estimated(structure, {"c": 0.5})
@@ -128,13 +117,6 @@ def test_the_figure(named):
     assert names == (["a", "b", "c"] if named else ["1", "2", "3"])
     first = figure.axes[0].get_lines()[-1]
     assert len(first.get_xdata()) == (3 if named else 4)  # a chain's shape begins at the fixed end
-
-
-def test_of_many_modes_the_lowest_are_drawn():
-    structure = build_chain(15, Linear(), m=2.0, c=4.0, k=800.0)
-    figure = modes_figure(ModeEstimates.of(structure, estimated(structure, {"k": 0.01})))
-    assert sum(bool(axes.get_title()) for axes in figure.axes) == 12
-    assert any("12 lowest of 15" in text.get_text() for text in figure.texts)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
-import xarray as xr
 from fake_posteriors import (
     DUFFING,
     LABELS,
@@ -29,7 +28,6 @@ from pinn_cli.report.figures.posterior import (
     correlation_text,
     force_predictive_figure,
     most_correlated,
-    parameter_label,
     posterior_pairs_figure,
     predictive_window,
     rank_figure,
@@ -38,7 +36,6 @@ from pinn_cli.report.figures.posterior import (
 from pinn_cli.report.netcdf import posterior_groups
 from pinn_cli.report.parameters import DIAGNOSTICS
 from pinn_cli.report.run_report import write_posterior
-from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import ParameterEstimate
 
 TRUE = true_parameters(4)
@@ -156,18 +153,6 @@ def test_axes_show_the_truth_unless_it_is_far():
     assert "true value" not in _texts(far)
 
 
-@pytest.mark.parametrize(
-    ("scale", "label"),
-    [(1.0, "$k_{1}$ (N/m)"), (1e6, "$k_{1}$ ($10^{6}$ N/m)"), (1e-6, "$k_{1}$ ($10^{-6}$ N/m)")],
-)
-def test_large_and_small_values_have_a_power_of_ten(scale, label):
-    values = scale * np.random.default_rng(0).normal(15.0, 0.1, (2, 500))
-    parameter = Parameter("k", 0, unit="N/m")
-    assert parameter_label(parameter, float(values.max())) == (label, pytest.approx(1.0 / scale))
-    figure = _drawn(posterior_pairs_figure(xr.Dataset({"k_1": (("chain", "draw"), values)}), [parameter]))
-    assert 14.0 < float(figure.axes[0].get_xticklabels()[0].get_text()) < 16.0
-
-
 def test_divergent_iterations_are_marked():
     samples = make_samples(warmup=100)
     samples.statistics["diverging"][1, [10, 20]] = True
@@ -175,14 +160,6 @@ def test_divergent_iterations_are_marked():
     assert "2 divergent" in _texts(figure)
     np.testing.assert_array_equal(figure.axes[1].lines[-1].get_xdata(), [111, 121])
     assert _texts(_trace()) == [f"chain {i}" for i in range(1, 5)]
-
-
-def test_shown_parameters_and_their_number():
-    draws, statistics, parameters = _groups(names=TWELVE)
-    shown = [parameter for parameter in parameters if parameter.name in ("k_2", "kappa_4", "c_1")]
-    figure = trace_figure(draws, statistics, shown, 12)
-    assert [axes.get_ylabel().split("$")[1] for axes in figure.axes[::2]] == ["c_{1}", "k_{2}", r"\kappa_{4}"]
-    assert _notes(figure) == ["3 of 12 parameters"]
 
 
 def test_a_single_chain_is_compared_with_itself():

@@ -12,14 +12,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from calls import SMALL
 from fake_posteriors import DUFFING, make_result, make_samples
-from small_estimates import parameter_estimate
+from small_estimates import parameter_estimate, results_of
 
-from pinn_cli.cli.config import RunConfig
 from pinn_cli.report import figures, run_report
-from pinn_cli.report.parameters import PARAMETER_COLUMNS
-from pinn_cli.report.results import LABELS, Results
+from pinn_cli.report.results import LABELS
 from pinn_cli.runs.cores import usable_cores
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import WriteError
@@ -36,82 +33,80 @@ def report_of(results, directory):
 
 
 @pytest.fixture
-def reported(composed, make_case, tmp_path, monkeypatch):
-    """Report the small estimate with these parameters unknown; returns the folder and the text."""
-    # They are tested where they are drawn, and take seconds.
+def results(make_case, monkeypatch):
+    """Of the small estimate, with these parameters unknown; figures are tested where they are drawn."""
     monkeypatch.setattr(figures, "write_figures", lambda *_, **__: [])
 
-    def report(*unknown: str, **changes: object):
+    def results_with(*unknown: str, **changes: object):
         case = make_case(ndof=3, observed=2)
         parameters = [
             replace(p, parameter=replace(p.parameter, unknown=p.name in unknown, prior_std=p.prescribed))
             for p in case.estimate.parameters
         ]
-        changes = {"correlation": np.eye(len(parameters)), **changes}
-        estimate = replace(case.estimate, parameters=parameters, **changes)
-        config = RunConfig.read(composed(*SMALL))
-        results = Results(config.description, config.structure, case.record, case.truth, estimate)
-        return tmp_path, report_of(results, tmp_path)
+        changes = {"correlation": np.eye(len(parameters)), "parameters": parameters, **changes}
+        return results_of(case, estimate=replace(case.estimate, **changes))
 
-    return report
+    return results_with
 
 
-def test_unknown_parameters_bring_their_tables_and_verdict(reported):
-    directory, text = reported("k_2", "kappa_2")
-    table = pd.read_csv(directory / "identifiability.csv").set_index("parameter")
+COLUMNS = {
+    "drift": "connection peak std lower_90 upper_90 time_of_peak true_peak true_time_of_peak error_percent",
+    "energy": "connection dissipated std lower_90 upper_90 share_percent true error_percent",
+    "fitness": "group quantity fitness_percent range_fitness_percent",
+    "free_run": "against group quantity fitness_percent range_fitness_percent",
+    "identifiability": "parameter prior_std std std_ratio relative_std_percent largest_correlation correlated_with"
+    " verdict",
+    "modes": "mode frequency lower_90 upper_90 damping_ratio damping_ratio_lower_90 damping_ratio_upper_90 mac"
+    " prescribed_frequency prescribed_damping_ratio true_frequency true_damping_ratio frequency_error_percent"
+    " damping_ratio_error_percent true_mac shape_1 shape_2 shape_3",
+    "parameters": "parameter true prescribed start estimate error_percent std lower_90 upper_90",
+    "residuals": "quantity dof samples signal_rms residual_rms nmse_percent sigma residual_over_sigma mean_residual"
+    " whiteness largest_autocorrelation spectrum_deviation band_low_hz band_high_hz band_share_percent"
+    " free_run_nmse_percent clipped_percent constant_percent channel",
+}
+
+
+def test_the_columns_that_other_programs_read(results, tmp_path):
+    report_of(results("k_2"), tmp_path)
+    for name, columns in COLUMNS.items():
+        assert list(pd.read_csv(tmp_path / f"{name}.csv")) == [*LABELS, *columns.split()], name
+
+
+def test_unknown_parameters_bring_their_tables_and_verdict(results, tmp_path):
+    text = report_of(results("k_2", "kappa_2"), tmp_path)
+    table = pd.read_csv(tmp_path / "identifiability.csv").set_index("parameter")
     assert table["std_ratio"].to_numpy() == pytest.approx(0.02)
-    assert set(table["verdict"]) == {"well determined"}
-    correlation = pd.read_csv(directory / "correlation.csv", index_col="parameter")
+    correlation = pd.read_csv(tmp_path / "correlation.csv", index_col="parameter")
     assert list(correlation) == list(correlation.index) == list(table.index)
     assert text.splitlines()[2].startswith("k_2 *")
-    assert "every unknown parameter is well determined" in text
 
 
-def test_prescribed_parameters_alone_bring_none(reported):
-    directory, text = reported()
-    assert not list(directory.glob("identifiability*"))
-    assert not list(directory.glob("correlation*"))
-    assert "*" not in text.split("\n\n")[0]
+@pytest.mark.parametrize(("unknown", "found"), [((), []), (("k_2",), ["identifiability.csv"])])
+def test_what_there_is_not_brings_no_table(results, tmp_path, unknown, found):
+    report_of(results(*unknown, correlation=None), tmp_path)
+    assert [path.name for name in ("correlation", "identifiability") for path in tmp_path.glob(f"{name}*")] == found
 
 
-def test_a_training_without_correlation_writes_no_matrix(reported):
-    directory, _ = reported("k_2", correlation=None)
-    assert (directory / "identifiability.csv").is_file()
-    assert not (directory / "correlation.csv").exists()
-
-
-@pytest.mark.parametrize("unknown", [(), ("k_2",)])
-def test_the_columns_of_parameters_csv_are_agreed(reported, unknown):
-    directory, _ = reported(*unknown)
-    assert list(pd.read_csv(directory / "parameters.csv")) == [*LABELS, *PARAMETER_COLUMNS]
-
-
-def test_a_posterior_brings_its_files_parameters_and_verdict(composed, make_case, tmp_path, monkeypatch):
-    monkeypatch.setattr(figures, "write_figures", lambda *_, **__: [])
-    case = make_case(ndof=3, observed=3)
+def test_a_posterior_brings_its_files_parameters_and_verdict(results, tmp_path):
     start = [parameter_estimate(name, 1.0, 1.0, 0.1, 0.9, 1.1) for name in DUFFING]
     samples = make_samples()
-    posterior = make_result(samples, None, "3 divergences")
-    config, estimate = RunConfig.read(composed(*SMALL)), replace(case.estimate, parameters=start)
-    results = Results(config.description, config.structure, case.record, case.truth, estimate, posterior=posterior)
-    text = report_of(results, tmp_path)
+    found = results(parameters=start, correlation=None)
+    text = report_of(replace(found, posterior=make_result(samples, None, "3 divergences")), tmp_path)
     table = pd.read_csv(tmp_path / "parameters.csv").set_index("parameter")
     assert table["estimate"].to_numpy() == pytest.approx(samples.draws.mean(axis=(0, 1)))
     assert (tmp_path / "posterior.nc").is_file()
     assert (tmp_path / "figures" / "posterior_pairs.png").is_file()
-    assert "quality check FAILED: 3 divergences" in text
+    assert "FAILED: 3 divergences" in text
     record = json.loads((tmp_path / "run.json").read_text())["posterior"]
     assert (record["method"], record["chains"], record["quality_check"]) == ("marginal", 4, ["3 divergences"])
 
 
-def test_an_error_of_a_figure_reaches_the_user_and_leaves_no_run_record(composed, make_case, tmp_path, monkeypatch):
+def test_an_error_of_a_figure_reaches_the_user_and_leaves_no_run_record(results, tmp_path, monkeypatch):
     def refuse(*_: object) -> None:
         raise WriteError("figures/response.png", "No space left on device")
 
     monkeypatch.setattr(figures, "write_figures", refuse)
-    case, config = make_case(ndof=3, observed=2), RunConfig.read(composed(*SMALL))
-    results = Results(config.description, config.structure, case.record, case.truth, case.estimate)
-    report = run_report.RunReport(results, tmp_path, Stages())
+    report = run_report.RunReport(results(), tmp_path, Stages())
     with pytest.raises(WriteError, match="No space left"), report.drawing():
         report.write()
     assert not (tmp_path / "run.json").exists()
@@ -131,16 +126,14 @@ def interrupt_when(happened):
     raise KeyboardInterrupt
 
 
-def test_drawing_ends_with_what_is_written_beside_it(composed, make_case, tmp_path, monkeypatch):
+def test_drawing_ends_with_what_is_written_beside_it(results, tmp_path, monkeypatch):
     def draw(_results: object, directory: Path, *_: int) -> None:
         (directory / f"{os.getpid()}.drawing").touch()
         (directory / ".response.1.partial.png").touch()
         time.sleep(30.0)
 
     monkeypatch.setattr(figures, "write_figures", draw)
-    case, config = make_case(ndof=3, observed=2), RunConfig.read(composed(*SMALL))
-    results = Results(config.description, config.structure, case.record, case.truth, case.estimate)
-    report = run_report.RunReport(results, tmp_path, Stages())
+    report = run_report.RunReport(results(), tmp_path, Stages())
     if len(usable_cores()) < 2 or not sys.platform.startswith("linux"):
         pytest.skip("drawn in this process")
     monkeypatch.setattr(report, "write", lambda: interrupt_when(lambda: list(tmp_path.glob("*.drawing"))))

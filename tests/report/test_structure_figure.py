@@ -7,7 +7,7 @@ import pytest
 
 from pinn_cli.report.figures.structure import Layout, structure_figure
 from pinn_cli.system.structure import Structure
-from pinn_cli.system.topology import build_partial_structure, build_structure
+from pinn_cli.system.topology import build_structure
 
 LINE = {"law": "linear", "c": 1.0, "k": 5.0}
 STOREYS = {
@@ -75,11 +75,6 @@ def test_every_mass_and_every_connection_is_named():
     legend = [text.get_text() for text in structure_figure(structure).legends[0].texts]
     assert legend == ["linear", "friction"]
     assert set(truss().labels.connections) <= set(drawn(truss()))
-
-
-def test_an_unknown_mass_is_told():
-    structure = build_partial_structure(["x1"], None, {"spring": {"between": ["ground", "x1"], "law": "linear"}})
-    assert "x1\nmass unknown" in drawn(structure)
 
 
 def test_names_of_connections_do_not_meet():

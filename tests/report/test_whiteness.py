@@ -35,11 +35,6 @@ def test_the_limit_for_many_shares_is_right_to_a_hundredth(chance, shares):
     assert exceeded(kstwo.isf(chance, shares), shares) == pytest.approx(chance, rel=0.01)
 
 
-def test_an_offset_and_a_scale_are_neither_here_nor_there():
-    noise = np.random.default_rng(1).normal(size=500)
-    assert white_probability(1e-9 * noise + 3.0) == pytest.approx(white_probability(noise), rel=1e-4)
-
-
 def test_a_sine_is_all_at_its_frequency():
     shares = cumulated_periodogram(np.sin(2.0 * np.pi * np.arange(200) * 0.1))
     np.testing.assert_allclose(shares[[18, 19, 98]], [0.0, 1.0, 1.0], atol=1e-12)

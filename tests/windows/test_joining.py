@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from pinn_cli.report.netcdf import write_dataset
 from pinn_cli.report.fitness import both_formulas
+from pinn_cli.report.netcdf import write_dataset
 from pinn_cli.windows.joining import Piece, join_responses, scores_of_parts, stack_tables
 from pinn_cli.windows.run import verdict_of_windows
 

@@ -40,31 +40,25 @@ def drift_figure(drifts: Histories, truth_label: str = "truth") -> Figure:
         drifts: Of the estimate.
         truth_label: What the legend calls the truth, which is drawn where it is known.
     """
-    estimate, looks = drifts.of("estimate"), histories.looks(true=truth_label)
-    peaks, sample = drifts.peaks()
+    estimate, (peaks, sample) = drifts.of("estimate"), drifts.peaks()
     shown = style.largest(peaks, ROWS_IN_FULL)
-    factor, prefix = style.unit_prefix(float(peaks.max(initial=0.0)))
     highest = int(np.argmax(np.max(np.abs(estimate), axis=1)))
     window = histories.window_about(highest, len(estimate), histories.periods_of(np.diff(estimate, axis=0)))
     with style.look():
         figure, panels = style.panels(
             len(shown), 2, 0.75, margins=(0.75, 0.08, 0.5, 0.42), gaps=(0.75, 0.12), width_ratios=(2.4, 1.0)
         )
+        factor = histories.draw_column(panels[:, 0], drifts, shown, window, histories.looks(true=truth_label))
         for axes, place in zip(panels[:, 0], shown, strict=True):
-            histories.draw(axes, drifts, place, window, factor, looks)
             axes.plot(drifts.time[sample[place]], factor * estimate[sample[place], place], **_PEAK)
-            axes.xaxis.set_major_locator(MaxNLocator(6))
-            axes.tick_params(labelbottom=place == shown[-1])
             name = drifts.places[place]
             axes.set_ylabel(f"connection {name}" if name.isdecimal() else name)  # a number alone would not say of what
-        panels[-1, 0].set_xlabel(r"Time $t$ (s)", labelpad=2)
-        panels[0, 0].set_title(f"Drift ({style.unit('displacement', prefix)})", pad=4)
         figure.align_ylabels(list(panels[:, 0]))
         top, bottom = panels[0, 1].get_position(), panels[-1, 1].get_position()
         for axes in panels[:, 1]:
             axes.remove()
         _draw_peaks(figure.add_axes((bottom.x0, bottom.y0, top.width, top.y1 - bottom.y0)), drifts, factor)
-        figure.axes[-1].set_xlabel(f"Peak drift ({style.unit('displacement', prefix)})", labelpad=2)
+        figure.axes[-1].set_xlabel(panels[0, 0].get_title().replace("Drift", "Peak drift"), labelpad=2)
         style.legend(figure)
         if len(shown) < len(peaks):
             style.note(figure, f"histories: the {len(shown)} of {len(peaks)} connections with the largest peaks")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -58,6 +58,29 @@ def draw(
             axes.plot(time[kept], values[kept], **look)
     axes.set_xlim(time[0], time[-1])
     style.ticks(axes)
+
+
+def draw_column(panels: np.ndarray, each: Histories, places: Sequence[int], window: slice, looks: Looks) -> float:
+    """A panel for each place, with the time below and the quantity above; the factor to the unit that is shown.
+
+    Forces have one scale, so that one that should not be there is seen in proportion.
+    """
+    ends = np.array([limits(each, place, window) for place in places])
+    if each.name == "force":
+        ends[:] = [np.nanmin(ends[:, 0]), np.nanmax(ends[:, 1])] if np.isfinite(ends).any() else [-1.0, 1.0]
+    factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(ends), initial=0.0)), kilo=each.name == "force")
+    for axes, place, (low, high) in zip(panels, places, ends, strict=True):
+        known = np.isfinite(each.of("true")[window, place]).all()
+        # Dashes let the truth show through; alone, the estimate has nothing to let through.
+        solid = looks if known else {**looks, "estimate": {**looks["estimate"], "linestyle": "-"}}
+        draw(axes, each, place, window, factor, solid)
+        if np.isfinite(low):
+            axes.set_ylim(factor * low, factor * high)
+        axes.tick_params(labelbottom=axes is panels[-1])
+    title = f"{each.words.capitalize()} {style.SYMBOLS.get(each.name, '')}".strip()
+    panels[0].set_title(f"{title} ({prefix}{each.unit.replace('^2', style.SQUARED)})", pad=4)
+    panels[-1].set_xlabel(r"Time $t$ (s)", labelpad=2)
+    return factor
 
 
 def band(histories: Histories, place: int, window: slice) -> tuple[np.ndarray, np.ndarray]:

@@ -281,20 +281,17 @@ def force_predictive_figure(predictive: ForcePredictive, record: Record, dofs: n
     held = np.mean((observed >= lower) & (observed <= upper), axis=0)
     rows = shown_dofs(len(dofs))
     window = predictive_window(median[:, rows])
-    factor, prefix = style.unit_prefix(float(np.max(np.abs(observed), initial=0.0)), kilo=True)
     looks = histories.looks(estimate="predictive median", band="90 % band", observed="observed")
-    looks = {**looks, "estimate": {**looks["estimate"], "linestyle": "-"}}
     looks["observed"] |= {"color": style.BLACK, "zorder": 2.3}
     with style.look():
-        figure, panels = style.panels(len(rows), 1, 1.25, margins=(0.55, 0.1, 0.32, 0.4), gaps=(0.0, 0.12), sharex=True)
+        figure, panels = style.panels(len(rows), 1, 1.25, margins=(0.55, 0.1, 0.5, 0.4), gaps=(0.0, 0.12), sharex=True)
+        histories.draw_column(panels[:, 0], forces, rows, window, looks)
         for axes, row in zip(panels[:, 0], rows, strict=True):
-            histories.draw(axes, forces, row, window, factor, looks)
-            low, high = histories.limits(forces, row, window)
-            axes.set_ylim(factor * low, factor * (high + 0.15 * (high - low)))  # room for the text above
-            axes.set_ylabel(f"DOF {places[row]}: {style.SYMBOLS['force']} ({style.unit('force', prefix)})")
+            low, high = axes.get_ylim()
+            axes.set_ylim(low, high + 0.15 * (high - low))  # room for the text above
+            axes.set_ylabel(f"DOF {places[row]}")
             share = f"band holds {100.0 * held[row]:.0f} % of the observations"
             axes.text(0.995, 0.96, share, transform=axes.transAxes, ha="right", va="top", fontsize=7)
-        panels[-1, 0].set_xlabel(r"Time $t$ (s)")
         figure.align_ylabels(list(panels[:, 0]))
         style.legend(figure, markerscale=1.5)
     return figure

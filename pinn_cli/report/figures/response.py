@@ -38,7 +38,7 @@ def response_figure(results: Results) -> Figure:
         margins = (0.62, 0.08, 0.48, 0.46)
         figure, panels = style.panels(len(rows) + shaken, len(QUANTITIES), 0.645, margins=margins, gaps=(0.36, 0.077))
         for column, each in enumerate(dof_histories(results)):
-            _draw_column(panels[: len(rows), column], _with_others(each, results), rows, window, looks)
+            histories.draw_column(panels[: len(rows), column], _with_others(each, results), rows, window, looks)
         for axes, dof in zip(panels[:, 3], rows, strict=False):
             if record.unforced[dof]:
                 _write_rms(axes, results.estimate.response.force[window, dof])
@@ -83,32 +83,13 @@ def _with_others(each: Histories, results: Results) -> Histories:
     return each.beside(**{name: x if x is None or x.ndim > 1 else x[:, None] for name, x in found.items()})
 
 
-def _draw_column(panels: np.ndarray, each: Histories, rows: list[int], window: slice, looks: histories.Looks) -> None:
-    limits = np.array([histories.limits(each, place, window) for place in rows])
-    if each.name == "force":
-        limits[:] = [np.nanmin(limits[:, 0]), np.nanmax(limits[:, 1])] if np.isfinite(limits).any() else [-1.0, 1.0]
-    factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(limits), initial=0.0)), kilo=each.name == "force")
-    for axes, place, (low, high) in zip(panels, rows, limits, strict=True):
-        known = np.isfinite(each.of("true")[window, place]).all()
-        # Dashes let the truth show through; alone, the estimate has nothing to let through.
-        solid = looks if known else {**looks, "estimate": {**looks["estimate"], "linestyle": "-"}}
-        histories.draw(axes, each, place, window, factor, solid)
-        style.ticks(axes, across=4)
-        if np.isfinite(low):
-            axes.set_ylim(factor * low, factor * high)
-        axes.tick_params(labelbottom=axes is panels[-1])
-    title = each.words.capitalize()
-    panels[0].set_title(f"{title} {style.SYMBOLS[each.name]} ({style.unit(each.name, prefix)})", pad=4)
-    panels[-1].set_xlabel(r"Time $t$ (s)", labelpad=2)
-
-
 def _draw_ground(rows: np.ndarray, ground: Histories, window: slice, looks: histories.Looks) -> None:
     """The ground's acceleration in the last row, below those of the DOFs; its other panels stay empty."""
     column = QUANTITIES.index("acceleration")
     above, axes = rows[:, column]
     for empty in rows[-1, np.arange(len(QUANTITIES)) != column]:
         empty.set_axis_off()
-    _draw_column(rows[-1:, column], ground, [0], window, looks)
+    histories.draw_column(rows[-1:, column], ground, [0], window, looks)
     # There is no room between panels for a title and the times, which stand below.
     axes.text(0.03, 0.93, axes.get_title(), transform=axes.transAxes, va="top", fontsize=7)
     axes.set_title("")

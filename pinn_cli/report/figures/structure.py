@@ -60,14 +60,6 @@ class Layout:
                 places[layer[np.argsort(wanted, kind="stable")], 0] = _side_by_side(layer)
         return cls(places, bool(to_ground.any()))
 
-    def blocked(self, start: np.ndarray, end: np.ndarray) -> bool:
-        """Whether a mass stands on the straight line between two places."""
-        along = end - start
-        length = float(np.hypot(*along))
-        part = (self.places - start) @ along / length**2
-        beside = np.abs((self.places - start) @ np.array([along[1], -along[0]])) / length
-        return bool(np.any((part > 0.1) & (part < 0.9) & (beside < 0.3)))
-
 
 def _side_by_side(layer: np.ndarray) -> np.ndarray:
     return np.arange(len(layer)) - (len(layer) - 1) / 2.0
@@ -163,7 +155,7 @@ def structure_figure(structure: Structure) -> Figure:
 def _lines(connections: list[_Connection], layout: Layout) -> list[np.ndarray | None]:
     """(points, 2) of every connection between two ends; None of one that has other weights, or more ends.
 
-    A line that would run through masses between its ends bows out, and so does the second one between two ends.
+    A line that passes other layers or masses of its own bows out, and so does the second one between two ends.
     """
     out: list[np.ndarray | None] = []
     bows: dict[tuple[int, ...], int] = {}
@@ -178,7 +170,7 @@ def _lines(connections: list[_Connection], layout: Layout) -> list[np.ndarray | 
         between = np.abs(start[1] - end[1]) > 1.5 or (start[1] == end[1] and np.abs(start[0] - end[0]) > 1.5)
         turn = bows.get(key, 0)
         bows[key] = turn + 1
-        if between and layout.blocked(start, end):
+        if between:
             turn, around = turn + 1 + around % 2, around + 1
         # A straight line, or the arc of the turn-th line between two ends, right and left by turns.
         along = end - start

@@ -29,6 +29,7 @@ BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILLION, PURPLE, GREY = "#F0E442", "#0072B2", "#D55E00", "#CC79A7", "#7F7F7F"
 CYCLE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 
+SQUARED = "\N{SUPERSCRIPT TWO}"
 Look = dict[str, Any]  # how matplotlib draws something
 DOTS: Look = {"linestyle": "none", "marker": ".", "markersize": 4.0, "markeredgewidth": 0}
 
@@ -161,7 +162,7 @@ def save(figure: Figure, directory: Path | str, name: str) -> list[Path]:
 
 def unit(quantity: str, prefix: str = "") -> str:
     """The unit as it is printed: ``m/s^2`` with a raised 2."""
-    return prefix + UNITS[quantity].replace("^2", "\N{SUPERSCRIPT TWO}")
+    return prefix + UNITS[quantity].replace("^2", SQUARED)
 
 
 def raised(unit: str) -> str:
