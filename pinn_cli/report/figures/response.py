@@ -47,6 +47,8 @@ def response_figure(results: Results) -> Figure:
         for axes, dof in zip(panels[:, 0], rows, strict=False):
             name = record.dof_name(dof) if record.dofs else f"DOF {dof + 1}"
             axes.set_ylabel(name + ("" if record.observed[dof] else "*"))
+        for axes in panels.flat:
+            axes.xaxis.set_major_locator(MaxNLocator(4))  # panels are narrow
         figure.align_ylabels(list(panels[: len(rows), 0]))
         room: style.Look = (
             {"handlelength": 2.2} if results.linear_response is None else {"handlelength": 1.8, "columnspacing": 0.8}
