@@ -111,11 +111,7 @@ def identifiability_table(parameters: Sequence[ParameterEstimate], correlation: 
 
     ``prior_std`` and ``std`` are in the parameter's unit, ``std_ratio`` is std / prior_std, ``relative_std_percent`` is
     100 std / |estimate|, ``largest_correlation`` has its sign and is that with the parameter ``correlated_with``. What
-    is not known is empty (NaN or None).
-
-    Args:
-        parameters: All that were estimated, p of them.
-        correlation: (p, p), their posterior correlation; None where the training gives none.
+    is not known is empty (NaN or None); ``correlation`` (p, p) is None where the training gives none.
     """
     warnings: dict[str, list[str]] = {p.name: _own_warning(p) for p in parameters}
     for p, warning in _inseparable(parameters, correlation):

@@ -86,13 +86,7 @@ def _joined(above: pd.DataFrame, below: pd.DataFrame) -> pd.DataFrame:
 
 @dataclass(frozen=True, eq=False)
 class RecordReport:
-    """What is reported of one record, which may be written beside those of others.
-
-    Attributes:
-        results: Of it.
-        directory: Of its files.
-        exports: Formats in which the response is written beside ``response.nc``.
-    """
+    """What is reported of one record, and written to its directory beside what is reported of others."""
 
     results: Results
     directory: Path

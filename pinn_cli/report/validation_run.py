@@ -111,10 +111,6 @@ def validation_table(run: ValidationRun, estimate: Estimate) -> pd.DataFrame:
     square over time) and ``sigma`` (the sensor's noise, as it was found). ``nmse_percent``: 100 mean square error over
     the signal's variance. ``inside_95_percent``: samples within 1.96 deviations, noise included. What is not known is
     empty (NaN).
-
-    Args:
-        run: Of the identified system.
-        estimate: Whose ``summary`` has the noise found.
     """
     rows, time = [], run.record.time
     for channel in channels(run.record, RESPONSE_QUANTITIES):

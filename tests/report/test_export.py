@@ -30,11 +30,7 @@ def test_every_format_has_every_quantity_of_every_dof(case, dataset, tmp_path):
     for export in exports_of(list(EXPORTS)):
         export.write(dataset, tmp_path / f"response.{export.name}")
     assert sorted(file.name for file in tmp_path.iterdir()) == ["response.csv", "response.mat", "response.uff"]
-    names = {
-        "csv": "{quantity}_{dof}{_std}",
-        "mat": "{quantity}{_std}.{dof}",
-        "uff": "{quantity} {dof}{ std}",
-    }
+    names = {"csv": "{quantity}_{dof}{_std}", "mat": "{quantity}{_std}.{dof}", "uff": "{quantity} {dof}{ std}"}
     for reader in (CsvFormat(), MatFormat(), UffFormat()):
         for quantity in QUANTITIES:
             for dof in (1, 2, 3):

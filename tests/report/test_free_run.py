@@ -20,7 +20,6 @@ from pinn_cli.record.simulation import simulate
 from pinn_cli.report.fitness import FORMULAS, fitness_table
 from pinn_cli.report.free_run import REFERENCES, free_run, free_run_table
 from pinn_cli.report.results import LABELS
-from pinn_cli.report.terminal.columns import WIDTH
 from pinn_cli.report.terminal.tables import free_run_text
 from pinn_cli.system import Structure, build_chain
 from pinn_cli.system.connection import Duffing
@@ -174,25 +173,6 @@ def test_the_table_scores_against_truth_sensors_and_estimate():
     both = [sensors["dof_1", "acceleration"], sensors["dof_3", "acceleration"]]
     assert sensors["all", "acceleration"] == sensors["observed", "acceleration"] == pytest.approx(np.mean(both))
     assert all(np.isnan(sensors[place]) for place in (("dof_2", "acceleration"), ("all", "displacement")))
-
-
-def printed_rows(truth: Response, record: Record, estimate: Estimate) -> list[list[str]]:
-    run = free_run(small_chain(), estimate, record)
-    text = free_run_text(run, free_run_table(run, estimate, record, truth))
-    assert max(map(len, text.splitlines())) <= WIDTH
-    return [line.split() for line in text.splitlines()[4:]]
-
-
-def test_the_printed_rows():
-    measurements = measured(small_chain(), snr_db=40.0)
-    record, truth = accelerations(measurements.record), measurements.truth.response
-    rows = printed_rows(truth, record, estimated(truth))
-    assert [row[0] for row in rows] == ["truth", "estimate"]
-    assert all(len(row) == 1 + 2 * 3 for row in rows)
-    # Without the truth the sensors stand in for it, for what they measure.
-    rows = printed_rows(Response.unknown(record.time, record.ndof), record, estimated(truth))
-    assert [row[0] for row in rows] == ["sensors", "estimate"]
-    assert [len(row) for row in rows] == [1 + 2, 1 + 2]
 
 
 def test_a_run_writes_its_free_run(pinn_run: PinnRun) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from fake_posteriors import CORRELATION, DUFFING, make_diagnostics, make_samples, true_parameters
+from fake_posteriors import CORRELATION, DUFFING, make_diagnostics, make_samples
 from small_estimates import parameter_estimate
 
 from pinn_cli.model.knowledge import ParameterKnowledge
@@ -145,14 +145,6 @@ def test_estimates_of_known_draws():
     assert (k.estimate, k.lower_90, k.upper_90) == pytest.approx((51.0, 6.0, 96.0))
     assert k.std == pytest.approx(np.std(draws, ddof=1))
     assert k.prior_std == pytest.approx(2.0)
-
-
-def test_estimates_of_draws_make_the_parameter_table():
-    estimates = parameter_estimates(make_samples(), [parameter(name).parameter for name in DUFFING])
-    table = parameter_table(estimates, true_parameters()).set_index("parameter")
-    assert list(table.index) == list(DUFFING)
-    assert (table["error_percent"] < 1.0).all()
-    assert ((table["lower_90"] < table["estimate"]) & (table["estimate"] < table["upper_90"])).all()
 
 
 def test_correlation_of_draws():

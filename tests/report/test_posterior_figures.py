@@ -103,10 +103,7 @@ def _place(panel) -> tuple[int, int]:
     return place.rowspan.start, place.colspan.start
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.5, "0.50"), (-0.001, "0.00"), (-0.9983, "-0.998"), (1.0, "1.00")],
-)
+@pytest.mark.parametrize(("value", "text"), [(0.5, "0.50"), (-0.001, "0.00"), (-0.9983, "-0.998"), (1.0, "1.00")])
 def test_a_correlation_is_written_1_only_where_it_is(value, text):
     assert correlation_text(value) == text
 
@@ -160,13 +157,6 @@ def test_divergent_iterations_are_marked():
     assert "2 divergent" in _texts(figure)
     np.testing.assert_array_equal(figure.axes[1].lines[-1].get_xdata(), [111, 121])
     assert _texts(_trace()) == [f"chain {i}" for i in range(1, 5)]
-
-
-def test_a_single_chain_is_compared_with_itself():
-    draws, _, parameters = _groups(chains=1, draws=101)
-    figure = rank_figure(draws, parameters, 6)
-    assert figure.axes[0].get_ylabel() == "$c_{1}$, half"
-    assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == ["1", "2"]
 
 
 @pytest.mark.parametrize("dofs", [1, 2, 8])

@@ -15,13 +15,7 @@ from pinn_cli.report.free_run import FreeRun, free_run_table
 from pinn_cli.report.parameters import parameter_table
 from pinn_cli.report.record_report import EstimatorTables
 from pinn_cli.report.terminal.columns import WIDTH
-from pinn_cli.report.terminal.tables import (
-    comparison_text,
-    fitness_text,
-    free_run_line,
-    parameters_text,
-    sensors_text,
-)
+from pinn_cli.report.terminal.tables import comparison_text, fitness_text, free_run_line, parameters_text, sensors_text
 from pinn_cli.training.estimate import ParameterEstimate
 
 

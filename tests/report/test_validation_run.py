@@ -73,13 +73,6 @@ def test_an_error_of_the_size_that_is_believed_lies_in_the_band():
     assert (narrow["inside_95_percent"] < 50.0).all()
 
 
-def test_the_sensors_noise_counts():
-    structure, estimate, record, data = tried(sigma=0.01, std=1e-6)
-    table = validation_table(ValidationRun.of(structure, estimate, record, data), estimate)
-    assert table["inside_95_percent"].between(91.0, 98.5).all()
-    np.testing.assert_allclose(table["error_rms"], 0.01, rtol=0.1)
-
-
 def test_the_discrepancy_and_the_load_cell_widen_the_band():
     structure, estimate, record, data = tried(std=1e-6)
     plain = ValidationRun.of(structure, estimate, record, data)

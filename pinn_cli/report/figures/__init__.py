@@ -41,14 +41,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure that a run has something for.
-
-    Attributes:
-        directory: Of its files.
-        name: Of its files, without a suffix.
-        panels: About so many, which its time grows with.
-        build: Makes it.
-    """
+    """A figure that a run has something for: where its files lie, and how it is built of about so many panels."""
 
     directory: Path
     name: str

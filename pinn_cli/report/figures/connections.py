@@ -34,11 +34,8 @@ def drift_figure(drifts: Histories, truth_label: str = "truth") -> Figure:
     """A row for each connection, its drift over time with its 95 % band; on the right the peaks with 90 % intervals.
 
     Of more than `ROWS_IN_FULL` connections the histories of those with the largest peaks are shown; the peaks of all.
-    Of a record with too many periods, the histories about the largest of all peaks.
-
-    Args:
-        drifts: Of the estimate.
-        truth_label: What the legend calls the truth, which is drawn where it is known.
+    Of a record with too many periods, the histories about the largest of all peaks. ``truth_label`` is what the legend
+    calls the truth, which is drawn where it is known.
     """
     estimate, (peaks, sample) = drifts.of("estimate"), drifts.peaks()
     shown = style.largest(peaks, ROWS_IN_FULL)
@@ -84,11 +81,7 @@ def _draw_peaks(axes: Axes, drifts: Histories, factor: float) -> None:
 def hysteresis_figure(drifts: Histories, forces: Histories, memory: np.ndarray, truth_label: str = "truth") -> Figure:
     """A panel for each connection with memory: its force over its elongation, the 95 % band of the force, the truth.
 
-    Args:
-        drifts: Elongations of the connections.
-        forces: Theirs.
-        memory: Positions of those that have memory, at least one.
-        truth_label: What the legend calls the truth, which is drawn where it is known.
+    ``memory`` are the positions of these among the connections that are stretched by their drifts, at least one.
     """
     elongation, estimate = drifts.of("estimate"), forces.of("estimate")
     shown = memory[style.largest(np.abs(estimate[:, memory]).max(axis=0), LOOPS_IN_FULL)]

@@ -25,11 +25,7 @@ def modes_figure(modes: ModeEstimates, truth_label: str = "truth") -> Figure:
     """A panel per mode: its shape over the DOFs; above it frequency and damping ratio with their 90 % intervals.
 
     Of a chain the shape begins at the fixed end, and DOF 1 is the lowest. The DOFs of another structure stand in their
-    own order, as points.
-
-    Args:
-        modes: Of the estimate; of more than `MOST_MODES` the lowest are drawn.
-        truth_label: What the legend calls the modes of the structure that a simulated record comes from.
+    own order, as points. Of more than `MOST_MODES` modes the lowest are drawn.
     """
     dofs, shown = modes.dofs, min(modes.count, MOST_MODES)
     columns = min(shown, IN_A_ROW)

@@ -44,11 +44,8 @@ def parameters_figure(estimates: Sequence[ParameterEstimate], true: Mapping[str,
     """One panel per kind, over the connections, with 90 % intervals; unknown parameters above prescribed ones.
 
     Unknown parameters are drawn as they are, in their unit, with the values from which the search for them started.
-    Prescribed ones are drawn as relative changes from what was prescribed; where that is zero they are left out.
-
-    Args:
-        estimates: At least one that can be drawn.
-        true: Kind to values (members,), marked where known; or None.
+    Prescribed ones are drawn as relative changes from what was prescribed; where that is zero they are left out. True
+    values (members,) by kind are marked where known.
 
     Raises:
         ValueError: If there is nothing to draw.
@@ -169,11 +166,7 @@ def _point_to_start(axes: Axes, place: np.ndarray, start: np.ndarray, arrow: str
 
 
 def correlation_figure(estimates: Sequence[ParameterEstimate], correlation: np.ndarray) -> Figure:
-    """The posterior correlation as a matrix, unknown parameters first; a line parts them from the prescribed ones.
-
-    Args:
-        estimates: p of them, at least two.
-        correlation: (p, p), in their order.
+    """The posterior correlation (p, p) of p parameters, unknown ones first; a line parts them from the prescribed ones.
 
     Raises:
         ValueError: If there are fewer than two parameters.
@@ -230,10 +223,8 @@ def _name_rows(axes: Axes, parameters: Sequence[Parameter]) -> None:
 def over_time_figure(table: pd.DataFrame) -> Figure:
     """A panel for every parameter: its estimate after each record with its 90 % band, and what the record says alone.
 
-    Of more than `MOST` parameters those that changed are shown, and those that are known best.
-
-    Args:
-        table: From `pinn_cli.report.over_time.parameters_over_time`.
+    Of more than `MOST` parameters those that changed are shown, and those that are known best. The table is that of
+    `pinn_cli.report.over_time.parameters_over_time`.
     """
     names = _shown(table)
     with style.look():

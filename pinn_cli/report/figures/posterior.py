@@ -53,12 +53,8 @@ def posterior_pairs_figure(
 
     A histogram is pale outside the central 90 % interval. The contours of a joint density hold the `REGIONS` of
     highest density. Chains are taken together. Of more than `IN_PAIRS` parameters, those are shown that are most
-    correlated with another one, and a line below says so; one whose draws are all the same is left out.
-
-    Args:
-        draws: The group ``posterior``: a variable over (chain, draw) for every parameter.
-        parameters: At least one.
-        true: Kind to values (members,), marked unless they are far off; or None.
+    correlated with another one, and a line below says so; one whose draws are all the same is left out. ``draws`` has a
+    variable over (chain, draw) for every parameter, ``true`` values (members,) by kind, marked unless they are far off.
     """
     moving = _moving(draws, parameters)
     pooled = {p: draws[p.name].to_numpy().ravel() for p in moving}
@@ -266,12 +262,8 @@ def force_predictive_figure(predictive: ForcePredictive, record: Record, dofs: n
     """One row per measured force: observed dots, predictive median and central 90 % band, on a stretch of the record.
 
     What share of the observations lies in the band, at all times that were predicted, is written in each panel: about
-    90 % if model and noise are right.
-
-    Args:
-        predictive: Draws of F forces, (chains, draws, times, F).
-        record: What was measured.
-        dofs: (F,), their DOFs, counted from 1. Of many, as many rows are drawn as the response has.
+    90 % if model and noise are right. ``dofs`` (F,) are counted from 1; of many, as many rows are drawn as the response
+    has.
     """
     observed = record.force[np.ix_(predictive.samples, dofs - 1)]
     lower, median, upper = np.quantile(predictive.force, (CENTRAL_90[0], 0.5, CENTRAL_90[1]), axis=(0, 1))

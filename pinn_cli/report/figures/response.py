@@ -158,14 +158,9 @@ def _draw_map(figure: Figure, axes: Axes, record: Record, values: np.ndarray, qu
 
 
 def block_maximum(values: np.ndarray, columns: int = 400) -> np.ndarray:
-    """The largest value in each of at most ``columns`` stretches of time, so that no peak of an error is lost.
+    """(columns, dof): the largest of values (time, dof) in each stretch of time, so that no peak of an error is lost.
 
-    Args:
-        values: (time, dof); NaN where unknown.
-        columns: How many stretches at most.
-
-    Returns:
-        (columns, dof), or ``values`` if it is no longer than that; NaN where a whole stretch is unknown.
+    Fewer values than that stay as they are. NaN is unknown.
     """
     if len(values) <= columns:
         return values

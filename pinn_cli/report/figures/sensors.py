@@ -41,11 +41,8 @@ def residuals_figure(estimate: Estimate, record: Record) -> Figure:
 
     The noise found is drawn as a dashed line: 1.96 standard deviations to either side of the history, its level in the
     spectrum, behind which the sensor's own lies. The autocorrelation of white noise stays in the shaded band 95 % of
-    the time. Of more than `ROWS_IN_FULL` sensors those with the largest NMSE are shown.
-
-    Args:
-        estimate: Its response, and in its summary the noise found.
-        record: The sensors, at least one. The ground's is left out where its motion was not estimated.
+    the time. Of more than `ROWS_IN_FULL` sensors those with the largest NMSE are shown, the ground's only where its
+    motion was estimated.
     """
     every = [c for c in every_channel(record) if np.isfinite(c.of(estimate.response)).all()]
     errors = [nmse_percent(c.measured - c.of(estimate.response), c.measured) for c in every]
@@ -81,11 +78,7 @@ def validation_figure(run: ValidationRun, estimate: Estimate) -> Figure:
 
     The band of the error holds the sensor's noise as well. Of a record with too many periods the histories show the
     last ones, where errors of the parameters have added up; the error is shown as a whole. Of more than `ROWS_IN_FULL`
-    sensors those with the largest NMSE are shown.
-
-    Args:
-        run: With a response.
-        estimate: In whose summary the noise found is.
+    sensors those with the largest NMSE are shown. The run has a response.
     """
     every = channels(run.record, RESPONSE_QUANTITIES)
     errors = [nmse_percent(m - s, m) for m, s, _ in map(run.compared, every)]
@@ -195,12 +188,7 @@ def _finish(figure: Figure, panels: np.ndarray, titles: tuple[str, ...], count: 
 
 
 def frequency_response_figure(record: Record, structure: Structure) -> Figure:
-    """Amplitude and phase of every sensor over the measured force, within the band of a record.
-
-    Args:
-        record: With a band and one measured force.
-        structure: With the estimated parameters.
-    """
+    """Amplitude and phase of every sensor over the measured force, within the band of a record, and as estimated."""
     assert record.band is not None
     sensors, load = channels(record)[:MOST], channels(record, (FORCE,))
     first, stop = np.searchsorted(np.fft.rfftfreq(len(record.time), record.step), record.band.edges)

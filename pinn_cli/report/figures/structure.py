@@ -106,9 +106,6 @@ def structure_figure(structure: Structure) -> Figure:
 
     A connection between two coordinates, or to the ground, is a line. One that several coordinates stretch, or one by
     some part of its displacement, is a dot with a line to each.
-
-    Args:
-        structure: With names.
     """
     matrix = structure.incidence.matrix[structure.added]
     layout = Layout.of(matrix)
