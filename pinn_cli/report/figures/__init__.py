@@ -73,7 +73,7 @@ def run_drawings(results: Results, directory: Path) -> list[Drawing]:
     modes = ModeEstimates.of(prescribed, estimate, results.true)
     if modes is not None:
         found.append(draw("modes", modes.count, partial(modes_figure, modes, results.run.truth_label)))
-    if prescribed.labels.connections and prescribed.shapes is None:
+    if prescribed.labels.connections and not prescribed.is_modal:
         found.append(draw("structure", 2, partial(structure_figure, prescribed)))
     if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):
         found.append(draw("history", 5, partial(history_figure, estimate.history)))

@@ -142,7 +142,7 @@ class Discrepancy:
         """That of the connection that is most doubtful; None where nothing noticeable is left out, or no one pulls."""
         estimate, structure = results.estimate, results.prescribed
         misfit, connections = estimate.misfit, estimate.connections
-        if misfit is None or connections is None or structure.shapes is not None or not len(structure.added):
+        if misfit is None or connections is None or structure.is_modal or not len(structure.added):
             return None
         pulls = structure.incidence.matrix[structure.added].toarray()
         forces = -misfit.history.astype(np.float64) @ np.linalg.pinv(pulls, rcond=1e-9)
