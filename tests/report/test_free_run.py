@@ -205,3 +205,32 @@ def test_a_record_without_its_force_says_so(pinn_run: PinnRun, tmp_path: Path) -
     assert pd.read_csv(outcome.directory / "free_run.csv")[list(FORMULAS)].isna().all(axis=None)
     with xr.open_dataset(outcome.directory / "response.nc") as response:
         assert "displacement_free_run" not in response
+
+
+def test_an_absurdly_stiff_estimate_does_not_hold_up_the_report():
+    structure = small_chain()
+    measurements = measured(structure)
+    run = free_run(structure, estimated(measurements.truth.response, k_3=1e12), measurements.record)
+    assert run.response is not None  # implicit steps take any stiffness that its dampers can bear
+    assert np.isfinite(run.response.displacement).all()
+    assert "do not reproduce" in run.finding
+
+
+def test_an_unknown_force_leaves_no_free_run():
+    structure = small_chain()
+    measurements = measured(structure)
+    force = measurements.record.force.copy()
+    force[:, 1] = np.nan
+    record = replace(measurements.record, force=force, unforced=np.array([False, False, True]))
+    run = free_run(structure, estimated(measurements.truth.response), record)
+    assert run.response is None
+    assert "DOF 2" in run.finding
+
+
+def test_a_force_that_is_taken_for_held_is_late():
+    structure = small_chain()
+    measurements = measured(structure)
+    record, truth = replace(measurements.record, intersample="zero_order_hold"), measurements.truth.response
+    run = free_run(structure, estimated(truth), record)
+    assert run.response is not None
+    assert largest_error(run.response, truth) > 1e-2

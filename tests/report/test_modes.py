@@ -14,6 +14,7 @@ from pinn_cli.report.modes import ModeEstimates, mode_table
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.labels import Labels
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
 
 Z = 1.6448536269514722
@@ -130,3 +131,13 @@ def test_the_figure(named):
 )
 def test_digits_that_an_interval_leaves(value, interval, text):
     assert interval_text(value, np.array(interval), "Hz") == text
+
+
+def test_a_sensor_has_no_part_in_it():
+    structure = chain()
+    estimate = estimated(structure, {"k": 0.01})
+    gain = ParameterEstimate(Parameter("gain", 0, 1.0, label="a1"), 1.1, 0.1, 0.9, 1.3)
+    beside = replace(estimate, parameters=[gain, *estimate.parameters], correlation=np.eye(4))
+    alone, together = (ModeEstimates.of(structure, each) for each in (estimate, beside))
+    np.testing.assert_array_equal(alone.frequency_interval, together.frequency_interval)
+    np.testing.assert_array_equal(alone.frequencies, together.frequencies)

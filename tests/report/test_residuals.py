@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pinn_cli.record.channels import clipped_percent, constant_percent
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.report.figures import residuals_figure
 from pinn_cli.report.residuals import COLUMNS, residual_table
@@ -152,3 +153,23 @@ def test_a_dead_sensor_and_an_exact_estimate_can_be_drawn(signal, make_case):
     record = replace(case.record, acceleration=signal * case.truth.response.acceleration)
     response = replace(case.truth.response, acceleration=record.acceleration)
     residuals_figure(replace(case.estimate, response=response), record).draw_without_rendering()
+
+
+def test_clipping_is_counted_where_more_than_two_samples_sit_at_an_end():
+    wave = np.sin(np.linspace(0.0, 40.0, 1000))
+    assert clipped_percent(wave) == 0.0
+    flat = np.clip(wave, -0.9, 2.0)
+    assert clipped_percent(flat) == pytest.approx(100.0 * np.mean(wave <= -0.9))
+    hammer = np.zeros(1000)
+    hammer[100:110] = np.arange(1.0, 11.0)
+    assert clipped_percent(hammer) == 0.0
+
+
+def test_runs_of_equal_samples_are_constant_from_eight_on():
+    values = np.random.default_rng(0).normal(size=100)
+    values[10:17] = 1.0
+    assert constant_percent(values) == 0.0
+    values[17] = 1.0
+    assert constant_percent(values) == 8.0
+    values[50:70] = 0.0
+    assert constant_percent(values) == 28.0

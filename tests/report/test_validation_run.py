@@ -159,3 +159,10 @@ def test_draws_of_a_posterior_make_the_band(draws):
     own = ValidationRun.of(structure, estimate, record, data)
     ratio = np.mean(run.std.displacement[50:]) / np.mean(own.std.displacement[50:])
     assert 1.4 < ratio < 2.8
+
+
+def test_the_sensors_noise_counts():
+    structure, estimate, record, data = tried(sigma=0.01, std=1e-6)
+    table = validation_table(ValidationRun.of(structure, estimate, record, data), estimate)
+    assert table["inside_95_percent"].between(91.0, 98.5).all()
+    np.testing.assert_allclose(table["error_rms"], 0.01, rtol=0.1)

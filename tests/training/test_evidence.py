@@ -123,7 +123,7 @@ def dense_band(equations: NormalEquations, point, noise: NoiseModel, step: float
 def test_the_evidence_prefers_the_right_stiffness():
     evidence, noise, put_in = disturbed(0.05, 1)
     right = evidence.train(noise.with_discrepancy(put_in), evidence.equations.start())
-    structure, record = small_chain("linear", k=12.0), evidence.problem.record
+    structure, record = small_chain("linear", k=12.0), evidence.problem.alone.record
     (right_one,) = evidence.equations.each
     wrong = evidence_of(NormalEquations(right_one.network, Problem(structure, record)))
     # The ridge is relative to the first matrix: the same in both.
@@ -192,7 +192,7 @@ def test_an_unknown_parameter_that_starts_ten_times_off_leaves_the_spread_alone(
 
 def test_with_unknown_parameters_alone_there_is_no_spread_to_learn():
     evidence, noise = believed_and_unknown(30.0)
-    problem = evidence.problem
+    problem = evidence.problem.alone
     equations = NormalEquations(evidence.equations.each[0].network, replace(problem, uncertain=problem.uncertain[3:]))
     alone = evidence_of(equations, 30, 1e-8)
     trained = alone.train(replace(noise, spread=0.7), equations.start())
