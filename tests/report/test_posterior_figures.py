@@ -164,7 +164,7 @@ def test_force_predictive(dofs):
     record, samples = make_record(dofs), make_samples(forces=dofs)
     figure = _drawn(force_predictive_figure(make_predictive(samples, record), record, samples.force_dofs))
     assert len(figure.axes) == min(dofs, 4)
-    assert figure.axes[-1].get_ylabel().startswith(f"DOF {dofs}:")
+    assert figure.axes[-1].get_ylabel() == f"DOF {dofs}"
     text = figure.axes[0].texts[0].get_text()
     assert 84 <= int(text.split()[2]) <= 96
     assert set(_texts(figure)) == {"observed", "predictive median", "90 % band"}
