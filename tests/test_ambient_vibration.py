@@ -119,7 +119,7 @@ def test_uncertain_parameters_beside_a_nonlinear_connection_are_questionable():
     found = input_findings(problem.alone, Estimate(made.truth, made.truth, [], pd.DataFrame(), {}), bent)
     assert any(finding.kind == "output_only_parameters" for finding in found)
     known = SparseRecovery(parameter_uncertainty=0.0).pose(bent, [replace(made.record, force=pushed)])
-    found = input_findings(known, Estimate(made.truth, made.truth, [], pd.DataFrame(), {}), bent)
+    found = input_findings(known.alone, Estimate(made.truth, made.truth, [], pd.DataFrame(), {}), bent)
     assert not any(finding.kind == "output_only_parameters" for finding in found)
 
 

@@ -10,6 +10,7 @@ from small_problems import NONLINEARITIES, measured, small_chain
 
 from pinn_cli.baseline.state_space import StateSpace, Trajectory
 from pinn_cli.record.steps import has_stiff_law, substeps_needed
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 
 FIXED = settings(
@@ -34,7 +35,8 @@ def test_the_true_motion_leaves_no_residual(nonlinearity: str, hold: str) -> Non
 
 @FIXED
 @given(problems(plain=False) | problems(plain=True), generators())
-def test_rows_are_the_derivatives_of_residuals_for_any_problem(problem: Problem, rng: np.random.Generator) -> None:
+def test_rows_are_the_derivatives_of_residuals_for_any_problem(drawn: JointProblem, rng: np.random.Generator) -> None:
+    problem = drawn.first
     assume(not problem.inputs.filters and not has_stiff_law(problem.structure))
     assume(substeps_needed(problem.structure, problem.record.step) < 10)
     space = StateSpace(problem)

@@ -136,7 +136,7 @@ def test_the_parameters_hide_no_more_of_it_than_there_is_at_their_frequencies():
     known = replace(model(0.01).known, told=np.full(3, 1e2), weight=np.full(3, 1e-2))  # 1e4 N/m may be hidden of each
     misfit = Misfit.of(0.02, np.zeros((4, 3)), 1.0, 0.0, at_motion=0.3)
     given = replace(model(0.01), known=known, misfit=misfit)
-    found = [p.prior_std for p in Predict(given).pose(STRUCTURE, [force_alone(duration=4.0)]).uncertain]
+    found = [p.prior_std for p in Predict(given).pose(STRUCTURE, [force_alone(duration=4.0)]).alone.uncertain]
     hidden = 0.3 / np.hypot(1.0 / 1e4, 0.3 / known.first_std)
     np.testing.assert_allclose(found, np.hypot(0.01 * known.mean, hidden), rtol=1e-6)
 

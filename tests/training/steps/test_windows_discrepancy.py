@@ -38,7 +38,8 @@ def window(
         return [SimpleNamespace(discrepancy=min(LEAST, trained.noise.discrepancy))]
 
     prior = None if before is None else SimpleNamespace(levels=SimpleNamespace(windows=before))
-    evidence: Any = SimpleNamespace(problem=SimpleNamespace(prior=prior), train=train, each_record=floors)
+    problem = SimpleNamespace(first=SimpleNamespace(prior=prior))
+    evidence: Any = SimpleNamespace(problem=problem, train=train, each_record=floors)
     return of_all_windows(evidence, train(NOISE.with_discrepancy(own)))
 
 
