@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 import torch
 
-from pinn_cli.training.function_space import factor
+from pinn_cli.training.function_space import system
 from pinn_cli.training.function_space.system import cholesky
 
 
 @pytest.fixture(autouse=True)
 def narrow(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(factor, "PANEL", 8)
+    monkeypatch.setattr(system, "PANEL", 8)
 
 
 def positive(size: int) -> torch.Tensor:
