@@ -139,7 +139,7 @@ class Bayesian(Scheme):
     Args:
         unobserved: See :func:`pinn_cli.scheme.sensors.unobserved_dofs`.
         sensors: What an observed DOF of a simulated record has sensors for.
-        unknown: See :func:`pinn_cli.scheme.unknowns.unknown_places`; None: everything but the masses.
+        unknown: See :func:`pinn_cli.scheme.unknowns.unknown_parameters`; None: everything but the masses.
         priors: See :func:`pinn_cli.scheme.bayesian.read_priors`; parameters without one get a wide one on the
             record's own scale.
         positive: Kinds of parameters whose wide priors end at zero.

@@ -53,7 +53,7 @@ class StateParameter(Scheme):
         unobserved_fraction: See :func:`pinn_cli.scheme.sensors.unobserved_dofs`.
         unobserved: Likewise.
         sensors: What an observed DOF of a simulated record has sensors for.
-        unknown: See :func:`pinn_cli.scheme.unknowns.unknown_places`.
+        unknown: See :func:`pinn_cli.scheme.unknowns.unknown_parameters`.
         initial: What is said about unknown parameters, by kind, name or pattern, see :mod:`pinn_cli.scheme.starts`; of
             a measured structure what is prescribed for the others, of a simulated one nothing: that is the truth.
         starts: ``auto``, or the number of starts at most, of which the most probable solution is kept; ``given``:

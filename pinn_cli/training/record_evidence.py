@@ -163,7 +163,7 @@ class RecordEvidence:
 
 
 def occupied_share(evidence: RecordEvidence, solution: RecordSolution) -> float:
-    """N_eff / K, see :func:`pinn_cli.training.steps.discrepancy_search.widened_for_colour`."""
+    """N_eff / K, see :func:`pinn_cli.training.steps.independent_values.widened`."""
     equations = evidence.equations
     unforced = equations.target.unforced & equations.dynamics.has_mass.to(equations.target.unforced.device)
     enforced = unforced if bool(unforced.any()) else equations.target.equation
