@@ -183,7 +183,7 @@ def test_a_column_that_is_not_there_is_told_with_those_that_are(tmp_path, case):
 
 
 @pytest.mark.parametrize("case", [case for case in CASES if CASES[case][1] != "csv"] + ["gzip"])
-@pytest.mark.parametrize("part", [0.0, 0.02, 0.4, 0.97])
+@pytest.mark.parametrize("part", [0.0, 0.4, *(pytest.param(part, marks=pytest.mark.slow) for part in (0.02, 0.97))])
 def test_a_file_that_is_cut_off(tmp_path, case, part):
     name, choice, write, settings = CASES[case]
     path = tmp_path / name
