@@ -193,6 +193,14 @@ class RunConfig:
             self.source.simulated, self.validation.name, "none" if self.baseline is None else self.baseline.name,
         )  # fmt: skip
 
+    def draws(self, in_sweep: bool) -> bool:
+        """Whether there are figures.
+
+        Args:
+            in_sweep: Whether the run is a job of a sweep.
+        """
+        return not in_sweep if self.figures is None else self.figures
+
 
 def resolved(config: DictConfig) -> DictConfig:
     """The same with every interpolation replaced by its value."""

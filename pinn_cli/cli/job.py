@@ -174,7 +174,7 @@ class Job:
     @property
     def draws(self) -> bool:
         """Whether there are figures."""
-        return self.config.figures if self.config.figures is not None else not self.in_sweep
+        return self.config.draws(self.in_sweep)
 
 
 def _prepare(
@@ -200,10 +200,9 @@ def _prepare(
     progress = sys.stderr.isatty() and not in_sweep
     if config.source.windows is not None:
         context = RunContext(config.device, config.seed, directory, progress)
-        drawn = config.figures if config.figures is not None else not in_sweep
         say = partial(_told, terminal)
         return windowed_run(
-            config, directory, context, stages, goes_on=goes_on, drawn=drawn, say=say, follows=follows
+            config, directory, context, stages, goes_on=goes_on, drawn=config.draws(in_sweep), say=say, follows=follows
         )  # fmt: skip
     prepared = prepare_problem(config, stages)
     checkpoints = open_checkpoints(directory, config.identity, config.resume, config.checkpoint_every_s, config.device)

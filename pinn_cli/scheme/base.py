@@ -53,14 +53,20 @@ class Scheme(ABC):
             InputError: A setting does not fit, or the scheme has one record at a time.
         """
 
-    def only_one(self, records: Sequence[Record]) -> Record:
+    def only_one(self, records: Sequence[Record], where: str = "", hint: str = "") -> Record:
         """The record of a scheme that has one at a time.
+
+        Args:
+            records: Of the run.
+            where: The setting that has one at a time, where it is not the scheme as such.
+            hint: What else can be done with several.
 
         Raises:
             InputError: There are several.
         """
         if len(records) > 1:
-            raise InputError("data.records", f"{len(records)} records", f"one record with scheme={self.name}")
+            allowed = f"one record with {where or f'scheme={self.name}'}"
+            raise InputError("data.records", f"{len(records)} records", allowed, hint)
         return records[0]
 
     def next_problem(self, model: Model, record: Record) -> JointProblem:

@@ -41,9 +41,12 @@ from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal, Prior
 from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.system.structure import Structure
 
+log = logging.getLogger(__name__)
+
 SETTING = "scheme.priors"
-# Standard deviation of the priors that nobody chose, over the scale of the parameter's start.
-WIDE = PRIOR_WIDTH
+# Gauss-Newton works under Gaussians this much wider than a prior that the user chose; the likelihood that it hands on
+# is freed of them again. Of others it works under one as wide as the prior itself: far out lie other solutions.
+WIDTH = 100.0
 
 
 def read_priors(given: Mapping[str, Any] | None, structure: Structure) -> dict[Parameter, Prior]:
@@ -81,7 +84,8 @@ def with_defaults(
         scales: Of every unknown parameter.
         positive: Kinds of parameters that cannot be negative: HalfNormal, otherwise Normal around zero.
     """
-    wide = {p: HalfNormal(WIDE * s) if p.kind in positive else Normal(0.0, WIDE * s) for p, s in scales.items()}
+    stds = {p: PRIOR_WIDTH * s for p, s in scales.items()}
+    wide = {p: HalfNormal(std) if p.kind in positive else Normal(0.0, std) for p, std in stds.items()}
     return {parameter: priors.get(parameter, wide[parameter]) for parameter in scales}
 
 
@@ -124,13 +128,6 @@ KINDS: dict[str, Callable[..., Prior]] = {
     "log_normal": _log_normal,
     "normal": _normal,
 }
-
-
-log = logging.getLogger(__name__)
-
-# Gauss-Newton works under Gaussians this much wider than a prior that the user chose; the likelihood that it hands on
-# is freed of them again. Of others it works under one as wide as the prior itself: far out lie other solutions.
-WIDTH = 100.0
 
 
 class Bayesian(Scheme):
@@ -222,7 +219,7 @@ def _unknown(parameter: Parameter, prior: Prior, start: Start, chosen_by_user: b
     return replace(
         parameter,
         prescribed=float(first),
-        prior_std=(WIDTH if chosen else WIDE) * scale,
+        prior_std=(WIDTH if chosen else PRIOR_WIDTH) * scale,
         scale=scale,
         unknown=True,
         positive=prior.positive,

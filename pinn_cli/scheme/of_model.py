@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -89,18 +88,6 @@ def given(model: Model | None, scheme: str) -> Model:
         hint = f"pinn-run model=outputs/... scheme={scheme} data=..."
         raise InputError(SETTING, None, f"the directory of a finished run with scheme={scheme}", hint)
     return model
-
-
-def only_one(records: Sequence[Record]) -> Record:
-    """The record that a model is used on.
-
-    Raises:
-        InputError: There are several.
-    """
-    if len(records) > 1:
-        hint = "one run after the other: each is the model of the next with scheme=update"
-        raise InputError("data.records", f"{len(records)} records", "one record with model=...", hint)
-    return records[0]
 
 
 def check_updatable(model: Model) -> None:

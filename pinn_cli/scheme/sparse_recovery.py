@@ -13,7 +13,7 @@ from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.missing_values import check_given
-from pinn_cli.scheme.of_model import only_one, problem_going_on, problem_of_model
+from pinn_cli.scheme.of_model import problem_going_on, problem_of_model
 from pinn_cli.scheme.problem import THROUGH
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import parameter_starts
@@ -67,7 +67,8 @@ class SparseRecovery(Scheme):
         """See :meth:`Scheme.pose`."""
         through, begins = self.acceleration_through, self.initial_motion
         if self.model is not None:
-            (record,) = _calibrated(self.model.structure, [only_one(records)])
+            hint = "one run after the other: each is the model of the next with scheme=update"
+            (record,) = _calibrated(self.model.structure, [self.only_one(records, "model=...", hint)])
             return problem_of_model(self.model, record, False, through, begins, self.unknown_force)
         check_given(prescribed)
         uncertain = believed_parameters(prescribed, self.parameter_uncertainty)

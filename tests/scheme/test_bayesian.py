@@ -12,12 +12,13 @@ from small_problems import NONLINEARITIES, measured, small_chain
 
 from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.record.record import Measurements, Record
-from pinn_cli.scheme.bayesian import WIDE, WIDTH, Bayesian
+from pinn_cli.scheme.bayesian import WIDTH, Bayesian
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.starts import parameter_starts
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.parameters import PRIOR_WIDTH
 from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal
 
 
@@ -128,10 +129,10 @@ def test_priors_that_nobody_chose_are_wide_on_the_scale_of_their_start(measureme
     record = Bayesian().observe(measurements.record)
     (starts,) = parameter_starts(small_chain(), record, problem.uncertain, {}, most=1)
     for parameter in problem.uncertain:
-        width = WIDE * starts[parameter].scale
+        width = PRIOR_WIDTH * starts[parameter].scale
         assert parameter.prior == (Normal(0.0, width) if parameter.kind == "kappa" else HalfNormal(width))
     truth = {"m": 10.0, "c": 1.0, "k": 15.0, "kappa": 100.0}
-    assert all(truth[parameter.kind] < 2.0 * WIDE * start.scale for parameter, start in starts.items())
+    assert all(truth[parameter.kind] < 2.0 * PRIOR_WIDTH * start.scale for parameter, start in starts.items())
 
 
 def test_only_what_may_be_negative_may_be_negative(measurements):
@@ -152,7 +153,7 @@ def test_training_works_under_gaussians_that_are_wider_than_a_prior_that_was_cho
         if parameter.kind == "k" or parameter.name == "c_1":
             assert parameter.prior_std >= WIDTH * parameter.prior.std
         else:
-            assert parameter.prior_std == pytest.approx(WIDE * parameter.scale)
+            assert parameter.prior_std == pytest.approx(PRIOR_WIDTH * parameter.scale)
 
 
 def test_starts_scale_with_the_record(measurements):

@@ -8,9 +8,9 @@ from scipy import stats
 from small_problems import small_chain
 from toy_likelihoods import slopes
 
-from pinn_cli.scheme.bayesian import KINDS, WIDE, read_priors, with_defaults
+from pinn_cli.scheme.bayesian import KINDS, read_priors, with_defaults
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.parameters import PRIOR_WIDTH, Parameter
 from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal, stacked
 
 PRIORS = [
@@ -86,8 +86,8 @@ def test_parameters_without_a_prior_get_a_wide_one_on_the_scale_of_their_start()
     priors = with_defaults({first: Gamma(2.0, 0.1)}, scales, positive=("m", "c", "k"))
     assert priors == {
         first: Gamma(2.0, 0.1),
-        second: HalfNormal(WIDE * 9.0),
-        cubic: Normal(0.0, WIDE * 50.0),
+        second: HalfNormal(PRIOR_WIDTH * 9.0),
+        cubic: Normal(0.0, PRIOR_WIDTH * 50.0),
     }
 
 

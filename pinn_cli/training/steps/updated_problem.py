@@ -31,6 +31,13 @@ STRAIGHT = 3.0
 MOST = 0.8
 # How much larger the error is about turns where a solution with one level says less: that one spreads it over all.
 FIRST = 10.0
+# Relative change of damping's matrix below which modes are the same: beside what else is uncertain of damping that is
+# nothing. So is what coordinates that are exact at factors so far off leave out: 1e-4 of the motion.
+SAME_MODES, SAME_FACTORS = 2e-3, 5e-3
+# Away from turns nothing is left to find where the discrepancy falls to no less than this part of it.
+SAME_LEVEL = 0.7
+# Finer features whose sensors come out so many times as noisy have not found the solution.
+SUSPECT = 2.0
 
 
 def has_turns(problem: Problem) -> bool:
@@ -72,15 +79,6 @@ def _turning_points(equations: NormalEquations, point: Point, discrepancy: float
     if before is None:
         return replace(turns, level=level, looser=max(FIRST, level / other))
     return replace(turns, level=before.level, looser=before.level / other)
-
-
-# Relative change of damping's matrix below which modes are the same: beside what else is uncertain of damping that is
-# nothing. So is what coordinates that are exact at factors so far off leave out: 1e-4 of the motion.
-SAME_MODES, SAME_FACTORS = 2e-3, 5e-3
-# Away from turns nothing is left to find where the discrepancy falls to no less than this part of it.
-SAME_LEVEL = 0.7
-# Finer features whose sensors come out so many times as noisy have not found the solution.
-SUSPECT = 2.0
 
 
 def update_modes(found: Inference) -> Inference | None:
