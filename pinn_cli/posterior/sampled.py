@@ -1,11 +1,16 @@
-"""What the posteriors that are found by NUTS share: their settings."""
+"""What the posteriors that are found by NUTS share: their settings, and that chains are sampled one after the other."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+from tqdm import tqdm
+
 from pinn_cli.posterior.base import Posterior, PosteriorSamples
+from pinn_cli.posterior.target import Target
 from pinn_cli.settings.legal_values import fraction, whole_number
 from pinn_cli.system.priors import Prior
 from pinn_cli.training.likelihood import ParameterLikelihood
@@ -17,6 +22,8 @@ if TYPE_CHECKING:
 FEWEST_DRAWS = 4
 # Each is a sampler with a state of its own.
 MOST_CHAINS = 1000
+
+log = logging.getLogger(__name__)
 
 
 class SampledPosterior(Posterior):
@@ -45,11 +52,28 @@ class SampledPosterior(Posterior):
         priors: Sequence[Prior],
         run: RunContext,
     ) -> PosteriorSamples:
-        """See :meth:`Posterior.sample`."""
+        """See :meth:`Posterior.sample`. The run's directory, where there is one, keeps every finished chain."""
         # Pyro takes a third of a second to import, which a run that samples nothing need not wait for.
-        from pinn_cli.posterior.chains import sample_posterior
-        from pinn_cli.posterior.nuts import NutsSettings
+        from pinn_cli.posterior.nuts import STATISTICS, ChainStore, NutsSettings, sample_chain
 
-        likelihood = {"marginal": marginal, "conditional": conditional}[self.name]
+        target = Target({"marginal": marginal, "conditional": conditional}[self.name], priors)
         settings = NutsSettings(self.warmup, self.draws, self.target_accept)
-        return sample_posterior(self.name, likelihood, priors, self.chains, settings, run)
+        numbers = range(1, self.chains + 1)
+        store = None if run.directory is None else ChainStore.of(run.directory, target, settings, run.seed)
+        # Those that a killed run had finished are taken over.
+        found = {number: chain for number in numbers if store and (chain := store.read(number))}
+        if found:
+            log.info("%d of %d chains were finished before and are taken over", len(found), self.chains)
+        iterations = (self.chains - len(found)) * (self.warmup + self.draws)
+        with tqdm(total=iterations, disable=None if run.progress else True, unit="it", desc="nuts", leave=False) as bar:
+            for number in numbers:
+                if number not in found:
+                    bar.set_postfix_str(f"chain {number} of {self.chains}", refresh=False)
+                    found[number] = sample_chain(target, run.seed, number, settings, bar.update)
+                    if store:
+                        store.write(number, found[number])
+        chains = [found[number] for number in numbers]
+        statistics = {name: np.stack([chain.statistics[name] for chain in chains]) for name in STATISTICS}
+        x = target.whitening.coordinates(np.stack([chain.q for chain in chains]))
+        seconds = np.array([chain.seconds for chain in chains])
+        return target.samples(self.name, x, run.seed, seconds, statistics, self.warmup)

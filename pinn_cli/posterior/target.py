@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from scipy import optimize
 
 from pinn_cli.posterior.base import PosteriorSamples
-from pinn_cli.posterior.mode import FLAT, find_mode
 from pinn_cli.posterior.whitening import Softplus, Whitening
+from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.priors import Prior, stacked
 from pinn_cli.training.likelihood import ParameterLikelihood
 
@@ -20,6 +21,13 @@ S_STD = 10.0
 ABOVE_ZERO = 0.1
 # A parameter within so many standard deviations of zero may be there: its transform bends.
 NEAR_ZERO = 6.0
+# Slope of the log density by a parameter in its scale at which the search for the mode ends; draws differ by order 1.
+LEVEL = 1e-7
+# Curvature along a direction that the density does not care about, relative to the others'.
+FLAT = 1e-10
+
+# x (d,) to the logarithm of a density and its gradient (d,).
+LogDensity = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
 
 class Target:
@@ -135,3 +143,54 @@ def _width(curvature: np.ndarray, prior_std: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh(precision / np.outer(alone, alone))
     together = np.sqrt(np.sum(vectors**2 / np.maximum(values, FLAT), axis=1)) / alone
     return np.minimum(together, prior_std)
+
+
+def find_mode(log_density: LogDensity, start: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Newton steps uphill in a region of trust.
+
+    Args:
+        log_density: The density.
+        start: (d,), where it is finite.
+        scale: (d,), order of magnitude of the density's width along each axis, the others held.
+
+    Returns:
+        The mode (d,), and minus the Hessian there (d, d), made positive definite.
+
+    Raises:
+        DivergenceError: The density is not finite at the start.
+    """
+
+    def descent(steps: np.ndarray) -> tuple[float, np.ndarray]:
+        value, gradient = log_density(start + scale * steps)
+        return -value, -scale * gradient
+
+    if not math.isfinite(descent(np.zeros_like(start))[0]):
+        raise DivergenceError(
+            f"the posterior cannot be evaluated at its start, {np.array2string(start, precision=4)} (logarithms of "
+            "parameters that are positive, and of the noise): is a prior far from all that the record allows?"
+        )
+    found = optimize.minimize(
+        descent,
+        np.zeros_like(start),
+        jac=True,
+        hess=lambda steps: _curvature(log_density, start + scale * steps, scale) * np.outer(scale, scale),
+        method="trust-exact",
+        options={"gtol": LEVEL},
+    )
+    mode = start + scale * found.x
+    return mode, _curvature(log_density, mode, scale)
+
+
+def _curvature(log_density: LogDensity, x: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Minus the Hessian (d, d) by central differences of the gradient; negative eigenvalues are turned round."""
+    steps = 1e-4 * scale
+    rows = [
+        (log_density(x - step)[1] - log_density(x + step)[1]) / (2 * size)
+        for step, size in zip(np.diag(steps), steps, strict=True)
+    ]
+    scaled = np.array(rows) * np.outer(scale, scale)
+    if not np.isfinite(scaled).all():
+        return np.diag(1 / scale**2)
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    values = np.maximum(np.abs(values), FLAT * max(1.0, float(np.abs(values).max())))
+    return (vectors * values) @ vectors.T / np.outer(scale, scale)

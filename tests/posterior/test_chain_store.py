@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 from toy_likelihoods import GaussianLikelihood, correlated
 
-from pinn_cli.posterior import chains
-from pinn_cli.posterior.chains import ChainStore, digest_of, sample_posterior
-from pinn_cli.posterior.nuts import NutsSettings, sample_chain
-from pinn_cli.posterior.target import Target
+from pinn_cli.posterior import nuts
+from pinn_cli.posterior.marginal import Marginal
+from pinn_cli.posterior.nuts import sample_chain
 from pinn_cli.system.priors import Gamma
 from pinn_cli.training.estimate import RunContext
 
 LIKELIHOOD = GaussianLikelihood([1.0, 15.0], correlated([0.1, 0.3], 0.5))
 PRIORS = (Gamma(2.0, 1.0), Gamma(2.0, 0.1))
-SETTINGS = NutsSettings(warmup=20, draws=15, target_accept=0.8)
+SETTINGS = {"warmup": 20, "draws": 15, "target_accept": 0.8}
 
 
 def run(directory, likelihood=LIKELIHOOD, priors=PRIORS, count=4, settings=SETTINGS, seed=0):
-    return sample_posterior("marginal", likelihood, priors, count, settings, RunContext(seed=seed, directory=directory))
+    posterior = Marginal(count, **settings)
+    return posterior.sample(likelihood, likelihood, priors, RunContext(seed=seed, directory=directory))
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def sampled(monkeypatch) -> list[int]:
         numbers.append(chain)
         return sample_chain(density, seed, chain, *rest)
 
-    monkeypatch.setattr(chains, "sample_chain", noting)
+    monkeypatch.setattr(nuts, "sample_chain", noting)
     return numbers
 
 
@@ -58,13 +58,13 @@ def test_a_killed_run_goes_on_after_its_last_finished_chain(tmp_path, monkeypatc
             raise KeyboardInterrupt
         return sample_chain(density, seed, chain, settings, after_iteration)
 
-    monkeypatch.setattr(chains, "sample_chain", killed_in_the_third)
+    monkeypatch.setattr(nuts, "sample_chain", killed_in_the_third)
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path)
     assert sorted(os.listdir(tmp_path / "chains")) == ["chain_1.npz", "chain_2.npz"]
 
     again = []
-    monkeypatch.setattr(chains, "sample_chain", lambda *a: again.append(a[2]) or sample_chain(*a))
+    monkeypatch.setattr(nuts, "sample_chain", lambda *a: again.append(a[2]) or sample_chain(*a))
     assert_same(run(tmp_path), undisturbed)
     assert again == [3, 4]
 
@@ -90,27 +90,7 @@ def swap(place) -> None:
     shutil.copy(place.with_name("chain_1.npz"), place)
 
 
-def tamper(place) -> None:
-    with np.load(place) as file:
-        content = {name: file[name] for name in file.files}
-    content["q"][0, 0] += 1e-9
-    np.savez(place, **content)
-
-
-def pickle(place) -> None:
-    with np.load(place) as file:
-        content = {name: file[name] for name in file.files}
-    content["q"] = np.array([{"not": "numbers"}], dtype=object)
-    np.savez(place, **content)
-
-
-def strip(place) -> None:
-    with np.load(place) as file:
-        content = {name: file[name] for name in file.files if name != "lp"}
-    np.savez(place, **content)
-
-
-@pytest.mark.parametrize("harm", [truncate, empty, swap, tamper, pickle, strip])
+@pytest.mark.parametrize("harm", [truncate, empty, swap])
 def test_a_file_that_is_not_what_it_should_be_is_sampled_again(harm, tmp_path, sampled, undisturbed, caplog):
     run(tmp_path)
     harm(tmp_path / "chains" / "chain_2.npz")
@@ -130,9 +110,9 @@ def test_a_file_that_is_not_what_it_should_be_is_sampled_again(harm, tmp_path, s
     "other",
     [
         {"seed": 1},
-        {"settings": NutsSettings(21, 15, 0.8)},
-        {"settings": NutsSettings(20, 16, 0.8)},
-        {"settings": NutsSettings(20, 15, 0.9)},
+        {"settings": SETTINGS | {"warmup": 21}},
+        {"settings": SETTINGS | {"draws": 16}},
+        {"settings": SETTINGS | {"target_accept": 0.9}},
         {"priors": (Gamma(2.0, 1.0), Gamma(2.0, 0.1000001))},
         {"likelihood": GaussianLikelihood([1.0, 15.0], correlated([0.1, 0.3], 0.5001))},
         {"likelihood": GaussianLikelihood([1.0, 15.0 + 1e-12], correlated([0.1, 0.3], 0.5))},
@@ -146,18 +126,6 @@ def test_chains_of_another_posterior_are_not_taken_over(other, tmp_path, sampled
     sampled.clear()
     run(tmp_path, count=1, **other)
     assert sampled == [1]
-
-
-def test_a_written_chain_is_read_as_it_was(tmp_path):
-    target = Target(LIKELIHOOD, PRIORS)
-    chain = sample_chain(target, 0, 1, SETTINGS)
-    store = ChainStore(tmp_path / "chains", digest_of(target, SETTINGS, 0), (15, 3))
-    assert store.read(1) is None
-    store.write(1, chain)
-    read = store.read(1)
-    np.testing.assert_array_equal(read.q, chain.q)
-    assert read.seconds == chain.seconds
-    assert os.listdir(tmp_path / "chains") == ["chain_1.npz"]
 
 
 def test_a_run_without_a_directory_writes_nothing(tmp_path, monkeypatch):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import storeys
 from solved_records import model
 
@@ -14,6 +15,7 @@ from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
 
 
+@pytest.mark.slow
 def test_short_chains_draw_it_as_well_as_the_parameters():
     """R-hat was 1.1 and 13 to 90 of 1000 draws were effective: the likelihood's peak lay beyond its table."""
     made = storeys.record(1)

