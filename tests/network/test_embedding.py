@@ -1,3 +1,5 @@
+"""Fourier features before an MLP, and the network that is nearly linear behind them."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -9,25 +11,11 @@ from pinn_cli.network.embedding import FourierFeatures, embedding
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
-from pinn_cli.settings.errors import InputError
 
 
 @pytest.fixture(scope="module")
 def record() -> Record:
     return accelerations(measured(small_chain(), snr_db=40.0).record)
-
-
-def test_derivatives_carried_forward_are_those_of_autograd(record):
-    network = Mlp(2, 7, "sine", "exact", "fourier").build(record)
-    time = torch.tensor(record.time[::16], requires_grad=True)
-
-    def slope(value):
-        return torch.stack([torch.autograd.grad(x.sum(), time, create_graph=True)[0] for x in value.T], -1)
-
-    value, rate, curvature = network.jet(time, 2)
-    torch.testing.assert_close(rate, slope(value))
-    torch.testing.assert_close(curvature, slope(slope(value)), rtol=1e-6, atol=1e-8)
-    torch.testing.assert_close(network.jet(time, 1), (value, rate))
 
 
 def test_features_reach_the_records_band_and_fall_off(record):
@@ -53,11 +41,6 @@ def test_an_embedded_network_starts_around_rest(record):
     again = Mlp(1, 20, "sine", "exact", "fourier").build(record)
     again.reset(3)
     torch.testing.assert_close(dict(again.named_parameters()), dict(network.named_parameters()), rtol=0, atol=0)
-
-
-def test_an_unknown_embedding_is_an_input_error():
-    with pytest.raises(InputError, match=r"network.embedding=wavelet: must be"):
-        Mlp(embedding="wavelet")  # type: ignore[arg-type]
 
 
 def test_points_tell_features_beyond_the_band_apart(record):

@@ -10,7 +10,6 @@ from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline, SplineNetwork
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
-from pinn_cli.settings.errors import InputError
 
 DESIGNS = {"spline": Spline, "fourier": Fourier}
 
@@ -26,53 +25,6 @@ def filled(network):
     weights = torch.randn(network.readout.shape, generator=generator, dtype=torch.float64)
     network.readout.data = weights.to(network.readout.dtype)
     return network
-
-
-def between_the_samples(record: Record) -> torch.Tensor:
-    """Times in no order, none of them a knot."""
-    generator = torch.Generator().manual_seed(2)
-    return torch.rand(70, generator=generator, dtype=torch.float64) * record.duration + record.time[0]
-
-
-@pytest.mark.parametrize("continuity", ["exact", "penalised"])
-@pytest.mark.parametrize("kind", DESIGNS)
-def test_derivatives_are_those_of_autograd(record, kind, continuity):
-    network = filled(DESIGNS[kind](continuity=continuity).build(record))
-    time = between_the_samples(record).requires_grad_()
-    value, rate, curvature = network.jet(time, 2)
-    assert value.shape == (70, 3 * network.channels)
-    for lower, higher in ((value, rate), (rate, curvature)):
-        expected = [torch.autograd.grad(column.sum(), time, retain_graph=True)[0] for column in lower.T]
-        torch.testing.assert_close(higher, torch.stack(expected, -1))
-    for order in range(2):
-        assert len(network.jet(time, order)) == order + 1
-        torch.testing.assert_close(network.jet(time, order)[order], (value, rate)[order])
-
-
-@pytest.mark.parametrize("kind", DESIGNS)
-def test_continuity(record, kind):
-    time = between_the_samples(record)
-    exact = filled(DESIGNS[kind](continuity="exact").build(record))
-    states, jet = exact(time), exact.jet(time, 2)
-    assert states.continuity is None
-    for given, expected in zip(states[:3], jet, strict=True):
-        torch.testing.assert_close(given, expected)
-    penalised = filled(DESIGNS[kind](continuity="penalised").build(record))
-    states, (value, rate) = penalised(time), penalised.jet(time, 1)
-    torch.testing.assert_close(states.displacement, value[:, :3])
-    torch.testing.assert_close(states.velocity, value[:, 3:])
-    torch.testing.assert_close(states.acceleration, rate[:, 3:])
-    torch.testing.assert_close(states.continuity, rate[:, :3] - value[:, 3:])
-
-
-@pytest.mark.parametrize("kind", DESIGNS)
-def test_float32_agrees_with_float64(record, kind):
-    single, double = (filled(DESIGNS[kind]().build(record, dtype)) for dtype in (torch.float32, torch.float64))
-    # Times that both can hold, so that only the features differ.
-    time = between_the_samples(record).float().double()
-    for low, high in zip(single.jet(time.float(), 2), double.jet(time, 2), strict=True):
-        assert low.dtype == torch.float32
-        torch.testing.assert_close(low.double(), high, rtol=1e-3, atol=1e-4 * high.abs().max().item())
 
 
 @pytest.mark.parametrize("continuity", ["exact", "penalised"])
@@ -154,34 +106,3 @@ def test_a_refined_spline_has_a_quarter_more_knots(record):
 def test_a_spline_whose_knots_the_user_chose_keeps_them(record, settings):
     design = Spline(**settings)
     assert design.refined().build(record).intervals == design.build(record).intervals
-
-
-@pytest.mark.parametrize("settings", [{}, {"harmonics": 9}], ids=str)
-def test_refining_leaves_fourier_features_as_they_are(settings):
-    design = Fourier(**settings)
-    assert design.refined() is design
-
-
-@pytest.mark.parametrize("kind", DESIGNS)
-def test_it_covers_a_time_axis_that_does_not_begin_at_zero(record, kind):
-    later = Record(**{**vars(record), "time": record.time + 1000.0})
-    networks = [filled(DESIGNS[kind]().build(given)) for given in (record, later)]
-    motions = [network(torch.tensor(given.time)) for network, given in zip(networks, (record, later), strict=True)]
-    torch.testing.assert_close(motions[0].displacement, motions[1].displacement, rtol=1e-6, atol=1e-8)
-
-
-@pytest.mark.parametrize(
-    ("make", "named"),
-    [
-        (lambda: Spline(degree=2), "network.degree=2"),
-        (lambda: Spline(knots_per_period=0.0), "network.knots_per_period=0.0"),
-        (lambda: Spline(intervals=3), "network.intervals=3"),
-        (lambda: Fourier(band_margin=0.0), "network.band_margin=0.0"),
-        (lambda: Fourier(period_margin=0.5), "network.period_margin=0.5"),
-        (lambda: Fourier(harmonics=0), "network.harmonics=0"),
-    ],
-)
-def test_impossible_settings_are_named(make, named):
-    with pytest.raises(InputError) as error:
-        make()
-    assert str(error.value).startswith(named)
