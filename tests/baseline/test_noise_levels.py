@@ -1,4 +1,4 @@
-"""The search for the process noise: what was put in is found, a given level is reached, a coloured one is widened."""
+"""The search for the process noise: what was put in is found, a coloured one is widened."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from small_problems import QUANTITIES, excitation, relative_error, small_chain
 
 from pinn_cli.baseline.iterated_smoother import IteratedSmoother
-from pinn_cli.baseline.noise_levels import begun, most_probable, stiffened, widened
+from pinn_cli.baseline.noise_levels import begun, most_probable, widened
 from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
 from pinn_cli.record.excitation.banded_noise import BandedNoise
 from pinn_cli.record.record import Record
@@ -34,8 +34,7 @@ def white(level: float, seed: int = 1) -> np.ndarray:
     return level * np.random.default_rng(seed).normal(size=(SAMPLES, 3))
 
 
-@pytest.mark.parametrize("nonlinearity", ["linear", "duffing"])
-@pytest.mark.parametrize("level", [0.02, 0.05, 0.2])
+@pytest.mark.parametrize(("level", "nonlinearity"), [(0.02, "linear"), (0.2, "duffing")])
 def test_the_process_noise_that_was_put_in_is_found(level: float, nonlinearity: str) -> None:
     smoother, levels, truth = disturbed(white(level), nonlinearity)
     best = most_probable(smoother, levels)
@@ -63,26 +62,8 @@ def test_a_coloured_model_error_is_widened_and_a_white_one_is_not() -> None:
     assert ratios[1] < 1.25
 
 
-def test_a_wanted_level_is_reached_by_decades() -> None:
-    smoother, levels, _ = disturbed(white(0.05))
-    reached = stiffened(smoother, levels, 1e-3)
-    assert reached.levels.discrepancy == pytest.approx(1e-3)
-    assert len({row["discrepancy"] for row in smoother.history}) >= 3
-
-
 def test_passes_settle_quadratically() -> None:
     smoother, levels, _ = disturbed(white(0.05))
     settled = smoother.settle(begun(smoother, levels).trajectory, levels, 1e-9)
     assert settled.step < 1e-9
     assert len(smoother.history) < 10
-
-
-def test_a_long_step_is_shortened_until_the_misfit_falls(monkeypatch: pytest.MonkeyPatch) -> None:
-    smoother, levels, _ = disturbed(white(0.05))
-    monkeypatch.setattr(smoother, "_misfit", lambda trajectory, *_: float(np.abs(trajectory.states).max() > 0.05))
-    taken = smoother.once(smoother.space.start(), levels)
-    monkeypatch.undo()
-    full = smoother.once(smoother.space.start(), levels)
-    share = np.abs(taken.trajectory.states).max() / np.abs(full.trajectory.states).max()
-    assert share == pytest.approx(2.0 ** round(np.log2(share)))
-    assert share < 1.0
