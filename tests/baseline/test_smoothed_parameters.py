@@ -32,10 +32,3 @@ def test_a_stiffness_below_zero_becomes_what_is_left_above():
     assert (k.lower_90, k.upper_90) == pytest.approx(tuple(expected.ppf([0.05, 0.95])))
     assert (kappa.estimate, kappa.held) == (5.0, False)
     assert (kappa.lower_90, kappa.upper_90) == pytest.approx(tuple(norm.ppf([0.05, 0.95], 5.0, 3.0)))
-
-
-def test_far_above_zero_it_stays_what_it_was():
-    k, _ = smoothed(9.0, 0.0)
-    assert k.estimate == 10.0 + 20.0 * 9.0
-    assert not k.held
-    assert (k.lower_90, k.upper_90) == pytest.approx(tuple(norm.ppf([0.05, 0.95], 190.0, 20.0)))

@@ -14,7 +14,7 @@ from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 
 FIXED = settings(
-    derandomize=True, database=None, deadline=None, max_examples=15, suppress_health_check=list(HealthCheck)
+    derandomize=True, database=None, deadline=None, max_examples=8, suppress_health_check=list(HealthCheck)
 )
 
 

@@ -120,24 +120,3 @@ def test_without_a_force_sensor_the_noise_tells_nothing():
     likelihood = unforced()
     values = [likelihood.evaluate(PEAK, s)[0] for s in (-0.5, 0.0, 0.5)]
     assert values == pytest.approx([values[0]] * 3)
-
-
-def test_the_conditional_is_the_density_of_independent_gaussian_residuals():
-    """Against scipy's, on residuals that are linear in the parameters."""
-    rng = np.random.default_rng(0)
-    columns, force = rng.standard_normal((400, 3)), 0.3 * rng.standard_normal(400)
-    measured = columns @ PEAK + force
-    gram = columns.T @ columns
-    peak = np.linalg.solve(gram, columns.T @ measured)
-    least = float(np.sum((measured - columns @ peak) ** 2))
-    likelihood = ConditionalLikelihood(NAMES, np.array([True, True]), gram, peak, least, 400)
-    np.testing.assert_allclose(likelihood.sigma_force, np.sqrt(least / 400))
-
-    def log_density(theta: np.ndarray, s: float) -> float:
-        sigma = likelihood.sigma_force[0] * np.exp(s)
-        return float(np.sum(-0.5 * ((measured - columns @ theta) / sigma) ** 2 - np.log(sigma)))
-
-    points = [(PEAK, 0.0), (peak, 0.3), (PEAK + 0.1, -0.2), (PEAK - 1.0, 2.0)]
-    expected = np.array([log_density(*point) for point in points])
-    found = np.array([likelihood.evaluate(*point)[0] for point in points])
-    np.testing.assert_allclose(found - found[0], expected - expected[0], rtol=1e-9)
