@@ -16,6 +16,12 @@ from pinn_cli.baseline.linear_gaussian import Filtered
 from pinn_cli.baseline.state_space import Linearised, NoiseLevels, StateSpace, Trajectory
 from pinn_cli.system.quantities import CALIBRATION_UNITS
 
+# Steps shorter than this part of the motion are taken unseen: the model is smooth on their scale, and looking costs a
+# tenth of a pass. A longer one is halved until the misfit falls, so many times at most.
+SHORT_STEP, HALVINGS = 0.1, 6
+# Prior precision of a gain that is held: of a millionth of its prior standard deviation.
+HELD = 1e12
+
 
 @dataclass(frozen=True, eq=False)
 class Regression:
@@ -41,8 +47,7 @@ def regress(filtered: Filtered, at: np.ndarray, precision: np.ndarray, pull: np.
         filtered: Deviations from a trajectory.
         at: (p,), distance of the trajectory's coefficients from their prior mean, in prior standard deviations.
         precision: (p,), of their prior, in these.
-        pull: (p,), derivative of what the misfit lacks, see
-            :meth:`pinn_cli.baseline.iterated_smoother.IteratedSmoother.pull_of_gains`.
+        pull: (p,), derivative of what the misfit lacks, see :meth:`IteratedSmoother.pull_of_gains`.
 
     Raises:
         numpy.linalg.LinAlgError: The coefficients' information is not positive definite.
@@ -54,13 +59,6 @@ def regress(filtered: Filtered, at: np.ndarray, precision: np.ndarray, pull: np.
     determinant = 2.0 * np.log(np.diag(factor[0])).sum() - np.log(precision).sum()
     evidence = -0.5 * (filtered.log_spread + squares + determinant)
     return Regression(change, cho_solve(factor, np.eye(len(at))), precision, float(evidence))
-
-
-# Steps shorter than this part of the motion are taken unseen: the model is smooth on their scale, and looking costs a
-# tenth of a pass. A longer one is halved until the misfit falls, so many times at most.
-SHORT_STEP, HALVINGS = 0.1, 6
-# Prior precision of a gain that is held: of a millionth of its prior standard deviation.
-HELD = 1e12
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,8 +24,15 @@ COLUMNS = (
     "constant_percent", "mean", "rms", "least", "largest", "band_low_hz", "band_high_hz", "noise", "noise_is_visible",
     "snr_db",
 )  # fmt: skip
-# Runs of the same value that are a longer part than this make a channel held, or slower than its file.
+PEAK_COLUMNS = (
+    "frequency_hz", "frequency_std_hz", "damping_percent", "damping_std_percent", "coherence", "mode", "structure_hz",
+    "difference_percent",
+)  # fmt: skip
+# Samples of a channel below which nothing is said of it but how many there are.
 FEWEST = 16
+# Parts of a channel that are worth a word, %; signal to noise below which it shows little, dB; and scatter of the steps
+# in time, % of a step.
+CLIPPED, CONSTANT, QUIET_DB, JITTER = 0.05, 5.0, 10.0, 3.0
 
 
 def channel_table(signals: Sequence[Signal], sampling: Sampling) -> pd.DataFrame:
@@ -77,14 +84,6 @@ def longest_gap(values: np.ndarray, sampling: Sampling) -> float:
     return longest if longest > 1.5 * sampling.step else 0.0
 
 
-PEAK_COLUMNS = (
-    "frequency_hz", "frequency_std_hz", "damping_percent", "damping_std_percent", "coherence", "mode", "structure_hz",
-    "difference_percent",
-)  # fmt: skip
-# Parts of a channel, %, that are worth a word; and signal to noise below which it shows little.
-CLIPPED, CONSTANT, QUIET_DB, JITTER = 0.05, 5.0, 10.0, 3.0
-
-
 @dataclass(frozen=True, eq=False)
 class Inspection:
     """What a look at a record found.
@@ -92,7 +91,7 @@ class Inspection:
     Attributes:
         sampling: When its samples were taken.
         signals: Its columns.
-        channels: From `pinn_cli.inspection.inspection`.
+        channels: See :func:`channel_table`.
         spectra: Of the columns that vary.
         peaks: Columns `PEAK_COLUMNS`; the last three compare with the structure, NaN without one.
         notes: Sentences about what is odd.

@@ -24,6 +24,12 @@ KNOTS_PER_PERIOD, REFINED_KNOTS_PER_PERIOD = 4.0, 5.0
 # With forces that nobody measured: a spline follows frequencies up to half its knots a second. What it could follow
 # beyond the record's, nobody has measured either, and near the Nyquist frequency it passes for motion in the band.
 KNOTS_WITHIN_BAND = 3.0
+# Collocation points in a knot interval, at least: fewer are no average.
+POINTS_PER_INTERVAL = 3
+# Intervals of the shortest record.
+FEWEST_INTERVALS = 8
+# Of a number of points that would be whole but for this: counted from knots that there are.
+ROUNDING = 1e-9
 
 
 def piece_coefficients(degree: int) -> np.ndarray:
@@ -42,14 +48,6 @@ def piece_coefficients(degree: int) -> np.ndarray:
             # there.
             pieces[power, a] = float(spline.derivative(power)(start)) / math.factorial(power)
     return pieces
-
-
-# Collocation points in a knot interval, at least: fewer are no average.
-POINTS_PER_INTERVAL = 3
-# Intervals of the shortest record.
-FEWEST_INTERVALS = 8
-# Of a number of points that would be whole but for this: counted from knots that there are.
-ROUNDING = 1e-9
 
 
 class SplineNetwork(LinearReadout):
