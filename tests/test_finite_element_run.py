@@ -100,6 +100,7 @@ def test_a_record_that_begins_in_motion_with_modes_above_its_band(in_folder_with
     assert (pd.read_csv(outcome.directory / "residuals.csv")["free_run_nmse_percent"].dropna() < 1.0).all()
 
 
+@pytest.mark.slow
 def test_a_mass_on_a_dof_that_the_model_does_not_have_is_named(in_folder_with_a_beam: PinnRun):
     rate, finer, random = 128.0, 16, np.random.default_rng(5)
     moments = np.arange(0.0, 6.0, 1.0 / (finer * rate))

@@ -100,13 +100,13 @@ def test_the_response_is_labelled(small_run: FinishedRun) -> None:
 
 
 def test_the_same_seed_gives_the_same_bytes(small_run: FinishedRun, pinn_run: PinnRun) -> None:
-    again = pinn_run(*SMALL, "case=small", "seed=0").directory
+    again = pinn_run(*SMALL, "case=small", "seed=0", "figures=false").directory
     for name in TABLES:
         assert (small_run.directory / name).read_bytes() == (again / name).read_bytes()
 
 
 def test_a_sweep_joins_its_tables(pinn_run: PinnRun) -> None:
-    outcome = pinn_run("--multirun", *SMALL, "noise.snr_db=40,30")
+    outcome = pinn_run("--multirun", *SMALL, "figures=false", "noise.snr_db=40,30")
     assert outcome.status == 0, outcome.err
     for name in TABLES:
         joined = pd.read_csv(outcome.directory / name)
@@ -135,7 +135,7 @@ def test_a_measured_record(small_run: FinishedRun, pinn_run: PinnRun, tmp_path: 
 
 
 def test_a_baseline_is_compared_with(pinn_run: PinnRun) -> None:
-    outcome = pinn_run(*SMALL, "baseline=kalman_smoother")
+    outcome = pinn_run(*SMALL, "figures=false", "baseline=kalman_smoother")
     assert outcome.status == 0, outcome.err
     for name in ("fitness.csv", "parameters.csv"):
         estimators = pd.read_csv(outcome.directory / name)["estimator"]

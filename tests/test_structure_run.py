@@ -32,8 +32,8 @@ def written_chain(law: str, **parameters: float) -> list[str]:
     [
         ["scheme=sparse_recovery"],
         ["scheme=state_parameter", "scheme.unobserved=[2]"],
-        ["scheme=sparse_recovery", "model_error=perturbed"],
-        ["scheme=sparse_recovery", "model_error=linear"],
+        pytest.param(["scheme=sparse_recovery", "model_error=perturbed"], marks=pytest.mark.slow),
+        pytest.param(["scheme=sparse_recovery", "model_error=linear"], marks=pytest.mark.slow),
     ],
     ids=["recovery", "state_parameter", "perturbed", "linear"],
 )

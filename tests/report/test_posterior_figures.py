@@ -73,8 +73,7 @@ def _drawn(figure: Figure) -> Figure:
     return figure
 
 
-@pytest.mark.parametrize("names", [("k_1",), DUFFING, TWELVE], ids=len)
-@pytest.mark.parametrize("chains", [1, 4])
+@pytest.mark.parametrize(("names", "chains"), [(("k_1",), 1), (DUFFING, 4), (TWELVE, 2)])
 def test_every_figure_is_drawn(names, chains):
     before = dict(mpl.rcParams)
     draws, statistics, parameters = _groups(names=names, chains=chains, draws=60)

@@ -34,7 +34,7 @@ def assert_right(estimate: Estimate, truth: Response) -> None:
     assert estimate.doubts == ()
 
 
-@pytest.mark.parametrize(("ground", "order"), [(False, 1), (True, 2)])
+@pytest.mark.parametrize(("ground", "order"), [(False, 1), pytest.param(True, 2, marks=pytest.mark.slow)])
 def test_behind_a_known_filter_displacements_are_in_their_bands(ground: bool, order: int):
     truth = moved(ground, 1, ())
     shown = dict(enumerate(high_passed(truth.acceleration, CORNER, order).T))

@@ -46,12 +46,15 @@ def spoilt(ground: bool, channels: dict[int, np.ndarray]) -> Record:
     return recorded(moved(ground, 1, ()), channels)
 
 
-@pytest.mark.parametrize("ground", [True, False])
+@pytest.mark.parametrize("ground", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_a_right_model_lacks_nothing(ground: bool):
     assert solved(posed(recorded(moved(ground, 1, ())))).doubts == ()
 
 
-@pytest.mark.parametrize(("ground", "connection", "term"), [(True, 1, "friction"), (False, 0, "cubic term")])
+@pytest.mark.parametrize(
+    ("ground", "connection", "term"),
+    [pytest.param(True, 1, "friction", marks=pytest.mark.slow), (False, 0, "cubic term")],
+)
 def test_a_term_that_was_left_out_is_named_with_its_connection_and_size(ground: bool, connection: int, term: str):
     first = lacking(ground, connection, term)[0]
     assert (first.kind, first.of) == (term, f"connection {connection + 1}")
@@ -71,7 +74,7 @@ def test_every_term_of_every_connection(ground: bool, connection: int, term: str
         assert first.value == pytest.approx(TERMS[term], rel=0.2)
 
 
-@pytest.mark.parametrize("connection", [0, 2])
+@pytest.mark.parametrize("connection", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_play_in_a_connection_is_told_from_a_cubic_spring(connection: int):
     truth = moved(False, 1, (("gap", connection, 1e-4),))
     first = solved(posed(recorded(truth))).doubts[0]
@@ -111,7 +114,7 @@ def test_a_tilting_accelerometer_is_named():
     assert abs(doubt.value - 3.0) < 4.0 * doubt.std < 1.0
 
 
-@pytest.mark.parametrize("ground", [True, False])
+@pytest.mark.parametrize("ground", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_floors_that_all_turn_are_named_together(ground: bool):
     truth = moved(ground, 1, ())
     channels = dict(enumerate((truth.acceleration + 3.0 * truth.displacement).T))
@@ -120,7 +123,7 @@ def test_floors_that_all_turn_are_named_together(ground: bool):
     assert doubt.value == pytest.approx(3.0, rel=0.1)
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_accelerometers_that_pass_no_slow_motion_are_named(order: int):
     truth = moved(False, 1, ())
     filtered = high_passed(truth.acceleration, 0.3, order)
@@ -129,14 +132,14 @@ def test_accelerometers_that_pass_no_slow_motion_are_named(order: int):
     assert 0.15 < doubt.value < 0.6
 
 
-@pytest.mark.parametrize("ground", [True, False])
+@pytest.mark.parametrize("ground", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_a_wrong_mass_is_named(ground: bool):
     doubt, *_ = solved(posed(recorded(moved(ground, 1, ())), m=[9e3, 10.5e3, 8e3])).doubts
     assert (doubt.kind, doubt.of) == ("m", "DOF 2")
     assert doubt.value == pytest.approx(500.0, rel=0.2)
 
 
-@pytest.mark.parametrize(("kind", "place", "off"), [("k", 1, 0.1), ("c", 0, 0.5)])
+@pytest.mark.parametrize(("kind", "place", "off"), [("k", 1, 0.1), pytest.param("c", 0, 0.5, marks=pytest.mark.slow)])
 def test_a_spring_and_a_damper_that_are_held_are_named(kind: str, place: int, off: float):
     """The other ones are unknown; `off` is the part of the value that the model lacks."""
     values = {"k": K, "c": C}
