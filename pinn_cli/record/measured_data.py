@@ -14,12 +14,11 @@ import numpy as np
 from pinn_cli.record.arriving import Arriving
 from pinn_cli.record.band import BandPass, checked_band
 from pinn_cli.record.between_samples import BETWEEN_SAMPLES, FIRST_ORDER_HOLD
-from pinn_cli.record.clock import TIME_UNITS, Clock
+from pinn_cli.record.clock import TIME_UNITS, Clock, MeasuredFiles
 from pinn_cli.record.data_channels import DataChannel, data_channels
 from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.held_out import not_held_out, scored_by
-from pinn_cli.record.measured_files import MeasuredFiles
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Measurements, Record, Truth, check_frame, dof_mask
 from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.record.sampled import Sampled, sampled
@@ -43,10 +42,10 @@ class MeasuredData:
     Attributes:
         path: Of the file, or of several whose samples stand on one clock; a relative one starts at ``base``, and ``~``
             is home.
-        time: Column of the times, uniform within the window; None: ``t``, unless ``sampling_rate`` is given or
-            the format tells times of its own.
+        time: Column of the times, uniform within the window; None: that which is called ``t``, ``time`` or so, unless
+            ``sampling_rate`` is given or the format tells times of its own.
         sampling_rate: Hz, in place of a column of times; the first sample is then at 0 s.
-        time_unit: Of that column: s, ms or us.
+        time_unit: Of that column: s, ms or us; None: what the file's header says, else s.
         force: DOF (from 1) to column, N; None instead of a column for a force that acts but is not measured. DOFs that
             are not listed are known to be unforced.
         displacement, velocity, acceleration: DOF to column, m, m/s, m/s^2.
@@ -90,7 +89,7 @@ class MeasuredData:
     kind: str = "csv"
     format: FileFormat = field(default_factory=CsvFormat)
     sampling_rate: float | None = None
-    time_unit: str = "s"
+    time_unit: str | None = None
     channels: Any = None
     validation: Any = None
     responds: bool = True
@@ -251,7 +250,8 @@ class MeasuredData:
     def _check_clock(self) -> None:
         if self.time is not None and (not isinstance(self.time, str) or not self.time):
             raise InputError("data.time", self.time, "null or the name of a column")
-        one_of("data.time_unit", self.time_unit, list(TIME_UNITS))
+        if self.time_unit is not None:
+            one_of("data.time_unit", self.time_unit, list(TIME_UNITS))
         if self.sampling_rate is not None:
             positive_number("data.sampling_rate", self.sampling_rate)
             if self.time is not None:
@@ -294,8 +294,7 @@ class MeasuredData:
 
     def _check_columns_differ(self) -> None:
         files = self._files
-        times = {files.time_column(path) for path in files.paths} - {None}
-        places = {str(time): "data.time" for time in times}
+        places = {c.column: "data.time" for c in self._every_channel if files.takes_for_times(c.column)}
         for channel in self._every_channel:
             if channel.column in places:
                 allowed = f"another column than {places[channel.column]}"

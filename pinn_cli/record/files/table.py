@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 
 # What an error says of the names of columns at most.
 _NAMES, _NAME_LENGTH = 20, 60
+# What a column of times should be called, and may be, in large letters or small ones: T is a temperature.
+TIMES, _ALSO_TIMES = "t", ("time", "zeit", "timestamp")
+# A unit in brackets at the end of a column's name.
+IN_BRACKETS = re.compile(r"(?P<name>.*\S)\s*[\[(]\s*(?P<unit>[^\[\]()]+?)\s*[\])]\s*$")
 # Cells that are no numbers, and how to write them as such.
 _WRITTEN_AS = (
     (re.compile(r"\d{4}-\d\d|\d\d?[./]\d\d?[./]\d|\d\d?:\d\d"), "write times as seconds, such as 0, 0.01, 0.02"),
@@ -123,6 +127,19 @@ class Table:
             raise InputError(self.place(column, first + largest), shown, USABLE, hint)
         return values
 
+    def with_dates(self, column: str) -> Table:
+        """The same with a column whose every cell is a date, as ISO 8601 writes it, in s from the first of them."""
+        texts = self.odd_cells.get(column, {})
+        if not texts or len(texts) < len(self):
+            return self
+        import pandas as pd
+
+        dates = pd.to_datetime(pd.Series(texts), format="ISO8601", errors="coerce", utc=True)
+        if dates.isna().any():
+            return self
+        since = (dates - dates.iloc[0]).dt.total_seconds().to_numpy(dtype=np.float64)
+        return replace(self, columns={**self.columns, column: since}, odd_cells={**self.odd_cells, column: {}})
+
     def refuse_gaps(self, column: str, values: np.ndarray, first: int = 0) -> None:
         """Refuse NaN among the numbers of rows ``first`` and on.
 
@@ -144,6 +161,39 @@ class Table:
         if rows[row] >= 0 or self.time is None:
             return table.place(column, int(rows[row]))
         return f"{table.path.name}, column {column!r}, at {self.time[row]:.9g} s"
+
+
+def bare(column: str) -> str:
+    """The name of a column without a unit in brackets at its end."""
+    found = IN_BRACKETS.fullmatch(column)
+    return found["name"] if found else column.strip()
+
+
+def is_called_times(column: str) -> bool:
+    """Whether a column is called as a column of times is."""
+    name = bare(column.rpartition("/")[2])
+    return name == TIMES or name.casefold() in _ALSO_TIMES
+
+
+def column_of_times(names: Collection[str]) -> str:
+    """That which is called as it should be; else the first that is called so."""
+    return TIMES if TIMES in names else next(filter(is_called_times, names), TIMES)
+
+
+def asked_for(path: Path, wanted: Mapping[str, str], names: Collection[str]) -> dict[str, str]:
+    """Setting to column, with that of the times by its own name where it is asked for as "".
+
+    Args:
+        path: Of the file.
+        wanted: See :meth:`pinn_cli.record.files.base.FileFormat.read`.
+        names: Of the file's columns.
+
+    Raises:
+        InputError: The file lacks a column.
+    """
+    asked = {setting: column or column_of_times(names) for setting, column in wanted.items()}
+    check_names(path, asked, names)
+    return asked
 
 
 def check_names(path: Path, wanted: Mapping[str, str], names: Collection[str], hint: str = "") -> None:

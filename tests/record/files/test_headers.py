@@ -19,6 +19,8 @@ from pinn_cli.record.files.tdms import TdmsFormat
 from pinn_cli.record.files.uff import UffFormat
 from pinn_cli.settings.errors import InputError
 
+pytestmark = pytest.mark.usefixtures("in_this_process")
+
 VALUES = np.sin(np.arange(40.0))
 
 

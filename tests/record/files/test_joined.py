@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from pinn_cli.record.clock import MeasuredFiles
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.joined import joined
 from pinn_cli.record.files.table import Table
 from pinn_cli.record.measured_data import MeasuredData
-from pinn_cli.record.measured_files import MeasuredFiles
 from pinn_cli.settings.errors import InputError
 
 TIME = np.arange(64) / 128.0

@@ -46,6 +46,9 @@ class Odd(ArrayFormat):
         os.write(2, b"another")
         values = np.array([1.5, np.nan, np.inf])
         whole = Variable.of(np.arange(3, dtype=">i2"))
+        if self.deed == "tell times":
+            time = np.array([0.0, 0.5, 1.0])
+            return {f"every {i}": Variable((4 - i,), lambda i=i: time[::i], time=time[::i]) for i in (1, 2)}
         return {"a": Variable.of(values, "g"), "ä\\n": Variable.of(values), "whole": whole}
 """
 
@@ -68,6 +71,13 @@ def test_numbers_and_names_come_back_as_they_are(read, capfd):
     assert table.columns["a"].flags.writeable
     assert {name: hint.unit for name, hint in table.hints.items()} == {"a": "g"}
     assert capfd.readouterr() == ("", "")
+
+
+def test_times_come_back_clock_by_clock(read):
+    table = read("tell times")
+    assert table.time.tolist() == [0.0, 0.5, 1.0]
+    np.testing.assert_array_equal(table.columns["every 1"], [0.0, 0.5, 1.0])
+    np.testing.assert_array_equal(table.columns["every 2"], [0.0, math.nan, 1.0])
 
 
 @pytest.mark.parametrize(
