@@ -18,7 +18,7 @@ from pinn_cli.record.clock import TIME_UNITS, Clock, MeasuredFiles
 from pinn_cli.record.data_channels import DataChannel, data_channels
 from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.csv import CsvFormat
-from pinn_cli.record.held_out import not_held_out, scored_by
+from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Measurements, Record, Truth, check_frame, dof_mask
 from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.record.sampled import Sampled, sampled
@@ -33,6 +33,9 @@ from pinn_cli.settings.legal_values import (
 )
 from pinn_cli.settings.paths import located
 from pinn_cli.system.quantities import FORCE, SUPPORT
+
+# Part of a step by which a sample may be off the time where it scores.
+OFF = 0.05
 
 
 @dataclass(frozen=True)
@@ -335,3 +338,45 @@ def _checked_holdout(holdout: Any) -> tuple[int, ...]:
     if not isinstance(holdout, Sequence) or isinstance(holdout, str) or not all(is_whole_number(dof) for dof in dofs):
         raise InputError("data.holdout", holdout, "a list of DOFs, counted from 1")
     return tuple(dict.fromkeys(int(dof) for dof in dofs))
+
+
+def not_held_out(gauges: Sequence[Gauge], holdout: Sequence[int]) -> tuple[Gauge, ...]:
+    """The gauges that an estimator may see.
+
+    Args:
+        gauges: Of the record.
+        holdout: DOFs, counted from 1.
+
+    Raises:
+        InputError: One that feels a DOF which is held out, and another one too.
+    """
+    dofs = {dof - 1 for dof in holdout}
+    held = [gauge for gauge in gauges if gauge.quantity in RESPONSE_QUANTITIES and dofs & set(gauge.weights)]
+    for gauge in held:
+        if not gauge.feels_one:
+            allowed = "DOFs whose every channel measures that DOF alone"
+            raise InputError("data.holdout", list(holdout), allowed, f"channel {gauge.name} feels others too")
+    return tuple(gauge for gauge in gauges if gauge not in held)
+
+
+def scored_by(gauge: Gauge, time: np.ndarray, holdout: Sequence[int]) -> np.ndarray:
+    """What a sensor that is held out knows of the truth (N,), NaN where it has no sample.
+
+    Args:
+        gauge: Of a DOF that is held out.
+        time: (N,), s, of the record.
+        holdout: DOFs, counted from 1.
+
+    Raises:
+        InputError: One whose calibration nobody knows, or that has no samples at the record's times.
+    """
+    at, felt = gauge.calibrated()
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    place = np.rint((at - time[0]) / step).astype(np.int64)
+    known = all(gauge.of(kind).is_known for kind in gauge.calibration)
+    if not known or gauge.of("delay").value or np.abs(at - time[0] - place * step).max() > OFF * step:
+        allowed = "DOFs whose channels have a known calibration, no delay, and samples at even times"
+        raise InputError("data.holdout", list(holdout), allowed, f"nothing else scores channel {gauge.name}")
+    truth = np.full(len(time), np.nan)
+    truth[place] = felt
+    return truth

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pinn_cli.record.band import decimate
 from pinn_cli.record.cross_spectra import CrossSpectra
-from pinn_cli.record.decimation import decimate
 from pinn_cli.record.response import GROUND, UNITS
 from pinn_cli.record.spectrum import signal_band
 from pinn_cli.record.units import si_factor

@@ -54,7 +54,7 @@ def test_one_point_a_sample_is_the_history_itself():
     assert not std.any()
 
 
-@pytest.mark.parametrize("refinement", [2, 3])
+@pytest.mark.parametrize("refinement", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_the_standard_deviation_is_the_error_at_the_ends(refinement):
     """Over many histories that fill the band that the interpolation expects."""
     # A gap in the band shows that there is no noise.

@@ -55,7 +55,7 @@ def by_hand(time: np.ndarray, friction: bool) -> tuple[np.ndarray, ...]:
     return y[:2].T, y[2:].T, np.array([acceleration(t, *state) for t, state in zip(time, y.T, strict=True)])
 
 
-def record_of(order: int, duration: float = 6.0) -> Record:
+def record_of(order: int, duration: float = 3.0) -> Record:
     time = np.arange(round(duration / STEP)) * STEP
     still, blank = np.zeros((len(time), 2)), np.full((len(time), 2), np.nan)
     begins = np.array([moved(np.zeros(1), k)[0] for k in (0, 1)])
@@ -107,6 +107,6 @@ def test_members_share_the_supports_and_not_their_errors():
     # Noise of a table as white noise of the spring's force (its damper matters little here).
     pushed = Members(parameters, np.zeros((200, 4)), np.array([[K[0] * 1e-4, 0.0]]), 1)
     expected = spread_of(pushed, structure, record, about)
-    late = record.time > 2.0
+    late = record.time > 1.5
     ratio = spread.displacement[late].mean(0) / expected.displacement[late].mean(0)
     np.testing.assert_allclose(ratio, 1.0, atol=0.15)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pinn_cli.record.excitation.sinusoids import sum_of_sinusoids
+from pinn_cli.record.excitation.banded_noise import sum_of_sinusoids
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import non_negative_number, positive_number, whole_number
 

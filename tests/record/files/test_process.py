@@ -47,8 +47,8 @@ class Odd(ArrayFormat):
         values = np.array([1.5, np.nan, np.inf])
         whole = Variable.of(np.arange(3, dtype=">i2"))
         if self.deed == "tell times":
-            time = np.array([0.0, 0.5, 1.0])
-            return {f"every {i}": Variable((4 - i,), lambda i=i: time[::i], time=time[::i]) for i in (1, 2)}
+            at = np.array([0.0, 0.5, 1.0])
+            return {f"every {i}": Variable((4 - i,), lambda i=i: at[::i], time=at[::i]) for i in (1, 2)}
         return {"a": Variable.of(values, "g"), "ä\\n": Variable.of(values), "whole": whole}
 """
 
