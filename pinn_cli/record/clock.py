@@ -10,8 +10,7 @@ import numpy as np
 
 from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.formats import format_of
-from pinn_cli.record.files.joined import joined
-from pinn_cli.record.files.table import SensorHint, Table, check_names, column_of_times, is_called_times
+from pinn_cli.record.files.table import SensorHint, Table, check_names, column_of_times, is_called_times, joined
 from pinn_cli.settings.errors import InputError
 
 # Units of a column of times, and how many of them a second has.

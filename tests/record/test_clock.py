@@ -55,10 +55,15 @@ def test_times_are_found_by_name_and_unit(tmp_path, name, per_second):
     frame.insert(2, name, times)
     frame.to_csv(tmp_path / "rig.csv", index=False)
     np.testing.assert_allclose(read(tmp_path).time, table()["t"], atol=1e-12)
-    frame.to_csv(tmp_path / "rig.csv", index=False)
     np.testing.assert_allclose(read(tmp_path, time_unit="us").time, 1e-6 * times, atol=1e-12)
     with pytest.raises(InputError, match="must be another column than data.time"):
         read(tmp_path, force={1: name})
+
+
+def test_the_line_of_units_tells_that_of_the_times(tmp_path):
+    names, *lines = table().assign(t=10 * np.arange(ROWS)).to_csv(index=False).splitlines()
+    (tmp_path / "rig.csv").write_text("\n".join([names, "ms,N,m/s^2", *lines]))
+    np.testing.assert_allclose(read(tmp_path).time, table()["t"], atol=1e-12)
 
 
 def test_a_column_called_t_goes_before_others(tmp_path):

@@ -9,10 +9,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import ClassVar
 
-from pinn_cli.record.files.joined import joined
 from pinn_cli.record.files.on_disk import check_size, damaged, other_format, read_bytes
 from pinn_cli.record.files.process import read_apart
-from pinn_cli.record.files.table import TIMES, Table
+from pinn_cli.record.files.table import TIMES, Table, joined
 from pinn_cli.record.files.variables import Variable, tables_of
 from pinn_cli.settings.errors import InputError
 

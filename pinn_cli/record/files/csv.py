@@ -31,7 +31,7 @@ SEPARATORS = ("\t", ";", ",", "|", BLANKS)
 # Lines that are looked at to find out which it is.
 _LINES = 20
 _CELL = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?$|[+-]?(nan|inf)$|$", re.IGNORECASE)
-_POINT = re.compile(r"[+-]?\d*\.\d")
+_POINT = re.compile(r"[+-]?\d*\.\d+([eE][+-]?\d+)?\s*$")
 _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?\s*$")
 # What no unit begins with.
 _NUMBER = re.compile(r"[+-]?\.?\d|nan|inf|true|false", re.IGNORECASE)

@@ -216,6 +216,7 @@ def test_parquet_refuses_what_is_no_number(tmp_path):
         ("t:a\n0:1\n", {"separator": ":"}, {"t": [0], "a": [1]}, {}, 2),
         ("t\ta\n0\t1\n", {"separator": "\\t"}, {"t": [0], "a": [1]}, {}, 2),
         ("t;a\n0;1,000\n", {"decimal": ","}, {"t": [0], "a": [1]}, {}, 2),
+        ("t;a\n1.5.2026;1,5\n2.5.2026;-2\n", {}, {"t": [np.nan, np.nan], "a": [1.5, -2]}, {}, 2),
         ("t;a\n0;1\n1;\n", {}, {"t": [0, 1], "a": [1, np.nan]}, {}, 2),
         (
             "t,a (roof),b (m/s\xb2),c [kN],d (um)\n0,1,2,3,4\n",

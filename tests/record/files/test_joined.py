@@ -10,8 +10,7 @@ import pytest
 
 from pinn_cli.record.clock import MeasuredFiles
 from pinn_cli.record.files.csv import CsvFormat
-from pinn_cli.record.files.joined import joined
-from pinn_cli.record.files.table import Table
+from pinn_cli.record.files.table import Table, joined
 from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.settings.errors import InputError
 
