@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refusal
 
 from pinn_cli.record.measured_data import MeasuredData
-from pinn_cli.settings.errors import InputError
 
 SETTINGS = {"path": "rig.csv", "time": "t", "force": {1: "f"}, "acceleration": {1: "a1", 2: "a2"}}
 
@@ -24,10 +24,7 @@ def table() -> pd.DataFrame:
 
 
 def message(base: Path, ndof: int = 3, **changes) -> str:
-    with pytest.raises(InputError) as error:
-        MeasuredData(**{**SETTINGS, "base": base, **changes}).measure(ndof)
-    assert "\n" not in str(error.value)
-    return str(error.value)
+    return refusal(lambda: MeasuredData(**{**SETTINGS, "base": base, **changes}).measure(ndof))
 
 
 def with_cell(column: str, row: int, cell: object) -> pd.DataFrame:

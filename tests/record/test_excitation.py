@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from omegaconf import OmegaConf
+from refusals import refusal
 from scipy.fft import ifft
 
 from pinn_cli.record.excitation import BandedNoise, Excitation, Impulse, SineSweep, banded_noise
@@ -144,9 +145,7 @@ def test_momentum_of_a_blow_is_its_area():
     ],
 )
 def test_illegal_settings_are_named(setting, excitation, settings):
-    with pytest.raises(InputError, match=rf"^{setting}=") as error:
-        excitation(**settings)
-    assert "\n" not in str(error.value)
+    assert refusal(excitation, **settings).startswith(f"{setting}=")
 
 
 @pytest.mark.parametrize("name", ["banded_noise", "sine_sweep", "impulse"])

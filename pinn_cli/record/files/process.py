@@ -16,7 +16,7 @@ from dataclasses import astuple
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import ClassVar, Protocol
 from zipfile import BadZipFile
 
 import numpy as np
@@ -26,9 +26,6 @@ from pinn_cli.record.files.table import SensorHint, Table
 from pinn_cli.runs.memory import of_this_machine
 from pinn_cli.settings.errors import InputError
 
-if TYPE_CHECKING:
-    from pinn_cli.record.files.base import ArrayFormat
-
 # Bytes that libraries map before they read anything, three times those of pyarrow; and of the memory, the part that a
 # file may take beyond them: its content, its numbers as stored, as float64 and on their way, a sixteenth each at most.
 _LIBRARIES, _PART_OF_MEMORY = 2**30, 4
@@ -36,8 +33,17 @@ _LIBRARIES, _PART_OF_MEMORY = 2**30, 4
 _SECONDS, _BYTES_A_SECOND = 60.0, 2**19
 
 
-def read_apart(own: ArrayFormat, path: Path, wanted: Mapping[str, str] | None) -> list[Table]:
-    """What :meth:`ArrayFormat.tables` reads in the other process.
+class Reader(Protocol):
+    """What a format tells and does here: see :class:`pinn_cli.record.files.base.ArrayFormat`."""
+
+    expected: ClassVar[str]
+
+    def tables(self, path: Path, wanted: Mapping[str, str] | None) -> list[Table]:
+        """The columns, in one table for each clock."""
+
+
+def read_apart(own: Reader, path: Path, wanted: Mapping[str, str] | None) -> list[Table]:
+    """What a format's ``tables`` reads in the other process.
 
     Args:
         own: The file's format.
