@@ -16,7 +16,7 @@ from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.modes import Modes
 
-TIME = np.linspace(3.0, 6.0, 61)
+TIME = np.linspace(3.0, 5.0, 41)
 START = np.array([[0.1, -0.2, 0.05], [0.3, 0.1, -0.4]])
 
 
@@ -65,7 +65,7 @@ def test_a_free_decay_is_known_by_hand():
 
 def test_critical_damping_is_no_hindrance():
     structure = build_chain(1, Linear(), m=2.0, c=20.0, k=50.0)
-    record = Record(TIME, np.ones((61, 1)), *[np.full((61, 1), np.nan)] * 2, np.ones((61, 1)), np.array([False]))
+    record = Record(TIME, np.ones((41, 1)), *[np.full((41, 1), np.nan)] * 2, np.ones((41, 1)), np.array([False]))
     t = TIME - TIME[0]
     expected = 0.02 + np.exp(-5.0 * t) * (0.08 + (0.3 + 5.0 * 0.08) * t)
     found = free_run(structure, record, START[:, :1])

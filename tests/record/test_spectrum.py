@@ -72,7 +72,7 @@ def test_the_band_of_white_noise_holds_little_of_it():
     assert np.median(found) < 0.02 * 0.5 / STEP
 
 
-@pytest.mark.parametrize("samples", [129, 257, 513])
+@pytest.mark.parametrize("samples", [129, *(pytest.param(count, marks=pytest.mark.slow) for count in (257, 513))])
 def test_the_noise_of_a_short_channel_does_not_pass_for_signal(samples):
     rng, taken_in = np.random.default_rng(0), 0
     for _ in range(1000):
