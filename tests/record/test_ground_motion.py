@@ -13,7 +13,7 @@ from refusals import refusal
 from scipy.signal import welch
 
 from pinn_cli.record.excitation import GroundMotion
-from pinn_cli.record.excitation.filtered_noise import Envelope, FilteredNoise, Spectrum
+from pinn_cli.record.excitation.ground_motion import Envelope, FilteredNoise, Spectrum
 from pinn_cli.record.excitation.recorded_motion import RecordedMotion
 from pinn_cli.settings.instantiation import build
 
