@@ -27,7 +27,7 @@ from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.inspecting import Inspected
 from pinn_cli.cli.windows import check_windows
 from pinn_cli.inspection.inspection import inspect_record
-from pinn_cli.record.growing_windows import GrowingWindows
+from pinn_cli.record.windows import GrowingWindows
 from pinn_cli.scheme.modal.modal_problem import modal_problem
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.evidence import Evidence

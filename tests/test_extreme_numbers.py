@@ -8,8 +8,8 @@ import pytest
 import torch
 from calls import PinnRun
 
+from pinn_cli.record.simulated import MOST_STEPS, check_size
 from pinn_cli.record.simulation import Simulation
-from pinn_cli.record.size import MOST_STEPS, check_size
 from pinn_cli.runs.memory import is_out_of_memory
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
@@ -66,13 +66,13 @@ def test_a_chain_is_as_stiff_as_the_steps_allow() -> None:
 
 
 def test_memory_bounds_samples_dofs_and_repeats(monkeypatch) -> None:
-    monkeypatch.setattr("pinn_cli.record.size.of_this_machine", lambda: 40_000_000)
+    monkeypatch.setattr("pinn_cli.record.simulated.of_this_machine", lambda: 40_000_000)
     check_size(Simulation(duration=100.0, samples=1000), structure(100), repeats=12)
     with pytest.raises(InputError, match=r"^simulation\.samples=1001: must be at most 1000 with system.ndof=100; "):
         check_size(Simulation(duration=100.0, samples=1001), structure(100))
     with pytest.raises(InputError, match=r"^noise\.repeats=13: must be at most 12 with this record"):
         check_size(Simulation(duration=100.0, samples=1000), structure(100), repeats=13)
-    monkeypatch.setattr("pinn_cli.record.size.of_this_machine", lambda: 4_000_000)
+    monkeypatch.setattr("pinn_cli.record.simulated.of_this_machine", lambda: 4_000_000)
     with pytest.raises(InputError, match=r"^system\.ndof=1000: must be at most 10; "):
         check_size(Simulation(duration=100.0, samples=1000), structure(1000))
 

@@ -85,13 +85,13 @@ def _goes_on(overrides: Sequence[str]) -> bool:
 
 def _settings(table: Table, own: dict[str, str], acting: Sequence[str], overrides: Sequence[str]) -> dict[str, str]:
     """Name within `data` to value, as an override writes it."""
-    from pinn_cli.record.files.frame import TIMES, bare
+    from pinn_cli.record.files.table import column_of_times
 
     said = {setting_of(override) for override in overrides}
     found = {"path": quoted(table.path.name), **own}
-    times = [name for name in table.columns if bare(name) in TIMES]
-    if times and not said & set(_CLOCKS):
-        found["time"] = quoted(times[0])
+    times = column_of_times(table.columns)
+    if times in table.columns and not said & set(_CLOCKS):
+        found["time"] = quoted(times)
     if not any(f"{name}.".startswith(f"{channel}.") for name in said for channel in _CHANNELS):
         found |= _named_channels(table, acting)
     return found
@@ -104,8 +104,7 @@ def _written(settings: dict[str, str]) -> str:
 
 def _named_channels(table: Table, acting: Sequence[str]) -> dict[str, str]:
     """Channels by the names of the columns."""
-    from pinn_cli.record.files.frame import bare
-    from pinn_cli.record.files.table import listed
+    from pinn_cli.record.files.table import bare, listed
 
     maps: dict[str, dict[str, str]] = {}
     ground = [name for name in table.columns if bare(name) == _GROUND]

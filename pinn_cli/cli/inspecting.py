@@ -67,15 +67,15 @@ def _of_files(data: DictConfig, base: Path) -> tuple[list[Signal], np.ndarray]:
     """The columns that the settings name, else all that there are; within the window."""
     import numpy as np
 
+    from pinn_cli.record.clock import MeasuredFiles
     from pinn_cli.record.files.table import SensorHint
-    from pinn_cli.record.measured_files import MeasuredFiles
 
     paths = [data.path] if isinstance(data.path, str) else entries(data.path)
     if not paths or not all(isinstance(path, str) and path for path in paths):
         raise InputError("data.path", data.path, f"given: data={data.get('kind')} reads a file of yours, or several")
     files = MeasuredFiles(
         tuple(located(path, base) for path in paths), build(data.format, "data.format"), data.get("time"),
-        data.get("sampling_rate"), data.get("time_unit", "s"),
+        data.get("sampling_rate"), data.get("time_unit"),
     )  # fmt: skip
     said = {channel.column: channel for channel in _channels(data)}
     clock = files.read({channel.setting: channel.column for channel in said.values()} or None)

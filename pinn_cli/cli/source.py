@@ -184,8 +184,8 @@ def read_source(
         InputError: A setting that no record can have.
     """
     from pinn_cli.record.noise import Noise
+    from pinn_cli.record.simulated import check_size
     from pinn_cli.record.simulation import Simulation
-    from pinn_cli.record.size import check_size
     from pinn_cli.record.validation_data import validation_of
 
     if not _is_simulated(config):
@@ -219,10 +219,9 @@ def read_source(
 
 def _windows_of(config: DictConfig, data: Any, connections: list[str], follows: bool) -> RecordWindows | None:
     """The windows that `data.window` asks for; None where it asks for none."""
-    from pinn_cli.record.growing_windows import GrowingWindows, Patience
     from pinn_cli.record.measured_data import MeasuredData
     from pinn_cli.record.simulated import Simulated
-    from pinn_cli.record.windows import MeasuredWindows, SimulatedWindows, checked_lengths
+    from pinn_cli.record.windows import GrowingWindows, MeasuredWindows, Patience, SimulatedWindows, checked_lengths
 
     window, overlap = config.data.get("window"), config.data.get("overlap")
     if window is None:

@@ -13,12 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pinn_cli.record.clock import Clock
+from pinn_cli.record.clock import Clock, MeasuredFiles
 from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.formats import format_of
-from pinn_cli.record.files.table import Table
-from pinn_cli.record.measured_files import MeasuredFiles
+from pinn_cli.record.files.table import Table, column_of_times
 from pinn_cli.settings.errors import InputError
 
 SETTING = "data.path"
@@ -243,7 +242,7 @@ class Arriving:
             return (self.samples + np.arange(len(table))) / self.files.sampling_rate
         column = self.files.time_column(table.path)
         if column is not None:
-            return Clock.by_column(table, column, self.files.time_unit).time
+            return Clock.by_column(table, column or column_of_times(table.columns), self.files.time_unit).time
         if table.time is None:
             raise InputError("data.sampling_rate", None, "given, in Hz, or data.time, a column of times")
         return table.time

@@ -1,4 +1,4 @@
-"""A band of a record: what lies outside it is filtered out of every channel alike."""
+"""Filters that go through every channel of a record alike, so that what they leave obeys the same equations."""
 
 from __future__ import annotations
 
@@ -20,6 +20,9 @@ FLANK, FLANK_OF_EDGE, HALF_OF_RECORD = 0.25, 0.5, 0.1
 LENGTH_BY_WIDTH = (ATTENUATION_DB - 7.95) / 14.36
 # The samples that are kept have their Nyquist frequency above the upper flank by this factor.
 NYQUIST_OVER_BAND = 1.25
+
+# Half the filter's length in samples of the result, as in scipy.signal.decimate.
+HALF_LENGTH = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,3 +102,29 @@ def checked_band(given: Any) -> tuple[float, float] | None:
     if len(edges) != 2 or not all(is_finite_number(x) and x > 0 for x in edges) or not edges[0] < edges[1]:
         raise InputError("data.band", given, "null, or two frequencies in Hz that grow, such as [4, 12]")
     return float(edges[0]), float(edges[1])
+
+
+def decimate(values: np.ndarray, factor: int) -> np.ndarray:
+    """Every ``factor``-th sample, after a zero-phase low-pass filter that is the same for every column.
+
+    The filter is a Hamming-windowed sinc that halves the amplitude at the new Nyquist frequency and is flat below 0.8
+    of it, so that white noise stays nearly white. All columns of a record must go through it: force and response are
+    then filtered alike and obey the same linear equation of motion as before.
+
+    Beyond its ends a column goes on as its own odd reflection about the end sample, which keeps value and slope. On the
+    Cristallo records (factor 4, windows cut from the middle) the ten samples at either end then miss what the whole
+    record gives by 0.1 to 1 % of the signal's rms; zeros beyond the ends, as scipy.signal.decimate has them, by 50 %.
+
+    Args:
+        values: (N, columns), finite.
+        factor: >= 1.
+
+    Returns:
+        (ceil(N / factor), columns).
+    """
+    if factor == 1:
+        return values
+    from scipy.signal import firwin, resample_poly
+
+    low_pass = firwin(2 * HALF_LENGTH * factor + 1, 1.0 / factor)
+    return np.asarray(resample_poly(values, 1, factor, axis=0, window=low_pass, padtype="antireflect"))

@@ -1,16 +1,22 @@
-"""When the samples of a file were taken: by a column of times, by its sampling rate, or by the file's own header."""
+"""When the samples of files were taken: by a column of times, by a sampling rate, or by a file's own header."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from pinn_cli.record.files.table import Table
+from pinn_cli.record.files.base import FileFormat
+from pinn_cli.record.files.formats import format_of
+from pinn_cli.record.files.table import SensorHint, Table, check_names, column_of_times, is_called_times, joined
 from pinn_cli.settings.errors import InputError
 
 # Units of a column of times, and how many of them a second has.
 TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6}
+# Stands for the column of times, whatever it is called.
+BY_NAME = ""
 
 # Times are printed with few digits: let each be off the regular axis by this part of a step, or by its last digit.
 TIME_TOLERANCE = 0.01
@@ -36,12 +42,19 @@ class Clock:
     several: bool = False
 
     @classmethod
-    def by_column(cls, table: Table, column: str, unit: str) -> Clock:
+    def by_column(cls, table: Table, column: str, unit: str | None) -> Clock:
         """The times that a column has.
+
+        Args:
+            table: With that column.
+            column: Of the times.
+            unit: A key of `TIME_UNITS`; None: what the header says, if it is one of them, else s.
 
         Raises:
             InputError: A time that is missing, or not later than the one before it.
         """
+        if unit is None:
+            unit = table.hints.get(column, SensorHint()).unit
         readings = table.numbers(column)
         table.refuse_gaps(column, readings)
         back = np.flatnonzero(np.diff(readings) <= 0)
@@ -49,7 +62,7 @@ class Clock:
             row = int(back[0]) + 1
             allowed = f"later than the line before it, {readings[row - 1]:.9g}"
             raise InputError(table.place(column, row), readings[row], allowed)
-        return cls(table, column, readings, unit)
+        return cls(table, column, readings, unit if unit in TIME_UNITS else "s")
 
     @classmethod
     def by_rate(cls, table: Table, sampling_rate: float) -> Clock:
@@ -107,3 +120,81 @@ def _last_digit(time: np.ndarray) -> float:
         if np.allclose(time, np.round(time, decimals), rtol=1e-14, atol=1e-12):
             return float(10.0**-decimals)
     return 0.0
+
+
+@dataclass(frozen=True)
+class MeasuredFiles:
+    """Files of one record, and how their samples' times are told.
+
+    Attributes:
+        paths: Of one file or more; those of several stand on one clock.
+        format: How numbers lie in them; a file whose suffix is that of another format is read as that.
+        time: Column of the times, in every file; None: that which is called so, unless ``sampling_rate`` is given or
+            the format tells times of its own.
+        sampling_rate: Hz, in place of a column of times; the first sample is then at 0 s.
+        time_unit: Of that column, see :meth:`Clock.by_column`.
+    """
+
+    paths: tuple[Path, ...]
+    format: FileFormat
+    time: str | None = None
+    sampling_rate: float | None = None
+    time_unit: str | None = None
+
+    def read(self, wanted: Mapping[str, str] | None = None) -> Clock:
+        """The columns that are asked for, and when they were sampled.
+
+        Args:
+            wanted: Setting to the name of the column that it asks for, that of the times left out; None: every column
+                that has numbers.
+
+        Raises:
+            InputError: A file, column or cell that cannot be used; nothing tells the times; clocks of several files
+                that do not overlap, or columns of the same name in two of them.
+        """
+        if len(self.paths) == 1:
+            return self._clock(self._table(self.paths[0], wanted))
+        clocks = [self._clock(self._table(path, None)) for path in self.paths]
+        times = {clock.column for clock in clocks}
+        if wanted is not None:
+            names = [name for clock in clocks for name in clock.table.columns if name not in times]
+            shown, kept = Path(", ".join(path.name for path in self.paths)), set(wanted.values())
+            check_names(shown, wanted, names)
+            clocks = [replace(clock, table=_only(clock.table, kept)) for clock in clocks]
+        table = joined([clock.table for clock in clocks], [clock.time for clock in clocks], sorted(times))
+        assert table.time is not None
+        return Clock(table, "", table.time, several=True)
+
+    def time_column(self, path: Path) -> str | None:
+        """Column of a file's times, or `BY_NAME`; None: the sampling rate is given, or the file's header tells it."""
+        if self.time is not None:
+            return self.time
+        return None if self.sampling_rate is not None or format_of(path, self.format).tells_time else BY_NAME
+
+    def takes_for_times(self, column: str) -> bool:
+        """Whether a column is that of the times in one of the files."""
+        looked_for = {self.time_column(path) for path in self.paths}
+        return column in looked_for or (BY_NAME in looked_for and is_called_times(column))
+
+    def _table(self, path: Path, wanted: Mapping[str, str] | None) -> Table:
+        time = self.time_column(path)
+        if wanted is not None and time is not None:
+            wanted = {"data.time": time, **wanted}
+        return format_of(path, self.format).read(path, wanted)
+
+    def _clock(self, table: Table) -> Clock:
+        if self.sampling_rate is not None:
+            return Clock.by_rate(table, self.sampling_rate)
+        column = self.time_column(table.path)
+        if column is not None:
+            column = column or column_of_times(table.columns)
+            check_names(table.path, {"data.time": column}, table.columns, "or give data.sampling_rate, in Hz")
+            return Clock.by_column(table.with_dates(column), column, self.time_unit)
+        if table.time is None:
+            hint = f"{table.path.name} does not say when its samples were taken"
+            raise InputError("data.sampling_rate", None, "given, in Hz, or data.time, a column of times", hint)
+        return Clock(table, "", table.time)
+
+
+def _only(table: Table, names: set[str]) -> Table:
+    return replace(table, columns={name: values for name, values in table.columns.items() if name in names})

@@ -14,8 +14,7 @@ from scipy.integrate import odeint
 from pinn_cli.record.steps import TooStiffError
 
 if TYPE_CHECKING:
-    from pinn_cli.record.runge_kutta import Force
-    from pinn_cli.record.runge_kutta_step import Slope
+    from pinn_cli.record.runge_kutta import Force, Slope
 
 # Error of a step, over the state and over what the loads make of it within a sample.
 TOLERANCE = 1e-7

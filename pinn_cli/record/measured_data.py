@@ -14,12 +14,11 @@ import numpy as np
 from pinn_cli.record.arriving import Arriving
 from pinn_cli.record.band import BandPass, checked_band
 from pinn_cli.record.between_samples import BETWEEN_SAMPLES, FIRST_ORDER_HOLD
-from pinn_cli.record.clock import TIME_UNITS, Clock
+from pinn_cli.record.clock import TIME_UNITS, Clock, MeasuredFiles
 from pinn_cli.record.data_channels import DataChannel, data_channels
 from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.csv import CsvFormat
-from pinn_cli.record.held_out import not_held_out, scored_by
-from pinn_cli.record.measured_files import MeasuredFiles
+from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Measurements, Record, Truth, check_frame, dof_mask
 from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.record.sampled import Sampled, sampled
@@ -35,6 +34,9 @@ from pinn_cli.settings.legal_values import (
 from pinn_cli.settings.paths import located
 from pinn_cli.system.quantities import FORCE, SUPPORT
 
+# Part of a step by which a sample may be off the time where it scores.
+OFF = 0.05
+
 
 @dataclass(frozen=True)
 class MeasuredData:
@@ -43,10 +45,10 @@ class MeasuredData:
     Attributes:
         path: Of the file, or of several whose samples stand on one clock; a relative one starts at ``base``, and ``~``
             is home.
-        time: Column of the times, uniform within the window; None: ``t``, unless ``sampling_rate`` is given or
-            the format tells times of its own.
+        time: Column of the times, uniform within the window; None: that which is called ``t``, ``time`` or so, unless
+            ``sampling_rate`` is given or the format tells times of its own.
         sampling_rate: Hz, in place of a column of times; the first sample is then at 0 s.
-        time_unit: Of that column: s, ms or us.
+        time_unit: Of that column: s, ms or us; None: what the file's header says, else s.
         force: DOF (from 1) to column, N; None instead of a column for a force that acts but is not measured. DOFs that
             are not listed are known to be unforced.
         displacement, velocity, acceleration: DOF to column, m, m/s, m/s^2.
@@ -90,7 +92,7 @@ class MeasuredData:
     kind: str = "csv"
     format: FileFormat = field(default_factory=CsvFormat)
     sampling_rate: float | None = None
-    time_unit: str = "s"
+    time_unit: str | None = None
     channels: Any = None
     validation: Any = None
     responds: bool = True
@@ -251,7 +253,8 @@ class MeasuredData:
     def _check_clock(self) -> None:
         if self.time is not None and (not isinstance(self.time, str) or not self.time):
             raise InputError("data.time", self.time, "null or the name of a column")
-        one_of("data.time_unit", self.time_unit, list(TIME_UNITS))
+        if self.time_unit is not None:
+            one_of("data.time_unit", self.time_unit, list(TIME_UNITS))
         if self.sampling_rate is not None:
             positive_number("data.sampling_rate", self.sampling_rate)
             if self.time is not None:
@@ -294,8 +297,7 @@ class MeasuredData:
 
     def _check_columns_differ(self) -> None:
         files = self._files
-        times = {files.time_column(path) for path in files.paths} - {None}
-        places = {str(time): "data.time" for time in times}
+        places = {c.column: "data.time" for c in self._every_channel if files.takes_for_times(c.column)}
         for channel in self._every_channel:
             if channel.column in places:
                 allowed = f"another column than {places[channel.column]}"
@@ -336,3 +338,45 @@ def _checked_holdout(holdout: Any) -> tuple[int, ...]:
     if not isinstance(holdout, Sequence) or isinstance(holdout, str) or not all(is_whole_number(dof) for dof in dofs):
         raise InputError("data.holdout", holdout, "a list of DOFs, counted from 1")
     return tuple(dict.fromkeys(int(dof) for dof in dofs))
+
+
+def not_held_out(gauges: Sequence[Gauge], holdout: Sequence[int]) -> tuple[Gauge, ...]:
+    """The gauges that an estimator may see.
+
+    Args:
+        gauges: Of the record.
+        holdout: DOFs, counted from 1.
+
+    Raises:
+        InputError: One that feels a DOF which is held out, and another one too.
+    """
+    dofs = {dof - 1 for dof in holdout}
+    held = [gauge for gauge in gauges if gauge.quantity in RESPONSE_QUANTITIES and dofs & set(gauge.weights)]
+    for gauge in held:
+        if not gauge.feels_one:
+            allowed = "DOFs whose every channel measures that DOF alone"
+            raise InputError("data.holdout", list(holdout), allowed, f"channel {gauge.name} feels others too")
+    return tuple(gauge for gauge in gauges if gauge not in held)
+
+
+def scored_by(gauge: Gauge, time: np.ndarray, holdout: Sequence[int]) -> np.ndarray:
+    """What a sensor that is held out knows of the truth (N,), NaN where it has no sample.
+
+    Args:
+        gauge: Of a DOF that is held out.
+        time: (N,), s, of the record.
+        holdout: DOFs, counted from 1.
+
+    Raises:
+        InputError: One whose calibration nobody knows, or that has no samples at the record's times.
+    """
+    at, felt = gauge.calibrated()
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    place = np.rint((at - time[0]) / step).astype(np.int64)
+    known = all(gauge.of(kind).is_known for kind in gauge.calibration)
+    if not known or gauge.of("delay").value or np.abs(at - time[0] - place * step).max() > OFF * step:
+        allowed = "DOFs whose channels have a known calibration, no delay, and samples at even times"
+        raise InputError("data.holdout", list(holdout), allowed, f"nothing else scores channel {gauge.name}")
+    truth = np.full(len(time), np.nan)
+    truth[place] = felt
+    return truth

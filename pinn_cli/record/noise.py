@@ -1,4 +1,4 @@
-"""Sensor noise: white, Gaussian, at a signal-to-noise ratio."""
+"""Sensor noise: white, Gaussian, at a signal-to-noise ratio; and what is left of it where a measurement is repeated."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pinn_cli.record.repeats import Repeats
 from pinn_cli.record.response import GROUND, MEASURED_QUANTITIES, QUANTITIES, Response
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import LARGEST_LEGACY_SEED, is_finite_number, one_of, whole_number
@@ -18,6 +17,31 @@ STREAMS = ("independent", "shared")
 LARGEST_SNR_DB = 300
 # Seeds of one repeat's channels are consecutive: far enough apart for chains of a thousand DOFs.
 REPEAT_STRIDE = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Repeats:
+    """What the mean of several repeats does not say; mean and sum of squares together are sufficient for white noise.
+
+    Attributes:
+        count: How often the experiment was measured, R.
+        samples: N of each.
+        square: Quantity to (n,), the ground's acceleration to (1,), sum over samples and repeats of the squared
+            distance from the repeats' mean; NaN where there is no sensor.
+    """
+
+    count: int
+    samples: int
+    square: dict[str, np.ndarray]
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of a channel's sum of squares, N (R - 1)."""
+        return self.samples * (self.count - 1)
+
+    def noise_of_mean(self, quantity: str) -> np.ndarray:
+        """(n,) standard deviation of the white noise that is left on the mean of the repeats, from their scatter."""
+        return np.sqrt(self.square[quantity] / self.freedom / self.count)
 
 
 @dataclass(frozen=True)

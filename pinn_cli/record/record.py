@@ -14,7 +14,7 @@ import numpy as np
 from pinn_cli.record.band import BandPass
 from pinn_cli.record.between_samples import INTERSAMPLE, Intersample
 from pinn_cli.record.gauge import Gauge
-from pinn_cli.record.repeats import Repeats
+from pinn_cli.record.noise import Repeats
 from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of

@@ -1,16 +1,39 @@
-"""Time integration by the classical Runge-Kutta method of order four."""
+"""Time integration by the classical Runge-Kutta method of order four: step by step, or a record's pieces at once.
+
+A long record of a smooth structure is cut into pieces that are integrated side by side, each from a state of its own.
+Newton's method moves those states until every piece begins where the one before it ends (multiple shooting: Bock and
+Plitt 1984; in parallel in time: Gander and Vandewalle 2007). What is found is what one step after the other gives, to
+rounding.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from pinn_cli.record.corners import Corners
-from pinn_cli.record.multiple_shooting import MANY_STEPS, shot
-from pinn_cli.record.runge_kutta_step import Slope, runge_kutta_step
 
 Force = Callable[[np.ndarray], np.ndarray]
+
+Slope = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+# Steps from which on pieces are worth their trouble. Cube of the coordinates, which products of matrices take, over the
+# steps that one product stands for, up to which: 10 coordinates over 3 steps take half the time of single steps.
+MANY_STEPS, MOST_PRODUCTS = 20_000, 300
+# Numbers of all pieces that a step is taken for at once: enough that Python's own time does not count, few enough for
+# the caches. Steps of a piece at least: a few periods, in which a cubic spring makes of any start a sensible motion.
+AT_ONCE, LEAST_STEPS = 4_000, 128
+# Relative change of a state by which derivatives are taken, terms of their series, and how far the fastest motion goes
+# in the steps that one series stands for, rad.
+CHANGE, TAYLOR, ANGLE = 1e-6, 4, 0.3
+# Pieces meet when they are this close, relative to the largest state; above the other distance, relative to the last
+# one, derivatives are taken anew. Rounds at most.
+CLOSE, SLOW, ROUNDS = 1e-12, 0.2, 30
+# Of a move that are tried, until the pieces come closer.
+SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 
 
 def runge_kutta(
@@ -78,3 +101,158 @@ def _in_parts(slope: Slope, force: Force, corners: Corners, z: np.ndarray, begin
         else:
             z, at = after, ahead.pop()
     return z
+
+
+def runge_kutta_step(
+    slope: Slope, z: np.ndarray, left: np.ndarray, middle: np.ndarray, right: np.ndarray, step: float
+) -> np.ndarray:
+    """Displacement and velocity z (2, ..., ndof) a ``step`` (s) later, by the classical method of order four.
+
+    ``left``, ``middle`` and ``right`` are the forces (..., ndof) at the step's beginning, middle and end, N.
+    """
+    k1 = slope(z, left)
+    k2 = slope(z + (0.5 * step) * k1, middle)
+    k3 = slope(z + (0.5 * step) * k2, middle)
+    k4 = slope(z + step * k3, right)
+    return z + (step / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
+
+
+def shot(
+    slope: Slope, start: np.ndarray, loads: tuple[np.ndarray, np.ndarray, np.ndarray], step: float
+) -> np.ndarray | None:
+    """The states at the ends of all steps (steps + 1, 2, n), the start included; None where single steps serve better.
+
+    Args:
+        slope: Of states (2, ..., n) under loads (..., n), smooth.
+        start: (2, n), displacement and velocity.
+        loads: At the beginnings, middles and ends of the steps, each (steps, n).
+        step: s.
+    """
+    steps, n = loads[0].shape
+    pieces = max(1, min(AT_ONCE // n, steps // LEAST_STEPS))
+    length = math.ceil(steps / pieces)
+    record = _Pieces.of(loads, steps // length, length, slope, step)
+    at = np.zeros((2, record.count, n))
+    at[:, 0] = start
+    states = record.followed(at)
+    derivative, before = None, np.inf
+    for _ in range(ROUNDS):
+        size = np.abs(states).max(axis=(0, 2, 3))[:, None, None] + np.finfo(float).tiny
+        gaps = states[-1][:, :-1] - at[:, 1:]
+        distance = _largest(gaps / size)
+        if distance <= CLOSE:
+            return _joined(record, states, loads)
+        if derivative is None or distance > SLOW * before:
+            derivative = record.derivative(states, size[:, 0, 0])
+            if derivative is None:
+                return None
+        move, before = _move(gaps, derivative), distance
+        for share in SHARES:
+            trial = at + share * move
+            states = record.followed(trial)
+            if _largest((states[-1][:, :-1] - trial[:, 1:]) / size) < distance:
+                break
+        else:
+            return None
+        at = trial
+    return None
+
+
+def _largest(gaps: np.ndarray) -> float:
+    """Of the absolute values; infinite where one is no number."""
+    largest = float(np.max(np.abs(gaps), initial=0.0))
+    return largest if math.isfinite(largest) else math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class _Pieces:
+    """Pieces of a record, as long as each other.
+
+    Attributes:
+        loads: Of the steps' beginnings, middles and ends, each (length, count, n).
+        slope: See :func:`shot`.
+        step: s.
+    """
+
+    loads: tuple[np.ndarray, ...]
+    slope: Slope
+    step: float
+
+    @classmethod
+    def of(cls, loads: tuple[np.ndarray, ...], count: int, length: int, slope: Slope, step: float) -> _Pieces:
+        every = (np.ascontiguousarray(x[: count * length].reshape(count, length, -1).swapaxes(0, 1)) for x in loads)
+        return cls(tuple(every), slope, step)
+
+    @property
+    def count(self) -> int:
+        return self.loads[0].shape[1]
+
+    def followed(self, at: np.ndarray) -> np.ndarray:
+        """(length + 1, 2, count, n), from the states (2, count, n) that the pieces begin with."""
+        states = np.empty((len(self.loads[0]) + 1, *at.shape))
+        states[0] = at
+        for i, (left, middle, right) in enumerate(zip(*self.loads, strict=True)):
+            states[i + 1] = runge_kutta_step(self.slope, states[i], left, middle, right, self.step)
+        return states
+
+    def derivative(self, states: np.ndarray, size: np.ndarray) -> np.ndarray | None:
+        """(count, 2 n, 2 n), of the states that the pieces end with by those that they begin with, nearly.
+
+        The equation linearised half-way through every few steps is followed by Taylor's series. What that is off makes
+        another round, and no error. None where following the steps one by one is no slower.
+        """
+        steps, n = len(self.loads[0]), states.shape[-1]
+        few = self._steps_at_once(self._tangent(states, 0, size))
+        if n**3 > MOST_PRODUCTS * few:
+            return None
+        out = np.broadcast_to(np.eye(2 * n), (self.count, 2 * n, 2 * n)).copy()
+        for first in range(0, steps, few):
+            last = min(first + few, steps)
+            tangent, term = self._tangent(states, (first + last) // 2, size), out
+            for order in range(1, TAYLOR + 1):
+                term = np.concatenate((term[:, n:], tangent @ term), axis=1) * (self.step * (last - first) / order)
+                out = out + term
+        return out
+
+    def _tangent(self, states: np.ndarray, at: int, size: np.ndarray) -> np.ndarray:
+        """(count, n, 2 n), derivative of the accelerations by the state before a step, by differences."""
+        n, z, load = states.shape[-1], states[at], self.loads[0][at]
+        by = CHANGE * np.repeat(size, n)
+        out = np.empty((self.count, n, 2 * n))
+        together = max(1, AT_ONCE // (2 * n * n))
+        changes = np.diag(by).reshape(2 * n, 2, n).swapaxes(0, 1)[:, :, None]  # (2, 2 n, 1, n)
+        for first in range(0, self.count, together):
+            part = slice(first, first + together)
+            begin = self.slope(z[:, part], load[part])[1]
+            moved = self.slope(z[:, None, part] + changes, load[part])[1]
+            out[part] = (moved - begin).transpose(1, 2, 0) / by
+        return out
+
+    def _steps_at_once(self, tangent: np.ndarray) -> int:
+        """Steps in which the fastest motion goes no further than `ANGLE`; Gershgorin bounds its rate."""
+        n = tangent.shape[1]
+        stiffness, damping = (float(np.abs(x).sum(2).max()) for x in (tangent[:, :, :n], tangent[:, :, n:]))
+        rate = max(math.sqrt(stiffness), damping)
+        return max(1, min(len(self.loads[0]), int(ANGLE / (rate * self.step)))) if rate > 0 else len(self.loads[0])
+
+
+def _move(gaps: np.ndarray, derivative: np.ndarray) -> np.ndarray:
+    """Of the beginnings (2, count, n), to where the gaps (2, count - 1, n) would be closed, were the pieces linear."""
+    out = np.zeros((2, gaps.shape[1] + 1, gaps.shape[2]))
+    move = np.zeros(2 * gaps.shape[2])
+    for i, gap in enumerate(gaps.swapaxes(0, 1)):
+        move = derivative[i] @ move + gap.reshape(-1)
+        out[:, i + 1] = move.reshape(2, -1)
+    return out
+
+
+def _joined(record: _Pieces, states: np.ndarray, loads: tuple[np.ndarray, ...]) -> np.ndarray:
+    """All states one after the other, and those of the steps behind the last piece."""
+    steps, n = loads[0].shape
+    length, count = len(states) - 1, record.count
+    out = np.empty((steps + 1, 2, n))
+    out[: length * count] = states[:-1].transpose(2, 0, 1, 3).reshape(-1, 2, n)
+    z = out[length * count] = states[-1][:, -1]
+    for i in range(length * count, steps):
+        z = out[i + 1] = runge_kutta_step(record.slope, z, loads[0][i], loads[1][i], loads[2][i], record.step)
+    return out

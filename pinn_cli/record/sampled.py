@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pinn_cli.record.band import BandPass
+from pinn_cli.record.band import BandPass, decimate
 from pinn_cli.record.between_samples import FIRST_ORDER_HOLD, Intersample, held_by_lines, samples_per_line
 from pinn_cli.record.clock import TIME_TOLERANCE, Clock
 from pinn_cli.record.data_channels import DataChannel
-from pinn_cli.record.decimation import decimate
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import MINIMUM_SAMPLES
 from pinn_cli.settings.errors import InputError

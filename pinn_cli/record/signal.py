@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pinn_cli.record.band import decimate
+from pinn_cli.record.channels import named
 from pinn_cli.record.cross_spectra import CrossSpectra
-from pinn_cli.record.decimation import decimate
 from pinn_cli.record.response import GROUND, UNITS
 from pinn_cli.record.spectrum import signal_band
 from pinn_cli.record.units import si_factor
@@ -44,11 +45,7 @@ class Signal:
     @property
     def name(self) -> str:
         """As sentences have it: ``acceleration of DOF 3``; else the column in quotes."""
-        if not self.quantity:
-            return repr(self.column)
-        if self.quantity in SUPPORT:
-            return f"{SUPPORT[self.quantity]} of support {self.place}"
-        return "ground acceleration" if self.quantity == GROUND else f"{self.quantity} of DOF {self.place}"
+        return named(self.quantity, self.place) if self.quantity else repr(self.column)
 
     @property
     def is_input(self) -> bool:

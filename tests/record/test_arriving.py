@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from pinn_cli.record.arriving import Arriving
+from pinn_cli.record.clock import MeasuredFiles
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.mat import MatFormat
-from pinn_cli.record.measured_files import MeasuredFiles
 from pinn_cli.settings.errors import InputError
 
 WANTED = {"data.acceleration.1": "a"}

@@ -48,6 +48,37 @@ def test_a_column_of_times_in_another_unit(tmp_path, unit, per_second):
     np.testing.assert_array_equal(record.acceleration[:, 0], table()["a"][10:41])
 
 
+@pytest.mark.parametrize(("name", "per_second"), [("time", 1), ("Time [s]", 1), ("Zeit", 1), ("Time (ms)", 1e3)])
+def test_times_are_found_by_name_and_unit(tmp_path, name, per_second):
+    times = per_second * table()["t"]
+    frame = table().drop(columns="t").assign(T=20.0)
+    frame.insert(2, name, times)
+    frame.to_csv(tmp_path / "rig.csv", index=False)
+    np.testing.assert_allclose(read(tmp_path).time, table()["t"], atol=1e-12)
+    np.testing.assert_allclose(read(tmp_path, time_unit="us").time, 1e-6 * times, atol=1e-12)
+    with pytest.raises(InputError, match="must be another column than data.time"):
+        read(tmp_path, force={1: name})
+
+
+def test_the_line_of_units_tells_that_of_the_times(tmp_path):
+    names, *lines = table().assign(t=10 * np.arange(ROWS)).to_csv(index=False).splitlines()
+    (tmp_path / "rig.csv").write_text("\n".join([names, "ms,N,m/s^2", *lines]))
+    np.testing.assert_allclose(read(tmp_path).time, table()["t"], atol=1e-12)
+
+
+def test_a_column_called_t_goes_before_others(tmp_path):
+    table().assign(time=table()["t"] ** 2)[["time", "t", "f", "a"]].to_csv(tmp_path / "rig.csv", index=False)
+    np.testing.assert_allclose(read(tmp_path).time, table()["t"], atol=1e-12)
+
+
+@pytest.mark.parametrize("zone", ["", "Z", "+02:00"])
+def test_dates_count_from_the_first(tmp_path, zone):
+    dates = pd.Timestamp("2026-03-01T23:59:59.5") + pd.to_timedelta(table()["t"], unit="s")
+    frame = table().assign(t=[f"{date.isoformat(timespec='milliseconds')}{zone}" for date in dates])
+    frame.to_csv(tmp_path / "rig.csv", index=False)
+    np.testing.assert_allclose(read(tmp_path).time, table()["t"], atol=1e-9)
+
+
 def test_rows_that_are_missing_leave_the_others_at_their_times(tmp_path, caplog):
     table(10.0).drop(index=40).to_csv(tmp_path / "rig.csv", index=False)
     record = read(tmp_path, time_unit="ms")

@@ -35,7 +35,7 @@ def oscillator(**law):
 
 @pytest.mark.parametrize(("beta", "gamma", "n"), [(800.0, -1100.0, 1), (8.0, 3.0, 2)], ids=["sharp", "n=2"])
 def test_bouc_wen_is_followed_across_its_corners(beta, gamma, n):
-    frequencies, time = np.linspace(5.0, 150.0, 30), np.arange(120) / 750.0
+    frequencies, time = np.linspace(5.0, 150.0, 30), np.arange(80) / 750.0
     structure = oscillator(law="bouc_wen", A=5e4, beta=beta, gamma=gamma, n=n)
 
     def motion(t, y):
@@ -50,7 +50,7 @@ def test_bouc_wen_is_followed_across_its_corners(beta, gamma, n):
 
 
 def test_a_step_too_long_for_friction_is_taken_in_parts():
-    frequencies, time, speed = np.array([3.0, 8.0, 13.0]), np.arange(101) / 200.0, 1e-3
+    frequencies, time, speed = np.array([3.0, 8.0, 13.0]), np.arange(51) / 200.0, 1e-3
     structure = oscillator(law="friction", speed=speed, F_c=0.5)
 
     def motion(t, y):
@@ -63,7 +63,7 @@ def test_a_step_too_long_for_friction_is_taken_in_parts():
 
 
 def test_two_hysteretic_storeys_on_moving_ground():
-    frequencies, time = np.linspace(0.5, 9.0, 12), np.arange(151) / 50.0
+    frequencies, time = np.linspace(0.5, 9.0, 12), np.arange(81) / 50.0
     law = {"law": "bouc_wen", "A": 3e5, "gamma": 20.0, "n": 1}
     structure = build_structure(
         ["x1", "x2"],
@@ -120,7 +120,7 @@ def test_a_step_that_begins_just_inside_a_corner(below):
 
 
 def test_a_held_force_is_held_in_the_parts_of_a_step_too():
-    time = np.arange(100) / 200.0
+    time = np.arange(50) / 200.0
     structure = oscillator(law="bouc_wen", A=5e4, beta=800.0, gamma=-100.0, n=1)
     force = lambda t: sines(t, np.array([7.0, 19.0]), 60.0)[:, None]  # noqa: E731
     coarse, fine = (simulate(structure, force, time, "zero_order", substeps=s).displacement for s in (10, 40))

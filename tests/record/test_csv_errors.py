@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refusal
 
 from pinn_cli.record.measured_data import MeasuredData
-from pinn_cli.settings.errors import InputError
 
 SETTINGS = {"path": "rig.csv", "time": "t", "force": {1: "f"}, "acceleration": {1: "a1", 2: "a2"}}
 
@@ -24,10 +24,7 @@ def table() -> pd.DataFrame:
 
 
 def message(base: Path, ndof: int = 3, **changes) -> str:
-    with pytest.raises(InputError) as error:
-        MeasuredData(**{**SETTINGS, "base": base, **changes}).measure(ndof)
-    assert "\n" not in str(error.value)
-    return str(error.value)
+    return refusal(lambda: MeasuredData(**{**SETTINGS, "base": base, **changes}).measure(ndof))
 
 
 def with_cell(column: str, row: int, cell: object) -> pd.DataFrame:
@@ -40,37 +37,27 @@ def with_cell(column: str, row: int, cell: object) -> pd.DataFrame:
     ("values", "expected"),
     [
         (with_cell("f", 99, "overload"), "rig.csv, column 'f', line 101='overload': must be a finite number"),
-        (with_cell("a1", 50, "1,5"), "rig.csv, column 'a1', line 52='1,5'"),
         (with_cell("a1", 50, "inf"), "rig.csv, column 'a1', line 52='inf'"),
         (
             with_cell("t", 0, "2024-05-01T12:00:00.0"),
             "rig.csv, column 't', line 2='2024-05-01T12:00:00.0': must be a finite number; write times as seconds",
         ),
-        (with_cell("t", 0, "12:00:00"), "rig.csv, column 't', line 2='12:00:00': must be a finite number; write times"),
         (with_cell("a2", 0, "1,5"), "rig.csv, column 'a2', line 2='1,5': must be a finite number; write decimals with"),
         (
             table().assign(a1=table()["a1"] > 0),
             "rig.csv, column 'a1', line 2='True': must be a finite number; write 1 and",
         ),
-        (with_cell("a1", 5, "False"), "rig.csv, column 'a1', line 7='False': must be a finite number; write 1 and"),
         (with_cell("a1", 5, "x" * 99), f"rig.csv, column 'a1', line 7='{'x' * 60}...': must be a finite number"),
         (
             table() * [1e300, 1, 1, 1],
             "rig.csv, column 't', line 101=9.9e+299, its largest number: must be between 1e-30",
         ),
         (
-            table() * [1e-300, 1, 1, 1],
-            "rig.csv, column 't', line 101=9.9e-301, its largest number: must be between 1e-",
-        ),
-        (table() * [1, 1, 1e300, 1], "rig.csv, column 'a1', line 2=1e+300, its largest number: must be between 1e-30 "),
-        (
             table() * [1, 1, 1e-300, 1],
             "rig.csv, column 'a1', line 2=1e-300, its largest number: must be between 1e-30 ",
         ),
-        (with_cell("t", 3, "now"), "rig.csv, column 't', line 5='now'"),
         (with_cell("t", 3, ""), "rig.csv, column 't', line 5=empty or NaN"),
         (with_cell("t", 3, 0.02), "rig.csv, column 't', line 5=0.02: must be later than the line before it, 0.02"),
-        (with_cell("t", 3, 0.0), "rig.csv, column 't', line 5=0.0: must be later"),
         (
             table().assign(a2=np.nan),
             "data.acceleration.2='a2': must be a channel with at least 16 numbers in the window",
@@ -163,7 +150,6 @@ def test_a_missing_file_is_named_with_the_folder_it_was_looked_for_in(tmp_path):
             {"ndof": 2, "acceleration": {1: "a1", 3: "a2"}},
         ),
         ("data.force=0: must be a DOF between 1 and system.ndof=3", {"force": {0: "f"}}),
-        ("data.force=-1", {"force": {-1: "f"}}),
         ("data.velocity=one", {"velocity": {"one": "a2"}}),
         ("data.velocity=a2", {"velocity": "a2"}),
         ("data.velocity=1", {"velocity": {1: "v1", "1": "v2"}}),
@@ -177,13 +163,11 @@ def test_a_missing_file_is_named_with_the_folder_it_was_looked_for_in(tmp_path):
         ("data.holdout=3: must be a DOF with a column of its response", {"holdout": [3]}),
         ("data.holdout=[1, 2]: must be such that a displacement", {"holdout": [1, 2]}),
         ("data.holdout=2: must be a list", {"holdout": 2}),
-        ("data.holdout=['2']: must be a list", {"holdout": ["2"]}),
         ("data.start=0.5: must be before data.stop=0.5", {"start": 0.5, "stop": 0.5}),
         ("data.start=nan", {"start": math.nan}),
         ("data.stop=end", {"stop": "end"}),
         ("data.start, data.stop=0.5, 0.6: must be a window of at least 16 samples", {"start": 0.5, "stop": 0.6}),
         ("data.start, data.stop=7.0, None: must be a window of at least 16 samples", {"start": 7.0}),
-        ("data.start, data.stop=None, -1: must be a window of at least 16 samples", {"stop": -1}),
         ("data.start, data.stop=None, None: must be a window of at least 16 samples", {"decimate": 10}),
         ("data.decimate=0", {"decimate": 0}),
         ("data.decimate=2.5", {"decimate": 2.5}),

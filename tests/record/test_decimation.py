@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pinn_cli.record.decimation import decimate
+from pinn_cli.record.band import decimate
 
 RATE = 1000.0
 

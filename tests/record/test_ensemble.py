@@ -18,12 +18,12 @@ from pinn_cli.system.connection import Linear
 from pinn_cli.training.estimate import ParameterEstimate
 from pinn_cli.training.parameter_draws import drawn_structures, parameter_draws
 
-SAMPLES = 301
-MOVED = 0.1 * np.sin(np.outer(np.linspace(0.0, 6.0, SAMPLES), [2.0, 3.0]))
+SAMPLES = 151
+MOVED = 0.1 * np.sin(np.outer(np.linspace(0.0, 3.0, SAMPLES), [2.0, 3.0]))
 
 
 def record_of(structure, ground: bool = False, **settings) -> Record:
-    n, time = structure.ndof, np.linspace(0.0, 6.0, SAMPLES)
+    n, time = structure.ndof, np.linspace(0.0, 3.0, SAMPLES)
     force = np.zeros((SAMPLES, n))
     force[:, 0] = np.sin(2.0 * time) + 0.3 * np.sin(5.0 * time + 1.0)
     blank = np.full((SAMPLES, n), np.nan)

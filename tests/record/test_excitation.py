@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from omegaconf import OmegaConf
+from refusals import refusal
 from scipy.fft import ifft
 
-from pinn_cli.record.excitation import BandedNoise, Excitation, Impulse, SineSweep, sinusoids
-from pinn_cli.record.excitation.sinusoids import sum_of_sinusoids
+from pinn_cli.record.excitation import BandedNoise, Excitation, Impulse, SineSweep, banded_noise
+from pinn_cli.record.excitation.banded_noise import sum_of_sinusoids
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build
@@ -144,9 +145,7 @@ def test_momentum_of_a_blow_is_its_area():
     ],
 )
 def test_illegal_settings_are_named(setting, excitation, settings):
-    with pytest.raises(InputError, match=rf"^{setting}=") as error:
-        excitation(**settings)
-    assert "\n" not in str(error.value)
+    assert refusal(excitation, **settings).startswith(f"{setting}=")
 
 
 @pytest.mark.parametrize("name", ["banded_noise", "sine_sweep", "impulse"])
@@ -165,8 +164,8 @@ def test_many_evenly_spaced_times_are_transformed(begin, samples, monkeypatch):
     time = begin + 0.25 * np.arange(samples)
     expected = sum_of_sinusoids(time, 60.0, bins, coefficients)
     transformed = []
-    monkeypatch.setattr(sinusoids, "MANY_TERMS", 1)
-    monkeypatch.setattr(sinusoids, "ifft", lambda *x, **settings: transformed.append(1) or ifft(*x, **settings))
+    monkeypatch.setattr(banded_noise, "MANY_TERMS", 1)
+    monkeypatch.setattr(banded_noise, "ifft", lambda *x, **settings: transformed.append(1) or ifft(*x, **settings))
     np.testing.assert_allclose(sum_of_sinusoids(time, 60.0, bins, coefficients), expected, atol=1e-11)
     assert transformed
 
@@ -176,5 +175,5 @@ def test_other_times_are_not(time, monkeypatch):
     """Uneven ones, those that do not fill a period, and those that are too far apart for the highest frequency."""
     bins, coefficients = np.arange(3, 40), np.ones((37, 1))
     expected = np.cos(2.0 * np.pi / 60.0 * np.outer(time, bins)).sum(axis=1, keepdims=True)
-    monkeypatch.setattr(sinusoids, "MANY_TERMS", 1)
+    monkeypatch.setattr(banded_noise, "MANY_TERMS", 1)
     np.testing.assert_allclose(sum_of_sinusoids(time, 60.0, bins, coefficients), expected, atol=1e-9)

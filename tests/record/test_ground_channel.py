@@ -10,8 +10,8 @@ import pytest
 
 from pinn_cli.record.between_samples import held_by_lines
 from pinn_cli.record.measured_data import MeasuredData
+from pinn_cli.record.noise import Repeats
 from pinn_cli.record.record import Record
-from pinn_cli.record.repeats import Repeats
 from pinn_cli.record.response import Response
 from pinn_cli.settings.errors import InputError
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pinn_cli.record.growing_windows import GrowingWindows, Patience
 from pinn_cli.record.measured_data import MeasuredData
+from pinn_cli.record.windows import GrowingWindows, Patience
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear

@@ -81,7 +81,7 @@ def test_a_contact_dissipates_what_its_slider_does():
     """Over a cycle of amplitude a, 4 F_c (a - F_c / k_t); and less than F_c it holds without any loss."""
     law, parameters = Jenkins(sharpness=60.0), {"k_t": np.array(1e4), "F_c": np.array(F_C)}
     for amplitude, lost in ((5.0 * F_C / 1e4, 4.0 * F_C * 4.0 * F_C / 1e4), (0.9 * F_C / 1e4, 0.0)):
-        phase = np.linspace(0.0, 6.0 * np.pi, 15_001)
+        phase = np.linspace(0.0, 6.0 * np.pi, 6_001)
         e, z = amplitude * np.sin(phase), np.zeros(len(phase))
         for i, de in enumerate(np.diff(e)):
             z[i + 1] = z[i] + law.rate(e[i], np.array(de), z[i : i + 1], parameters)[0]

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from frame_records import measure
-from small_problems import small_chain
+from small_problems import measured, small_chain
 
 from pinn_cli.record.between_samples import Held, between_samples
 from pinn_cli.record.free_run import free_run, has_modes, linear_motion
@@ -17,7 +16,7 @@ from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.modes import Modes
 
-TIME = np.linspace(3.0, 15.0, 241)
+TIME = np.linspace(3.0, 5.0, 41)
 START = np.array([[0.1, -0.2, 0.05], [0.3, 0.1, -0.4]])
 
 
@@ -32,7 +31,7 @@ CHAINS = {
     "light": {"m": 10.0, "c": 1.0, "k": 1500.0},
     "undamped": {"m": 10.0, "c": 0.0, "k": 15.0},
     "overdamped": {"m": 10.0, "c": 900.0, "k": [15.0, 20.0, 30.0]},
-    "stiff": {"m": 10.0, "c": 5.0, "k": [15.0, 3e6, 20.0]},
+    "stiff": {"m": 10.0, "c": 5.0, "k": [15.0, 1e5, 20.0]},
 }
 
 
@@ -66,7 +65,7 @@ def test_a_free_decay_is_known_by_hand():
 
 def test_critical_damping_is_no_hindrance():
     structure = build_chain(1, Linear(), m=2.0, c=20.0, k=50.0)
-    record = Record(TIME, np.ones((241, 1)), *[np.full((241, 1), np.nan)] * 2, np.ones((241, 1)), np.array([False]))
+    record = Record(TIME, np.ones((41, 1)), *[np.full((41, 1), np.nan)] * 2, np.ones((41, 1)), np.array([False]))
     t = TIME - TIME[0]
     expected = 0.02 + np.exp(-5.0 * t) * (0.08 + (0.3 + 5.0 * 0.08) * t)
     found = free_run(structure, record, START[:, :1])
@@ -86,7 +85,7 @@ def test_records_of_any_length_are_the_same_motion(samples):
 @pytest.mark.parametrize("intersample", ["band_limited", "zero_order_hold"])
 def test_a_record_is_followed_as_by_the_simulator(intersample):
     frame = small_chain("linear", 3)
-    record = replace(measure(frame, None), intersample=intersample)
+    record = replace(measured(frame, samples=129).record, intersample=intersample)
     found = free_run(frame, record, tuple(START))
     hold = "exact" if intersample == "band_limited" else "zero_order"
     acting = between_samples(record.time, record.force, intersample)

@@ -55,7 +55,7 @@ def by_hand(time: np.ndarray, friction: bool) -> tuple[np.ndarray, ...]:
     return y[:2].T, y[2:].T, np.array([acceleration(t, *state) for t, state in zip(time, y.T, strict=True)])
 
 
-def record_of(order: int, duration: float = 6.0) -> Record:
+def record_of(order: int, duration: float = 2.0) -> Record:
     time = np.arange(round(duration / STEP)) * STEP
     still, blank = np.zeros((len(time), 2)), np.full((len(time), 2), np.nan)
     begins = np.array([moved(np.zeros(1), k)[0] for k in (0, 1)])
@@ -96,7 +96,7 @@ def test_errors_of_a_displacement_and_of_an_acceleration():
 
 
 def test_members_share_the_supports_and_not_their_errors():
-    structure, record = frame().with_parameters(kappa=torch.zeros(1, dtype=torch.float64)), record_of(0)
+    structure, record = frame().with_parameters(kappa=torch.zeros(1, dtype=torch.float64)), record_of(0, 3.0)
     parameters = {kind: np.tile(x, (200, 1)) for kind, x in structure.parameters_like(np.empty(0)).items()}
     about = free_run(structure, record, None)
     none = np.zeros((0, 2))
@@ -107,6 +107,6 @@ def test_members_share_the_supports_and_not_their_errors():
     # Noise of a table as white noise of the spring's force (its damper matters little here).
     pushed = Members(parameters, np.zeros((200, 4)), np.array([[K[0] * 1e-4, 0.0]]), 1)
     expected = spread_of(pushed, structure, record, about)
-    late = record.time > 2.0
+    late = record.time > 1.5
     ratio = spread.displacement[late].mean(0) / expected.displacement[late].mean(0)
     np.testing.assert_allclose(ratio, 1.0, atol=0.15)

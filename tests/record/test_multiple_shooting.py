@@ -7,8 +7,7 @@ import pytest
 from small_problems import small_chain
 
 from pinn_cli.record import runge_kutta as one_by_one
-from pinn_cli.record.multiple_shooting import LEAST_STEPS, shot
-from pinn_cli.record.runge_kutta_step import runge_kutta_step
+from pinn_cli.record.runge_kutta import LEAST_STEPS, runge_kutta_step, shot
 from pinn_cli.record.simulation import StateEquation, simulate
 
 STEP, STEPS = 0.05, 20 * LEAST_STEPS + 7

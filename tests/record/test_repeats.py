@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from refusals import refusal
 
 from pinn_cli.record.excitation import BandedNoise
 from pinn_cli.record.noise import Noise, averaged
 from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation
-from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 
@@ -39,6 +42,7 @@ def channels(noise: Noise, repeats: int) -> np.ndarray:
 
 
 def test_mean_and_sum_of_squares():
+    assert Noise(20.0).measured(response())[1] is None
     repeats = [Noise(20.0, seed=3, repeats=4).added_to(response(), repeat) for repeat in range(4)]
     mean, scatter = averaged(repeats)
     assert (scatter.count, scatter.samples, scatter.freedom) == (4, SAMPLES, 3 * SAMPLES)
@@ -48,15 +52,8 @@ def test_mean_and_sum_of_squares():
         square = sum(((values - getattr(mean, quantity)) ** 2).sum(axis=0) for values in every)
         np.testing.assert_allclose(scatter.square[quantity], square, rtol=1e-12)
     assert scatter.square["force"][1] == 0.0
-
-
-def test_no_sensor_no_scatter():
-    blind = response()
-    blind.velocity[:, 1] = np.nan
-    mean, scatter = Noise(20.0, repeats=3).measured(blind)
-    assert np.isnan(mean.velocity[:, 1]).all()
-    np.testing.assert_array_equal(np.isnan(scatter.square["velocity"]), [False, True, False])
-    np.testing.assert_array_equal(np.isnan(scatter.noise_of_mean("velocity")), [False, True, False])
+    blind = replace(repeats[0], velocity=np.where([False, True, False], np.nan, repeats[0].velocity))
+    np.testing.assert_array_equal(np.isnan(averaged([blind, blind])[1].noise_of_mean("velocity")), [0, 1, 0])
 
 
 @pytest.mark.parametrize("repeats", [2, 5, 20])
@@ -108,10 +105,6 @@ def test_shared_streams_are_shared_by_neighbours():
         np.testing.assert_allclose(unit[1, :, 2], drawn, atol=1e-9)
 
 
-def test_a_single_measurement_has_no_scatter():
-    assert Noise(20.0).measured(response())[1] is None
-
-
 def test_a_simulated_record_is_the_mean_and_knows_its_repeats():
     structure = build_chain(2, Linear(), m=10.0, c=1.0, k=15.0)
     parts = BandedNoise(2, 10.0, 129, [0.2, 1.0], 1.0, [1]), Simulation(10.0, 129)
@@ -137,6 +130,4 @@ def test_a_simulated_record_is_the_mean_and_knows_its_repeats():
     ],
 )
 def test_impossible_settings_are_named(settings, told):
-    with pytest.raises(InputError, match=rf"^{told}") as error:
-        Noise(**settings)
-    assert "\n" not in str(error.value)
+    assert re.match(told, refusal(Noise, **settings))

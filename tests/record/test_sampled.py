@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refusal
 
 from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.record.record import Record
-from pinn_cli.settings.errors import InputError
 
 ROWS, STEP = 400, 0.01
 TIME = np.round(STEP * np.arange(ROWS), 4)
@@ -25,13 +25,6 @@ def table(time: np.ndarray = TIME) -> pd.DataFrame:
 def read(folder: Path, values: pd.DataFrame, **changes) -> Record:
     values.to_csv(folder / "rig.csv", index=False)
     return MeasuredData("rig.csv", base=folder, **{**SETTINGS, **changes}).measure(2).record
-
-
-def refusal(folder: Path, values: pd.DataFrame, **changes) -> str:
-    with pytest.raises(InputError) as error:
-        read(folder, values, **changes)
-    assert "\n" not in str(error.value)
-    return str(error.value)
 
 
 def emptied(column: str, where: np.ndarray) -> pd.DataFrame:
@@ -119,10 +112,10 @@ def test_several_files_whose_rates_do_not_divide_each_other(tmp_path):
 
 
 def test_a_filter_needs_every_sample(tmp_path):
-    told = refusal(tmp_path, emptied("a1", np.arange(ROWS) == 50), decimate=2)
+    told = refusal(read, tmp_path, emptied("a1", np.arange(ROWS) == 50), decimate=2)
     assert told.startswith("data.decimate=2: must be 1 where samples are missing or uneven; an anti-alias filter needs")
     jittered = TIME + 0.3 * STEP * np.random.default_rng(1).uniform(-1.0, 1.0, ROWS)
-    assert "data.decimate=4: must be 1 where" in refusal(tmp_path, table(jittered), decimate=4)
+    assert "data.decimate=4: must be 1 where" in refusal(read, tmp_path, table(jittered), decimate=4)
     assert len(read(tmp_path, table(), decimate=2).time) == ROWS // 2
 
 
@@ -138,16 +131,16 @@ def test_a_nearly_empty_channel_is_told(tmp_path, caplog):
 
 
 def test_a_channel_with_too_few_samples_or_one_value_is_refused(tmp_path):
-    told = refusal(tmp_path, emptied("a1", np.arange(ROWS) >= 9))
+    told = refusal(read, tmp_path, emptied("a1", np.arange(ROWS) >= 9))
     assert told.startswith("data.acceleration.1='a1': must be a channel with at least 16 numbers in the window; it has")
-    assert "must be a column that varies" in refusal(tmp_path, table().assign(a1=3.0))
+    assert "must be a column that varies" in refusal(read, tmp_path, table().assign(a1=3.0))
     constant = emptied("a1", np.arange(ROWS) % 2 == 0)
     constant["a1"] = constant["a1"].where(constant["a1"].isna(), 3.0)
-    assert "a dead sensor?" in refusal(tmp_path, constant)
+    assert "a dead sensor?" in refusal(read, tmp_path, constant)
     assert read(tmp_path, table().assign(f=0.0)).gauges == ()
 
 
 def test_what_is_held_out_at_uneven_times_scores_nothing(tmp_path):
     time = TIME + 0.4 * STEP * np.random.default_rng(1).uniform(-1.0, 1.0, ROWS)
-    told = refusal(tmp_path, table(time), holdout=[2])
+    told = refusal(read, tmp_path, table(time), holdout=[2])
     assert told.startswith("data.holdout=[2]: must be DOFs whose channels have a known calibration, no delay, and")

@@ -21,6 +21,8 @@ from pinn_cli.system.connection import Duffing, Linear
 
 M, C, K, KAPPA = (2000.0, 2000.0, 1500.0), (5e3, 4e3, 3e3), (8e6, 7.2e6, 5.6e6), 1e10
 FRAME = build_chain(3, Duffing(), m=list(M), c=list(C), k=list(K), kappa=KAPPA)
+# The same masses on soft linear springs, which take few steps, for what is about sensors alone.
+SOFT = build_chain(3, Linear(), m=list(M), c=list(C), k=[2e5, 1.8e5, 1.4e5])
 DURATION, SAMPLES = 6.0, 601
 FORCE = {"band": [0.5, 10.0], "rms": 2e3, "dofs": [2], "seed": 1}
 GENERATED = {"rise": 1.0, "strong": 3.0, "decay": 1.0, "highest": 15.0}
@@ -50,8 +52,9 @@ def test_it_moves_as_the_equations_written_out_say(request, settings):
     if "path" in settings:
         folder = request.getfixturevalue("shared") / "data" / "ground_motion"
         settings = {**settings, "path": str(folder / f"{settings['path']}.csv")}
-    motion = GroundMotion(3, DURATION, SAMPLES, **settings)
-    simulation = Simulation(DURATION, SAMPLES)
+    duration, samples = 1.5, 151
+    motion = GroundMotion(3, duration, samples, **settings)
+    simulation = Simulation(duration, samples)
     found = simulation.run(FRAME, motion.force, motion.ground)
     u, v, absolute = by_hand(motion, simulation.time)
     for given, expected in ((found.displacement, u), (found.velocity, v), (found.acceleration, absolute)):
@@ -65,10 +68,8 @@ def test_it_moves_as_the_equations_written_out_say(request, settings):
 def test_a_ground_that_accelerates_evenly_is_a_weight():
     """Relative to it the structure hangs by -m g: the static deflection, around which it vibrates."""
     chain = build_chain(1, Linear(), m=2.0, c=0.0, k=50.0)
-    time = np.linspace(0.0, 4.0, 401)
-    response = simulate(
-        chain, lambda t: np.zeros((len(t), 1)), time, substeps=10, ground=lambda t: np.full(len(t), 3.0)
-    )
+    time = np.linspace(0.0, 2.0, 201)
+    response = simulate(chain, lambda t: np.zeros((len(t), 1)), time, substeps=4, ground=lambda t: np.full(len(t), 3.0))
     deflection = -2.0 * 3.0 / 50.0
     np.testing.assert_allclose(response.displacement[:, 0], deflection * (1 - np.cos(5.0 * time)), atol=1e-8)
     np.testing.assert_allclose(response.acceleration[:, 0], 3.0 * (1 - np.cos(5.0 * time)), atol=1e-6)
@@ -81,7 +82,7 @@ def simulated(frame: str = "absolute", **noise) -> Simulated:
 
 
 def test_a_simulated_record_measures_the_ground_with_noise_of_its_own():
-    record, truth = (it := simulated(snr_db=30.0, seed=4).measure(FRAME)).record, it.truth.response
+    record, truth = (it := simulated(snr_db=30.0, seed=4).measure(SOFT)).record, it.truth.response
     noise = record.ground_acceleration - truth.ground_acceleration
     ratio = 10.0 * math.log10(np.mean(truth.ground_acceleration**2) / np.mean(noise**2))
     assert ratio == pytest.approx(30.0, abs=0.5)
@@ -91,40 +92,30 @@ def test_a_simulated_record_measures_the_ground_with_noise_of_its_own():
     assert max(abs(np.corrcoef(noise, x)[0, 1]) for x in columns) < 0.15
 
 
-def test_the_noise_of_the_other_channels_stays_what_it_was():
-    record, truth = (it := simulated(snr_db=30.0, seed=4).measure(FRAME)).record, it.truth.response
-    values = truth.acceleration[:, 1]
-    drawn = np.random.default_rng([4, 2, 1]).standard_normal(SAMPLES)
-    expected = values + math.sqrt(np.mean(values**2) / 1000.0) * drawn
-    np.testing.assert_array_equal(record.acceleration[:, 1], expected)
-
-
 def test_repeats_and_seeds_know_the_ground():
-    record = simulated(snr_db=20.0, repeats=4).measure(FRAME).record
-    one = simulated(snr_db=20.0).measure(FRAME)
-    true = one.truth.response.ground_acceleration
-    expected = np.std(one.record.ground_acceleration - true) / 2.0
-    assert record.repeats.noise_of_mean("ground_acceleration")[0] == pytest.approx(expected, rel=0.1)
+    clean = simulated(snr_db=None).measure(SOFT).truth.response
+    true, (_, scatter) = clean.ground_acceleration, Noise(20.0, repeats=4).measured(clean)
+    expected = np.std(Noise(20.0).added_to(clean).ground_acceleration - true) / 2.0
+    assert scatter.noise_of_mean("ground_acceleration")[0] == pytest.approx(expected, rel=0.1)
     seeds = dict(zip(QUANTITIES, (1, 2, 3, 4), strict=True))
     with pytest.raises(InputError, match="seed for ground_acceleration"):
-        simulated(snr_db=20.0, seeds=seeds).measure(FRAME)
-    drawn = simulated(snr_db=20.0, seeds={**seeds, "ground_acceleration": 5}).measure(FRAME).record
+        Noise(20.0, seeds=seeds).added_to(clean)
+    drawn = Noise(20.0, seeds={**seeds, "ground_acceleration": 5}).added_to(clean)
     expected = np.random.RandomState(5).standard_normal(SAMPLES)
     assert np.corrcoef(drawn.ground_acceleration - true, expected)[0, 1] > 0.999
 
 
-@pytest.mark.parametrize("frame", ["absolute", "relative"])
-@pytest.mark.parametrize("first", [0, 200])
+@pytest.mark.parametrize(("frame", "first"), [("absolute", 0), ("relative", 200)])
 def test_a_free_run_goes_on_under_the_measured_ground(frame, first):
-    it = simulated(frame, snr_db=None).measure(FRAME)
+    it = simulated(frame, snr_db=None).measure(SOFT)
     record, truth = it.record, it.truth.response
     assert record.frame == frame
-    found = free_run(FRAME, record, (truth.displacement[first], truth.velocity[first]), first=first)
+    found = free_run(SOFT, record, (truth.displacement[first], truth.velocity[first]), first=first)
     for quantity in ("displacement", "acceleration"):
         expected = getattr(truth, quantity)[first:]
         assert np.max(np.abs(getattr(found, quantity) - expected)) < 1e-4 * np.max(np.abs(expected))
     np.testing.assert_allclose(found.ground_acceleration, record.ground_acceleration[first:], atol=1e-9)
-    still = free_run(FRAME, replace(record, force=0.0 * record.force, ground_acceleration=0.0 * record.time))
+    still = free_run(SOFT, replace(record, force=0.0 * record.force, ground_acceleration=0.0 * record.time))
     assert not still.displacement.any()
 
 
@@ -139,7 +130,7 @@ def test_a_coordinate_may_move_with_the_ground_in_part():
     """A cart on the ground and a lever that half of the ground's motion reaches, written out."""
     chain = build_chain(2, Linear(), m=[2.0, 3.0], c=[0.5, 0.4], k=[80.0, 60.0])
     structure = replace(chain, influence=np.array([1.0, 0.5]))
-    time = np.linspace(0.0, 5.0, 501)
+    time = np.linspace(0.0, 2.0, 201)
 
     def ground(t):
         return np.sin(4.0 * t) * np.exp(-0.3 * t)
@@ -149,7 +140,7 @@ def test_a_coordinate_may_move_with_the_ground_in_part():
         r1, r2 = 0.5 * v1 + 80.0 * x1, 0.4 * (v2 - v1) + 60.0 * (x2 - x1)
         return [v1, v2, (r2 - r1) / 2.0 - ground(t), -r2 / 3.0 - 0.5 * ground(t)]
 
-    y = solve_ivp(rate, (0.0, 5.0), np.zeros(4), t_eval=time, method="DOP853", rtol=1e-11, atol=1e-13).y
+    y = solve_ivp(rate, (0.0, 2.0), np.zeros(4), t_eval=time, method="DOP853", rtol=1e-11, atol=1e-13).y
 
     def still(t):
         return np.zeros((len(t), 2))

@@ -2,17 +2,18 @@ from __future__ import annotations
 
 import math
 import pickle
+import re
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from refusals import refusal
 from scipy.linalg import expm
 
 from pinn_cli.record.excitation import BandedNoise, Impulse
 from pinn_cli.record.response import Response
 from pinn_cli.record.simulation import OverflowsError, Simulation, StateEquation, simulate
 from pinn_cli.record.steps import substeps_needed
-from pinn_cli.settings.errors import InputError
 from pinn_cli.system import Structure, build_chain, matrices
 from pinn_cli.system.connection import Duffing, Linear, Nonlinearity, PowerDamping, VanDerPol
 
@@ -47,10 +48,6 @@ def error_of(structure: Structure, solution: np.ndarray, **options) -> Callable[
         return float(np.max(np.abs(states(response)[:: steps // 16] - solution)))
 
     return error
-
-
-def test_runge_kutta_is_of_fourth_order_with_the_exact_force(chain_and_solution):
-    assert order(error_of(*chain_and_solution), [128, 256, 512]) == pytest.approx(4.0, abs=0.2)
 
 
 def test_substeps_converge_at_fourth_order_too(chain_and_solution):
@@ -96,7 +93,7 @@ def test_linear_response_is_the_matrix_exponential(method):
 @pytest.mark.parametrize("hold", ["exact", "zero_order"])
 def test_the_methods_agree(hold):
     structure = CHAINS["duffing"]
-    time = np.linspace(0.0, DURATION, 257)
+    time = np.linspace(0.0, 0.5 * DURATION, 129)
     fine = simulate(structure, FORCE, time, hold=hold, substeps=8)
     np.testing.assert_allclose(
         states(fine), states(simulate(structure, FORCE, time, hold=hold, method="dop853")), atol=1e-9
@@ -161,8 +158,8 @@ def test_from_any_start_and_time_runge_kutta_stays_of_fourth_order(name, moving_
 @pytest.mark.parametrize("method", ["rk4", "dop853"])
 @pytest.mark.parametrize("hold", ["exact", "zero_order"])
 def test_a_simulation_goes_on_from_its_middle(method, hold):
-    structure, middle = CHAINS["duffing"], 100
-    whole = simulate(structure, FORCE, np.linspace(0.0, DURATION, 257), hold, method)
+    structure, middle = CHAINS["duffing"], 30
+    whole = simulate(structure, FORCE, np.linspace(0.0, 0.25 * DURATION, 65), hold, method)
     initial = whole.displacement[middle], whole.velocity[middle]
     rest = simulate(structure, FORCE, whole.time[middle:], hold, method, initial=initial)
     np.testing.assert_allclose(states(rest), states(whole)[middle:], atol=1e-10)
@@ -189,7 +186,7 @@ def test_substeps_follow_the_chain():
     assert substeps_needed(paper, 60.0 / 4095) == 1
     assert substeps_needed(paper, 240.0 / 4095) == 1
     stiff = build_chain(3, Linear(), m=5.2, c=20.0, k=44e3)
-    time = np.linspace(0.0, 2.0, 129)
+    time = np.linspace(0.0, 1.0, 65)
     default = simulate(stiff, lambda t: np.outer(np.sin(30 * t), [1.0, 0.0, 0.0]), time)
     exact = simulate(stiff, lambda t: np.outer(np.sin(30 * t), [1.0, 0.0, 0.0]), time, method="dop853")
     assert np.max(np.abs(default.velocity - exact.velocity)) < 1e-4 * np.max(np.abs(exact.velocity))
@@ -202,21 +199,16 @@ def test_substeps_of_a_chain_with_negative_parameters():
     assert substeps_needed(negative, 1.0) == substeps_needed(soft, 1.0) > 1
 
 
-def test_an_overflow_says_when_and_crosses_processes():
+@pytest.mark.parametrize("hold", ["exact", "zero_order"])
+def test_an_overflow_says_when_and_why_and_crosses_processes(hold):
     unstable = build_chain(3, Linear(), m=1.0, c=0.0, k=1.0)
     unstable = unstable.with_parameters(k=-1e4 * unstable.parameters["k"])
     with pytest.raises(OverflowsError) as caught:
-        simulate(unstable, FORCE, np.linspace(5.0, 5.0 + DURATION, 257))
-    assert 6.0 < caught.value.time < 5.0 + DURATION
+        simulate(unstable, FORCE, np.linspace(5.0, 9.0, 129), hold)
+    assert 6.0 < caught.value.time < 9.0
+    assert re.match(r"simulation\.samples=129.*overflows at [\d.]+ s", str(caught.value))
     copy = pickle.loads(pickle.dumps(caught.value))
     assert (str(copy), copy.time) == (str(caught.value), caught.value.time)
-
-
-@pytest.mark.parametrize("hold", ["exact", "zero_order"])
-def test_a_response_that_overflows_says_when_and_why(hold):
-    unstable = build_chain(3, Duffing(), m=10.0, c=1.0, k=15.0, kappa=-1e4)
-    with pytest.raises(InputError, match=r"^simulation\.samples=257.*overflows at [\d.]+ s"):
-        simulate(unstable, lambda time: 100.0 * FORCE(time), np.linspace(0.0, DURATION, 257), hold=hold)
 
 
 @pytest.mark.parametrize(
@@ -237,9 +229,8 @@ def test_a_response_that_overflows_says_when_and_why(hold):
     ],
 )
 def test_illegal_settings_are_named(setting, changes):
-    with pytest.raises(InputError, match=rf"^simulation\.{setting}=") as error:
-        Simulation(**{"duration": 60.0, "samples": 4096, **changes})
-    assert "\n" not in str(error.value)
+    told = refusal(Simulation, **{"duration": 60.0, "samples": 4096, **changes})
+    assert told.startswith(f"simulation.{setting}=")
 
 
 @pytest.mark.parametrize("ndof", [1, 6])

@@ -72,7 +72,7 @@ def test_the_band_of_white_noise_holds_little_of_it():
     assert np.median(found) < 0.02 * 0.5 / STEP
 
 
-@pytest.mark.parametrize("samples", [129, 257, 513])
+@pytest.mark.parametrize("samples", [129, *(pytest.param(count, marks=pytest.mark.slow) for count in (257, 513))])
 def test_the_noise_of_a_short_channel_does_not_pass_for_signal(samples):
     rng, taken_in = np.random.default_rng(0), 0
     for _ in range(1000):
@@ -86,11 +86,6 @@ def test_a_signal_that_reaches_where_the_floor_is_read_is_kept(noise):
     band = 0.5 / STEP  # up to Nyquist; a third of the bins of the upper half hold signal
     x = banded(0.1, 0.55 * band)[:, 0] + white(noise)[:, 0]
     assert signal_band(x, STEP) == pytest.approx(0.55 * band, rel=0.03)
-
-
-def test_the_band_does_not_depend_on_the_unit():
-    x = banded(0.1, 2.0)[:, 0] + white(0.05)[:, 0]
-    assert signal_band(1e-6 * x, STEP) == signal_band(x, STEP)
 
 
 @pytest.fixture(scope="module")
@@ -126,16 +121,20 @@ def test_white_level_is_not_fooled_by_an_anti_alias_filter():
     assert white_level(np.fft.irfft(spectrum, SAMPLES), STEP, 5.0) == pytest.approx(0.2, rel=0.1)
 
 
-def test_white_histories_fill_the_band():
-    assert occupied_band(white(1.0, columns=4), STEP, 10.0) > 0.85
+@pytest.mark.parametrize(
+    ("histories", "share"),
+    [(white(1.0, 4), 0.93), (banded(1.0, 1.5, 3), 0.08), (banded(0.05, 5.0, 4), 0.5)],
+    ids=["white", "narrow", "half"],
+)
+def test_histories_fill_the_share_that_they_occupy(histories, share):
+    assert occupied_band(histories, STEP, 10.0) == pytest.approx(share, abs=0.12)
 
 
-def test_histories_in_a_narrow_band_fill_little_of_it():
-    assert occupied_band(banded(1.0, 1.5, dofs=3), STEP, 10.0) < 0.15
-
-
-def test_histories_fill_the_share_that_they_occupy():
-    assert occupied_band(banded(0.05, 5.0, dofs=4), STEP, 10.0) == pytest.approx(0.5, abs=0.12)
+@pytest.mark.parametrize(("histories", "top"), [
+    (np.zeros((100, 2)), 10.0), (white(1.0), 0.0), (np.empty((SAMPLES, 0)), 10.0), (white(1.0)[:5], 10.0),
+], ids=["silence", "no band", "every force is unknown", "a spline of a handful of intervals"])  # fmt: skip
+def test_what_says_nothing_of_a_band_fills_it(histories, top):
+    assert occupied_band(histories, STEP, top) == 1.0
 
 
 def test_what_is_above_the_band_does_not_count():
@@ -143,16 +142,6 @@ def test_what_is_above_the_band_does_not_count():
     assert occupied_band(x + 10.0 * banded(12.0, 13.0, dofs=4), STEP, 10.0) == pytest.approx(
         occupied_band(x, STEP, 10.0), rel=0.05
     )
-
-
-def test_silence_is_white():
-    assert occupied_band(np.zeros((100, 2)), STEP, 10.0) == 1.0
-    assert occupied_band(white(1.0), STEP, 0.0) == 1.0
-
-
-def test_no_histories_fill_the_whole_band():
-    """As where the force on every DOF is unknown, and no equation of motion has a residual."""
-    assert occupied_band(np.empty((SAMPLES, 0)), STEP, 10.0) == 1.0
 
 
 def test_the_lowest_level_is_that_of_white_noise_and_no_less_than_its_part():
@@ -198,15 +187,11 @@ def test_a_slope_above_the_band_is_no_floor():
         assert visible_floor(np.fft.irfft(spectrum, SAMPLES), STEP) is None
 
 
-def test_floors_go_with_the_unit():
+def test_floors_go_with_the_unit_and_bands_do_not():
     x = banded(0.1, 4.0)[:, 0] + white(0.05)[:, 0]
+    assert signal_band(1e-6 * x, STEP) == signal_band(x, STEP)
     for level in (lowest_level, visible_floor):
         assert level(1e-6 * x, STEP) == pytest.approx(1e-6 * level(x, STEP))
-
-
-def test_a_handful_of_samples_has_no_band():
-    """As the residuals of a spline with a handful of intervals."""
-    assert occupied_band(white(1.0)[:5], STEP, 10.0) == 1.0
 
 
 def low_passed(seed: int, count: int, cutoff: float = 0.5) -> np.ndarray:

@@ -49,8 +49,8 @@ def motion(t, y):
 
 @pytest.fixture(scope="module")
 def reference():
-    time = np.linspace(0.0, 4.0, 1025)
-    found = solve_ivp(motion, (0.0, 4.0), np.zeros(6), "DOP853", time, rtol=1e-11, atol=1e-15, max_step=1e-2)
+    time = np.linspace(0.0, 1.0, 257)
+    found = solve_ivp(motion, (0.0, 1.0), np.zeros(6), "DOP853", time, rtol=1e-11, atol=1e-15, max_step=1e-2)
     return time, found.y.T
 
 
@@ -58,7 +58,7 @@ def reference():
 def test_the_response_of_a_braced_frame_is_that_of_its_equations_written_out(reference, method):
     time, states = reference
     roof = np.array([0.0, 0.0, 1.0])
-    simulation = Simulation(4.0, len(time), method=method)
+    simulation = Simulation(1.0, len(time), method=method)
     response = simulation.run(FRAME, lambda t: force(t)[:, None] * roof)
     for found, expected in ((response.displacement, states[:, :3]), (response.velocity, states[:, 3:])):
         error = np.sqrt(np.mean((found - expected) ** 2, axis=0) / np.mean(expected**2, axis=0))

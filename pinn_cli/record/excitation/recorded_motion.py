@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pinn_cli.record.files.text_file import read_text
+from pinn_cli.record.files.on_disk import read_text
 from pinn_cli.record.record import MINIMUM_SAMPLES
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import LARGEST, positive_number

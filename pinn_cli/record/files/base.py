@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import ClassVar
 
-from pinn_cli.record.files.joined import joined
-from pinn_cli.record.files.on_disk import other_format, read_bytes
+from pinn_cli.record.files.on_disk import check_size, damaged, other_format, read_bytes
 from pinn_cli.record.files.process import read_apart
-from pinn_cli.record.files.table import Table
-from pinn_cli.record.files.variables import Variable
+from pinn_cli.record.files.table import TIMES, Table, joined
+from pinn_cli.record.files.variables import Variable, tables_of
 from pinn_cli.settings.errors import InputError
 
 # Of a file, bytes that tell what it is.
@@ -42,7 +42,8 @@ class FileFormat(ABC):
 
         Args:
             path: Of the file.
-            wanted: Setting to the name of the column that it asks for; None: every column that has numbers.
+            wanted: Setting to the name of the column that it asks for, "" for that of the times by whatever name; None:
+                every column that has numbers.
 
         Raises:
             InputError: The file is missing, cannot be read or is in another format, or lacks a column.
@@ -81,8 +82,34 @@ class ArrayFormat(FileFormat):
         if self.package and find_spec(self.package) is None:
             allowed = f"a format whose package is installed; {self.name} needs {self.package}"
             raise InputError("data.format", self.name, allowed, f"pip install 'pinn-cli[{self.name}]'")
-        tables = read_apart(self, path, self.expected, wanted)
+        tables = read_apart(self, path, wanted)
         return tables[0] if len(tables) == 1 else joined(tables, [t.time for t in tables if t.time is not None])
+
+    def tables(self, path: Path, wanted: Mapping[str, str] | None) -> list[Table]:
+        """The columns in one table for each clock, read in this process.
+
+        Args:
+            path: Of the file.
+            wanted: See :meth:`read`.
+
+        Raises:
+            InputError: The file is damaged, lacks a column or does not fit into memory; or a package does not work.
+        """
+        try:
+            names = None if wanted is None else [column or TIMES for column in wanted.values()]
+            tables = tables_of(path, self.variables(path, names), wanted)
+            size: float = sum(values.nbytes for table in tables for values in table.columns.values())
+        except InputError:
+            raise
+        except ImportError as error:
+            raise InputError("data.format", self.name, "a format whose package works", str(error)) from None
+        except MemoryError:
+            tables, size = [], math.inf
+        except Exception as error:  # libraries raise dozens of kinds
+            reason = str(error).strip().partition("\n")[0] or type(error).__name__
+            raise damaged(path, self.expected, reason) from None
+        check_size(path, size)
+        return tables
 
     def begins(self, content: bytes) -> bool:
         """Whether a file of this format may begin so."""

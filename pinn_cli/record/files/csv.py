@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import re
 import warnings
@@ -16,9 +17,8 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.record.files.base import FileFormat
-from pinn_cli.record.files.on_disk import check_size
-from pinn_cli.record.files.table import Table, check_names
-from pinn_cli.record.files.text_file import check_encoding, read_text
+from pinn_cli.record.files.on_disk import check_size, read_text
+from pinn_cli.record.files.table import Table, asked_for
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import whole_number
 
@@ -31,7 +31,7 @@ SEPARATORS = ("\t", ";", ",", "|", BLANKS)
 # Lines that are looked at to find out which it is.
 _LINES = 20
 _CELL = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?$|[+-]?(nan|inf)$|$", re.IGNORECASE)
-_POINT = re.compile(r"[+-]?\d*\.\d")
+_POINT = re.compile(r"[+-]?\d*\.\d+([eE][+-]?\d+)?\s*$")
 _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?\s*$")
 # What no unit begins with.
 _NUMBER = re.compile(r"[+-]?\.?\d|nan|inf|true|false", re.IGNORECASE)
@@ -69,7 +69,11 @@ class CsvFormat(FileFormat):
             raise InputError("data.format.decimal", repr(self.decimal), "null, . or ,")
         if self.decimal is not None and self.decimal == separator:
             raise InputError("data.format.decimal", repr(self.decimal), "another character than data.format.separator")
-        check_encoding("data.format.encoding", self.encoding)
+        try:
+            codecs.lookup(self.encoding or "utf-8")
+        except (LookupError, TypeError):
+            allowed = "null or an encoding of text, such as utf-8, cp1252 or utf-16"
+            raise InputError("data.format.encoding", self.encoding, allowed) from None
         whole_number("data.format.names_line", self.names_line, least=1)
 
     def read(self, path: Path, wanted: Mapping[str, str] | None = None) -> Table:
@@ -104,8 +108,7 @@ class CsvFormat(FileFormat):
         decimal = self.decimal or _decimal(rows_of(lines[1:], separator), separator)
         dialect: dict[str, Any] = {"sep": r"\s+" if separator == BLANKS else separator, "decimal": decimal}
         header = list(map(str, _frame(text, dialect, nrows=0).columns))
-        asked = {f"column {name!r}": name for name in header} if wanted is None else wanted
-        check_names(path, asked, header)
+        asked = asked_for(path, {f"column {name!r}": name for name in header} if wanted is None else wanted, header)
         units = _checked_units(path, rows_of(lines[:2], separator), asked)
         # Blank lines are kept, so that rows and lines go together; those at the end are no gap.
         frame = _frame(text, dialect, usecols=sorted(set(asked.values())), skiprows=[1] if units else None)

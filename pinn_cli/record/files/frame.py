@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pinn_cli.record.files.base import FileFormat
-from pinn_cli.record.files.table import SensorHint, Table, check_names
+from pinn_cli.record.files.table import IN_BRACKETS, TIMES, SensorHint, Table, asked_for, bare, is_called_times
 from pinn_cli.settings.errors import InputError
 
 if TYPE_CHECKING:
@@ -21,10 +20,6 @@ if TYPE_CHECKING:
 
 SETTING = "data"
 ALLOWED = "a pandas DataFrame, or a map of names to arrays of one length"
-# What a column of times is called.
-TIMES = ("t", "time")
-# A unit in brackets at the end of a column's name.
-_IN_BRACKETS = re.compile(r"(?P<name>.*\S)\s*[\[(]\s*(?P<unit>[^\[\]()]+?)\s*[\])]\s*$")
 
 # What this process holds, by the name that stands for it in `data.path`.
 _held: dict[str, Table] = {}
@@ -42,7 +37,7 @@ class FrameFormat(FileFormat):
         if table is None:
             hint = "a frame is in the memory of one process: pinn_cli.run(..., data=frame); other processes need a file"
             raise InputError("data.path", path.name, "a frame that this process holds", hint)
-        check_names(path, wanted or {}, list(table.columns))
+        asked_for(path, wanted or {}, list(table.columns))
         return table
 
 
@@ -81,21 +76,15 @@ def table_of(data: Any, setting: str = SETTING) -> Table:
     import pandas as pd
 
     cells = {name: pd.Series(values).reset_index(drop=True) for name, values in columns.items()}
-    in_brackets = {name: match["unit"] for name in cells if (match := _IN_BRACKETS.fullmatch(name))}
+    in_brackets = {name: match["unit"] for name in cells if (match := IN_BRACKETS.fullmatch(name))}
     told = {name: units.get(name) or units.get(bare(name)) or in_brackets.get(name, "") for name in cells}
-    table = Table.of_cells(Path(), cells, {name: unit for name, unit in told.items() if bare(name) not in TIMES})
+    table = Table.of_cells(Path(), cells, told)
     digest = hashlib.sha256()  # the same for the same content alone: the name makes a run's identity
     for name, numbers in table.columns.items():
         unit = table.hints.get(name, SensorHint()).unit
         digest.update(repr((name, unit, len(numbers), sorted(table.odd_cells[name].items()))).encode())
         digest.update(np.ascontiguousarray(numbers).tobytes())
     return replace(table, path=Path(f"frame-{digest.hexdigest()[:16]}"))
-
-
-def bare(column: str) -> str:
-    """The name of a column without a unit in brackets at its end."""
-    found = _IN_BRACKETS.fullmatch(column)
-    return found["name"] if found else column.strip()
 
 
 def _is_frame(data: Any) -> bool:
@@ -109,9 +98,9 @@ def _of_frame(frame: pd.DataFrame) -> tuple[dict[str, Any], dict[str, str]]:
         if name in names[:i]:
             raise InputError(SETTING, repr(name), "a frame whose columns have different names")
     columns: dict[str, Any] = {name: frame.iloc[:, i] for i, name in enumerate(names)}
-    has_times = any(bare(name) in TIMES for name in names)
-    if not has_times and (frame.index.name in TIMES or frame.index.dtype.kind in "fmM"):
-        columns = {TIMES[0]: frame.index.to_series(), **columns}
+    has_times = any(map(is_called_times, names))
+    if not has_times and (is_called_times(str(frame.index.name)) or frame.index.dtype.kind in "fmM"):
+        columns = {TIMES: frame.index.to_series(), **columns}
     told = frame.attrs.get("units")
     return columns, {name: str(unit or "") for name, unit in told.items()} if isinstance(told, Mapping) else {}
 

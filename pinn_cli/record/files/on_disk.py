@@ -1,7 +1,11 @@
-"""A file before anyone reads it: is it there, is it a file, does it fit into memory, what does it begin with."""
+"""A file before anyone looks for numbers: is it there, does it fit into memory, what is it, and which text holds it."""
 
 from __future__ import annotations
 
+import codecs
+import gzip
+import zlib
+from io import BytesIO
 from pathlib import Path
 
 from pinn_cli.runs.memory import of_this_machine
@@ -10,8 +14,9 @@ from pinn_cli.settings.errors import InputError
 # Of the memory, at most this part: text, cells and numbers of a file take some ten times its size.
 PART_OF_MEMORY = 16
 # How files begin whose names do not always say what they are.
+_UNIVERSAL, _GZIP = b"    -1", b"\x1f\x8b"
 BEGINNINGS = {
-    b"\x1f\x8b": "gzip",
+    _GZIP: "gzip",
     b"PK\x03\x04": "a zip archive or a spreadsheet",
     b"BZh": "bzip2",
     b"\xfd7zXZ": "xz",
@@ -23,8 +28,14 @@ BEGINNINGS = {
     b"PAR1": "Parquet (data=parquet)",
     b"TDSm": "TDMS (data=tdms)",
     b"CDF": "netCDF (data=netcdf)",
-    b"    -1": "a universal file (data=uff)",
+    _UNIVERSAL: "a universal file (data=uff)",
 }
+_PACKED = (".zip", ".bz2", ".xz", ".zst")
+_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+# Of text that is no UTF-8: what Windows writes in Western Europe and America. The numbers are the same in any of them.
+_FALLBACK = "cp1252"
+_SAVE_AS = "save it as text with separated values, in UTF-8"
+_CHUNK = 2**20
 
 
 def read_bytes(path: Path, setting: str = "data.path", most: int = -1) -> bytes:
@@ -53,6 +64,38 @@ def read_bytes(path: Path, setting: str = "data.path", most: int = -1) -> bytes:
         raise InputError(setting, path, "a readable file", getattr(error, "strerror", None) or str(error)) from None
 
 
+def read_text(path: Path, setting: str = "data.path", encoding: str | None = None) -> str:
+    """The text of a file, without a byte order mark; one that is packed by gzip is unpacked.
+
+    Args:
+        path: Of the file.
+        setting: That named it, for errors.
+        encoding: As Python calls it; None: by the byte order mark, else UTF-8, else cp1252.
+
+    Raises:
+        InputError: It is missing, is no regular file, cannot be read or held, or is no text.
+    """
+    content = read_bytes(path, setting)
+    if content.startswith(_GZIP):
+        content = _unpacked(path, content, setting)
+    kind = _kind(content)
+    if (kind and kind != BEGINNINGS[_UNIVERSAL]) or path.suffix.lower() in _PACKED:
+        hint = f"it is {kind}: unpack it, or {_SAVE_AS}" if kind else f"unpack it, and {_SAVE_AS}"
+        raise InputError(setting, path, "a text file", hint)
+    given = encoding or next((name for mark, name in _MARKS.items() if content.startswith(mark)), None)
+    if given is None and (place := content.find(b"\0")) >= 0:
+        hint = f"it is a binary file, or UTF-16 without a mark: {_SAVE_AS}"
+        raise InputError(_line(path, content, place), "byte 0x00", "text", hint)
+    for name in (given,) if given else ("utf-8", _FALLBACK):
+        try:
+            return content.decode(name)
+        except (UnicodeError, LookupError, ValueError) as error:
+            place = error.start if isinstance(error, UnicodeDecodeError) else 0
+    hint = f"the file is in another encoding, or no text: give data.format.encoding, or {_SAVE_AS}"
+    byte = f"byte 0x{content[place]:02x}" if content else "nothing"
+    raise InputError(_line(path, content, place), byte, f"text in {name}", hint)
+
+
 def check_size(path: Path, size: float, setting: str = "data.path") -> None:
     """Refuse more bytes than a record may have, packed or not.
 
@@ -73,7 +116,7 @@ def other_format(path: Path, content: bytes, expected: str) -> InputError:
         content: Its first bytes.
         expected: What it should be, such as ``a MAT file``.
     """
-    found = next((kind for start, kind in BEGINNINGS.items() if content.startswith(start)), "")
+    found = _kind(content)
     if not found and min(content, default=0) >= 9:  # no control characters but tabs and ends of lines
         found = "text (data=csv?)"
     hint = f"it is {found}" if found else "another format, or damaged?"
@@ -83,3 +126,25 @@ def other_format(path: Path, content: bytes, expected: str) -> InputError:
 def damaged(path: Path, expected: str, reason: str) -> InputError:
     """What to tell of a file that a library cannot read to its end."""
     return InputError("data.path", path, f"{expected} that is whole", f"damaged or cut off? {reason}")
+
+
+def _kind(content: bytes) -> str:
+    return next((kind for start, kind in BEGINNINGS.items() if content.startswith(start)), "")
+
+
+def _line(path: Path, content: bytes, place: int) -> str:
+    number = content.count(b"\n", 0, place) + 1
+    return f"{path.name}, line {number}"
+
+
+def _unpacked(path: Path, content: bytes, setting: str) -> bytes:
+    """What gzip has packed, which may be no more than any file."""
+    parts, size = [], 0
+    try:
+        with gzip.GzipFile(fileobj=BytesIO(content)) as packed:
+            while part := packed.read(_CHUNK):
+                parts.append(part)
+                check_size(path, size := size + len(part), setting)
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise InputError(setting, path, "a gzip file that is whole", f"damaged or cut off? {error}") from None
+    return b"".join(parts)

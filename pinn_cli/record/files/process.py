@@ -1,28 +1,28 @@
 """A file read in a process of its own, with limits on memory and time: what the file does there, it does there alone.
 
-The process is a new Python, no fork of this one, which may have threads. It is asked in JSON, and answers with a line
-of JSON and the numbers' bytes: nothing that comes back is executed.
+The process is a new Python, no fork of this one, which may have threads. It is asked in JSON, and answers with arrays
+in NumPy's own form, without pickles: nothing that comes back is executed.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import astuple
 from importlib import import_module
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import ClassVar, Protocol
+from zipfile import BadZipFile
 
 import numpy as np
 
-from pinn_cli.record.files.on_disk import check_size, damaged
+from pinn_cli.record.files.on_disk import damaged
 from pinn_cli.record.files.table import SensorHint, Table
-from pinn_cli.record.files.variables import tables_of
 from pinn_cli.runs.memory import of_this_machine
 from pinn_cli.settings.errors import InputError
 
@@ -33,13 +33,21 @@ _LIBRARIES, _PART_OF_MEMORY = 2**30, 4
 _SECONDS, _BYTES_A_SECOND = 60.0, 2**19
 
 
-def read_apart(own: object, path: Path, expected: str, wanted: Mapping[str, str] | None) -> list[Table]:
-    """The tables of a file, one for each clock.
+class Reader(Protocol):
+    """What a format tells and does here: see :class:`pinn_cli.record.files.base.ArrayFormat`."""
+
+    expected: ClassVar[str]
+
+    def tables(self, path: Path, wanted: Mapping[str, str] | None) -> list[Table]:
+        """The columns, in one table for each clock."""
+
+
+def read_apart(own: Reader, path: Path, wanted: Mapping[str, str] | None) -> list[Table]:
+    """What a format's ``tables`` reads in the other process.
 
     Args:
-        own: The file's format, whose ``variables`` is called in the other process.
+        own: The file's format.
         path: Of the file.
-        expected: What the file should be, for errors.
         wanted: Setting to name of a column; None: all.
 
     Raises:
@@ -51,25 +59,26 @@ def read_apart(own: object, path: Path, expected: str, wanted: Mapping[str, str]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, sys.path)), "OPENBLAS_NUM_THREADS": "1"}
     limit_s = int(_SECONDS + path.stat().st_size / _BYTES_A_SECOND)
     command = [sys.executable, "-P", "-c", f"from {__name__} import answer; answer({memory}, {limit_s})"]
-    head: Any
     try:
         done = subprocess.run(
             command, input=json.dumps(question).encode(), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
             env=environment, timeout=limit_s, check=True, start_new_session=True,  # Ctrl-C is for the one that asks
         )  # fmt: skip
-        length = done.stdout.index(b"\n") + 1
-        head = json.loads(done.stdout[:length])
+        answered = np.load(BytesIO(done.stdout))
+        refused, layout = json.loads(str(answered["arr_0"]))
     except subprocess.TimeoutExpired:
-        head = {"damaged": f"it takes more than {limit_s} s to read"}
-    except (subprocess.CalledProcessError, ValueError):
-        head = {"damaged": "its reader crashes"}
-    if "refused" in head:
-        raise InputError.read(head["refused"])
-    if "memory" in head:
-        check_size(path, math.inf)
-    if "damaged" in head:
-        raise damaged(path, expected, head["damaged"])
-    return _tables(path, head["tables"], memoryview(done.stdout)[length:])
+        raise damaged(path, own.expected, f"it takes more than {limit_s} s to read") from None
+    except (subprocess.CalledProcessError, BadZipFile, EOFError, ValueError):
+        raise damaged(path, own.expected, "its reader crashes") from None
+    if refused:
+        raise InputError.read(refused)
+    arrays = (answered[name] for name in answered.files[1:])
+    tables = []
+    for names, hints, timed in layout:
+        columns = {name: next(arrays) for name in names}
+        told = {name: SensorHint(*texts) for name, texts in hints.items()}
+        tables.append(Table(path, columns, {}, told, next(arrays) if timed else None))
+    return tables
 
 
 def answer(memory: int, limit_s: int) -> None:
@@ -82,40 +91,19 @@ def answer(memory: int, limit_s: int) -> None:
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what libraries print is no answer
     module, name, settings, path, wanted = json.load(sys.stdin)
-    head: Any
     tables: list[Table] = []
+    refused = ""
     try:
         own = object.__new__(getattr(import_module(module), name))
         vars(own).update(settings)
-        variables = own.variables(Path(path), None if wanted is None else wanted.values())
-        tables = tables_of(Path(path), variables, wanted)
-        head = {"tables": [(len(t), t.time is not None, list(t.columns), _plain(t.hints)) for t in tables]}
-    except MemoryError as error:
-        head = {"memory": str(error)}
+        tables = own.tables(Path(path), wanted)
     except InputError as error:
-        head = {"refused": str(error)}
-    except ImportError as error:
-        head = {"refused": str(InputError("data.format", name, "a format whose package works", str(error)))}
-    except Exception as error:  # libraries raise dozens of kinds
-        head = {"damaged": str(error).strip().partition("\n")[0] or type(error).__name__}
-    out.write(json.dumps(head).encode() + b"\n")
-    for table in tables:
-        for values in [*table.columns.values(), *([] if table.time is None else [table.time])]:
-            out.write(values.data)
+        refused = str(error)
+    layout = [
+        (list(table.columns), {name: astuple(hint) for name, hint in table.hints.items()}, table.time is not None)
+        for table in tables
+    ]
+    arrays = [values for t in tables for values in (*t.columns.values(), *(() if t.time is None else (t.time,)))]
+    np.savez(out, np.array(json.dumps([refused, layout])), *arrays)
     out.close()
     os._exit(0)  # what a damaged file left behind in a library is not cleaned up
-
-
-def _plain(hints: Mapping[str, SensorHint]) -> dict[str, Any]:
-    return {name: astuple(hint) for name, hint in hints.items()}
-
-
-def _tables(path: Path, heads: Sequence[Any], content: memoryview) -> list[Table]:
-    check_size(path, len(content))
-    numbers, tables, start = np.frombuffer(content).copy(), [], 0
-    for samples, timed, names, hints in heads:
-        end = start + samples * (len(names) + timed)
-        rows = list(numbers[start:end].reshape(len(names) + timed, samples))
-        told, start = {name: SensorHint(*texts) for name, texts in hints.items()}, end
-        tables.append(Table(path, dict(zip(names, rows, strict=False)), {}, told, rows[-1] if timed else None))
-    return tables

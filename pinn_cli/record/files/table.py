@@ -1,10 +1,10 @@
-"""Columns of a file as numbers, whatever its format, and errors that name file, column and line."""
+"""Columns of files as numbers, whatever their format, on one clock; and errors that name file, column and line."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,9 +19,18 @@ if TYPE_CHECKING:
 
 # What an error says of the names of columns at most.
 _NAMES, _NAME_LENGTH = 20, 60
+# What a column of times should be called, and may be, in large letters or small ones: T is a temperature.
+TIMES, _ALSO_TIMES = "t", ("time", "zeit", "timestamp")
+# A unit in brackets at the end of a column's name.
+IN_BRACKETS = re.compile(r"(?P<name>.*\S)\s*[\[(]\s*(?P<unit>[^\[\]()]+?)\s*[\])]\s*$")
+# Times that differ by less than this part of the shortest step are the same.
+SAME_TIME = 0.01
 # Cells that are no numbers, and how to write them as such.
 _WRITTEN_AS = (
-    (re.compile(r"\d{4}-\d\d|\d\d?[./]\d\d?[./]\d|\d\d?:\d\d"), "write times as seconds, such as 0, 0.01, 0.02"),
+    (
+        re.compile(r"\d{4}-\d\d|\d\d?[./]\d\d?[./]\d|\d\d?:\d\d"),
+        "write times as seconds, such as 0, 0.01, or as dates: 2026-03-01T12:00:00.25",
+    ),
     (re.compile(r"[+-]?\d+,\d+([eE].*)?$"), "write decimals with a point"),
     (re.compile(r"(true|false|yes|no|on|off)$", re.IGNORECASE), "write 1 and 0 if these are numbers"),
     (re.compile(r"=|[+-]?[A-Za-z]\w*\("), "it looks like a formula, and pinn-run evaluates none: save its value"),
@@ -123,6 +132,19 @@ class Table:
             raise InputError(self.place(column, first + largest), shown, USABLE, hint)
         return values
 
+    def with_dates(self, column: str) -> Table:
+        """The same with a column whose every cell is a date, as ISO 8601 writes it, in s from the first of them."""
+        texts = self.odd_cells.get(column, {})
+        if not texts or len(texts) < len(self):
+            return self
+        import pandas as pd
+
+        dates = pd.to_datetime(pd.Series(texts), format="ISO8601", errors="coerce", utc=True)
+        if dates.isna().any():
+            return self
+        since = (dates - dates.iloc[0]).dt.total_seconds().to_numpy(dtype=np.float64)
+        return replace(self, columns={**self.columns, column: since}, odd_cells={**self.odd_cells, column: {}})
+
     def refuse_gaps(self, column: str, values: np.ndarray, first: int = 0) -> None:
         """Refuse NaN among the numbers of rows ``first`` and on.
 
@@ -144,6 +166,39 @@ class Table:
         if rows[row] >= 0 or self.time is None:
             return table.place(column, int(rows[row]))
         return f"{table.path.name}, column {column!r}, at {self.time[row]:.9g} s"
+
+
+def bare(column: str) -> str:
+    """The name of a column without a unit in brackets at its end."""
+    found = IN_BRACKETS.fullmatch(column)
+    return found["name"] if found else column.strip()
+
+
+def is_called_times(column: str) -> bool:
+    """Whether a column is called as a column of times is."""
+    name = bare(column.rpartition("/")[2])
+    return name == TIMES or name.casefold() in _ALSO_TIMES
+
+
+def column_of_times(names: Collection[str]) -> str:
+    """That which is called as it should be; else the first that is called so."""
+    return TIMES if TIMES in names else next(filter(is_called_times, names), TIMES)
+
+
+def asked_for(path: Path, wanted: Mapping[str, str], names: Collection[str]) -> dict[str, str]:
+    """Setting to column, with that of the times by its own name where it is asked for as "".
+
+    Args:
+        path: Of the file.
+        wanted: See :meth:`pinn_cli.record.files.base.FileFormat.read`.
+        names: Of the file's columns.
+
+    Raises:
+        InputError: The file lacks a column.
+    """
+    asked = {setting: column or column_of_times(names) for setting, column in wanted.items()}
+    check_names(path, asked, names)
+    return asked
 
 
 def check_names(path: Path, wanted: Mapping[str, str], names: Collection[str], hint: str = "") -> None:
@@ -209,3 +264,62 @@ def _numbers(cells: pd.Series, decimal: str) -> tuple[np.ndarray, dict[int, str]
         is_odd |= np.fromiter((isinstance(cell, bool | np.bool_) for cell in cells), bool, len(cells))
     numbers[is_odd] = np.nan
     return numbers, {int(row): str(cells.iloc[row]) for row in np.flatnonzero(is_odd)}
+
+
+def joined(tables: Sequence[Table], times: Sequence[np.ndarray], without: Sequence[str] = ()) -> Table:
+    """One table over all the times that there are; a column is NaN at times that it has no sample of.
+
+    Args:
+        tables: Their columns have different names.
+        times: Of each table's samples, (N,), s, increasing, on the same clock.
+        without: Columns that are left out: those of the times.
+
+    Returns:
+        With ``time``, and ``sources``.
+
+    Raises:
+        InputError: The clocks do not overlap, or two tables have a column of the same name.
+    """
+    _check_overlap(tables, times)
+    time, places = _union(times)
+    columns: dict[str, np.ndarray] = {}
+    sources: dict[str, tuple[Table, np.ndarray]] = {}
+    odd: dict[str, dict[int, str]] = {}
+    for table, here in zip(tables, places, strict=True):
+        rows = np.full(len(time), -1)
+        rows[here] = np.arange(len(here))
+        for name in (name for name in table.columns if name not in without):
+            if name in columns:
+                shown = f"{sources[name][0].path.name}, {table.path.name}"
+                raise InputError("data.path", shown, "files whose columns have different names", f"{name!r} is in both")
+            columns[name] = np.where(rows >= 0, table.columns[name][rows], np.nan)
+            odd[name] = {int(here[row]): text for row, text in table.odd_cells.get(name, {}).items()}
+            sources[name] = table, rows
+    hints = {name: hint for table in tables for name, hint in table.hints.items()}
+    return Table(tables[0].path, columns, odd, hints, time, sources=sources)
+
+
+def _union(times: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """All times, those that are the same once; and of each sequence the place of every time in it."""
+    every = np.concatenate(times)
+    order = np.argsort(every, kind="stable")
+    shortest = min(float(np.median(np.diff(time))) for time in times if len(time) > 1)
+    new = np.concatenate(([True], np.diff(every[order]) > SAME_TIME * shortest))
+    place = np.empty(len(every), dtype=int)
+    place[order] = np.cumsum(new) - 1
+    ends = np.cumsum([len(time) for time in times])[:-1]
+    return every[order][new], np.split(place, ends)
+
+
+def _check_overlap(tables: Sequence[Table], times: Sequence[np.ndarray]) -> None:
+    for table, time in zip(tables, times, strict=True):
+        if len(time) < 2:
+            raise InputError("data.path", table.path, "a file of at least 2 samples", f"it has {len(time)}")
+    late = max(range(len(times)), key=lambda i: times[i][0])
+    early = min(range(len(times)), key=lambda i: times[i][-1])
+    if times[late][0] > times[early][-1]:
+        extents = (
+            f"{tables[i].path.name} from {times[i][0]:.9g} to {times[i][-1]:.9g} s" for i in sorted((early, late))
+        )
+        hint = "data.time_unit, or clocks that were not set together?"
+        raise InputError("data.path", ", ".join(extents), "records whose clocks overlap", hint)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pinn_cli.record.files.table import SensorHint, Table, check_names, same_length
+from pinn_cli.record.files.table import SensorHint, Table, check_names, column_of_times, same_length
 from pinn_cli.settings.errors import InputError
 
 NO_HINT = SensorHint()
@@ -90,7 +90,7 @@ def tables_of(path: Path, variables: Mapping[str, Variable], wanted: Mapping[str
     Args:
         path: Of the file.
         variables: By name; one that has several stands under each.
-        wanted: Setting to name of a column; None: all.
+        wanted: See :meth:`pinn_cli.record.files.base.FileFormat.read`.
 
     Raises:
         InputError: Naming the setting: there is no such variable, or it is no vector of numbers; or the columns differ
@@ -99,6 +99,8 @@ def tables_of(path: Path, variables: Mapping[str, Variable], wanted: Mapping[str
     every = {column: (v, j) for name, v in variables.items() for j, column in enumerate(_columns_of(name, v))}
     first: dict[tuple[Variable, int], str] = {}
     own = [column for column, place in every.items() if first.setdefault(place, column) == column]
+    if wanted is not None:
+        wanted = {setting: column or column_of_times(own) for setting, column in wanted.items()}
     for setting, column in (wanted or {}).items():
         if column not in every:
             _refuse(path, setting, column, variables, own)

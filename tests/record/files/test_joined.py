@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refusal
 
+from pinn_cli.record.clock import MeasuredFiles
 from pinn_cli.record.files.csv import CsvFormat
-from pinn_cli.record.files.joined import joined
-from pinn_cli.record.files.table import Table
+from pinn_cli.record.files.table import Table, joined
 from pinn_cli.record.measured_data import MeasuredData
-from pinn_cli.record.measured_files import MeasuredFiles
-from pinn_cli.settings.errors import InputError
 
 TIME = np.arange(64) / 128.0
 
@@ -31,13 +30,6 @@ def read(folder: Path, *names: str, **settings) -> MeasuredFiles:
 
 def measured(folder: Path, *names: str, **settings):
     return MeasuredData(list(names), None, {1: "f"}, acceleration={1: "a"}, base=folder, **settings).measure(1).record
-
-
-def message(call, *arguments, **settings) -> str:
-    with pytest.raises(InputError) as error:
-        call(*arguments, **settings)
-    assert "\n" not in str(error.value)
-    return str(error.value)
 
 
 def test_a_record_of_two_files(folder):
@@ -61,24 +53,24 @@ def test_a_file_of_another_rate_is_empty_between_its_samples(folder):
 
 def test_errors_name_the_file_that_a_cell_comes_from(folder):
     (folder / "odd.csv").write_text("t,a\n" + "".join(f"{t},{'x' if i == 40 else i}\n" for i, t in enumerate(TIME)))
-    told = message(measured, folder, "force.csv", "odd.csv")
+    told = refusal(measured, folder, "force.csv", "odd.csv")
     assert told.startswith("odd.csv, column 'a', line 42='x': must be a finite number")
 
 
 def test_files_that_do_not_belong_together(folder):
     late = pd.DataFrame({"t": TIME + 100.0, "a": np.cos(TIME)})
     late.to_csv(folder / "late.csv", index=False)
-    told = message(measured, folder, "force.csv", "late.csv")
+    told = refusal(measured, folder, "force.csv", "late.csv")
     assert told.startswith("data.path=force.csv from 0 to 0.4921875 s, late.csv from 100 to 100.492188 s: must be rec")
     late.rename(columns={"a": "f"}).to_csv(folder / "late.csv", index=False)
-    told = message(measured, folder, "force.csv", "late.csv")
+    told = refusal(measured, folder, "force.csv", "late.csv")
     assert told.startswith(
         "data.acceleration.1='a': must be a column of force.csv, late.csv, which has 'f', 'note', 'f'"
     )
     pd.DataFrame({"t": TIME, "a": TIME, "f": TIME}).to_csv(folder / "roof.csv", index=False)
-    told = message(measured, folder, "force.csv", "roof.csv")
+    told = refusal(measured, folder, "force.csv", "roof.csv")
     assert "must be files whose columns have different names; 'f' is in both" in told
-    assert "data.path=[]: must be given" in message(measured, folder)
+    assert "data.path=[]: must be given" in refusal(measured, folder)
 
 
 def test_times_in_order_and_once():
