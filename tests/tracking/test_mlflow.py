@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
@@ -9,7 +10,6 @@ import sqlite3
 import subprocess
 import sys
 import time
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ import pytest
 from calls import SMALL, PinnRun
 from interrupted_runs import ADAM, Steps, in_a_child, without_figures
 
-from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.tracking import mlflow as mlflow_tracking
 from pinn_cli.tracking.base import TrackedRun
 from pinn_cli.tracking.follow import follow
@@ -135,12 +135,16 @@ def test_a_finished_run_is_told_afterwards(pinn_run: PinnRun, monkeypatch: pytes
     assert (tmp_path / "here-artifacts" / run.info.run_id / "artifacts" / "response.nc").is_file()
 
 
-def test_a_diverging_run_has_failed(pinn_run: PinnRun, tmp_path: Path) -> None:
-    settings = ["training.learning_rate=1e30", "tracking=mlflow", "tracking.uri=sqlite:///here.db"]
-    assert pinn_run(*ADAM, *settings).status == 3
+def test_a_diverging_run_has_failed_with_its_history(tmp_path: Path) -> None:
+    job = TrackedRun(tmp_path, "run", {"seed": "0"}, {}, "")
+    tracking = MlflowTracking(f"sqlite:///{tmp_path / 'here.db'}")
+    with contextlib.suppress(DivergenceError), follow(tracking, job, resuming=False) as tracked:
+        tracked.row({"iteration": 6, "seconds": 0.1, "loss_physics": 1e300})
+        raise DivergenceError("diverged at iteration 7")
     (run,) = runs(tmp_path / "here.db")
     assert (run.info.status, run.data.tags["status"]) == ("FAILED", "failed")
-    assert "iteration" in run.data.tags["reason"]
+    assert run.data.tags["reason"] == "diverged at iteration 7"
+    assert steps_of(tmp_path / "here.db", run, "loss_physics") == [6]
 
 
 @pytest.mark.slow
@@ -232,7 +236,7 @@ def test_what_is_no_database_is_left_alone(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("tables", ["notes (text)", "runs (id); CREATE TABLE alembic_version (version_num)", ""])
 def test_a_database_of_another_program_is_left_alone(tmp_path: Path, tables: str) -> None:
     database = tmp_path / "app.db"
-    with closing(sqlite3.connect(database)) as connection:
+    with contextlib.closing(sqlite3.connect(database)) as connection:
         connection.executescript(f"CREATE TABLE {tables}" if tables else "PRAGMA user_version = 7")
     before = database.read_bytes()
     assert "what is there is the database of another program" in told(f"sqlite:///{database}", tmp_path)

@@ -10,7 +10,7 @@ from typing import Any
 
 import pandas as pd
 import pytest
-from calls import PinnRun
+from calls import SMALL, PinnRun
 from interrupted_runs import ADAM, Steps, in_a_child
 
 from pinn_cli.cli.command_line import execute
@@ -76,7 +76,7 @@ def test_in_a_folder_with_files_of_others_those_stay(pinn_run: PinnRun, tmp_path
     place.mkdir(parents=True)
     of_another = place / "events.out.tfevents.1700000000.host.1.0"
     of_another.write_bytes(b"of another program")
-    command = (*ADAM, "tracking=tensorboard", "tracking.directory=boards", "hydra.run.dir=run", "figures=false")
+    command = (*SMALL, "tracking=tensorboard", "tracking.directory=boards", "hydra.run.dir=run", "figures=false")
     mine = set[Path]()
     for more in ((), ("resume=never",)):
         assert pinn_run(*command, *more).status == 0
@@ -84,7 +84,7 @@ def test_in_a_folder_with_files_of_others_those_stay(pinn_run: PinnRun, tmp_path
         assert mine
         assert not mine & before
     assert not (tmp_path / "run" / "tensorboard").exists()
-    assert pinn_run(*command, "resume=never", "network=fourier", "validation=evidence").status == 2
+    assert pinn_run(*command, "resume=never", "system.m=-1").status == 2
     assert of_another.read_bytes() == b"of another program"
 
 
