@@ -66,6 +66,9 @@ class SerialLauncher(DeferredLauncher):
 
     module, extra = "launching", ""
 
+    def __init__(self) -> None:
+        super().__init__()
+
 
 class JoblibLauncher(DeferredLauncher):
     """`hydra/launcher=joblib`."""

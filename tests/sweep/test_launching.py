@@ -31,6 +31,14 @@ def test_a_preset_whose_package_is_missing_names_the_extra(
     assert not list(Path().iterdir())
 
 
+@pytest.mark.parametrize("setting", ["hydra.launcher.x=1", "+hydra.launcher.x=1", "hydra.sweeper.x=1"])
+def test_a_setting_that_a_launcher_or_a_sweeper_has_not_is_told_in_one_line(setting: str, pinn_run: PinnRun) -> None:
+    done = pinn_run("--multirun", *SMALL, "seed=0,1", setting)
+    assert (done.status, done.err.count("\n")) == (2, 1)
+    assert setting in done.err
+    assert not list(Path().iterdir())
+
+
 def test_a_ray_cluster_that_is_not_there_is_told_in_one_line(pinn_run: PinnRun, monkeypatch):
     ray = pytest.importorskip("ray", reason="not installed: pip install 'pinn-cli[ray]'")
 
