@@ -22,7 +22,7 @@ CPUS = 4
 @contextmanager
 def slurm() -> Iterator[dict[str, str]]:
     """The environment to call it with; skips the test, saying why, where there is none."""
-    pytest.importorskip("hydra_plugins.hydra_submitit_launcher", reason="not installed: pip install 'pinn-cli[slurm]'")
+    pytest.importorskip("submitit", reason="not installed: pip install 'pinn-cli[slurm]'")
     # Bytecode is kept where it may be: every job starts a Python of its own.
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)

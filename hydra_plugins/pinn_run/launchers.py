@@ -1,4 +1,4 @@
-"""The launchers that `conf/hydra/launcher/` has the settings of: joblib, SLURM, processes of this machine, Ray."""
+"""The launchers: one process, and those that `conf/hydra/launcher/` has: joblib, SLURM, this machine, Ray."""
 
 from __future__ import annotations
 
@@ -6,12 +6,21 @@ import importlib
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
+from hydra.core.config_store import ConfigStore
 from hydra.core.utils import JobReturn
 from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
 from pinn_cli.settings.errors import InputError
+
+# In place of Hydra's, which composes every job from all its files.
+ConfigStore.instance().store(
+    group="hydra/launcher",
+    name="basic",
+    node={"_target_": "hydra_plugins.pinn_run.launchers.SerialLauncher"},
+    provider="pinn_run",
+)
 
 
 class DeferredLauncher(Launcher):
@@ -42,7 +51,7 @@ class DeferredLauncher(Launcher):
             chosen = config.hydra.runtime.choices["hydra/launcher"]
             hint = f"pip install 'pinn-cli[{self.extra}]'"
             raise InputError("hydra/launcher", chosen, "an installed launcher", hint) from error
-        from pinn_cli.sweep.pending import Work
+        from pinn_cli.sweep.launching import Work
 
         self.launcher = launcher(Work(hydra_context, task_function, config), **self.settings)
 
@@ -50,6 +59,15 @@ class DeferredLauncher(Launcher):
         """See :class:`hydra.plugins.launcher.Launcher`."""
         returned: Sequence[JobReturn] = self.launcher.launch(job_overrides, initial_job_idx)
         return returned
+
+
+class SerialLauncher(DeferredLauncher):
+    """`hydra/launcher=basic`."""
+
+    module, extra = "launching", ""
+
+    def __init__(self) -> None:
+        super().__init__()
 
 
 class JoblibLauncher(DeferredLauncher):

@@ -11,10 +11,16 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
 from pinn_cli.settings.errors import InputError
+from pinn_cli.sweep.directories import MOST_JOBS
 
 # In place of Hydra's, whose settings these are: a file conf/hydra/sweeper/basic.yaml would be checked against that one,
 # with a warning. A mapping, since Hydra loads this module in a way that a dataclass is not made for.
-BASIC = {"_target_": "hydra_plugins.pinn_run.sweepers.BasicSweeper", "max_batch_size": None, "params": None}
+BASIC = {
+    "_target_": "hydra_plugins.pinn_run.sweepers.BasicSweeper",
+    "max_batch_size": None,
+    "max_jobs": MOST_JOBS,
+    "params": None,
+}
 ConfigStore.instance().store(group="hydra/sweeper", name="basic", node=BASIC, provider="pinn_run")
 
 
@@ -23,11 +29,17 @@ class BasicSweeper(Sweeper):
 
     Args:
         max_batch_size: How many jobs the launcher gets at a time; None: all.
+        max_jobs: How many there may be.
         params: What settings may be, besides those on the command line.
     """
 
-    def __init__(self, max_batch_size: int | None = None, params: Mapping[str, str] | None = None) -> None:
-        self.max_batch_size, self.params = max_batch_size, dict(params or {})
+    def __init__(
+        self,
+        max_batch_size: int | None = None,
+        max_jobs: int = MOST_JOBS,
+        params: Mapping[str, str] | None = None,
+    ) -> None:
+        self.max_batch_size, self.max_jobs, self.params = max_batch_size, max_jobs, dict(params or {})
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         """See :class:`hydra.plugins.sweeper.Sweeper`."""
@@ -38,7 +50,7 @@ class BasicSweeper(Sweeper):
         from pinn_cli.sweep.grid import run_grid
 
         overrides = [*(f"{name}={choices}" for name, choices in self.params.items()), *arguments]
-        return run_grid(*self.context, overrides, self.max_batch_size)
+        return run_grid(*self.context, overrides, self.max_batch_size, self.max_jobs)
 
 
 class SearchSweeper(Sweeper):

@@ -33,7 +33,7 @@ def options_with(setting: str) -> list[str]:
     """The choices that have a setting: `data.path` is a setting of `data=csv`."""
     group, _, key = setting.partition(".")
     (shipped,) = _places(None)
-    options = option_names(group) if key and group != "experiment" else ()
+    options = option_names(group) if key and group not in ("experiment", "hydra") else ()
     return [f"{group}={option}" for option in options if key in _settings_of(shipped / group, option)]
 
 

@@ -17,8 +17,6 @@ from pinn_cli.runs.writing import write_json
 FILE = "tracking.json"
 # The choice of the config group under which nothing is tracked.
 NONE = "none"
-# Iteration of the last row where there is none; a history may begin at 0.
-NOTHING = -1.0
 
 
 @dataclass(frozen=True)
@@ -29,14 +27,12 @@ class TrackingState:
         tracking: Name of the config group's choice.
         configuration: Digest of the run's settings (`pinn_cli.runs.identity.Identity.configuration`).
         key: What finds it again; it is written down before the tracker hears of it, so that a kill leaves no orphan.
-        logged: Iteration of the last row that the tracker has, as far as is known here.
         ended: Whether the tracker has everything of a run that has finished.
     """
 
     tracking: str
     configuration: str
     key: str
-    logged: float = NOTHING
     ended: bool = False
 
     @classmethod
@@ -45,7 +41,7 @@ class TrackingState:
         try:
             content = json.loads(small_text(directory / FILE))
             tracking, configuration, key = (str(content[name]) for name in ("tracking", "configuration", "key"))
-            found = cls(tracking, configuration, key, float(content["logged"]), content["ended"] is True)
+            found = cls(tracking, configuration, key, content["ended"] is True)
         except (OSError, ValueError, KeyError, TypeError):
             return None
         return found if key.isalnum() else None

@@ -38,7 +38,7 @@ def distribution(override: Override) -> BaseDistribution:
     value = override.value()
     if isinstance(value, IntervalSweep):
         return _numbers(value.start, value.end, log="log" in value.tags)
-    if isinstance(value, RangeSweep) and not value.shuffle:
+    if isinstance(value, RangeSweep):  # an order, as shuffle gives it one, means nothing here
         return _numbers(value.start, value.stop, step=value.step)
     choices: list[Any] = list(override.sweep_iterator(transformer=Transformer.encode))
     return CategoricalDistribution(choices)

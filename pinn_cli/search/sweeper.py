@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import optuna
+from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
@@ -27,12 +28,10 @@ from optuna.trial import FrozenTrial, TrialState, create_trial
 from pinn_cli.runs.identity import is_left_out
 from pinn_cli.search.report import report_search
 from pinn_cli.search.space import read_space, within
-from pinn_cli.search.study import OVERRIDES, create_study, load_study
-from pinn_cli.search.table import overrides_of
+from pinn_cli.search.trials import OVERRIDES, create_study, load_study, overrides_of
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, whole_number
 from pinn_cli.settings.override_syntax import setting_of
-from pinn_cli.sweep.composing import job_launcher
 from pinn_cli.sweep.jobs import begin_sweep
 
 METHODS = ("tpe", "random")
@@ -94,10 +93,12 @@ class Search:
             changed = ", ".join(sorted(set(known) ^ set(self.overrides)))
             allowed = "another directory: there is a search with other settings in this one"
             raise InputError("hydra.sweep.dir", "(as given)", allowed, f"they differ in {changed}")
-        elsewhere = not str(config.hydra.launcher.get("_target_")).endswith("BasicLauncher")
+        elsewhere = not str(config.hydra.launcher.get("_target_")).endswith("SerialLauncher")
         if elsewhere and self.n_jobs == 1:
             print("one trial at a time: hydra.sweeper.n_jobs=2 has two at once", file=sys.stderr)
-        self.launcher = job_launcher(hydra_context, task_function, config)
+        self.launcher = Plugins.instance().instantiate_launcher(
+            hydra_context=hydra_context, task_function=task_function, config=config
+        )
 
     def run(self, arguments: Sequence[str]) -> None:
         """Make the trials that are missing, write the report and print it.

@@ -12,14 +12,10 @@ import os
 import re
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
 from typing import Any
 
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.plugins import Plugins
-from hydra.plugins.launcher import Launcher
-from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -27,85 +23,61 @@ from pinn_cli.settings.override_syntax import setting_of
 
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
 
-# Without the numbers. They are the process's, since launchers send the loader along with every job.
+# Without the numbers; of this process.
 _composed: dict[Any, DictConfig] = {}
 _KEPT = 64
 
 
-def _as_hydras(name: str) -> Any:
-    return lambda loader, *args, **kwargs: getattr(loader.hydras, name)(*args, **kwargs)
-
-
-class JobLoader(ConfigLoader):
-    """Hydra's loader, but for how it composes jobs; see the module.
+def compose_job(loader: ConfigLoader, sweep: DictConfig, overrides: Sequence[str]) -> DictConfig:
+    """Compose a job.
 
     Args:
-        hydras: That which Hydra gives a sweeper.
+        loader: Hydra's.
+        sweep: Configuration of the sweep, with its `hydra` node.
+        overrides: Of the job.
+
+    Raises:
+        Exception: Whatever Hydra says of overrides that cannot be composed.
     """
-
-    def __init__(self, hydras: ConfigLoader) -> None:
-        self.hydras = hydras
-
-    def load_sweep_config(self, master_config: DictConfig, sweep_overrides: list[str]) -> DictConfig:
-        """Compose a job.
-
-        Args:
-            master_config: Of the sweep.
-            sweep_overrides: Of the job.
-
-        Raises:
-            Exception: Whatever Hydra says of overrides that cannot be composed.
-        """
-        numbers = own_numbers(sweep_overrides)
-        if numbers:
-            with suppress(OmegaConfBaseException, _NotASettingError):
-                return self._put_into_copy(master_config, sweep_overrides, numbers)
-        return self.hydras.load_sweep_config(master_config, sweep_overrides)
-
-    def _put_into_copy(self, master: DictConfig, overrides: list[str], numbers: list[str]) -> DictConfig:
-        config = self._without(master, [override for override in overrides if override not in numbers])
-        parsed = OverridesParser.create().parse_overrides(overrides)
-        for override in parsed:
-            if override.input_line in numbers:
-                if OmegaConf.is_config(OmegaConf.select(config, override.key_or_group)):
-                    raise _NotASettingError  # but a group, whose options are words: Hydra says so
-                OmegaConf.update(config, override.key_or_group, override.value(), merge=True)
-        of_task = [override for override in parsed if not override.is_hydra_override()]
-        config.hydra.overrides.task = [override.input_line for override in of_task]
-        if not OmegaConf.is_interpolation(config.hydra.job, "override_dirname"):  # as Hydra 1.4 has it
-            named = config.hydra.job.config.override_dirname
-            lines = sorted(str(o.input_line) for o in of_task if o.key_or_group not in named.exclude_keys)
-            config.hydra.job.override_dirname = named.item_sep.join(lines).replace("=", named.kv_sep)
-        OmegaConf.copy_cache(from_config=master, to_config=config)
-        return config
-
-    def _without(self, master: DictConfig, overrides: list[str]) -> DictConfig:
-        """A copy of what Hydra composes of the other overrides."""
-        sources = tuple((source.provider, source.path) for source in self.get_search_path().get_path())
-        hydra = master.hydra
-        key = (hydra.job.config_name, sources, tuple(hydra.overrides.hydra), os.getcwd(), tuple(overrides))
-        if key not in _composed:
-            if len(_composed) == _KEPT:
-                del _composed[next(iter(_composed))]
-            _composed[key] = self.hydras.load_sweep_config(master, overrides)
-        return copy.deepcopy(_composed[key])
-
-    load_configuration = _as_hydras("load_configuration")
-    get_search_path = _as_hydras("get_search_path")
-    get_sources = _as_hydras("get_sources")
-    list_groups = _as_hydras("list_groups")
-    get_group_options = _as_hydras("get_group_options")
-    compute_defaults_list = _as_hydras("compute_defaults_list")
+    numbers = own_numbers(overrides)
+    if numbers:
+        with suppress(OmegaConfBaseException, _NotASettingError):
+            return _put_into_copy(loader, sweep, overrides, numbers)
+    return loader.load_sweep_config(sweep, list(overrides))
 
 
 class _NotASettingError(Exception):
     pass
 
 
-def job_launcher(hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> Launcher:
-    """The launcher that a sweep's configuration names; it and its workers compose jobs with a :class:`JobLoader`."""
-    context = replace(hydra_context, config_loader=JobLoader(hydra_context.config_loader))
-    return Plugins.instance().instantiate_launcher(hydra_context=context, task_function=task_function, config=config)
+def _put_into_copy(loader: ConfigLoader, sweep: DictConfig, overrides: Sequence[str], numbers: list[str]) -> DictConfig:
+    config = _without(loader, sweep, [override for override in overrides if override not in numbers])
+    parsed = OverridesParser.create().parse_overrides(list(overrides))
+    for override in parsed:
+        if override.input_line in numbers:
+            if OmegaConf.is_config(OmegaConf.select(config, override.key_or_group)):
+                raise _NotASettingError  # but a group, whose options are words: Hydra says so
+            OmegaConf.update(config, override.key_or_group, override.value(), merge=True)
+    of_task = [override for override in parsed if not override.is_hydra_override()]
+    config.hydra.overrides.task = [override.input_line for override in of_task]
+    if not OmegaConf.is_interpolation(config.hydra.job, "override_dirname"):  # as Hydra 1.4 has it
+        named = config.hydra.job.config.override_dirname
+        lines = sorted(str(o.input_line) for o in of_task if o.key_or_group not in named.exclude_keys)
+        config.hydra.job.override_dirname = named.item_sep.join(lines).replace("=", named.kv_sep)
+    OmegaConf.copy_cache(from_config=sweep, to_config=config)
+    return config
+
+
+def _without(loader: ConfigLoader, sweep: DictConfig, overrides: list[str]) -> DictConfig:
+    """A copy of what Hydra composes of the other overrides."""
+    sources = tuple((source.provider, source.path) for source in loader.get_search_path().get_path())
+    hydra = sweep.hydra
+    key = (hydra.job.config_name, sources, tuple(hydra.overrides.hydra), os.getcwd(), tuple(overrides))
+    if key not in _composed:
+        if len(_composed) == _KEPT:
+            del _composed[next(iter(_composed))]
+        _composed[key] = loader.load_sweep_config(sweep, overrides)
+    return copy.deepcopy(_composed[key])
 
 
 def is_number(override: str) -> bool:

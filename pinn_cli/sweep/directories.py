@@ -10,12 +10,13 @@ import functools
 import hashlib
 import itertools
 import json
+import math
 import re
 from collections.abc import Collection, Iterable
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import ChoiceSweep, Override, RangeSweep
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from pinn_cli.runs.identity import is_left_out
@@ -25,6 +26,8 @@ from pinn_cli.settings.override_syntax import setting_of
 # File systems allow 255 bytes, of which Hydra, the tables and the figures want none; people want fewer.
 LONGEST = 100
 _DIGEST = 8
+# Jobs of a sweep, unless more are asked for: a range with some zeros too many would fill the memory with their names.
+MOST_JOBS = 10_000
 
 
 @functools.lru_cache(maxsize=4096)
@@ -33,29 +36,50 @@ def parse(override: str) -> Override:
     return OverridesParser.create().parse_override(override)
 
 
-def combinations(overrides: Iterable[str]) -> list[list[str]]:
+def combinations(overrides: Iterable[str], most: int = MOST_JOBS) -> list[list[str]]:
     """The jobs of a sweep: each setting's values with all others' values, the last one's next to each other.
 
     Args:
         overrides: As typed (`seed=0,1`); of those for one setting the last counts.
+        most: How many jobs there may be.
 
     Returns:
         The overrides of each job.
 
     Raises:
-        InputError: A setting is given an interval, which has no list of values.
+        InputError: There are more, or a setting is given an interval, which has no list of values.
     """
-    values: dict[str, list[str]] = {}
-    for override in map(parse, overrides):
-        name = override.get_key_element()
-        if not override.is_sweep_override():
-            values[name] = [f"{name}={override.get_value_element_as_str()}"]
-        elif override.is_discrete_sweep():
-            values[name] = [f"{name}={value}" for value in override.sweep_string_iterator()]
-        else:
-            given = str(override.input_line).partition("=")[2]
-            raise InputError(name, given, "a list of values, or a range", "hydra/sweeper=search draws from intervals")
-    return [list(job) for job in itertools.product(*values.values())]
+    given = {override.get_key_element(): override for override in map(parse, overrides)}
+    for name, override in given.items():
+        if override.is_sweep_override() and not override.is_discrete_sweep():
+            hint = "hydra/sweeper=search draws from intervals"
+            raise InputError(name, _values(override), "a list of values, or a range", hint)
+    counts = {name: _count(override) for name, override in given.items()}
+    if math.prod(counts.values()) > most:
+        longest = max(counts, key=lambda name: counts[name])
+        hint = f"there would be {math.prod(counts.values())}; hydra.sweeper.max_jobs=... allows more"
+        raise InputError(longest, _values(given[longest]), f"values that make at most {most} jobs", hint)
+    return [list(job) for job in itertools.product(*(_single(name, each) for name, each in given.items()))]
+
+
+def _values(override: Override) -> str:
+    return str(override.input_line).partition("=")[2]
+
+
+def _count(override: Override) -> int:
+    """How many values there are, without making them."""
+    value = override.value()
+    if isinstance(value, RangeSweep):
+        start, stop, step = (float(number or 0) for number in (value.start, value.stop, value.step))
+        return max(0, math.ceil((stop - start) / step)) if step else 0
+    return len(value.list) if isinstance(value, ChoiceSweep) else 1
+
+
+def _single(name: str, override: Override) -> list[str]:
+    """The overrides that give a setting each of its values."""
+    if not override.is_sweep_override():
+        return [f"{name}={override.get_value_element_as_str()}"]
+    return [f"{name}={value}" for value in override.sweep_string_iterator()]
 
 
 def swept_settings(overrides: Iterable[str], params: Iterable[str] = ()) -> list[str]:

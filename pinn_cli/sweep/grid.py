@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
+from pinn_cli.settings.legal_values import whole_number
 from pinn_cli.settings.override_syntax import setting_of
-from pinn_cli.sweep.composing import JobLoader, is_number, job_launcher
+from pinn_cli.sweep.composing import compose_job, is_number
 from pinn_cli.sweep.directories import combinations
 from pinn_cli.sweep.jobs import begin_sweep
 
@@ -20,6 +22,7 @@ def run_grid(
     config: DictConfig,
     overrides: Sequence[str],
     at_once: int | None,
+    most: int,
 ) -> list[Sequence[JobReturn]]:
     """Run every combination on the launcher that a sweep's configuration names.
 
@@ -29,19 +32,23 @@ def run_grid(
         config: With its `hydra` node.
         overrides: As typed.
         at_once: How many jobs the launcher gets at a time; None: all.
+        most: How many jobs there may be.
 
     Returns:
         What the jobs returned, by what the launcher got at a time.
 
     Raises:
+        InputError: There are more jobs than that.
         Exception: Whatever Hydra says of overrides that cannot be composed.
     """
-    loader, launcher = JobLoader(hydra_context.config_loader), job_launcher(hydra_context, task_function, config)
-    jobs = combinations(overrides)
+    jobs = combinations(overrides, whole_number("hydra.sweeper.max_jobs", most, least=1))
+    launcher = Plugins.instance().instantiate_launcher(
+        hydra_context=hydra_context, task_function=task_function, config=config
+    )
     step = at_once or len(jobs)
     batches = {first: jobs[first : first + step] for first in range(0, len(jobs), step)}
     for job in representatives(jobs):
-        loader.load_sweep_config(config, list(job))
+        compose_job(hydra_context.config_loader, config, job)
     begin_sweep(config)
     returned = []
     for first, batch in batches.items():

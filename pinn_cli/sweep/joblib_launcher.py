@@ -1,11 +1,18 @@
-"""`hydra/launcher=joblib`: a process per job at a time, and one that is killed takes only its own job along."""
+"""`hydra/launcher=joblib`: a process per job at a time, and one that is killed takes only its own job along.
+
+Each worker has its own share of the cores, and ends with the launcher: nobody else would ever give it another job.
+"""
 
 from __future__ import annotations
 
+import os
+import socket
 import sys
+import threading
 import time
 import uuid
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 from hydra.core.singleton import Singleton
@@ -13,17 +20,20 @@ from hydra.core.utils import JobReturn
 from joblib import Parallel, delayed, effective_n_jobs
 from joblib.externals.loky.process_executor import BrokenProcessPool
 
-from pinn_cli.sweep.affinity import jobs_at_once, pin
-from pinn_cli.sweep.orphans import end_with_launcher
-from pinn_cli.sweep.pending import PendingJob, Work, take_over
+from pinn_cli.runs.cores import usable_cores
+from pinn_cli.sweep.launching import PendingJob, Work, WorkLauncher, jobs_at_once, take_over
 
 _REASON = "its worker was killed, again when it ran alone: by the system for want of memory, perhaps"
+# Seconds from one look for the launcher to the next, and the exit status of a worker that has lost it.
+_LOOK_EVERY_S, _STATUS = 1.0, 143
 
 # The sweep that this process, one of joblib's workers, has run jobs of.
 _of_sweep = ""
+# Its share of the cores, kept open: the system gives it back when the process ends, however it ends.
+_claim: socket.socket | None = None
 
 
-class JoblibLauncher:
+class JoblibLauncher(WorkLauncher):
     """See the module.
 
     Args:
@@ -33,30 +43,19 @@ class JoblibLauncher:
     """
 
     def __init__(self, work: Work, n_jobs: int = -1, **settings: Any) -> None:
-        threads = int(work.config.get("threads", 1))
-        self.processes = jobs_at_once(threads) if n_jobs == -1 else effective_n_jobs(n_jobs)
-        self.work, self.settings = work, settings
+        super().__init__(work)
+        self.processes = jobs_at_once(work.threads) if n_jobs == -1 else effective_n_jobs(n_jobs)
+        self.settings = settings
 
-    def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
-        """Run all jobs. When a worker is killed, joblib ends all: the others go on, then those that it may have been.
-
-        Args:
-            job_overrides: Of each job.
-            initial_job_idx: Number of the first.
-
-        Returns:
-            What each job returned, in the same order; None for one that was lost.
-        """
-        jobs = [
-            PendingJob(self.work, list(overrides), initial_job_idx + n) for n, overrides in enumerate(job_overrides)
-        ]
+    def run(self, jobs: list[PendingJob]) -> dict[int, JobReturn]:
+        """When a worker is killed, joblib ends all: the others go on, then those that it may have been, each alone."""
         suspects: list[PendingJob] = []
         returns: dict[int, JobReturn] = {}
         while len(returns) + len(suspects) < len(jobs):
             left = [job for job in jobs if job not in suspects]
             began = time.time()
             try:
-                returns = self._run(left)
+                returns = self._at_once(left)
             except BrokenProcessPool:
                 under_way = [job for job in left if job.under_way_since(began)]
                 if not under_way:  # workers do not even start
@@ -64,20 +63,17 @@ class JoblibLauncher:
                 print(f"a worker was killed: {len(under_way)} jobs are put off, to run alone", file=sys.stderr)
                 suspects += under_way
         for job in suspects:
-            returns |= self._run_alone(job)
-        return [returns[number] for number in sorted(returns)]
+            try:
+                returns |= self._at_once([job])
+            except BrokenProcessPool:
+                returns[job.number] = job.lost(_REASON)
+        return returns
 
-    def _run_alone(self, job: PendingJob) -> dict[int, JobReturn]:
-        try:
-            return self._run([job])
-        except BrokenProcessPool:
-            return {job.number: job.lost(_REASON)}
-
-    def _run(self, jobs: Sequence[PendingJob]) -> dict[int, JobReturn]:
+    def _at_once(self, jobs: Sequence[PendingJob]) -> dict[int, JobReturn]:
         processes, state, sweep = self.processes, Singleton.get_state(), uuid.uuid4().hex
         calls = (delayed(_run_job)(self.work, job.overrides, job.number, processes, state, sweep) for job in jobs)
         # Hydra's state is the process's: threads would share it.
-        returned = Parallel(n_jobs=processes, **{**self.settings, "backend": "loky"})(calls) if jobs else []
+        returned = Parallel(n_jobs=processes, **{**self.settings, "backend": "loky"})(calls)
         return dict(zip((job.number for job in jobs), returned, strict=True))
 
 
@@ -89,4 +85,44 @@ def _run_job(work: Work, overrides: Sequence[str], number: int, processes: int, 
         take_over(state)
         _of_sweep = sweep
     pin(processes)
-    return work.run(overrides, number, f"{work.config.hydra.job.name}_{number}")
+    return work.run(overrides, number)
+
+
+@cache
+def end_with_launcher() -> None:
+    """Have this process end within seconds of the one that started it, as by a kill: the job under way can go on."""
+
+    def watch(launcher: int) -> None:
+        while os.getppid() == launcher:
+            time.sleep(_LOOK_EVERY_S)
+        os._exit(_STATUS)
+
+    threading.Thread(target=watch, args=(os.getppid(),), name="launcher", daemon=True).start()
+
+
+def shares(cores: list[int], workers: int) -> list[list[int]]:
+    """Divide cores among workers, neighbouring ones to the same; with more workers than cores some share one."""
+    count = len(cores)
+    if workers > count:
+        return [[cores[worker % count]] for worker in range(workers)]
+    return [cores[worker * count // workers : (worker + 1) * count // workers] for worker in range(workers)]
+
+
+def pin(workers: int) -> None:
+    """Keep this process, one of so many workers, to the first share of the cores that none of its siblings has.
+
+    Where the system cannot (it is not Linux), or no share is left, nothing happens. Once in a process is enough.
+    """
+    global _claim  # noqa: PLW0603
+    if _claim is not None or not hasattr(os, "sched_setaffinity"):
+        return
+    for share, cores in enumerate(shares(usable_cores(), workers)):
+        claim = socket.socket(socket.AF_UNIX)
+        try:
+            claim.bind(f"\0pinn-run cores {os.getppid()} {share}")  # an abstract name, which dies with its owner
+        except OSError:
+            claim.close()
+            continue
+        _claim = claim
+        os.sched_setaffinity(0, cores)
+        return

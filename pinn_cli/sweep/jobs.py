@@ -19,9 +19,10 @@ from pinn_cli.runs.reading import small_text
 from pinn_cli.runs.resume import RESULT, read_record
 from pinn_cli.runs.writing import WriteError, write_text
 from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import whole_number
 from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.settings.yaml_file import read_yaml
-from pinn_cli.sweep.directories import combinations, job_name, parse, swept_settings
+from pinn_cli.sweep.directories import MOST_JOBS, combinations, job_name, parse, swept_settings
 from pinn_cli.sweep.failure import Failure
 
 STATUSES = FINISHED, FAILED, UNFINISHED, NOT_STARTED = "finished", "failed", "unfinished", "not started"
@@ -90,12 +91,17 @@ class Sweep:
 
     @classmethod
     def of(cls, config: Any, directory: Path) -> Sweep:
-        """From the sweep's configuration as Hydra composed it, with its `hydra` node."""
+        """From the sweep's configuration as Hydra composed it, with its `hydra` node.
+
+        Raises:
+            InputError: It has no list of jobs, or one that is too long.
+        """
         overrides = [str(override) for override in OmegaConf.select(config, "hydra.overrides.task") or ()]
         named = "job_name" in str(OmegaConf.to_container(config.hydra.sweep, resolve=False))
         params = config.hydra.sweeper.get("params") or {}
         arguments = [*(f"{name}={value}" for name, value in params.items()), *overrides]
-        jobs = combinations(arguments) if named and _sweeper(config) == GRID else []
+        most = whole_number("hydra.sweeper.max_jobs", config.hydra.sweeper.get("max_jobs", MOST_JOBS), least=1)
+        jobs = combinations(arguments, most) if named and _sweeper(config) == GRID else []
         swept = swept_settings(arguments, map(str, params))
         expected = {job_name(job, swept): tuple(job) for job in jobs}
         return cls(directory, tuple(arguments), expected, is_search(config))

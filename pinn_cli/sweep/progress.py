@@ -61,7 +61,7 @@ class Progress:
         while not self._stop.wait(EVERY_S):
             self._look()
             if 2 * len(self._waiting) <= self._total:  # two seconds that the end of the sweep would take otherwise
-                importlib.import_module("pinn_cli.sweep.figure")
+                importlib.import_module("pinn_cli.sweep.summary")
 
     def _look(self) -> None:
         for name, place in list(self._waiting.items()):

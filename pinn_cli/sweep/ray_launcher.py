@@ -1,11 +1,10 @@
-"""`hydra/launcher=ray_local` and `ray_cluster`: no lost job takes others along, and finished ones are not sent."""
+"""`hydra/launcher=ray_local` and `ray_cluster`: no lost job takes others along."""
 
 from __future__ import annotations
 
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import ray
@@ -14,13 +13,13 @@ from hydra.core.utils import JobReturn
 from omegaconf import OmegaConf
 
 from pinn_cli.settings.errors import InputError
-from pinn_cli.sweep.pending import PendingJob, Work, take_over, unfinished_jobs
+from pinn_cli.sweep.launching import PendingJob, Work, WorkLauncher, take_over
 
 # The least that Ray takes, bytes: what jobs hand over is small, their results lie in files.
 _OBJECT_STORE = 75 * 2**20
 
 
-class RayLauncher:
+class RayLauncher(WorkLauncher):
     """See the module.
 
     Args:
@@ -29,29 +28,18 @@ class RayLauncher:
     """
 
     def __init__(self, work: Work, ray: Any) -> None:
-        self.work = work
+        super().__init__(work)
         settings: Any = OmegaConf.to_container(ray, resolve=True)
         self.init, self.remote = settings.get("init") or {}, settings.get("remote") or {}
 
-    def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
-        """Have all jobs that are not finished run and wait for them.
-
-        Args:
-            job_overrides: Of each job.
-            initial_job_idx: Number of the first.
-
-        Returns:
-            What each job returned, in the same order; None for one that was lost.
-        """
-        jobs, returns = unfinished_jobs(self.work, job_overrides, initial_job_idx)
-        if jobs:
-            _connect(self.init)
-            print(f"{len(jobs)} jobs on Ray", file=sys.stderr)
-            send = (ray.remote(**self.remote) if self.remote else ray.remote)(_run_job).remote
-            work, state = ray.put(self.work), Singleton.get_state()
-            sent = [(job, send(work, job.overrides, job.number, state)) for job in jobs]
-            returns |= {job.number: _result(job, run) for job, run in sent}
-        return [returns[number] for number in sorted(returns)]
+    def run(self, jobs: list[PendingJob]) -> dict[int, JobReturn]:
+        """See :meth:`WorkLauncher.run`."""
+        _connect(self.init)
+        print(f"{len(jobs)} jobs on Ray", file=sys.stderr)
+        send = (ray.remote(**self.remote) if self.remote else ray.remote)(_run_job).remote
+        work, state = ray.put(self.work), Singleton.get_state()
+        sent = [(job, send(work, job.overrides, job.number, state)) for job in jobs]
+        return {job.number: _result(job, run) for job, run in sent}
 
 
 def _run_job(work: Work, overrides: Sequence[str], number: int, state: Any) -> JobReturn:
@@ -83,4 +71,4 @@ def _result(job: PendingJob, run: Any) -> JobReturn:
         return ray.get(run)
     except ray.exceptions.RayError as error:
         first = next((line for line in str(error).splitlines() if line.strip()), "")
-        return job.lost(f"Ray: {type(error).__name__}: {first.strip()}; log: {Path(job.directory) / 'pinn-run.log'}")
+        return job.lost(f"Ray: {type(error).__name__}: {first.strip()}; log: {job.directory / 'pinn-run.log'}")

@@ -1,19 +1,42 @@
-"""Mean and spread over the seeds of a sweep, for every setting that it sweeps."""
+"""Mean and spread over the seeds of a sweep, for every setting that it sweeps, as a table and as a figure.
+
+The figure has a column of panels per numeric setting and a row per quantity.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import cycle
+from pathlib import Path
+from typing import TYPE_CHECKING
 
+import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
 
+from pinn_cli.record.response import QUANTITIES
+from pinn_cli.report.figures import style
 from pinn_cli.report.fitness import FORMULAS
+from pinn_cli.report.terminal.columns import percent
+from pinn_cli.runs.writing import write_table
 from pinn_cli.sweep.jobs import FAILED, FINISHED
-from pinn_cli.sweep.tables import STATUS
+from pinn_cli.sweep.tables import FITNESS, REASON, STATUS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SUMMARY = "summary.csv"
 OVERALL = "all"
+SETTINGS_SHOWN = 30
 _OF_A_ROW = ("estimator", "group", "quantity")
+MOST_LINES = len(style.CYCLE)  # beyond these a line is one of many, and their mean stands out
+_LOGARITHMIC = 30.0  # ratio of the largest to the smallest value from which a setting has a logarithmic axis
+_FINEST = 1e-3  # errors in per cent below this are drawn at it
+_TICKS = (1e-3, 1e-2, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1000.0, 1e4)
+_MOST_COLUMNS, _MOST_VALUES_NAMED = 6, 6
+_MARKERS = "os^Dv<>"
 
 
 def is_seed(setting: str) -> bool:
@@ -50,3 +73,150 @@ def summarise(fitness: pd.DataFrame, swept: Sequence[str]) -> pd.DataFrame:
     failed = failures.groupby(settings, sort=False, dropna=False).size().rename("failed").reset_index()
     table = table.merge(failed, on=settings, how="left" if len(table) else "outer")
     return table.assign(failed=table["failed"].fillna(0).astype(int))
+
+
+def write_summary(directory: Path, swept: Sequence[str]) -> pd.DataFrame | None:
+    """Write `summary.csv` and its figure, of the sweep's `fitness.csv`; None where no job has a fitness."""
+    text = dict.fromkeys([*swept, STATUS, REASON], str)
+    fitness = pd.read_csv(directory / FITNESS, dtype=text, low_memory=False)
+    summary = summarise(fitness, swept) if "fitness_percent" in fitness else pd.DataFrame()
+    if summary.empty:
+        return None
+    write_table(summary, directory / SUMMARY)
+    figure = sweep_figure(summary, [setting for setting in swept if setting in summary])
+    if figure is not None:
+        style.save(figure, directory / "figures", "fitness")
+    return summary
+
+
+def summary_text(summary: pd.DataFrame) -> str:
+    """The mean of the printed formula over all DOFs, a row per setting and estimator."""
+    overall = summary[summary["group"] == OVERALL]
+    settings = [str(name) for name in overall.columns[: list(overall.columns).index("group")]]
+    wide = overall.pivot_table(
+        index=[*settings, "failed"], columns="quantity", values="fitness_percent_mean", sort=False, dropna=True
+    )
+    notes = []
+    if len(wide) > SETTINGS_SHOWN:
+        notes.append(f"the first {SETTINGS_SHOWN} of {len(wide)} settings; all: summary.csv")
+        wide = wide.head(SETTINGS_SHOWN)
+    text = wide.map(percent).reset_index().to_string(index=False)
+    return "\n".join(["mean fitness over all DOFs and seeds, printed formula (%)", text, *notes])
+
+
+def numeric_settings(table: pd.DataFrame, settings: Sequence[str]) -> list[str]:
+    """Those settings whose values are numbers, and not all the same one."""
+    numbers = {name: pd.to_numeric(table[name], errors="coerce") for name in settings}
+    return [name for name, values in numbers.items() if values.notna().all() and len(values.unique()) > 1]
+
+
+def sweep_figure(summary: pd.DataFrame, settings: Sequence[str]) -> Figure | None:
+    """Mean fitness over the seeds by the printed formula, over all DOFs, with its standard deviation as bars.
+
+    Args:
+        summary: Of :func:`summarise`.
+        settings: The swept settings among its columns. Each numeric one has a column; all others tell the lines apart.
+
+    Returns:
+        None if no setting is numeric.
+    """
+    overall = summary[summary["group"] == OVERALL]
+    numeric = numeric_settings(overall, settings)[:_MOST_COLUMNS]
+    quantities = [quantity for quantity in QUANTITIES if quantity in set(overall["quantity"])]
+    if not numeric or not quantities:
+        return None
+    with style.look():
+        height = 0.75 + 1.35 * len(quantities)
+        figure = Figure(figsize=(style.PAGE_WIDTH, height))
+        grid = figure.add_gridspec(
+            len(quantities), len(numeric), left=0.1, right=0.72, top=1.0 - 0.12 / height, bottom=0.45 / height,
+            hspace=0.12, wspace=0.12,
+        )  # fmt: skip
+        panels = grid.subplots(sharex="col", sharey="row", squeeze=False)
+        for column, setting in enumerate(numeric):
+            lines = _lines(overall, setting, ["estimator", *(name for name in settings if name != setting)])
+            for row, quantity in enumerate(quantities):
+                _draw(panels[row, column], lines, quantity)
+            _dress_setting(panels[-1, column], setting, np.unique(pd.to_numeric(overall[setting])))
+        for row, quantity in enumerate(quantities):
+            _dress_fitness(panels[row], quantity)
+        _legend(figure, panels)
+    return figure
+
+
+def _lines(overall: pd.DataFrame, setting: str, others: Sequence[str]) -> list[tuple[str, pd.DataFrame]]:
+    """What is drawn against a setting: a label and the rows of the line, for each combination of the others."""
+    varied = [name for name in others if len(overall[name].unique()) > 1]
+    rows = overall.assign(x=pd.to_numeric(overall[setting])).sort_values("x", kind="stable")
+    if not varied:
+        return [("", rows)]
+    return [
+        (", ".join(f"{_short(name)} {value}" for name, value in zip(varied, values, strict=True)), part)
+        for values, part in rows.groupby(varied, sort=False, dropna=False)
+    ]
+
+
+def _draw(axes: Axes, lines: Sequence[tuple[str, pd.DataFrame]], quantity: str) -> None:
+    many = len(lines) > MOST_LINES
+    for (label, rows), colour, marker in zip(lines, cycle(style.CYCLE), cycle(_MARKERS)):
+        part = rows[rows["quantity"] == quantity]
+        error = 100.0 - part["fitness_percent_mean"].to_numpy()
+        if many:
+            axes.plot(part["x"], np.maximum(error, _FINEST), color=style.GREY, linewidth=0.4, alpha=0.6)
+            continue
+        spread = part["fitness_percent_std"].fillna(0.0).to_numpy()
+        low, high = (np.maximum(bound, _FINEST) for bound in (error - spread, error + spread))
+        middle = np.maximum(error, _FINEST)
+        axes.errorbar(
+            part["x"], middle, yerr=(middle - low, high - middle), color=colour, marker=marker, markersize=2.6,
+            linewidth=0.8, elinewidth=0.6, capsize=1.5, label=label,
+        )  # fmt: skip
+    if many:
+        every = pd.concat([rows[rows["quantity"] == quantity] for _, rows in lines])
+        mean = (100.0 - every["fitness_percent_mean"]).clip(lower=_FINEST).groupby(every["x"]).median()
+        label = f"median of {len(lines)}\nother settings"
+        axes.plot(mean.index, mean, color=style.BLUE, marker="o", markersize=2.6, linewidth=1.4, label=label)
+
+
+def _dress_setting(axes: Axes, setting: str, values: np.ndarray) -> None:
+    if values[0] > 0.0 and values[-1] > _LOGARITHMIC * values[0]:
+        axes.set_xscale("log")
+    if len(values) <= _MOST_VALUES_NAMED:
+        axes.xaxis.set_major_locator(FixedLocator(list(values)))
+        axes.xaxis.set_major_formatter(FixedFormatter([f"{value:g}" for value in values]))
+        axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_xlabel(setting)
+
+
+def _dress_fitness(row: np.ndarray, quantity: str) -> None:
+    """An axis that is logarithmic in the error, so that 99.9 is as far from 99 as 99 is from 90."""
+    first = row[0]
+    first.set_yscale("log")
+    low, high = first.get_ylim()
+    ticks = [tick for tick in _TICKS if low <= tick <= high]
+    first.yaxis.set_major_locator(FixedLocator(ticks))
+    first.yaxis.set_major_formatter(FixedFormatter([f"{100.0 - tick:.10g}" for tick in ticks]))
+    first.yaxis.set_minor_locator(NullLocator())
+    first.invert_yaxis()
+    first.set_ylabel(f"fitness of {style.SYMBOLS[quantity]} (%)")
+    for axes in row:
+        axes.grid(True, axis="y")
+        axes.set_axisbelow(True)
+
+
+def _legend(figure: Figure, panels: np.ndarray) -> None:
+    """Of every column of panels whose lines have names, one below the other, on the right."""
+    place = 0.98
+    for axes in panels[0]:
+        handles, labels = axes.get_legend_handles_labels()
+        if any(labels):
+            title = f"against {panels[-1, list(panels[0]).index(axes)].get_xlabel()}" if panels.shape[1] > 1 else None
+            drawn = figure.legend(
+                handles, labels, title=title, loc="upper left", bbox_to_anchor=(0.73, place), fontsize=6.5,
+                title_fontsize=7, alignment="left",
+            )  # fmt: skip
+            place -= 0.02 + drawn.get_window_extent().height / figure.bbox.height
+
+
+def _short(name: str) -> str:
+    return name.rpartition(".")[2]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from pinn_cli.runs.writing import replacing
@@ -19,88 +19,63 @@ _OF_FINISHED = (
 TABLES = (*_WITH_FAILURES, *(f"{name}.csv" for name in _OF_FINISHED))
 STATUS, REASON = "status", "reason"
 
-Settings = dict[str, str]
-Row = list[str]
+Row = Mapping[str, str]
 
 
 def write_tables(sweep: Sweep, jobs: Sequence[Job]) -> list[Path]:
     """Write each of `TABLES` that the jobs have, and `jobs.csv`, into the sweep's directory.
 
-    Cells are copied as the jobs wrote them. `fitness.csv` and `parameters.csv` end with `status` and `reason`, and have
-    a row for every job that failed.
+    Cells are copied as the jobs wrote them, and swept settings lead, but for those that a table has a column of the
+    same name for (`seed`, `case`). `fitness.csv` and `parameters.csv` end with `status` and `reason`, and have a row
+    for every job that failed. `jobs.csv` has a row for each job: what became of it, and its directory.
 
     Returns:
         The files written.
     """
     settings = [sweep.columns(job) for job in jobs]
-    joined = (join_tables(sweep.directory, name, jobs, settings) for name in TABLES)
-    return [*filter(None, joined), _write_jobs(sweep.directory, jobs, settings)]
+    swept = list(dict.fromkeys(setting for given in settings for setting in given))
+    written = [_joined(sweep.directory / name, jobs, settings, swept) for name in TABLES]
+    rows = [{**given, **_of(job, sweep)} for job, given in zip(jobs, settings, strict=True)]
+    _write(sweep.directory / JOBS, [*swept, STATUS, REASON, "seconds", "directory"], rows)
+    return [*filter(None, written), sweep.directory / JOBS]
 
 
-def join_tables(directory: Path, name: str, jobs: Sequence[Job], settings: Sequence[Settings]) -> Path | None:
-    """Concatenate one table of every job.
+def _of(job: Job, sweep: Sweep) -> dict[str, str]:
+    seconds = "" if job.seconds is None else f"{job.seconds:.4g}"
+    place = job.directory.relative_to(sweep.directory).as_posix()
+    return {STATUS: job.status, REASON: job.reason, "seconds": seconds, "directory": place}
 
-    A setting that the table has a column of the same name for (`seed`, `case`) becomes no second one.
 
-    Args:
-        directory: Of the sweep.
-        name: One of `TABLES`.
-        jobs: Of the sweep.
-        settings: Swept settings of each and their values, as text.
-
-    Returns:
-        The path written, or None if there is nothing to write.
-    """
-    tables = [_read(job.directory / name) if job.status == FINISHED else ([], []) for job in jobs]
-    with_failures = name in _WITH_FAILURES
-    own = list(dict.fromkeys(column for head, _ in tables for column in head))
-    swept = [setting for setting in _all(settings) if setting not in own]
+def _joined(path: Path, jobs: Sequence[Job], settings: Sequence[Row], swept: Sequence[str]) -> Path | None:
+    """One table of every job, one below the other; None where there is nothing to write."""
+    own: dict[str, None] = {}
     rows: list[Row] = []
-    for job, given, (head, cells) in zip(jobs, settings, tables, strict=True):
-        leading = [given.get(setting, "") for setting in swept]
-        trailing = [job.status, job.reason] if with_failures else []
-        if head and head == own:
-            rows += [[*leading, *row, *trailing] for row in cells]
-        elif head:
-            rows += [[*leading, *_reordered(head, row, own), *trailing] for row in cells]
-        elif with_failures and job.status == FAILED:
-            rows.append([*leading, *(given.get(column, "") for column in own), *trailing])
-    return (
-        _write(directory / name, [*swept, *own, *([STATUS, REASON] if with_failures else [])], rows) if rows else None
-    )
-
-
-def _write_jobs(directory: Path, jobs: Sequence[Job], settings: Sequence[Settings]) -> Path:
-    """A row per job with its swept settings, what became of it, and its directory."""
-    swept = _all(settings)
-    rows = []
+    ending = (STATUS, REASON) if path.name in _WITH_FAILURES else ()
     for job, given in zip(jobs, settings, strict=True):
-        seconds = "" if job.seconds is None else f"{job.seconds:.4g}"
-        place = job.directory.relative_to(directory).as_posix()
-        rows.append([*(given.get(setting, "") for setting in swept), job.status, job.reason, seconds, place])
-    return _write(directory / JOBS, [*swept, STATUS, REASON, "seconds", "directory"], rows)
+        ended = {STATUS: job.status, REASON: job.reason}
+        if job.status == FINISHED:
+            columns, cells = _read(job.directory / path.name)
+            own |= dict.fromkeys(columns)
+            rows += [{**given, **ended, **row} for row in cells]
+        elif job.status == FAILED and ending:
+            rows.append({**given, **ended})
+    leading = [setting for setting in swept if setting not in own]
+    return _write(path, [*leading, *own, *ending], rows) if rows else None
 
 
-def _reordered(head: Row, row: Row, columns: Row) -> Iterator[str]:
-    cells = dict(zip(head, row, strict=True))
-    return (cells.get(column, "") for column in columns)
-
-
-def _all(settings: Sequence[Settings]) -> list[str]:
-    return list(dict.fromkeys(setting for given in settings for setting in given))
-
-
-def _read(path: Path) -> tuple[Row, list[Row]]:
-    """Head and cells; nothing where there is no such table."""
+def _read(path: Path) -> tuple[Sequence[str], list[Row]]:
+    """Columns and rows; nothing where there is no such table."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            head, *cells = csv.reader(file)
+            reader = csv.DictReader(file)
+            return reader.fieldnames or (), list(reader)
     except (FileNotFoundError, ValueError):
-        return [], []
-    return head, cells
+        return (), []
 
 
-def _write(path: Path, head: Row, rows: Sequence[Row]) -> Path:
+def _write(path: Path, columns: Sequence[str], rows: Sequence[Row]) -> Path:
     with replacing(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows([head, *rows])
+        writer = csv.DictWriter(file, columns, restval="", extrasaction="ignore", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
     return path

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from pinn_cli.runs.tracking_state import TrackingState
 from pinn_cli.settings.errors import InputError
 from pinn_cli.tracking.outcome import Outcome
 
@@ -37,29 +36,18 @@ class TrackedRun:
 
 
 class Tracker(ABC):
-    """One run as a tracker sees it.
-
-    Attributes:
-        logged: Iteration of the last row that it has, where it knows that better than the run's directory; or None.
-    """
-
-    logged: float | None = None
+    """One run as a tracker sees it. Each process that makes a part of a run tells all its rows, from the first on."""
 
     @abstractmethod
-    def rows(self, rows: Sequence[Mapping[str, float]]) -> None:
-        """Note rows of the history: ``iteration``, ``seconds``, ``loss_*``, ``weight_*``."""
+    def row(self, row: Mapping[str, float]) -> None:
+        """Note a row of the history: ``iteration``, ``seconds``, ``loss_*``, ``weight_*``."""
 
     @abstractmethod
-    def results(self, outcome: Outcome) -> None:
-        """Note what came of it."""
+    def end(self, status: str, reason: str, outcome: Outcome | None) -> None:
+        """Note how it ended, `FINISHED`, `FAILED` or `INTERRUPTED`, why, and what came of it; nothing follows."""
 
-    @abstractmethod
-    def end(self, status: str, reason: str) -> None:
-        """Note how it ended, `FINISHED`, `FAILED` or `INTERRUPTED`, and why; nothing follows."""
-
-    @abstractmethod
-    def delete(self) -> None:
-        """Take it away: its input was no use."""
+    def delete(self) -> None:  # noqa: B027
+        """Take away what was noted so far, if anything was: the input was no use."""
 
 
 class Tracking(ABC):
@@ -72,21 +60,18 @@ class Tracking(ABC):
     name: ClassVar[str]
 
     @abstractmethod
-    def open(self, run: TrackedRun, state: TrackingState, known: bool) -> Tracker | None:
+    def open(self, run: TrackedRun, key: str, before: str) -> Tracker | None:
         """Begin to track a run; None where nothing is tracked.
 
         Args:
             run: The run.
-            state: Which tracked run it is, by its key, and how far.
-            known: Whether there may be such a tracked run, to go on with: an earlier start may have been killed before
-                it was made, or on the way.
+            key: Which tracked run it is, letters and digits.
+            before: The key of the one that the run's directory had before: the same where this run goes on with it,
+                another one where it takes its place, empty where there was none.
 
         Raises:
-            InputError: The tracker cannot be reached.
+            InputError: The tracker cannot be reached, or would have to change what is not its own.
         """
-
-    def abandon(self, key: str) -> None:  # noqa: B027
-        """Note that a tracked run was cut off and that nothing goes on with it, where that is kept."""
 
 
 def require(package: str, choice: str) -> None:

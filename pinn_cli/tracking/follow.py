@@ -1,17 +1,16 @@
 """A run under the eyes of a tracker: its rows as they come, what came of it, and how it ended.
 
 A tracker may fail, when its disk is full or its server is gone; the run goes on, and the log says so once. Only one
-that cannot be reached at the start is an error, as nothing is lost then. What a tracker missed, by its own failure or
-since the run was killed, it is told when the run goes on, or by the same command again once the run has finished.
+that cannot be reached at the start is an error, as nothing is lost then. What a tracker missed it is told by the same
+command again, or when the run goes on.
 """
 
 from __future__ import annotations
 
 import logging
-import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,11 +21,6 @@ from pinn_cli.tracking.outcome import Outcome, history
 
 log = logging.getLogger(__name__)
 
-# Seconds from one batch of rows to the next: a database is not to be written to at each iteration.
-EVERY_S = 5.0
-# To one that has failed nothing is told for twice as long as before, up to so long: each try may take a while.
-MOST_S = 320.0
-
 
 class Followed:
     """One tracked run.
@@ -34,81 +28,47 @@ class Followed:
     Args:
         tracker: None where nothing is tracked.
         directory: Of the run.
-        state: Which tracked run it is, and how far.
-        clock: In seconds.
+        state: Which tracked run it is.
     """
 
-    def __init__(
-        self,
-        tracker: Tracker | None,
-        directory: Path,
-        state: TrackingState,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self.tracker, self.directory, self.state, self.clock = tracker, directory, state, clock
-        self._waiting: list[dict[str, float]] = []
-        self._flushed, self._every_s = clock(), EVERY_S
-        self._complained = False
-        self._complete = False
+    def __init__(self, tracker: Tracker | None, directory: Path, state: TrackingState) -> None:
+        self.tracker, self.directory, self.state = tracker, directory, state
+        self._outcome: Outcome | None = None
+        self._last = float("-inf")
 
     def row(self, row: Mapping[str, float]) -> None:
-        """Note a row of the history; one that the tracker had before an interruption is passed over."""
-        last = self._waiting[-1]["iteration"] if self._waiting else self.state.logged
-        if self.tracker is None or row["iteration"] <= last:
-            return
-        self._waiting.append(dict(row))
-        if self.clock() - self._flushed >= self._every_s:
-            self.flush()
-
-    def flush(self) -> None:
-        """Hand over the rows that wait; they wait on if the tracker fails."""
-        rows = self._waiting
-        if rows:
-            handed = self._tried(lambda tracker: tracker.rows(rows))
-            self._every_s = EVERY_S if handed else min(2.0 * self._every_s, MOST_S)
-            if handed:
-                self._waiting = []
-                self._keep(logged=rows[-1]["iteration"])
-        self._flushed = self.clock()
+        """Note a row of the history, once."""
+        if row["iteration"] > self._last:
+            self._last = row["iteration"]
+            self._tell(lambda tracker: tracker.row(row))
 
     def results(self) -> None:
-        """Hand over what the run has left in its directory, and the rows that the tracker missed."""
-        if self.tracker is None:
-            return
-        for row in history(self.directory):
-            self.row(row)
-        self.flush()
-        handed = self._tried(lambda tracker: tracker.results(Outcome.read(self.directory)))
-        self._complete = handed and not self._waiting
+        """Note what the run has left in its directory, with the rows that no training in this process went through."""
+        if self.tracker is not None:
+            for row in history(self.directory):
+                self.row(row)
+            self._outcome = Outcome.read(self.directory)
 
     def end(self, status: str, reason: str = "") -> None:
         """Say how it ended."""
-        self.flush()
-        ended = self._tried(lambda tracker: tracker.end(status, reason))
-        if ended and self._complete and status == FINISHED:
-            self._keep(ended=True)
+        self._tell(lambda tracker: tracker.end(status, reason, self._outcome))
+        if self.tracker is not None and status == FINISHED and self._outcome is not None:
+            replace(self.state, ended=True).write(self.directory)
 
     def delete(self) -> None:
         """Leave no trace of it."""
-        self._tried(lambda tracker: tracker.delete())
         if self.tracker is not None:
+            self._tell(lambda tracker: tracker.delete())
             (self.directory / FILE).unlink(missing_ok=True)
 
-    def _keep(self, **changes: float | bool) -> None:
-        self.state = replace(self.state, **changes)  # type: ignore[arg-type]
-        self.state.write(self.directory)
-
-    def _tried(self, call: Callable[[Tracker], None]) -> bool:
-        if self.tracker is None:
-            return False
+    def _tell(self, call: Callable[[Tracker], None]) -> None:
+        """One that has failed is told nothing more."""
         try:
-            call(self.tracker)
+            if self.tracker is not None:
+                call(self.tracker)
         except Exception as error:
-            if not self._complained:
-                log.warning("tracking=%s: %s; the run goes on", self.state.tracking, str(error).partition("\n")[0])
-            self._complained = True
-            return False
-        return True
+            self.tracker = None
+            log.warning("tracking=%s: %s; the run goes on", self.state.tracking, str(error).partition("\n")[0])
 
 
 @contextmanager
@@ -125,15 +85,13 @@ def follow(tracking: Tracking, run: TrackedRun, resuming: bool) -> Iterator[Foll
     """
     before = TrackingState.read(run.directory)
     before = before if before is not None and before.tracking == tracking.name else None
-    known = resuming and before is not None and before.configuration == run.configuration
-    followed = _opened(tracking, run, before if known else None)
-    if before is not None and not known:
-        with suppress(Exception):
-            tracking.abandon(before.key)
+    goes_on = resuming and before is not None and before.configuration == run.configuration
+    key = before.key if goes_on and before is not None else uuid.uuid4().hex
+    followed = _opened(tracking, run, key, "" if before is None else before.key)
     try:
         yield followed
     except InputError as error:
-        if known:
+        if goes_on:
             followed.end(FAILED, str(error).partition("\n")[0])
         else:
             followed.delete()
@@ -147,22 +105,18 @@ def follow(tracking: Tracking, run: TrackedRun, resuming: bool) -> Iterator[Foll
     followed.end(FINISHED)
 
 
-def _opened(tracking: Tracking, run: TrackedRun, before: TrackingState | None) -> Followed:
-    """The tracked run that the directory names, or a new one, whose key is written down before it is made."""
-    new = TrackingState(tracking.name, run.configuration, uuid.uuid4().hex)
-    state = new if before is None else replace(before, ended=False)
-    file = run.directory / FILE
+def _opened(tracking: Tracking, run: TrackedRun, key: str, before: str) -> Followed:
+    """The key is written down before the tracker hears of it, so that a kill leaves nothing that nobody finds again."""
+    state, file = TrackingState(tracking.name, run.configuration, key), run.directory / FILE
+    if tracking.name == NONE:
+        return Followed(None, run.directory, state)
     content = file.read_bytes() if file.is_file() else None
-    if tracking.name != NONE:
-        state.write(run.directory)
+    state.write(run.directory)
     try:
-        tracker = tracking.open(run, state, before is not None)
+        return Followed(tracking.open(run, key, before), run.directory, state)
     except InputError:
-        if content is not None:
-            file.write_bytes(content)
-        elif tracking.name != NONE:
+        if content is None:
             file.unlink(missing_ok=True)
+        else:
+            file.write_bytes(content)
         raise
-    if tracker is not None and tracker.logged is not None:
-        state = replace(state, logged=tracker.logged)
-    return Followed(tracker, run.directory, state)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pinn_cli.runs.tracking_state import NONE, TrackingState
+from pinn_cli.runs.tracking_state import NONE
 from pinn_cli.tracking.base import TrackedRun, Tracking
 
 
@@ -11,6 +11,5 @@ class NoTracking(Tracking):
 
     name = NONE
 
-    def open(self, run: TrackedRun, state: TrackingState, known: bool) -> None:
+    def open(self, run: TrackedRun, key: str, before: str) -> None:
         """Nothing to open."""
-        return

@@ -1,15 +1,14 @@
-"""Tracking with TensorBoard: event files in the run's directory."""
+"""Tracking with TensorBoard: an event file in the run's directory, written while the run goes on."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pinn_cli.runs.tracking_state import NOTHING, TrackingState
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.paths import located
 from pinn_cli.tracking.base import TrackedRun, Tracker, Tracking, require
@@ -19,6 +18,8 @@ if TYPE_CHECKING:
     from torch.utils.tensorboard.writer import SummaryWriter
 
 FOLDER = "tensorboard"
+# Seconds from one batch of rows on the disk to the next.
+EVERY_S = 5
 
 
 class TensorboardTracking(Tracking):
@@ -40,84 +41,96 @@ class TensorboardTracking(Tracking):
             raise InputError("tracking.directory", directory, "null or a folder")
         self.directory = None if directory is None else located(directory, (base or Path()).absolute())
 
-    def open(self, run: TrackedRun, state: TrackingState, known: bool) -> TensorboardTracker:
+    def open(self, run: TrackedRun, key: str, before: str) -> TensorboardTracker:
         """See :meth:`Tracking.open`."""
-        known = known and state.logged > NOTHING  # there may be less than the settings otherwise
         place = run.directory / FOLDER if self.directory is None else self.directory / run.name
+        tracker = TensorboardTracker(place, run, key)
         try:
             place.mkdir(parents=True, exist_ok=True)
-            from torch.utils.tensorboard import SummaryWriter
-
-            if not known:
-                for events in place.glob("events.out.tfevents.*"):  # of a run that this one replaces
-                    events.unlink()
-            _leave_failures_to_calls()
-            # A reader passes over what lies there of later rows: those that were written, but not noted, before a kill.
-            writer = SummaryWriter(log_dir=str(place), purge_step=int(state.logged) + 1 if known else None)
-            tracker = TensorboardTracker(writer, place, run)
-            if not known:
-                tracker.settings()
+            if key != before:
+                tracker.begin()
+                _take_away(place, before)
         except (OSError, ValueError) as error:  # a null character is a ValueError
-            if not known:
-                _take_away(place)
+            tracker.delete()
             hint = f"{place}: {getattr(error, 'strerror', None) or error}"
             raise InputError("tracking.directory", self.directory, "a folder that can be written to", hint) from error
         return tracker
 
 
 class TensorboardTracker(Tracker):
-    """One folder of event files."""
+    """The event files of one run, whose names end in its key: those of others may lie beside them, and stay.
 
-    def __init__(self, writer: SummaryWriter, place: Path, run: TrackedRun) -> None:
-        self.writer, self.place, self.run = writer, place, run
+    Args:
+        place: Their folder.
+        run: The run.
+        key: Of it.
+    """
 
-    def settings(self) -> None:
-        """Note them as text."""
+    def __init__(self, place: Path, run: TrackedRun, key: str) -> None:
+        self.place, self.run, self.key = place, run, key
+        self.writer: SummaryWriter | None = None
+
+    def begin(self) -> SummaryWriter:
+        """Write anew from the settings on: what an earlier process wrote of this run is told once more."""
+        _leave_failures_to_calls()
+        from torch.utils.tensorboard import SummaryWriter
+
+        _take_away(self.place, self.key)
+        # Who looks on while the run goes on forgets what it has read of the earlier file.
+        self.writer = SummaryWriter(str(self.place), purge_step=0, flush_secs=EVERY_S, filename_suffix=f".{self.key}")
         table = ["| setting | value |", "| --- | --- |", *(f"| {n} | {v} |" for n, v in self.run.settings.items())]
         self.writer.add_text("settings", "\n".join(table))
         self.writer.flush()
+        return self.writer
 
-    def rows(self, rows: Sequence[Mapping[str, float]]) -> None:
-        """See :meth:`Tracker.rows`: the step is the iteration."""
-        for row in rows:
-            for name, value in row.items():
-                if name != "iteration":
-                    self.writer.add_scalar(_grouped(name), value, int(row["iteration"]))
-        self.writer.flush()
+    def row(self, row: Mapping[str, float]) -> None:
+        """See :meth:`Tracker.row`: the step is the iteration."""
+        writer = self.writer or self.begin()
+        for name, value in row.items():
+            if name != "iteration":
+                writer.add_scalar(_grouped(name), value, int(row["iteration"]))
 
-    def results(self, outcome: Outcome) -> None:
-        """See :meth:`Tracker.results`."""
+    def end(self, status: str, reason: str, outcome: Outcome | None) -> None:
+        """See :meth:`Tracker.end`."""
+        if self.writer is None:  # nothing was told: what an earlier process told is still there
+            return
+        self.writer.add_text("status", f"{status}: {reason}" if reason else status)
+        if outcome is not None:
+            self._results(self.writer, outcome)
+        self.writer.close()
+
+    def _results(self, writer: SummaryWriter, outcome: Outcome) -> None:
         import numpy as np
         from matplotlib.image import imread
+        from torch.utils.tensorboard import FileWriter
         from torch.utils.tensorboard.summary import hparams
 
         metrics = {f"results/{name}": value for name, value in outcome.metrics.items()}
-        # SummaryWriter.add_hparams would make another run of them, beside this one.
-        for summary in hparams(dict(self.run.settings), metrics):
-            self.writer._get_file_writer().add_summary(summary)
         for name, value in metrics.items():
-            self.writer.add_scalar(name, value, 0)
+            writer.add_scalar(name, value, 0)
         for figure in outcome.figures:
-            self.writer.add_image(figure.stem, np.asarray(imread(figure))[..., :3], 0, dataformats="HWC")
-        self.writer.flush()
-
-    def end(self, status: str, reason: str) -> None:
-        """See :meth:`Tracker.end`."""
-        self.writer.add_text("status", f"{status}: {reason}" if reason else status)
-        self.writer.close()
+            writer.add_image(figure.stem, np.asarray(imread(figure))[..., :3], 0, dataformats="HWC")
+        writer.flush()
+        # SummaryWriter.add_hparams would make a file without the key. A reader never comes back from a later file.
+        beside = FileWriter(str(self.place), filename_suffix=f".{self.key}")
+        for summary in hparams(dict(self.run.settings), metrics):
+            beside.add_summary(summary)
+        beside.close()
 
     def delete(self) -> None:
         """See :meth:`Tracker.delete`."""
-        self.writer.close()
-        _take_away(self.place)
+        if self.writer is not None:
+            with suppress(OSError):  # a disk that is full
+                self.writer.close()
+        _take_away(self.place, self.key)
+        with suppress(OSError):  # it is no folder, or holds something
+            self.place.rmdir()
 
 
-def _take_away(place: Path) -> None:
-    """Remove the event files of a run, and their folder if it is empty then."""
-    with suppress(OSError):
-        for events in place.glob("events.out.tfevents.*"):
-            events.unlink()
-        place.rmdir()
+def _take_away(place: Path, key: str) -> None:
+    """Remove the event files of the run with that key."""
+    for events in place.glob(f"events.out.tfevents.*.{key}") if key else ():
+        events.unlink()
 
 
 @cache

@@ -89,7 +89,7 @@ def test_a_finished_search_makes_no_trial_and_more_may_be_asked_for(search: Call
     before = read(tmp_path)
     assert search(trials=2, task=StopsAt(0)) == 0  # no job is started
     pd.testing.assert_frame_equal(read(tmp_path), before)
-    search(trials=4)
+    assert search(trials=4) == 0
     assert len(read(tmp_path)) == 4
     pd.testing.assert_frame_equal(read(tmp_path).head(2), before, check_dtype=False)  # of an empty column
 

@@ -12,23 +12,22 @@ from hydra.types import RunMode
 from omegaconf import OmegaConf
 
 from pinn_cli.sweep import composing
-from pinn_cli.sweep.composing import JobLoader, own_numbers
+from pinn_cli.sweep.composing import compose_job, own_numbers
 
 
 @pytest.fixture
-def loaders(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Hydra's and ours, both new, with nothing composed yet."""
+def loader(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Hydra's, new; nothing is composed yet."""
     monkeypatch.setattr(composing, "_composed", {})
     with initialize_config_module("conf", version_base="1.3"):
-        hydras = GlobalHydra.instance().config_loader()
-        yield hydras, JobLoader(hydras)
+        yield GlobalHydra.instance().config_loader()
 
 
-def _both(loaders: Any, sweep: list[str], *jobs: list[str]) -> list[tuple[Any, Any]]:
-    hydra = loaders[0]
-    master = hydra.load_configuration("config", sweep, run_mode=RunMode.MULTIRUN)
+def _both(loader: Any, sweep: list[str], *jobs: list[str]) -> list[tuple[Any, Any]]:
+    """By Hydra and by us."""
+    master = loader.load_configuration("config", sweep, run_mode=RunMode.MULTIRUN)
     master.hydra.sweep.dir = "a"
-    return [tuple(loader.load_sweep_config(master, list(job)) for loader in loaders) for job in jobs]
+    return [(loader.load_sweep_config(master, list(job)), compose_job(loader, master, job)) for job in jobs]
 
 
 JOBS = (
@@ -48,8 +47,8 @@ OF_SWEEP = ["hydra/launcher=basic", "hydra.job.config.override_dirname.exclude_k
 
 
 @pytest.mark.parametrize("sweep", [[], OF_SWEEP])
-def test_jobs_are_as_hydra_composes_them(loaders: Any, sweep: list[str]) -> None:
-    for theirs, ours in _both(loaders, sweep, *JOBS, *JOBS):
+def test_jobs_are_as_hydra_composes_them(loader: Any, sweep: list[str]) -> None:
+    for theirs, ours in _both(loader, sweep, *JOBS, *JOBS):
         assert OmegaConf.to_yaml(ours) == OmegaConf.to_yaml(theirs)
         assert type(ours.seed) is type(theirs.seed)
         assert OmegaConf.is_struct(ours) == OmegaConf.is_struct(theirs)
@@ -58,19 +57,19 @@ def test_jobs_are_as_hydra_composes_them(loaders: Any, sweep: list[str]) -> None
 SCHEMES = ("scheme=sparse_recovery", "scheme=bayesian")
 
 
-def test_only_what_is_not_a_number_is_composed_again(loaders: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_what_is_not_a_number_is_composed_again(loader: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     composed = []
-    load = loaders[0].load_sweep_config
-    monkeypatch.setattr(loaders[0], "load_sweep_config", lambda *given: composed.append(given[1]) or load(*given))
+    load = loader.load_sweep_config
+    monkeypatch.setattr(loader, "load_sweep_config", lambda *given: composed.append(given[1]) or load(*given))
     jobs = [[f"seed={seed}", f"noise.snr_db={db}", scheme] for seed in (0, 1) for db in (50, 20) for scheme in SCHEMES]
-    master = loaders[0].load_configuration("config", [], run_mode=RunMode.MULTIRUN)
+    master = loader.load_configuration("config", [], run_mode=RunMode.MULTIRUN)
     for job in jobs:
-        loaders[1].load_sweep_config(master, job)
+        compose_job(loader, master, job)
     assert composed == [[scheme] for scheme in SCHEMES]
 
 
-def test_a_copy_belongs_to_its_job_alone(loaders: Any) -> None:
-    (_, first), (_, second) = _both(loaders, [], ["seed=0"], ["seed=0"])
+def test_a_copy_belongs_to_its_job_alone(loader: Any) -> None:
+    (_, first), (_, second) = _both(loader, [], ["seed=0"], ["seed=0"])
     first.noise.snr_db = 1.0
     first.hydra.overrides.task.append("a=1")
     assert second.noise.snr_db == 50
@@ -81,12 +80,12 @@ WRONG = (["sed=1"], ["system.ndof=1", "nois.snr_db=3"], ["system.nodf=3"], ["see
 
 
 @pytest.mark.parametrize("job", WRONG)
-def test_errors_are_hydras(loaders: Any, job: list[str]) -> None:
+def test_errors_are_hydras(loader: Any, job: list[str]) -> None:
     said = []
-    master = loaders[0].load_configuration("config", [], run_mode=RunMode.MULTIRUN)
-    for loader in loaders:
+    master = loader.load_configuration("config", [], run_mode=RunMode.MULTIRUN)
+    for compose in (lambda: loader.load_sweep_config(master, list(job)), lambda: compose_job(loader, master, job)):
         with pytest.raises((HydraException, ValueError)) as raised:
-            loader.load_sweep_config(master, job)
+            compose()
         said.append(str(raised.value))
     assert said[0] == said[1]
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -11,6 +14,10 @@ import pandas as pd
 import pytest
 from calls import SMALL
 from sweeps import start
+
+from pinn_cli.runs.cores import usable_cores
+from pinn_cli.sweep.joblib_launcher import pin, shares
+from pinn_cli.sweep.launching import jobs_at_once
 
 # Two jobs that finish and one that cannot; Adam is trained in steps and so has checkpoints.
 SWEEP = ("--multirun", *SMALL, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "seed=0,1", "hydra.sweep.dir=sweep")
@@ -68,6 +75,20 @@ def test_ctrl_c_ends_all_and_the_same_command_goes_on(tmp_path: Path) -> None:
         assert (tmp_path / "sweep" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
+@pytest.mark.parametrize("launcher", ["joblib", pytest.param("workstation", marks=pytest.mark.slow)])
+def test_workers_import_nothing_from_the_current_folder(launcher: str, tmp_path: Path) -> None:
+    if launcher == "workstation":
+        pytest.importorskip("submitit", reason="not installed: pip install 'pinn-cli[slurm]'")
+    for module in ("numpy", "yaml", "torch"):
+        (tmp_path / f"{module}.py").write_text("import pathlib\npathlib.Path('executed').touch()\n")
+    overrides = (*SMALL, f"hydra/launcher={launcher}", "seed=0,1", "figures=false")
+    command = [sys.executable, "-P", "-m", "pinn_cli.main", "--multirun", *overrides]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=500)
+    assert not (tmp_path / "executed").exists()
+    assert done.returncode == 0, done.stderr
+    assert "2 jobs: 2 finished" in done.stdout
+
+
 def test_a_killed_worker_takes_only_its_own_job_along(tmp_path: Path) -> None:
     (tmp_path / "sitecustomize.py").write_text(KILLS_ITS_WORKER)
     process = start(tmp_path, *SWEEP, "seed=0,1,2,3", env={"PYTHONPATH": str(tmp_path)})
@@ -102,3 +123,40 @@ def test_workers_share_one_tracker_and_what_is_finished_is_told_to_another(tmp_p
         copied = tmp_path / "outputs" / "mlflow-artifacts" / run.info.run_id / "artifacts"
         assert (copied / "run.json").read_bytes() == (job / "run.json").read_bytes()
         assert list((job / "tensorboard").glob("events.out.tfevents.*"))
+
+
+def test_cores_are_divided() -> None:
+    assert shares([0, 1, 2, 3], 2) == [[0, 1], [2, 3]]
+    assert shares([0, 1, 5], 2) == [[0], [1, 5]]
+    assert shares([4, 7], 3) == [[4], [7], [4]]
+    assert shares([2], 1) == [[2]]
+
+
+def test_jobs_at_once() -> None:
+    cores = len(usable_cores())
+    assert jobs_at_once(1) == cores
+    assert jobs_at_once(cores + 1) == 1
+
+
+def _pinned(barrier: object, results: object) -> None:
+    pin(2)
+    cores = usable_cores()
+    pin(2)
+    barrier.wait(60)  # type: ignore[attr-defined]
+    results.put((cores, usable_cores()))  # type: ignore[attr-defined]
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system does not pin processes")
+@pytest.mark.skipif(len(usable_cores()) < 2, reason="there is one core")
+def test_siblings_have_different_cores() -> None:
+    context = multiprocessing.get_context("fork")
+    barrier, results = context.Barrier(2), context.Queue()
+    processes = [context.Process(target=_pinned, args=(barrier, results)) for _ in range(2)]
+    for process in processes:
+        process.start()
+    (one, one_again), (other, other_again) = (results.get(timeout=60) for _ in processes)
+    for process in processes:
+        process.join()
+    assert (one, other) == (one_again, other_again)
+    assert not set(one) & set(other)
+    assert sorted(one + other) == usable_cores()

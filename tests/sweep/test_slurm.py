@@ -59,7 +59,8 @@ def test_preempted_and_requeued_jobs_go_on_and_a_cancelled_one_takes_no_other_al
     table = jobs(cluster)
     assert list(table["status"]) == ["finished", "finished", "failed"]
     assert "CANCELLED" in table["reason"][2]
-    assert "this job is preempted" in log(job(cluster, 0))
+    (told,) = cluster.folder.glob(f"sweep/.submitit/{array}_0/*_log.err")
+    assert "this job is preempted" in told.read_text()
     for seed in (0, 1):
         assert "going on from the checkpoint" in log(job(cluster, seed))
 

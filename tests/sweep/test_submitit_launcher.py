@@ -18,15 +18,10 @@ from omegaconf import DictConfig
 
 pytest.importorskip("submitit", reason="not installed: pip install 'pinn-cli[slurm]'")
 
-from submitit import SlurmJob as SubmititJob
-from submitit.core.utils import UncompletedJobError
-from submitit.slurm.slurm import SlurmInfoWatcher
-
 from pinn_cli.main import run
 from pinn_cli.sweep import submitit_launcher
-from pinn_cli.sweep.affinity import jobs_at_once
-from pinn_cli.sweep.slurm_states import QueueWatcher, choose_watcher
-from pinn_cli.sweep.submitit_launcher import LocalLauncher, SlurmLauncher
+from pinn_cli.sweep.launching import jobs_at_once
+from pinn_cli.sweep.submitit_launcher import Batch, LocalLauncher, SlurmLauncher
 
 ON_SIGNALS_ALONE = (*ADAM, "training.checkpoint_every_s=null", "hydra.run.dir=run")
 REQUEUED = 144
@@ -35,9 +30,9 @@ WORK: Any = None
 
 
 @pytest.fixture(autouse=True)
-def _watcher(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Submitit's own, and again after the test: one is shared by all jobs."""
-    monkeypatch.setattr(SubmititJob, "watcher", SlurmInfoWatcher())
+def _quickly(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("_LOOK_EVERY_S", "_ASK_EVERY_S", "_SHOWN_S"):
+        monkeypatch.setattr(submitit_launcher, name, 0.01)
 
 
 @pytest.fixture
@@ -49,10 +44,10 @@ def steps(monkeypatch: pytest.MonkeyPatch) -> Steps:
 @pytest.fixture
 def worker(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[DictConfig], list[Any]]]:
     """Runs a job as a task of SLURM does, with the handlers that submitit sets before."""
-    monkeypatch.setattr(SlurmLauncher, "_run", lambda launcher, config: run(config))
+    monkeypatch.setattr(Batch, "_run", lambda batch, config: run(config))
     mine = {signal.SIGUSR2: lambda number, frame: sys.exit(REQUEUED), signal.SIGTERM: signal.SIG_IGN}
     before = {number: signal.signal(number, handler) for number, handler in mine.items()}
-    yield lambda config: SlurmLauncher(WORK, jobs_per_task=1)([(config,)])
+    yield lambda config: Batch(WORK)([(config,)])
     assert {number: signal.signal(number, handler) for number, handler in before.items()} == mine
 
 
@@ -97,40 +92,51 @@ def test_jobs_are_dealt_to_tasks(launcher: Any, batches: list[list[int]], monkey
     assert [[job.number for job in batch] for batch in launcher._batches(jobs)] == batches
 
 
-class SlurmJob:
-    """A task that was lost, unless it has results, as submitit tells of it."""
+class Task:
+    """A task as submitit has it, in the current folder: with a result, or with none for ever."""
 
-    job_id = "17_0"
-    _results_timeout_s = 15.0
-    waited = 0.0
-
-    def __init__(self, state: str = "CANCELLED by 0", results: list[Any] | None = None) -> None:
-        names = {"submitted_pickle": "17_0_submitted.pkl", "result_pickle": "17_0_0_result.pkl"}
-        self.paths = SimpleNamespace(stderr="17_0_0_log.err", **{name: Path(file) for name, file in names.items()})
-        self.state, self.returned = state, results
-
-    def wait(self) -> None:
-        pass
-
-    def done(self) -> bool:
-        return True
+    def __init__(self, job_id: str = "17_0", returned: list[Any] | None = None) -> None:
+        names = {"submitted_pickle": "submitted.pkl", "result_pickle": "result.pkl", "stderr": "log.err"}
+        self.job_id, self.returned = job_id, returned
+        self.paths = SimpleNamespace(**{name: Path.cwd() / f"{job_id}_{file}" for name, file in names.items()})
+        if returned is not None:
+            self.paths.result_pickle.touch()
 
     def results(self) -> list[Any]:
-        if self.returned is not None:
-            return [self.returned]
-        SlurmJob.waited += self._results_timeout_s
-        raise UncompletedJobError(f"Job 17_0 has not produced any output (state: {self.state})")
+        return [self.returned]
 
 
-def test_jobs_that_never_began_are_failed_rows(pinn_run: PinnRun, monkeypatch) -> None:
-    monkeypatch.setattr(SlurmLauncher, "_submit", lambda launcher, batches: [SlurmJob() for _ in batches])
+def program(folder: Path, name: str, answer: str) -> None:
+    (folder / name).write_text(f"#!/bin/sh\n{answer}\n")
+    (folder / name).chmod(0o755)
+
+
+@pytest.fixture
+def squeue(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Has `squeue` list tasks, one line after the other; each list is printed once, the last one ever after."""
+    folder = tmp_path_factory.mktemp("bin")
+    monkeypatch.setenv("PATH", f"{folder}:/bin")
+
+    def listing(*lists: str) -> None:
+        for number, listed in enumerate(lists):
+            (folder / f"list{number}").write_text(listed)
+        last = len(lists) - 1
+        counting = f"cat {folder}/list$n; [ $n -ge {last} ] || echo $((n + 1)) > {folder}/n"
+        program(folder, "squeue", f"n=$(cat {folder}/n 2>/dev/null || echo 0)\n{counting}")
+
+    return listing
+
+
+def test_jobs_that_never_began_are_failed_rows(pinn_run: PinnRun, squeue, monkeypatch) -> None:
+    squeue("17_0|CANCELLED|x\n17_1|COMPLETING|x\n", "17_0|CANCELLED|x\n")
+    monkeypatch.setattr(SlurmLauncher, "_submit", lambda _, batches: [Task(f"17_{n}") for n in range(len(batches))])
     done = pinn_run("--multirun", "hydra/launcher=slurm", *SMALL, "seed=0,1", "hydra.sweep.dir=sweep")
     assert done.status == 1
     assert "2 jobs: 2 failed" in done.out
-    assert SlurmJob.waited == 15.0
-    table = pd.read_csv("sweep/jobs.csv")
-    assert list(table["seed"]) == [0, 1]
-    assert set(table["reason"]) == {"SLURM job 17_0 ended without a result, state CANCELLED by 0; 17_0_0_log.err"}
+    reasons = pd.read_csv("sweep/jobs.csv").set_index("seed")["reason"]
+    for seed, state in enumerate(("CANCELLED", "ENDED")):
+        place = Path.cwd() / f"17_{seed}_log.err"
+        assert reasons[seed] == f"SLURM job 17_{seed} ended without a result, state {state}; {place}"
 
 
 @pytest.mark.parametrize(
@@ -139,23 +145,24 @@ def test_jobs_that_never_began_are_failed_rows(pinn_run: PinnRun, monkeypatch) -
         ("OUT_OF_MEMORY", 2, [[0, 1, 2, 3], [2, 3]]),
         ("OUT_OF_MEMORY", 4, [[0, 1, 2, 3]]),
         ("NODE_FAIL", 0, [[0, 1, 2, 3]]),  # the task itself cannot run: nor could another one
-        ("CANCELLED by 0", 2, [[0, 1, 2, 3]]),
-        ("ENDED", 2, [[0, 1, 2, 3]]),  # forgotten by a cluster without accounts: perhaps it was cancelled
+        ("CANCELLED", 2, [[0, 1, 2, 3]]),
+        ("ENDED", 2, [[0, 1, 2, 3]]),  # forgotten by a cluster: perhaps it was cancelled
     ],
 )
-def test_jobs_behind_a_killed_one_are_sent_again(state: str, begun: int, sent: list[list[int]], pinn_run, monkeypatch):
+def test_jobs_behind_a_killed_one_are_sent_again(state: str, begun: int, sent, pinn_run, squeue, monkeypatch) -> None:
+    squeue("" if state == "ENDED" else f"17_0|{state}|x\n")
     arrays: list[list[int]] = []
 
-    def submit(launcher: Any, batches: list[list[Any]]) -> list[SlurmJob]:
+    def submit(launcher: Any, batches: list[list[Any]]) -> list[Task]:
         (batch,) = batches
         arrays.append([job.number for job in batch])
         if len(arrays) > 1:
-            return [SlurmJob("COMPLETED", [job.returned(finished=False) for job in batch])]
+            return [Task("18_0", [job.returned(finished=False) for job in batch])]
         Path("17_0_submitted.pkl").touch()
         for job in batch[:begun]:
             (job.directory / ".hydra").mkdir(parents=True)
             (job.directory / ".hydra" / "overrides.yaml").write_text(f"- seed={job.number}\n")
-        return [SlurmJob(state)]
+        return [Task()]
 
     monkeypatch.setattr(SlurmLauncher, "_submit", submit)
     sweep = ("hydra/launcher=slurm", "hydra.launcher.jobs_per_task=4", "hydra.sweep.dir=sweep", "seed=0,1,2,3")
@@ -168,35 +175,52 @@ def test_jobs_behind_a_killed_one_are_sent_again(state: str, begun: int, sent: l
     assert table["reason"].str.contains(state).sum() == 4 - len(again)
 
 
+STATES = {
+    "RUNNING": False,
+    "PENDING": False,
+    "SUSPENDED": False,
+    "CONFIGURING": False,
+    "COMPLETING": False,
+    "CANCELLED": True,
+    "PREEMPTED": True,
+    "OUT_OF_MEMORY": True,
+    "TIMEOUT": True,
+}
+
+
+@pytest.mark.parametrize(("state", "over"), STATES.items())
+def test_a_task_is_waited_for_until_it_is_over(state: str, over: bool, squeue, tmp_path, monkeypatch) -> None:
+    """One that was preempted may be on its way back into the queue, which may fail to answer."""
+    monkeypatch.chdir(tmp_path)
+    squeue("17_0|PREEMPTED|x\n", f"17_0|{state}|x\n", f"17_0|{state}|x\n", "")
+    found = SlurmLauncher(WORK)._ended([Task()])
+    assert found == {"17_0": state if over else "ENDED"}
+
+
 @pytest.mark.parametrize(
     ("resume", "sent"), [((), [[2], [3]]), (("resume=auto",), [[2], [3]]), (("resume=never",), [[0], [1], [2], [3]])]
 )
-def test_tasks_of_a_killed_launcher_are_waited_for(resume: tuple[str, ...], sent, pinn_run, tmp_path, monkeypatch):
+def test_tasks_of_a_killed_launcher_are_waited_for(resume, sent, pinn_run, squeue, tmp_path, monkeypatch) -> None:
     """17_0 has jobs of this sweep; 17_1 has a result by now, 18 is another sweep's, 19 has a job not asked for."""
     scripts = {"17_0": "sweep", "17_1": "sweep", "18": "other", "19": "sweep"}
-    listed = "\n".join(f"{task}|{tmp_path}/{place}/.submitit/.submission_file.sh" for task, place in scripts.items())
-    for name, answer in {"sacct": "exit 0", "squeue": f"echo '{listed}'"}.items():
-        (tmp_path / name).write_text(f"#!/bin/sh\n{answer}\n")
-        (tmp_path / name).chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}:/bin")
+    queued = "".join(f"{t}|RUNNING|{tmp_path}/{place}/.submitit/.submission_file.sh\n" for t, place in scripts.items())
+    squeue(queued, "17_0|TIMEOUT|x\n")
     jobs_of = {"17_0": (0, 1), "17_1": (2,), "18": (3,), "19": (3, 4)}
-    (tmp_path / "17_1_0_result.pkl").touch()
 
-    def queued(folder: str, task: str) -> SlurmJob:
+    def found(folder: str, name: str) -> Task:
         assert folder == "sweep/.submitit/%j"
-        calls = [([*SMALL, *resume, f"seed={seed}"], seed, {}) for seed in jobs_of[task]]
-        job = SlurmJob("TIMEOUT")
-        job.job_id, job.submission = task, lambda: SimpleNamespace(args=(calls,))
-        job.paths.result_pickle = tmp_path / f"{task}_0_result.pkl"
-        return job
+        calls = [([*SMALL, *resume, f"seed={seed}"], seed, {}) for seed in jobs_of[name]]
+        task: Any = Task(name, [] if name == "17_1" else None)
+        task.submission = lambda: SimpleNamespace(args=(calls,))
+        return task
 
     arrays: list[list[int]] = []
 
-    def submit(launcher: Any, batches: list[list[Any]]) -> list[SlurmJob]:
+    def submit(launcher: Any, batches: list[list[Any]]) -> list[Task]:
         arrays.extend([job.number for job in batch] for batch in batches)
-        return [SlurmJob("COMPLETED", [job.returned(finished=False) for job in batch]) for batch in batches]
+        return [Task(f"20_{n}", [job.returned(finished=False) for job in b]) for n, b in enumerate(batches)]
 
-    monkeypatch.setattr(submitit_launcher.submitit, "SlurmJob", queued)
+    monkeypatch.setattr(submitit_launcher.submitit, "SlurmJob", found)
     monkeypatch.setattr(SlurmLauncher, "_submit", submit)
     sweep = ("hydra/launcher=slurm", "hydra.sweep.dir=sweep", "seed=0,1,2,3")
     done = pinn_run("--multirun", *SMALL, *resume, *sweep)
@@ -215,8 +239,7 @@ def test_a_slurm_that_is_not_there_or_refuses_is_told_in_one_line(answer: str, p
     programs = tmp_path / "bin"
     programs.mkdir()
     for name in ("srun", "sbatch") if answer else ():
-        (programs / name).write_text(f"#!/bin/sh\n{answer}\n")
-        (programs / name).chmod(0o755)
+        program(programs, name, answer)
     monkeypatch.setenv("PATH", f"{programs}:/bin" if answer else str(programs))
     done = pinn_run("--multirun", "hydra/launcher=slurm", *SMALL, "seed=0,1", "hydra.sweep.dir=sweep")
     assert done.status == 2
@@ -226,47 +249,10 @@ def test_a_slurm_that_is_not_there_or_refuses_is_told_in_one_line(answer: str, p
     assert not (tmp_path / "sweep").exists()
 
 
-STATES = {
-    "17_0": ("RUNNING", False),
-    "17_1": ("CANCELLED by 0", True),
-    "17_2": ("PREEMPTED", True),
-    "17_3": ("PREEMPTED", False),  # and on its way back into the queue
-    "17_4": ("SUSPENDED", False),
-    "17_5": ("CONFIGURING", False),
-    "17_6": ("PENDING", False),
-    "17_7": ("OUT_OF_MEMORY", True),
-}
-
-
-@pytest.mark.parametrize("accounts", [True, False])
-def test_states_of_tasks(accounts: bool, tmp_path: Path, monkeypatch) -> None:
-    states = {task: state for task, (state, _) in STATES.items()}
-    told = "\n".join(["JobID|State|NodeList", *(f"{task}|{state}|vm" for task, state in states.items())])
-    listed = "\n".join(f"{task}|{state.split()[0]}" for task, state in states.items())
-    programs = {
-        "sacct": f"echo '{told}'" if accounts else "exit 1",
-        "squeue": f"case \"$*\" in *states=all*) echo '{listed}';; *) echo 17_3; echo 17_6;; esac",
-    }
-    for name, answer in programs.items():
-        (tmp_path / name).write_text(f"#!/bin/sh\n{answer}\n")
-        (tmp_path / name).chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}:/bin")
-    choose_watcher()
-    assert isinstance(SubmititJob.watcher, QueueWatcher) is not accounts
-    tasks = [SubmititJob(tmp_path, task) for task in STATES]
-    assert [task.done() for task in tasks] == [done for _, done in STATES.values()]
-    assert [task.state.split()[0] for task in tasks] == [state.split()[0] for state in states.values()]
-    if not accounts:
-        assert SubmititJob(tmp_path, "17_8").state == "ENDED"
-    (tmp_path / "squeue").write_text("#!/bin/sh\nexit 1\n")
-    assert not SubmititJob.watcher.is_done("17_2", mode="cache")  # nobody knows whether it comes back
-
-
 def test_an_option_of_sbatch_can_be_left_out(monkeypatch) -> None:
     given: dict[str, Any] = {}
     executor = SimpleNamespace(update_parameters=given.update)
     monkeypatch.setattr(submitit_launcher.submitit, "AutoExecutor", lambda **init: executor)
-    monkeypatch.setattr(submitit_launcher, "choose_watcher", lambda: None)
     SlurmLauncher(WORK, submitit_folder="x", additional_parameters={"requeue": False, "mail-type": "END"})._executor()
     assert given == {"slurm_additional_parameters": {"mail-type": "END"}}
 

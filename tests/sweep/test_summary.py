@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pinn_cli.sweep.figure import numeric_settings, sweep_figure
-from pinn_cli.sweep.summary import is_seed, summarise
+from pinn_cli.sweep.summary import is_seed, numeric_settings, summarise, sweep_figure
 
 
 def fitness(**settings: list[object]) -> pd.DataFrame:

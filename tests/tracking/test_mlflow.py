@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
+import sqlite3
 import subprocess
 import sys
 import time
@@ -16,22 +18,22 @@ import pytest
 from calls import SMALL, PinnRun
 from interrupted_runs import ADAM, Steps, in_a_child, without_figures
 
-from pinn_cli.runs.tracking_state import TrackingState
-from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.tracking import mlflow as mlflow_tracking
 from pinn_cli.tracking.base import TrackedRun
 from pinn_cli.tracking.follow import follow
-from pinn_cli.tracking.mlflow import MlflowTracker, MlflowTracking
+from pinn_cli.tracking.mlflow import MlflowTracking
 
 pytest.importorskip("mlflow", reason="the extra mlflow is not installed")
 pytest.importorskip("sqlalchemy", reason="the extra mlflow is not installed")
+
+from mlflow.tracking import MlflowClient
 
 PROCESSES = 4
 # A run that is no run: what MLflow sees of one, many times over.
 ONE_PROCESS = """
 import sys
 from pathlib import Path
-from pinn_cli.tracking import mlflow as mlflow_tracking
 from pinn_cli.tracking.base import TrackedRun
 from pinn_cli.tracking.follow import follow
 from pinn_cli.tracking.mlflow import MlflowTracking
@@ -41,35 +43,28 @@ for number in range(3):
     job = TrackedRun(place, place.parent.name, {"seed": str(number)}, {"case": "many"}, "many")
     with follow(MlflowTracking("sqlite:///shared.db"), job, resuming=False) as tracked:
         for iteration in range(1, 40):
-            tracked.row({"iteration": iteration, "loss_physics": 1.0 / iteration})
-            tracked.flush()
+            tracked.row({"iteration": iteration, "seconds": 0.1, "loss_physics": 1.0 / iteration})
 """
 
 
 def runs(database: Path) -> list[Any]:
-    from mlflow.tracking import MlflowClient
-
     client = MlflowClient(tracking_uri=f"sqlite:///{database}")
     return list(client.search_runs([e.experiment_id for e in client.search_experiments()]))
 
 
 def steps_of(database: Path, run: Any, metric: str) -> list[int]:
-    from mlflow.tracking import MlflowClient
-
-    return [
-        m.step for m in MlflowClient(tracking_uri=f"sqlite:///{database}").get_metric_history(run.info.run_id, metric)
-    ]
+    client = MlflowClient(tracking_uri=f"sqlite:///{database}")
+    return [m.step for m in client.get_metric_history(run.info.run_id, metric)]
 
 
-def test_an_interrupted_run_is_one_run_in_the_end(
+def test_an_interrupted_run_is_told_once_it_has_ended(
     pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     without_figures(monkeypatch)
     steps, database = Steps(monkeypatch), tmp_path / "outputs" / "mlflow.db"
     steps.signal_at(10, signal.SIGINT)
     assert pinn_run(*ADAM, "tracking=mlflow", "hydra.run.dir=run").status == 130
-    (run,) = runs(database)
-    assert (run.info.status, run.data.tags["reason"]) == ("KILLED", "SIGINT")
+    assert not database.exists()
     steps.undisturbed()
     outcome = pinn_run("resume=run")
     assert outcome.status == 0, outcome.err
@@ -90,54 +85,34 @@ def killed(*_: object, **__: object) -> None:
 
 
 @pytest.mark.slow
-def test_a_killed_run_leaves_no_run_that_runs_for_ever(tmp_path: Path) -> None:
-    """Killed when it has been made, when a row has been told, and when it was to end: in the end it is one run."""
+def test_a_run_that_was_killed_while_it_was_told_is_one_run_in_the_end(tmp_path: Path) -> None:
+    """In each of the steps: when the tables are made, when the run is, when its rows are and when it was to end."""
     import mlflow.tracking  # noqa: F401 once, rather than in each child
 
     directory, database = tmp_path / "run", tmp_path / "mlflow.db"
     directory.mkdir()
+    (tmp_path / ".mlflow.db.new").write_bytes(b"half of the tables")
     job = TrackedRun(directory, "run", {"seed": "0", "threads": "1"}, {"case": "killed"}, "of these settings")
 
-    def start(kill: str, rows: int, resuming: bool = True) -> None:
-        if kill:
-            setattr(MlflowTracker, kill, killed)
-        tracking = MlflowTracking(f"sqlite:///{database}")
-        with follow(tracking, job, resuming) as tracked:
-            for iteration in range(1, rows + 1):
+    def start(place: Any, step: str, resuming: bool = True) -> None:
+        if step:
+            setattr(place, step, killed)
+        with follow(MlflowTracking(f"sqlite:///{database}"), job, resuming) as tracked:
+            for iteration in range(1, 9):
                 tracked.row({"iteration": iteration, "seconds": 0.1 * iteration, "loss_physics": 1.0 / iteration})
-                if kill == "rows told":
-                    tracked._keep = killed  # type: ignore[method-assign]
-                tracked.flush()
 
-    assert in_a_child(lambda: start("__init__", 0)) == -signal.SIGKILL
-    assert in_a_child(lambda: start("rows told", 4)) == -signal.SIGKILL
-    assert in_a_child(lambda: start("end", 6)) == -signal.SIGKILL
-    assert in_a_child(lambda: start("", 8)) == 0
-    assert in_a_child(lambda: start("end", 2, resuming=False)) == -signal.SIGKILL
-    assert in_a_child(lambda: start("", 2, resuming=False)) == 0
-    last, abandoned, first = runs(database)
-    assert [run.info.status for run in (first, abandoned, last)] == ["FINISHED", "KILLED", "FINISHED"]
-    assert steps_of(database, first, "loss_physics") == list(range(1, 9))
-    assert first.data.params == {"seed": "0", "threads": "1"}
-
-
-@pytest.mark.slow
-def test_a_kill_while_the_tables_are_made_leaves_none(tmp_path: Path) -> None:
-    (tmp_path / ".mlflow.db.new").write_bytes(b"half of them")
-    tracking = MlflowTracking(f"sqlite:///{tmp_path / 'mlflow.db'}")
-    job = TrackedRun(tmp_path / "run", "run", {}, {}, "")
-    job.directory.mkdir()
-
-    def start() -> None:
-        mlflow_tracking.replacing = killed  # the tables are there, but the file has not its name
-        tracking.open(job, TrackingState("mlflow", "", "a1"), known=False)
-
-    assert in_a_child(start) == -signal.SIGKILL
-    assert not (tmp_path / "mlflow.db").exists()
-    with follow(tracking, job, resuming=False):
-        pass
-    (run,) = runs(tmp_path / "mlflow.db")
-    assert run.info.status == "FINISHED"
+    assert in_a_child(lambda: start(mlflow_tracking, "replacing")) == -signal.SIGKILL
+    assert not database.exists()
+    for step in ("_log_params", "_log_rows", "_log_metrics"):
+        assert in_a_child(lambda step=step: start(mlflow_tracking, step)) == -signal.SIGKILL  # type: ignore[misc]
+    assert in_a_child(lambda: start(MlflowClient, "set_tag")) == -signal.SIGKILL
+    (half,) = runs(database)
+    assert half.info.status == "KILLED"
+    assert in_a_child(lambda: start(None, "")) == 0
+    (run,) = runs(database)
+    assert (run.info.run_id, run.info.status) == (half.info.run_id, "FINISHED")
+    assert steps_of(database, run, "loss_physics") == list(range(1, 9))
+    assert run.data.params == {"seed": "0", "threads": "1"}
     assert {file.name for file in tmp_path.iterdir()} == {"mlflow.db", "run"}
 
 
@@ -160,14 +135,19 @@ def test_a_finished_run_is_told_afterwards(pinn_run: PinnRun, monkeypatch: pytes
     assert (tmp_path / "here-artifacts" / run.info.run_id / "artifacts" / "response.nc").is_file()
 
 
-def test_a_diverging_run_has_failed(pinn_run: PinnRun, tmp_path: Path) -> None:
-    settings = ["training.learning_rate=1e30", "tracking=mlflow", "tracking.uri=sqlite:///here.db"]
-    assert pinn_run(*ADAM, *settings).status == 3
+def test_a_diverging_run_has_failed_with_its_history(tmp_path: Path) -> None:
+    job = TrackedRun(tmp_path, "run", {"seed": "0"}, {}, "")
+    tracking = MlflowTracking(f"sqlite:///{tmp_path / 'here.db'}")
+    with contextlib.suppress(DivergenceError), follow(tracking, job, resuming=False) as tracked:
+        tracked.row({"iteration": 6, "seconds": 0.1, "loss_physics": 1e300})
+        raise DivergenceError("diverged at iteration 7")
     (run,) = runs(tmp_path / "here.db")
     assert (run.info.status, run.data.tags["status"]) == ("FAILED", "failed")
-    assert "iteration" in run.data.tags["reason"]
+    assert run.data.tags["reason"] == "diverged at iteration 7"
+    assert steps_of(tmp_path / "here.db", run, "loss_physics") == [6]
 
 
+@pytest.mark.slow
 def test_several_processes_share_one_file(tmp_path: Path) -> None:
     """From the first moment on, when the tables are made."""
     command = [sys.executable, "-c", ONE_PROCESS]
@@ -228,11 +208,16 @@ def test_a_port_where_nothing_answers_is_told_at_once(tmp_path: Path) -> None:
     assert told(f"http://127.0.0.1:{port}", tmp_path) == f"tracking.uri=http://127.0.0.1:{port}: {expected}"
 
 
-def test_a_server_that_takes_calls_and_says_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_server_that_takes_calls_and_says_nothing_does_the_run_no_harm(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     monkeypatch.setenv("MLFLOW_HTTP_REQUEST_TIMEOUT", "1")
+    job = TrackedRun(tmp_path, "run", {}, {}, "")
     with socket.create_server(("127.0.0.1", 0)) as server:
-        uri = f"http://127.0.0.1:{server.getsockname()[1]}"
-        assert told(uri, tmp_path).startswith(f"tracking.uri={uri}: must be a store that MLflow can use; ")
+        tracking = MlflowTracking(f"http://127.0.0.1:{server.getsockname()[1]}")
+        with follow(tracking, job, resuming=False) as tracked:
+            tracked.row({"iteration": 1})
+    assert [record.message.partition(":")[0] for record in caplog.records] == ["tracking=mlflow"]
     assert os.environ["MLFLOW_HTTP_REQUEST_MAX_RETRIES"] == "1"
 
 
@@ -246,6 +231,17 @@ def test_what_is_no_database_is_left_alone(tmp_path: Path, name: str) -> None:
     assert told(uri, tmp_path).startswith(f"tracking.uri={uri}: must be a SQLite file, sqlite:///FILE, or a server")
     assert (tmp_path / "rig.csv").read_text() == "t,f\n0,1\n"
     assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("tables", ["notes (text)", "runs (id); CREATE TABLE alembic_version (version_num)", ""])
+def test_a_database_of_another_program_is_left_alone(tmp_path: Path, tables: str) -> None:
+    database = tmp_path / "app.db"
+    with contextlib.closing(sqlite3.connect(database)) as connection:
+        connection.executescript(f"CREATE TABLE {tables}" if tables else "PRAGMA user_version = 7")
+    before = database.read_bytes()
+    assert "what is there is the database of another program" in told(f"sqlite:///{database}", tmp_path)
+    assert database.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [database]
 
 
 def test_it_is_imported_only_where_it_is_chosen(tmp_path: Path) -> None:

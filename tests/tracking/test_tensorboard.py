@@ -10,7 +10,7 @@ from typing import Any
 
 import pandas as pd
 import pytest
-from calls import PinnRun
+from calls import SMALL, PinnRun
 from interrupted_runs import ADAM, Steps, in_a_child
 
 from pinn_cli.cli.command_line import execute
@@ -70,11 +70,22 @@ def test_rows_between_the_last_note_and_a_kill_are_there_once(pinn_run: PinnRun,
     assert [e.step for e in found.Scalars("loss/observation")] == history["iteration"].tolist()
 
 
-def test_a_folder_of_its_own(pinn_run: PinnRun, tmp_path: Path) -> None:
-    run = pinn_run(*ADAM, "tracking=tensorboard", "tracking.directory=boards", "hydra.run.dir=run")
-    assert run.status == 0, run.err
-    assert list((tmp_path / "boards" / "default" / "run").glob("events.out.tfevents.*"))
+def test_in_a_folder_with_files_of_others_those_stay(pinn_run: PinnRun, tmp_path: Path) -> None:
+    """Whether the run is new, takes another one's place, or is refused."""
+    place = tmp_path / "boards" / "default" / "run"
+    place.mkdir(parents=True)
+    of_another = place / "events.out.tfevents.1700000000.host.1.0"
+    of_another.write_bytes(b"of another program")
+    command = (*SMALL, "tracking=tensorboard", "tracking.directory=boards", "hydra.run.dir=run", "figures=false")
+    mine = set[Path]()
+    for more in ((), ("resume=never",)):
+        assert pinn_run(*command, *more).status == 0
+        before, mine = mine, set(place.iterdir()) - {of_another}
+        assert mine
+        assert not mine & before
     assert not (tmp_path / "run" / "tensorboard").exists()
+    assert pinn_run(*command, "resume=never", "system.m=-1").status == 2
+    assert of_another.read_bytes() == b"of another program"
 
 
 def test_impossible_settings_are_named(pinn_run: PinnRun, tmp_path: Path) -> None:

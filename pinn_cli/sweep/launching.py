@@ -1,13 +1,15 @@
-"""The jobs of a sweep that a launcher has run elsewhere: what one is, how a worker runs it, and that it was lost.
+"""What all launchers share: which jobs are run, what one is to its worker, and that it was lost.
 
 Launchers of other projects raise at the first job that ends without a result, and the others are never collected. Those
-here note the loss in the job's directory and go on.
+here note the loss in the job's directory and go on: the same command runs that job alone again, from its checkpoint.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,12 +21,16 @@ from hydra.core.utils import JobReturn, JobStatus, run_job, setup_globals
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, open_dict
 
+from pinn_cli.runs.cores import usable_cores
 from pinn_cli.runs.lock import FILE as LOCK
 from pinn_cli.runs.resume import asked_to_resume, going_on, is_finished, stored_score
 from pinn_cli.runs.tracking_state import is_tracked
+from pinn_cli.sweep.composing import compose_job
 from pinn_cli.sweep.failure import DEFECT, Failure
 from pinn_cli.sweep.failure import FILE as FAILURE
 from pinn_cli.sweep.jobs import FINISHED, OVERRIDES, UNFINISHED, Job, Sweep, note_failure
+
+SAFE_PATH = "PYTHONSAFEPATH"
 
 
 @dataclass(frozen=True)
@@ -41,11 +47,16 @@ class Work:
     task_function: TaskFunction
     config: DictConfig
 
+    @property
+    def threads(self) -> int:
+        """Of a job, at least one."""
+        return max(1, int(self.config.get("threads", 1)))
+
     def composed(self, overrides: Sequence[str], number: int, name: str = "") -> DictConfig:
         """The configuration of a job, with its `hydra` node; `name` is its `hydra.job.id`."""
-        config = self.hydra_context.config_loader.load_sweep_config(self.config, list(overrides))
+        config = compose_job(self.hydra_context.config_loader, self.config, overrides)
         with open_dict(config.hydra.job):
-            config.hydra.job.id, config.hydra.job.num = name or f"job_id_for_{number}", number
+            config.hydra.job.id, config.hydra.job.num = name or f"{config.hydra.job.name}_{number}", number
         return config
 
     def run(self, overrides: Sequence[str], number: int, name: str = "") -> JobReturn:
@@ -67,22 +78,9 @@ def take_over(state: Any) -> None:
     setup_globals()
 
 
-def unfinished_jobs(
-    work: Work, job_overrides: Sequence[Sequence[str]], first: int
-) -> tuple[list[PendingJob], dict[int, JobReturn]]:
-    """The jobs of a sweep that are not finished, and by their numbers what those that are return.
-
-    Args:
-        work: Of the sweep.
-        job_overrides: Of each job.
-        first: Number of the first.
-    """
-    sweep = Sweep.of(work.config, Path(str(work.config.hydra.sweep.dir)))
-    found = {job.overrides for job in sweep.jobs() if job.status == FINISHED}
-    jobs = [PendingJob(work, list(overrides), first + n) for n, overrides in enumerate(job_overrides)]
-    finished = [job for job in jobs if tuple(job.overrides) in found and job.finished()]
-    returns = {job.number: job.returned(finished=True) for job in finished}
-    return [job for job in jobs if job.number not in returns], returns
+def jobs_at_once(threads: int) -> int:
+    """How many jobs of that many threads the cores can run at once, at least one."""
+    return max(1, len(usable_cores()) // max(1, threads))
 
 
 @dataclass(frozen=True)
@@ -151,3 +149,69 @@ class PendingJob:
         if not finished and Failure.read(self.directory) is None:
             note_failure(self.directory, self.config.hydra.overrides.task, Failure(DEFECT, reason, reason))
         return self.returned(finished)
+
+
+class WorkLauncher(ABC):
+    """How jobs are run; what `hydra_plugins` has as a launcher. A new one is a file here, one there and one in `conf`.
+
+    Args:
+        work: Of the sweep.
+
+    Attributes:
+        jobs: What it was asked to run, by their overrides, finished ones among them.
+    """
+
+    def __init__(self, work: Work) -> None:
+        self.work = work
+        self.jobs: dict[tuple[str, ...], PendingJob] = {}
+
+    @abstractmethod
+    def run(self, jobs: list[PendingJob]) -> dict[int, JobReturn]:
+        """Run all jobs, of which there is at least one, and wait for them; what each returned, by its number."""
+
+    def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
+        """Have all jobs run that are not finished.
+
+        Args:
+            job_overrides: Of each job.
+            initial_job_idx: Number of the first.
+
+        Returns:
+            What each job returned, in the same order; None for one that was lost.
+        """
+        jobs = [PendingJob(self.work, list(given), initial_job_idx + n) for n, given in enumerate(job_overrides)]
+        self.jobs = {tuple(job.overrides): job for job in jobs}
+        returns = {job.number: job.returned(finished=True) for job in self._finished(jobs)}
+        left = [job for job in jobs if job.number not in returns]
+        if left:
+            with _safe_path():
+                returns |= self.run(left)
+        return [returns[number] for number in sorted(returns)]
+
+    def _finished(self, jobs: Sequence[PendingJob]) -> list[PendingJob]:
+        """Those that need not be run; with `strict=true` a job tells its verdict again."""
+        sweep = Sweep.of(self.work.config, Path(str(self.work.config.hydra.sweep.dir)))
+        found = {job.overrides for job in sweep.jobs() if job.status == FINISHED}
+        candidates = (job for job in jobs if tuple(job.overrides) in found)
+        return [job for job in candidates if job.task.get("strict") is not True and job.finished()]
+
+
+class SerialLauncher(WorkLauncher):
+    """`hydra/launcher=basic`: one after the other, in this process."""
+
+    def run(self, jobs: list[PendingJob]) -> dict[int, JobReturn]:
+        """See :meth:`WorkLauncher.run`."""
+        setup_globals()
+        return {job.number: self.work.run(job.overrides, job.number) for job in jobs}
+
+
+@contextmanager
+def _safe_path() -> Iterator[None]:
+    """Have a Python that is started meanwhile import nothing from the current folder, where a `numpy.py` may lie."""
+    given = os.environ.get(SAFE_PATH)
+    os.environ[SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        del os.environ[SAFE_PATH]
+        os.environ.update({} if given is None else {SAFE_PATH: given})

@@ -1,27 +1,56 @@
-"""The trials of a search as a table, and how much each setting mattered."""
+"""The trials of a search: the SQLite file that Optuna keeps them in, as a table, and how much each setting mattered."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import optuna
 import pandas as pd
+from optuna.study import Study
+from optuna.trial import FrozenTrial
 
 from pinn_cli.runs.identity import is_left_out
 from pinn_cli.runs.resume import read_record
+from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.sweep.failure import Failure
 from pinn_cli.sweep.jobs import job_directories, stored_overrides
 
-if TYPE_CHECKING:
-    from optuna.study import Study
-    from optuna.trial import FrozenTrial
-
+# In the sweep's directory; the trials in it have ended.
+FILE, NAME = "search.db", "search"
+# Attribute of the study: the overrides that it was started with.
+OVERRIDES = "overrides"
 LEADING = ("trial", "state", "score", "seconds", "directory", "reason")
 # Fewer trials than this say nothing about a setting.
 FEWEST = 5
+
+
+def create_study(directory: Path) -> Study:
+    """The study in a sweep's directory, a new one where there is none."""
+    return optuna.create_study(study_name=NAME, storage=f"sqlite:///{directory / FILE}", load_if_exists=True)
+
+
+def load_study(directory: Path) -> Study | None:
+    """The study in a sweep's directory; None where there is none.
+
+    Raises:
+        InputError: The file there is none that this release of Optuna reads.
+    """
+    optuna.logging.set_verbosity(logging.WARNING)
+    logging.getLogger("alembic").setLevel(logging.WARNING)  # it tells of every table that Optuna makes
+    if not (directory / FILE).is_file():
+        return None
+    try:
+        return optuna.load_study(study_name=NAME, storage=f"sqlite:///{directory / FILE}")
+    except KeyError:  # cut off before it was made
+        return None
+    except RuntimeError as error:
+        allowed = f"a directory whose {FILE} was written by this release of Optuna"
+        raise InputError("hydra.sweep.dir", directory, allowed, str(error).partition("\n")[0]) from error
 
 
 def overrides_of(trial: FrozenTrial) -> list[str]:

@@ -10,8 +10,7 @@ import pytest
 from calls import SMALL, PinnRun
 from hydra.core.utils import JobReturn
 
-from pinn_cli.sweep.joblib_launcher import JoblibLauncher
-from pinn_cli.sweep.pending import unfinished_jobs
+from pinn_cli.sweep.launching import SerialLauncher
 
 
 @pytest.mark.parametrize(
@@ -22,13 +21,21 @@ def test_a_preset_whose_package_is_missing_names_the_extra(
     preset: str, extra: str, package: str, pinn_run: PinnRun, monkeypatch
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    for module in ("submitit_launcher", "ray_launcher", "slurm_states"):
+    for module in ("submitit_launcher", "ray_launcher"):
         monkeypatch.delitem(sys.modules, f"pinn_cli.sweep.{module}", raising=False)
     done = pinn_run("--multirun", f"hydra/launcher={preset}", *SMALL, "seed=0,1")
     assert done.status == 2
     assert done.err == (
         f"pinn-run: hydra/launcher={preset}: must be an installed launcher; pip install 'pinn-cli[{extra}]'\n"
     )
+    assert not list(Path().iterdir())
+
+
+@pytest.mark.parametrize("setting", ["hydra.launcher.x=1", "+hydra.launcher.x=1", "hydra.sweeper.x=1"])
+def test_a_setting_that_a_launcher_or_a_sweeper_has_not_is_told_in_one_line(setting: str, pinn_run: PinnRun) -> None:
+    done = pinn_run("--multirun", *SMALL, "seed=0,1", setting)
+    assert (done.status, done.err.count("\n")) == (2, 1)
+    assert setting in done.err
     assert not list(Path().iterdir())
 
 
@@ -48,21 +55,23 @@ def test_a_ray_cluster_that_is_not_there_is_told_in_one_line(pinn_run: PinnRun, 
     assert not Path("sweep").exists()
 
 
-def test_a_finished_trial_of_a_search_returns_its_score(pinn_run: PinnRun, tmp_path: Path, monkeypatch) -> None:
-    """It is sent nowhere by the launchers of SLURM and Ray: without its score the search would take it for failed."""
+def test_a_finished_trial_of_a_search_returns_its_score_and_is_not_run_again(
+    pinn_run: PinnRun, tmp_path: Path, monkeypatch
+) -> None:
+    """Without its score the search would take it for failed."""
     sweep = ("--multirun", *SMALL, "scheme.unobserved_fraction=0.3", "hydra.sweep.dir=sweep", "seed=0,1")
     sweep += ("validation=heldout", "validation.dofs=[1]")
     done = pinn_run(*sweep)
     assert done.status == 0, done.err
-    scores: list[JobReturn] = []
+    returned: list[JobReturn] = []
+    launch = SerialLauncher.launch
 
-    def launch(launcher, job_overrides, initial_job_idx):
-        left, found = unfinished_jobs(launcher.work, job_overrides, initial_job_idx)
-        assert not left
-        scores.extend(found.values())
-        return list(found.values())
+    def noted(launcher, job_overrides, initial_job_idx):
+        returned.extend(launch(launcher, job_overrides, initial_job_idx))
+        return returned
 
-    monkeypatch.setattr(JoblibLauncher, "launch", launch)
-    assert pinn_run(*sweep, "hydra/launcher=joblib").status == 0
+    monkeypatch.setattr(SerialLauncher, "launch", noted)
+    monkeypatch.setattr(SerialLauncher, "run", lambda *_: pytest.fail("they are finished"))
+    assert pinn_run(*sweep).status == 0
     kept = [json.loads(file.read_text()) for file in sorted((tmp_path / "sweep").glob("seed=*/run.json"))]
-    assert [result.return_value for result in scores] == [run["validation"]["score"] for run in kept]
+    assert [result.return_value for result in returned] == [run["validation"]["score"] for run in kept]
