@@ -54,7 +54,7 @@ def paper_tables(runs: Sequence[FinishedRun], tables: Sequence[CaseTable] = TABL
         "parameters": (compare_parameters, parameter_sheet),
         "wrong values": (compare_wrong_values, wrong_values_sheet),
     }
-    scores = [found for run in runs for found in run.scores()]
+    scores = [found for run in runs for found in run.scores]
     made = []
     for table in tables:
         compare, lay_out = kinds[table.kind]

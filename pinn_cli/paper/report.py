@@ -87,7 +87,7 @@ def _without_smoother(runs: Sequence[FinishedRun]) -> list[str]:
         run.planned.case
         for run in runs
         if SMOOTHER.name in " ".join(run.planned.variant.overrides)
-        and SMOOTHER.name not in {found.variant for found in run.scores()}
+        and SMOOTHER.name not in {found.variant for found in run.scores}
     ]
 
 

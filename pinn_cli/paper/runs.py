@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +66,7 @@ class FinishedRun:
     record: dict[str, Any]
     process_seconds: float
 
+    @cached_property
     def scores(self) -> list[CaseScores]:
         """The network's, and the smoother's as a variant of its own, where it found something."""
         tables = [pd.read_csv(self.directory / name) for name in ("fitness.csv", "parameters.csv")]

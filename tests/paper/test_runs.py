@@ -88,7 +88,7 @@ def test_a_failure_is_told_and_the_others_are_made(tmp_path, runner, planned, ca
 
 def test_the_smoother_is_a_variant_of_its_own(tmp_path, runner, planned):
     finished, _ = make_runs(planned[:1], tmp_path, runner)
-    ours, smoother = finished[0].scores()
+    ours, smoother = finished[0].scores
     assert (ours.variant, ours.seconds, ours.process_seconds) == ("uncertain", 4.0, 5.0)
     assert (smoother.variant, smoother.seconds) == ("kalman_smoother", 1.0)
     assert set(smoother.fitness["estimator"]) == {"kalman_smoother"}
