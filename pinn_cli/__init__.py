@@ -13,12 +13,10 @@ from typing import TYPE_CHECKING
 LOADED = time.perf_counter()
 
 if TYPE_CHECKING:
-    from pinn_cli.api.loading import load
     from pinn_cli.api.record import Record
-    from pinn_cli.api.result import Result
+    from pinn_cli.api.results import Result, SweepResult, load
     from pinn_cli.api.run import run
     from pinn_cli.api.structure import Structure
-    from pinn_cli.api.sweep import SweepResult
     from pinn_cli.runs.writing import WriteError
     from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
 
@@ -29,13 +27,11 @@ __all__ = [
 
 # Imported when they are asked for (PEP 562): the command and its every worker import this package.
 _PLACES = {
-    "load": "api.loading",
     "run": "api.run",
     "Record": "api.record",
-    "Result": "api.result",
     "Structure": "api.structure",
-    "SweepResult": "api.sweep",
     "WriteError": "runs.writing",
+    **dict.fromkeys(("load", "Result", "SweepResult"), "api.results"),
     **dict.fromkeys(("DivergenceError", "InputError", "NotSoundError"), "settings.errors"),
 }
 

@@ -16,7 +16,8 @@ from pinn_cli import load
 from pinn_cli.model.file import NAME, read_model
 from pinn_cli.report.figures import over_time_figure
 
-FIRST = (*system(1.1 * K), "scheme=state_parameter", "scheme.unknown=[k_*]", "scheme.starts=given")
+UNDRAWN = "figures=false"
+FIRST = (*system(1.1 * K), "scheme=state_parameter", "scheme.unknown=[k_*]", "scheme.starts=given", UNDRAWN)
 
 
 def files(folder: Path) -> dict[str, tuple[str, ...]]:
@@ -31,17 +32,17 @@ def test_records_one_after_the_other(pinn_run: PinnRun, tmp_path: Path) -> None:
     first = pinn_run(*FIRST, *data["one"], "hydra.run.dir=first")
     assert first.status == 0, first.err
 
-    new = pinn_run("model=first", *data["two"], "hydra.run.dir=new")
+    new = pinn_run("model=first", *data["two"], UNDRAWN, "hydra.run.dir=new")
     assert new.status == 0, new.err
     found, known = (pd.read_csv(f"{run}/parameters.csv").set_index("parameter") for run in ("new", "first"))
     for name in ("k_1", "k_3", "c_2"):
         assert found.loc[name, "prescribed"] == pytest.approx(known.loc[name, "estimate"], rel=1e-6)
     assert not Path("new/parameters_over_time.csv").exists()
 
-    second = pinn_run("model=first", "scheme=update", *data["two"], "hydra.run.dir=second")
+    second = pinn_run("model=first", "scheme=update", *data["two"], UNDRAWN, "hydra.run.dir=second")
     assert second.status == 0, second.err
     assert "no change since the earlier records" in second.out
-    third = pinn_run("model=second", "scheme=update", *data["less"], "hydra.run.dir=third")
+    third = pinn_run("model=second", "scheme=update", *data["less"], UNDRAWN, "hydra.run.dir=third")
     assert third.status == 0, third.err
     assert "changed: k_3 (connection 3) by -" in third.out
     table = pd.read_csv("third/parameters_over_time.csv")
@@ -77,7 +78,7 @@ def test_records_one_after_the_other(pinn_run: PinnRun, tmp_path: Path) -> None:
 def test_a_model_holds_no_truth(pinn_run: PinnRun) -> None:
     """Of a simulated record the truth is known to the run; none of its numbers is in the model."""
     done = pinn_run(
-        "system.ndof=2", "model_error=perturbed", "simulation.samples=512", "simulation.duration=20", "figures=false",
+        "system.ndof=2", "model_error=perturbed", "simulation.samples=512", "simulation.duration=20", UNDRAWN,
         "noise.snr_db=20", "hydra.run.dir=first",
     )  # fmt: skip
     assert done.status == 0, done.err
@@ -109,7 +110,7 @@ def test_a_prediction_without_a_response(pinn_run: PinnRun, tmp_path: Path) -> N
     new = record(4, duration=6.0)
     table = np.column_stack((new.record.time, new.truth.force[:, 2]))
     np.savetxt(tmp_path / "design.csv", table, delimiter=",", header="t,f", comments="")
-    data = ("data=csv", f"data.path={tmp_path / 'design.csv'}", "data.time=t", "data.force={3: f}", "figures=false")
+    data = ("data=csv", f"data.path={tmp_path / 'design.csv'}", "data.time=t", "data.force={3: f}", UNDRAWN)
     done = pinn_run("model=first", "scheme=predict", "scheme.draws=50", *data, "hydra.run.dir=next")
     assert done.status == 0, done.err
     assert "peak drift of connection 3" in done.out

@@ -15,9 +15,7 @@ from pathlib import Path
 from typing import Any, Literal, overload
 
 from pinn_cli.api.data import settings_of
-from pinn_cli.api.loading import load
-from pinn_cli.api.result import Result
-from pinn_cli.api.sweep import SweepResult
+from pinn_cli.api.results import Result, SweepResult, load
 from pinn_cli.cli.command_line import perform
 from pinn_cli.cli.jobs import REPORTED, Jobs
 from pinn_cli.cli.terminal import Silence
@@ -111,28 +109,17 @@ def run(
         if temporary is not None:
             place = temporary / "result"
             on_failure.callback(shutil.rmtree, temporary, ignore_errors=True)
-        result = load(_run(overrides, data, place, config_dir, multirun))
+        with _ONE_AT_A_TIME, settings_of(data, overrides) as of_data:
+            arguments = ["pinn-run", *(["--multirun"] if multirun else []), *of_data, *overrides]
+            if config_dir is not None:
+                arguments[1:1] = ["--config-dir", os.fspath(config_dir)]
+            if place is not None:
+                arguments.append(f"hydra.{'sweep' if multirun else 'run'}.dir={quoted(str(place))}")
+            result = load(_performed(arguments))
         on_failure.pop_all()
     if temporary is not None:
         weakref.finalize(result, shutil.rmtree, temporary, ignore_errors=True)
     return result
-
-
-def _run(
-    overrides: Sequence[str],
-    data: Any,
-    place: Path | None,
-    config_dir: str | os.PathLike[str] | None,
-    multirun: bool,
-) -> Path:
-    """See :func:`run`; the directory of the results."""
-    with _ONE_AT_A_TIME, settings_of(data, overrides) as of_data:
-        arguments = ["pinn-run", *(["--multirun"] if multirun else []), *of_data, *overrides]
-        if config_dir is not None:
-            arguments[1:1] = ["--config-dir", os.fspath(config_dir)]
-        if place is not None:
-            arguments.append(f"hydra.{'sweep' if multirun else 'run'}.dir={quoted(str(place))}")
-        return _performed(arguments)
 
 
 def _check(overrides: Sequence[str], directory: object, keep: bool) -> None:

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.model.knowledge import DiscrepancyEvidence, EndState, Levels, ParameterKnowledge
-from pinn_cli.model.misfit import Misfit
+from pinn_cli.model.knowledge import DiscrepancyEvidence, EndState, Levels, Misfit, ParameterKnowledge
 from pinn_cli.model.model import Model
 from pinn_cli.model.structure_content import structure_content, structure_of
 from pinn_cli.runs.reading import MOST_BYTES
@@ -46,18 +45,10 @@ def write_model(model: Model, directory: Path) -> Path:
         "reason": model.reason,
     }
     arrays = {f"structure_{name}": values for name, values in arrays.items()}
-    known = {field.name: getattr(model.known, field.name) for field in fields(ParameterKnowledge)}
-    arrays |= {f"parameters_{name}": np.asarray(values) for name, values in known.items() if values is not None}
+    arrays |= _arrays("parameters_", model.known)
     arrays |= {f"sigma_{quantity}": np.asarray(values) for quantity, values in model.levels.sensors.items()}
     arrays |= {f"level_{name}": np.array(getattr(model.levels, name)) for name in LEVELS}
-    if (windows := model.levels.windows) is not None:
-        arrays |= {
-            f"told_{field.name}": np.asarray(getattr(windows, field.name)) for field in fields(DiscrepancyEvidence)
-        }
-    if model.end is not None:
-        arrays |= {f"end_{field.name}": np.asarray(getattr(model.end, field.name)) for field in fields(EndState)}
-    if model.misfit is not None:
-        arrays |= {f"misfit_{field.name}": np.asarray(getattr(model.misfit, field.name)) for field in fields(Misfit)}
+    arrays |= _arrays("told_", model.levels.windows) | _arrays("end_", model.end) | _arrays("misfit_", model.misfit)
     if model.draws is not None:
         arrays["draws"] = model.draws
     content = BytesIO()
@@ -116,44 +107,46 @@ def stored_model(directory: Path) -> Model:
     if words["version"] != VERSION:
         raise ValueError(f"its layout is number {words['version']}, and {VERSION} is known here")
     structure = structure_of(words, _of("structure_", arrays))
-    of_parameters = _of("parameters_", arrays)
-    spread = float(of_parameters.pop("spread"))
-    known = replace(ParameterKnowledge(**of_parameters), spread=spread)  # type: ignore[arg-type]
+    known = ParameterKnowledge(**_fields("parameters_", arrays))
     _check(known, len(words["parameters"]))
     means = zip(words["parameters"], known.mean, known.first_std, strict=True)
     parameters = tuple(_parameter(structure, own, mean, std) for own, mean, std in means)
-    windows = _of("told_", arrays)
+    windows, end, misfit = (_fields(prefix, arrays) for prefix in ("told_", "end_", "misfit_"))
     discrepancy, step, force, features = (float(arrays[f"level_{name}"]) for name in LEVELS)
-    sensors = _of("sigma_", arrays)
-    levels = Levels(sensors, discrepancy, step, force, features, _windows(**windows) if windows else None)
-    end, misfit = _of("end_", arrays), _of("misfit_", arrays)
+    told = DiscrepancyEvidence(**windows) if windows else None
+    levels = Levels(_of("sigma_", arrays), discrepancy, step, force, features, told)
+    if misfit:
+        _check_history(misfit["history"], structure.coordinates)
     return Model(
         structure,
         parameters,
         known,
         levels,
-        EndState(float(end.pop("time")), **end) if end else None,
+        EndState(**end) if end else None,
         str(words["verdict"]),
         str(words["reason"]),
         arrays.get("draws"),
         directory,
-        misfit=_misfit(misfit, structure.coordinates) if misfit else None,
+        misfit=Misfit(**misfit) if misfit else None,
     )
 
 
-def _windows(
-    start: np.ndarray, common: np.ndarray, places: np.ndarray, log_evidence: np.ndarray
-) -> DiscrepancyEvidence:
-    """What windows say of the discrepancy."""
-    return DiscrepancyEvidence(float(start), bool(common), places, log_evidence)
+def _arrays(prefix: str, part: Any) -> dict[str, np.ndarray]:
+    """What a dataclass of numbers and arrays holds, by its fields' names after a prefix; nothing of None."""
+    if part is None:
+        return {}
+    held = {field.name: getattr(part, field.name) for field in fields(part)}
+    return {f"{prefix}{name}": np.asarray(value) for name, value in held.items() if value is not None}
 
 
-def _misfit(arrays: Mapping[str, np.ndarray], coordinates: int) -> Misfit:
-    history = arrays["history"]
+def _fields(prefix: str, arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """What :func:`_arrays` wrote."""
+    return {name: values if values.ndim else values.item() for name, values in _of(prefix, arrays).items()}
+
+
+def _check_history(history: np.ndarray, coordinates: int) -> None:
     if history.ndim != 2 or history.shape[1] != coordinates or len(history) < 2 or not np.isfinite(history).all():
         raise ValueError("the force that it leaves out is none of its coordinates")
-    at_motion = float(arrays.get("at_motion", 1.0))  # runs of earlier releases do not say
-    return Misfit(float(arrays["step"]), history, float(arrays["acting"]), float(arrays["rest"]), at_motion)
 
 
 def _check(known: ParameterKnowledge, count: int) -> None:

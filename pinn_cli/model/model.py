@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.model.knowledge import EndState, Levels, ParameterKnowledge
-from pinn_cli.model.misfit import Misfit
+from pinn_cli.model.knowledge import EndState, Levels, Misfit, ParameterKnowledge
 
 if TYPE_CHECKING:
     from pinn_cli.system.parameters import Parameter

@@ -37,25 +37,29 @@ def structure_content(structure: Structure) -> tuple[dict[str, Any], dict[str, n
         "groups": [_group_words(group) for group in structure.groups],
         "kinds": list(structure.parameters),
     }
-    arrays = {f"value_{kind}": values for kind, values in structure.parameters_like(np.empty(0)).items()}
-    for number, group in enumerate(structure.groups):
-        arrays |= _sparse(f"group_{number}", group.incidence.matrix)
-    if structure.influence is not None:
-        arrays["influence"] = np.asarray(structure.influence, dtype=float)
-    if structure.is_modal:
-        words["residual"], words["below"] = structure.shapes.residual, structure.shapes.below
-        arrays["shapes"] = structure.shapes.matrix
-        if structure.shapes.exact_at is not None:
-            arrays["shapes_exact_at"] = structure.shapes.exact_at
-        if structure.shapes.with_ground is not None:
-            arrays["shapes_with_ground"] = structure.shapes.with_ground
-        if structure.shapes.stretch is not None:
-            arrays |= _sparse("shapes_stretch", structure.shapes.stretch)
-    if structure.by_supports is not None:
-        arrays |= _sparse("by_supports", structure.by_supports)
+    shapes = structure.shapes if structure.is_modal else None
+    if shapes is not None:
+        words["residual"], words["below"] = shapes.residual, shapes.below
     if structure.pairs is not None:
         words["pairs"] = list(structure.pairs.names)
-        arrays |= _sparse("pairs", structure.pairs.weights)
+    matrices = {
+        **{f"value_{kind}": values for kind, values in structure.parameters_like(np.empty(0)).items()},
+        **{f"group_{number}": group.incidence.matrix for number, group in enumerate(structure.groups)},
+        "influence": None if structure.influence is None else np.asarray(structure.influence, dtype=float),
+        "shapes": None if shapes is None else shapes.matrix,
+        "shapes_exact_at": None if shapes is None else shapes.exact_at,
+        "shapes_with_ground": None if shapes is None else shapes.with_ground,
+        "shapes_stretch": None if shapes is None else shapes.stretch,
+        "by_supports": structure.by_supports,
+        "pairs": None if structure.pairs is None else structure.pairs.weights,
+    }
+    arrays: dict[str, np.ndarray] = {}
+    for name, matrix in matrices.items():
+        if isinstance(matrix, csr_matrix):
+            parts = {part: getattr(matrix, part) for part in ("data", "indices", "indptr")}
+            arrays |= {f"{name}_{part}": values for part, values in (parts | {"shape": np.array(matrix.shape)}).items()}
+        elif matrix is not None:
+            arrays[name] = matrix
     return words, arrays
 
 
@@ -71,13 +75,15 @@ def structure_of(words: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> 
     )
     labels = Labels(*(tuple(map(str, words.get(name, ()))) for name in ("dofs", "connections", "modes", "supports")))
     parameters = {str(k): torch.tensor(np.asarray(arrays[f"value_{k}"], dtype=float)) for k in words["kinds"]}
+    stretch, by_supports, weights = (
+        _matrix(name, arrays) if f"{name}_shape" in arrays else None
+        for name in ("shapes_stretch", "by_supports", "pairs")
+    )
     modes = None
     if "shapes" in arrays:
-        stretch = _matrix("shapes_stretch", arrays) if "shapes_stretch_shape" in arrays else None
         own = arrays["shapes"], arrays.get("shapes_with_ground"), stretch, int(words["residual"])
         modes = Shapes(*own, below=int(words.get("below", 0)), exact_at=arrays.get("shapes_exact_at"))
-    pairs = Pairs(tuple(words["pairs"]), _matrix("pairs", arrays)) if "pairs" in words else None
-    by_supports = _matrix("by_supports", arrays) if "by_supports_shape" in arrays else None
+    pairs = None if weights is None else Pairs(tuple(words["pairs"]), weights)
     return Structure(parameters, groups, labels, arrays.get("influence"), modes, pairs, by_supports=by_supports)
 
 
@@ -119,11 +125,10 @@ def other_dofs(structure: Structure, other: Structure) -> str:
 
 
 def _group_words(group: ConnectionGroup) -> dict[str, Any]:
-    if isinstance(group.nonlinearity, Substructure):
-        return {"law": PART, "settings": {}, "parts": list(group.parts or ())}
     law = group.nonlinearity
-    if isinstance(law, StructuralDamping):
-        return {"law": law.kind, "settings": {}, "parts": list(group.parts or ())}
+    if isinstance(law, Substructure | StructuralDamping):
+        name = PART if isinstance(law, Substructure) else law.kind
+        return {"law": name, "settings": {}, "parts": list(group.parts or ())}
     settings = {name: getattr(law, name) for name in inspect.signature(type(law)).parameters if hasattr(law, name)}
     plain = {name: list(value) if isinstance(value, tuple) else value for name, value in settings.items()}
     return {"law": law.name, "settings": plain, "parts": None if group.parts is None else list(group.parts)}
@@ -137,15 +142,6 @@ def _law(words: Mapping[str, Any]) -> Nonlinearity:
 
 def _parts(words: Mapping[str, Any]) -> tuple[int, ...] | None:
     return None if words["parts"] is None else tuple(int(part) for part in words["parts"])
-
-
-def _sparse(name: str, matrix: csr_matrix) -> dict[str, np.ndarray]:
-    return {
-        f"{name}_data": matrix.data,
-        f"{name}_indices": matrix.indices,
-        f"{name}_indptr": matrix.indptr,
-        f"{name}_shape": np.array(matrix.shape),
-    }
 
 
 def _matrix(name: str, arrays: Mapping[str, np.ndarray]) -> csr_matrix:

@@ -2,29 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from pathlib import Path
 
-from pinn_cli.paper.cases import TABLES, planned_runs
+from pinn_cli.paper.cases import TABLES, PlannedRun, planned_runs
+from pinn_cli.paper.comparison import paper_tables, write_tables
 from pinn_cli.paper.figures import copy_figures, paper_figures
-from pinn_cli.paper.rendering import markdown, write_sheets
-from pinn_cli.paper.report import ReportContent, write_report
-from pinn_cli.paper.robustness.noise_seeds import SeedScores, seed_realisations
-from pinn_cli.paper.robustness.nonlinearity import NonlinearityScores, nonlinearity_realisations
-from pinn_cli.paper.robustness.nonlinearity_figure import write_nonlinearity_figure
-from pinn_cli.paper.robustness.realisation import solve
-from pinn_cli.paper.robustness.scored import read_scores, solve_missing
-from pinn_cli.paper.robustness.seed_sheets import seed_sheets
-from pinn_cli.paper.runs import make_runs, read_runs, run_case
-from pinn_cli.paper.tables import paper_tables, write_tables
+from pinn_cli.paper.nonlinearity import NonlinearityScores, nonlinearity_realisations
+from pinn_cli.paper.realisations import Solver, solve, solve_missing
+from pinn_cli.paper.report import write_report
+from pinn_cli.paper.runs import FinishedRun, Runner, make_runs, read_runs, run_case
+from pinn_cli.paper.seeds import SeedScores, seed_realisations
 from pinn_cli.runs.cores import usable_cores
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from pinn_cli.paper.cases import PlannedRun
-    from pinn_cli.paper.robustness.scored import Solver
-    from pinn_cli.paper.runs import FinishedRun, Runner
 
 
 def make_paper(output: Path, runner: Runner = run_case) -> int:
@@ -38,7 +27,7 @@ def make_paper(output: Path, runner: Runner = run_case) -> int:
         0, or 1 if a run failed: what could be made without it is there nevertheless.
     """
     runs, failures = _made(planned_runs(), output, runner)
-    _write_all(runs, failures, output)
+    print(write_report(runs, failures, output))
     return 1 if failures else 0
 
 
@@ -48,7 +37,7 @@ def make_table(name: str, output: Path, runner: Runner = run_case) -> int:
     runs, failures = _made(planned_runs(chosen), output, runner)
     tables = paper_tables(runs, chosen)
     write_tables(tables, output / "tables")
-    print(f"\n{markdown(tables[0].sheet)}\n\n{output / 'tables' / name}.csv")
+    print(f"\n{tables[0].sheet.markdown}\n\n{output / 'tables' / name}.csv")
     return 1 if failures else 0
 
 
@@ -56,7 +45,7 @@ def make_figures(output: Path, runner: Runner = run_case) -> int:
     """Make the runs that draw a figure, where they are missing, and copy the figures; as `make_paper`."""
     needed = {figure.run for figure in paper_figures()}
     runs, failures = _made([run for run in planned_runs() if run.name in needed], output, runner)
-    _copy_figures(runs, output)
+    copy_figures(runs, output / "figures")
     print(output / "figures")
     return 1 if failures else 0
 
@@ -85,9 +74,9 @@ def make_nonlinearity(output: Path, solver: Solver = solve) -> int:
     """The same over nonlinearity and force, in ``<output>/nonlinearity``; a training that diverges is a finding."""
     scored = solve_missing(nonlinearity_realisations(), output / "nonlinearity" / "runs", solver)
     scores = NonlinearityScores.of(scored)
-    write_nonlinearity_figure(scores, output / "nonlinearity")
     print(scores.write(output / "nonlinearity"))
-    _rewrite_report(output)
+    if not _rewrite_report(output):
+        scores.draw(output / "nonlinearity")
     return 1 if scored.missing else 0
 
 
@@ -96,28 +85,12 @@ def make_all(output: Path) -> int:
     return max([make(output) for make in (make_paper, make_seeds, make_nonlinearity)])
 
 
-def _copy_figures(runs: Sequence[FinishedRun], output: Path) -> dict[int, Path]:
-    return copy_figures({run.planned.name: run.directory for run in runs}, output / "figures")
-
-
-def _rewrite_report(output: Path) -> None:
-    """The report with what has been added to it, from runs that are all there; without them nothing is written."""
+def _rewrite_report(output: Path) -> bool:
+    """Whether there is a report with what has been added: it is written from runs that are all there."""
     planned = planned_runs()
     runs = read_runs(planned, output / "runs")
     if len(runs) < len(planned):
         print(f"{output / 'report.html'} waits for runs that are missing or out of date: `make paper` makes them")
-        return
-    _write_all(runs, [], output)
-
-
-def _write_all(runs: Sequence[FinishedRun], failures: Sequence[str], output: Path) -> None:
-    """Tables, figures and report of what is there."""
-    tables = paper_tables(runs)
-    write_tables(tables, output / "tables")
-    seeds = SeedScores.of(read_scores(seed_realisations(), output / "seeds" / "runs"))
-    write_sheets(seed_sheets(seeds), output / "seeds")
-    nonlinearity = NonlinearityScores.of(read_scores(nonlinearity_realisations(), output / "nonlinearity" / "runs"))
-    images = _copy_figures(runs, output)
-    drawn = write_nonlinearity_figure(nonlinearity, output / "nonlinearity")
-    content = ReportContent(runs, failures, tables, images, seeds, nonlinearity, drawn)
-    print(write_report(content, output / "report.html"))
+        return False
+    print(write_report(runs, [], output))
+    return True

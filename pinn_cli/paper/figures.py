@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from omegaconf import OmegaConf
 
+from pinn_cli.paper.runs import FinishedRun
 from pinn_cli.runs.writing import replacing
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 FORMATS = ("png", "svg", "pdf")  # those that a browser shows come first
 
@@ -54,21 +53,22 @@ def paper_figures() -> tuple[PaperFigure, ...]:
     return tuple(figures)
 
 
-def copy_figures(runs: Mapping[str, Path], directory: Path) -> dict[int, Path]:
-    """Copy the schematics and the figures of the runs, as ``figure01.svg``, ``figure01.pdf`` and so on.
+def copy_figures(runs: Sequence[FinishedRun], directory: Path) -> dict[int, Path]:
+    """Copy the schematics and the figures of the runs that are there, as ``figure01.svg``, ``figure01.pdf`` and so on.
 
     Args:
-        runs: Directory of each run that is there, by name; figures of other runs are left out.
+        runs: Those that are there.
         directory: Of the copies; created where it is missing.
 
     Returns:
         Number of a figure to its copy that a browser shows.
     """
     copies: dict[int, Path] = {}
+    sources = {run.planned.name: run.directory / "figures" for run in runs} | {"": _shipped("schematics")}
     for figure in paper_figures():
-        if figure.run and figure.run not in runs:
+        if figure.run not in sources:
             continue
-        source = runs[figure.run] / "figures" if figure.run else _shipped("schematics")
+        source = sources[figure.run]
         for ending in FORMATS:
             picture = source / f"{figure.picture}.{ending}"
             if picture.exists():

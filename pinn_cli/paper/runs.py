@@ -6,21 +6,23 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
 from pinn_cli.paper.cases import SMOOTHER, PlannedRun
-from pinn_cli.paper.digests import FINISHED, finished_run, mark_finished, run_digest
+from pinn_cli.paper.digests import keep, kept, run_digest
 from pinn_cli.settings.override_syntax import quoted
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
+Runner = Callable[[PlannedRun, Path], float]
 
-    Runner = Callable[[PlannedRun, Path], float]
+# Written last into the directory of a run.
+FINISHED = "finished.json"
 
 
 class CaseFailedError(RuntimeError):
@@ -64,6 +66,7 @@ class FinishedRun:
     record: dict[str, Any]
     process_seconds: float
 
+    @cached_property
     def scores(self) -> list[CaseScores]:
         """The network's, and the smoother's as a variant of its own, where it found something."""
         tables = [pd.read_csv(self.directory / name) for name in ("fitness.csv", "parameters.csv")]
@@ -142,20 +145,19 @@ def read_runs(planned: Sequence[PlannedRun], directory: Path) -> list[FinishedRu
     found = []
     for run in planned:
         place = directory / run.name
-        seconds = finished_run(place, run_digest(run.overrides))
-        if seconds is not None:
+        if (content := kept(place / FINISHED, run_digest(run.overrides))) is not None:
             record = json.loads((place / "run.json").read_text(encoding="utf-8"))
-            found.append(FinishedRun(run, place, record, seconds))
+            found.append(FinishedRun(run, place, record, content["process_seconds"]))
     return found
 
 
 def _make_run(run: PlannedRun, directory: Path, digest: str, runner: Runner, progress: str) -> None:
-    if finished_run(directory, digest) is not None:
+    if kept(directory / FINISHED, digest) is not None:
         print(f"{progress}: up to date", flush=True)
         return
     print(f"{progress}: running", flush=True)
     # While it runs, nothing may say that it has finished.
     (directory / FINISHED).unlink(missing_ok=True)
     seconds = runner(run, directory)
-    mark_finished(directory, digest, seconds)
+    keep({"process_seconds": seconds}, digest, directory / FINISHED)
     print(f"{progress}: {seconds:.1f} s", flush=True)

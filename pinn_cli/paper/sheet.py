@@ -1,14 +1,46 @@
-"""A table as it is read: groups of columns, rows by case and source, cells that may be marked."""
+"""A table as it is read, with its symbols, and its forms: Markdown, LaTeX and, in the report, HTML."""
 
 from __future__ import annotations
 
+import base64
 import math
+import mimetypes
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from html import escape
 from itertools import accumulate
+from pathlib import Path
 from typing import Literal
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from pinn_cli.runs.writing import write_text
+
 Mark = Literal["", "better", "worse"]
+Form = Literal["plain", "latex", "html"]
+
 DASH = "-"
+SIGNS = {"better": "▲", "worse": "▼"}
+LATEX_MARKS = {"": "%s", "better": r"\textbf{%s}", "worse": r"\underline{%s}"}
+_QUANTITIES = {
+    "displacement": ("u", r"\mathbf{u}"),
+    "velocity": ("u̇", r"\dot{\mathbf{u}}"),
+    "acceleration": ("ü", r"\ddot{\mathbf{u}}"),
+    "force": ("f", r"\mathbf{f}"),
+}
+_PARAMETER = re.compile(r"(m|c|k|kappa|mu)_(\d+)")
+_GREEK = {"kappa": "κ", "mu": "μ"}
+_LATEX = str.maketrans(
+    {"\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
+     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "−": "$-$", "κ": r"$\kappa$", "μ": r"$\mu$",
+     "–": "--", "±": r"$\pm$", "²": "$^2$", "³": "$^3$", "‖": r"$\|$", "·": r"$\cdot$"}
+)  # fmt: skip
+# Letters with a combining accent are two characters, which a translation by character cannot see.
+_ACCENTED = {"x̃": r"$\tilde{x}$", "x̄": r"$\bar{x}$"}
+_ACCENTS = re.compile(f"({'|'.join(_ACCENTED)})")
 
 
 @dataclass(frozen=True)
@@ -48,9 +80,6 @@ class Sheet:
         groups: Title and number of columns of each group, in order; together all of ``columns``.
         columns: A quantity (``displacement``), a parameter (``k_2``) or plain text.
         rows: In order.
-
-    Raises:
-        ValueError: Columns that do not fit the groups, or a row that does not fit the columns.
     """
 
     name: str
@@ -61,23 +90,21 @@ class Sheet:
     columns: tuple[str, ...]
     rows: tuple[Row, ...]
 
-    def __post_init__(self) -> None:
-        if sum(span for _, span in self.groups) != len(self.columns):
-            raise ValueError(f"{self.name}: the groups span other than {len(self.columns)} columns")
-        for row in self.rows:
-            if len(row.heads) != len(self.heads) or len(row.cells) != len(self.columns):
-                raise ValueError(f"{self.name}: row {row.heads} does not fit the columns")
-
-    @property
-    def grouped(self) -> bool:
-        """Whether any group has a title."""
-        return any(title for title, _ in self.groups)
-
     @property
     def spans(self) -> list[tuple[str, int, int]]:
         """Each group's title, first column and last column, counted from 1."""
-        ends = list(accumulate(span for _, span in self.groups))
+        ends = accumulate(span for _, span in self.groups)
         return [(title, end - span + 1, end) for (title, span), end in zip(self.groups, ends, strict=True)]
+
+    @property
+    def markdown(self) -> str:
+        """As a table of Markdown."""
+        return render("table.md", sheet=self)
+
+    @property
+    def latex(self) -> str:
+        r"""A ``table*`` for ``\input``; the document needs ``\usepackage{booktabs,graphicx}``."""
+        return render("table.tex", sheet=self)
 
 
 def number(value: float, pattern: str, mark: Mark = "") -> Cell:
@@ -89,3 +116,55 @@ def mark(ours: float, published: float, more_is_better: bool = False) -> Mark:
     """How a value compares, at the two decimals that the paper prints; no mark where either is unknown."""
     gain = (round(ours, 2) - round(published, 2)) * (1.0 if more_is_better else -1.0)
     return "better" if gain > 0.0 else "worse" if gain < 0.0 else ""
+
+
+def write_sheets(sheets: Sequence[Sheet], directory: Path) -> None:
+    """Write each as ``<name>.md`` and ``<name>.tex``."""
+    for sheet in sheets:
+        write_text(sheet.markdown, directory / f"{sheet.name}.md")
+        write_text(sheet.latex, directory / f"{sheet.name}.tex")
+
+
+def render(name: str, **content: object) -> str:
+    """The template ``<name>.j2`` with its content filled in; in HTML all text is escaped."""
+    return _environment().get_template(f"{name}.j2").render(content)
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("pinn_cli.paper"), trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined,
+        autoescape=lambda name: bool(name and name.endswith(".html.j2")),
+    )  # fmt: skip
+    environment.filters |= {"symbols": written, "data_uri": _data_uri}
+    environment.globals |= {"signs": SIGNS, "marks": LATEX_MARKS}
+    return environment
+
+
+def _data_uri(image: Path) -> str:
+    return f"data:{mimetypes.guess_type(image.name)[0]};base64,{base64.b64encode(image.read_bytes()).decode('ascii')}"
+
+
+def written(text: str, form: Form) -> str:
+    """Text for a form: names of quantities and parameters (``k_2/mu_2`` too) as symbols, all else escaped."""
+    names = text.split("/")
+    if all(name in _QUANTITIES or _PARAMETER.fullmatch(name) for name in names):
+        text = "/".join(_symbol(name, form) for name in names)
+    elif form == "latex":
+        text = "".join(_ACCENTED.get(part, part.translate(_LATEX)) for part in _ACCENTS.split(text))
+    elif form == "html":
+        text = escape(text)
+    return Markup(text) if form == "html" else text
+
+
+def _symbol(name: str, form: Form) -> str:
+    if name in _QUANTITIES:
+        plain, latex = _QUANTITIES[name]
+        return {"plain": plain, "latex": f"${latex}$", "html": f"<i>{plain}</i>"}[form]
+    kind, _, connection = name.rpartition("_")
+    letter, command = _GREEK.get(kind, kind), rf"\{kind}" if kind in _GREEK else kind
+    return {
+        "plain": f"{letter}_{connection}",
+        "latex": f"${command}_{{{connection}}}$",
+        "html": f"<i>{letter}</i><sub>{connection}</sub>",
+    }[form]

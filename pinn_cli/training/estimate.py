@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from pinn_cli.model.knowledge import EndState, HandOver, ParameterKnowledge
-from pinn_cli.model.misfit import Misfit
+from pinn_cli.model.knowledge import EndState, HandOver, Misfit, ParameterKnowledge
 from pinn_cli.record.response import Response
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.doubts.other_damping import DampingDoubt

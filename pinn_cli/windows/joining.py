@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import h5netcdf
@@ -18,6 +19,8 @@ from pinn_cli.runs.reserved_file import replacing_by_reserved
 from pinn_cli.runs.writing import write_text
 
 RESPONSE, TIME = "response.nc", "time"
+# Samples that are held in memory.
+AT_ONCE = 2**16
 
 Parts = Callable[[], Iterator[tuple[np.ndarray, np.ndarray]]]
 
@@ -49,85 +52,62 @@ def join_responses(pieces: Sequence[Piece], target: Path) -> None:
     A history that some windows have and others have not is NaN where it is missing.
     """
     counts = [piece.samples() for piece in pieces]
-    like = _variables(pieces)
-    size = sum(counts) * sum(8 * own.width for own in like.values() if own.over_time)
-    last = pieces[-1].folder / RESPONSE
+    # Name to a file that has it: those of the last window first, with its attributes.
+    sources: dict[str, Path] = {}
+    width = 0
+    for piece in reversed(pieces):
+        with h5netcdf.File(piece.folder / RESPONSE, "r") as file:
+            for name, variable in file.variables.items():
+                if name not in sources:
+                    sources[name] = piece.folder / RESPONSE
+                    width += int(np.prod(variable.shape[1:])) if variable.dimensions[:1] == (TIME,) else 0
     with (
-        replacing_by_reserved(target, 2 * size + AROUND_DATA) as place,
+        replacing_by_reserved(target, 2 * 8 * sum(counts) * width + AROUND_DATA) as place,
         h5netcdf.File(place, "w") as out,
-        h5netcdf.File(last, "r") as model,
+        h5netcdf.File(pieces[-1].folder / RESPONSE, "r") as model,
     ):
         out.dimensions = {name: sum(counts) if name == TIME else len(d) for name, d in model.dimensions.items()}
         for name, value in model.attrs.items():
             out.attrs[name] = value
-        for name, own in like.items():
-            with h5netcdf.File(own.source, "r") as source:
-                there = source[name]
-                data = None if own.over_time else there[...]
-                fill = {"fillvalue": np.nan} if own.over_time and there.dtype.kind == "f" and name != TIME else {}
+        for name, source in sources.items():
+            with h5netcdf.File(source, "r") as file:
+                there = file[name]
+                over_time = there.dimensions[:1] == (TIME,)
+                data = None if over_time else there[...]
+                fill = {"fillvalue": np.nan} if over_time and there.dtype.kind == "f" and name != TIME else {}
                 made = out.create_variable(name, there.dimensions, there.dtype, data=data, **fill)
                 for key, value in there.attrs.items():
                     if key != "_FillValue":
                         made.attrs[key] = value
         first = 0
         for piece, count in zip(pieces, counts, strict=True):
-            with h5netcdf.File(piece.folder / RESPONSE, "r") as source:
-                for name, own in like.items():
-                    if own.over_time and name in source.variables:
-                        out[name][first : first + count] = source[name][:count]
+            with h5netcdf.File(piece.folder / RESPONSE, "r") as file:
+                for name, variable in file.variables.items():
+                    if variable.dimensions[:1] == (TIME,):
+                        out[name][first : first + count] = variable[:count]
             first += count
 
 
-@dataclass(frozen=True)
-class _Variable:
-    """One that a window has.
-
-    Attributes:
-        source: A file that has it.
-        over_time: Whether it is a history.
-        width: Numbers at a time.
-    """
-
-    source: Path
-    over_time: bool
-    width: int
-
-
-def _variables(pieces: Sequence[Piece]) -> dict[str, _Variable]:
-    """Name to each that any window has, those of the last window first."""
-    found: dict[str, _Variable] = {}
-    for piece in reversed(pieces):
-        path = piece.folder / RESPONSE
-        with h5netcdf.File(path, "r") as file:
-            for name, variable in file.variables.items():
-                if name not in found:
-                    over_time = variable.dimensions[:1] == (TIME,)
-                    found[name] = _Variable(path, over_time, int(np.prod(variable.shape[1:])))
-    return found
-
-
-def joined_fitness(pieces: Sequence[Piece], labels: Mapping[str, object]) -> pd.DataFrame:
+def joined_fitness(response: Path, labels: Mapping[str, object]) -> pd.DataFrame:
     """The content of ``fitness.csv`` over the whole record.
 
     Args:
-        pieces: Of the record.
+        response: The file that :func:`join_responses` wrote.
         labels: The leading columns.
     """
-    counts = [piece.samples() for piece in pieces]
-    scores = {}
-    for quantity in QUANTITIES:
-
-        def parts(quantity: str = quantity) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-            for piece, count in zip(pieces, counts, strict=True):
-                with h5netcdf.File(piece.folder / RESPONSE, "r") as file:
-                    estimate = np.asarray(file[quantity][:count])
-                    true = f"{quantity}_true"
-                    yield estimate, np.asarray(file[true][:count]) if true in file.variables else estimate * np.nan
-
-        scores[quantity] = scores_of_parts(parts)
-    with h5netcdf.File(pieces[-1].folder / RESPONSE, "r") as file:
+    with h5netcdf.File(response, "r") as file:
+        scores = {quantity: scores_of_parts(partial(_parts, file, quantity)) for quantity in QUANTITIES}
         observed = np.asarray(file["observed"][...]).astype(bool)
     return with_labels(fitness_rows(scores, observed), labels)
+
+
+def _parts(file: h5netcdf.File, quantity: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Estimate and truth, which is NaN where nobody knows it, some samples at a time."""
+    name = f"{quantity}_true"
+    for first in range(0, file[TIME].shape[0], AT_ONCE):
+        estimate = np.asarray(file[quantity][first : first + AT_ONCE])
+        known = name in file.variables
+        yield estimate, np.asarray(file[name][first : first + AT_ONCE]) if known else estimate * np.nan
 
 
 def scores_of_parts(parts: Parts) -> np.ndarray:
@@ -136,27 +116,21 @@ def scores_of_parts(parts: Parts) -> np.ndarray:
     Args:
         parts: Gives estimate and truth, (time, dof) each, part by part; it is called twice.
     """
-    total: np.ndarray | float = 0.0
-    count: np.ndarray | float = 0.0
-    low: np.ndarray | float = np.inf
-    high: np.ndarray | float = -np.inf
+    total, count, low, high = 0.0, 0.0, np.inf, -np.inf
     for _, truth in parts():
         known = np.isfinite(truth)
         total = total + np.where(known, truth, 0.0).sum(axis=0)
         count = count + known.sum(axis=0)
         low = np.minimum(low, np.min(truth, axis=0, initial=np.inf, where=known))
         high = np.maximum(high, np.max(truth, axis=0, initial=-np.inf, where=known))
-    mean = total / np.maximum(count, 1.0)
-    error: np.ndarray | float = 0.0
-    deviation: np.ndarray | float = 0.0
+    mean, error, deviation = total / np.maximum(count, 1.0), 0.0, 0.0
     for estimate, truth in parts():
         known = np.isfinite(truth)
         error = error + (np.where(known, estimate - truth, 0.0) ** 2).sum(axis=0)
         deviation = deviation + (np.where(known, truth - mean, 0.0) ** 2).sum(axis=0)
-    span = np.asarray(high) - np.asarray(low)
+    span = high - low
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.sqrt(np.asarray(error) / np.asarray(deviation))
-        rmse = np.sqrt(np.asarray(error) / np.maximum(count, 1.0))
+        ratio, rmse = np.sqrt(np.divide(error, deviation)), np.sqrt(error / np.maximum(count, 1.0))
         return np.where(span > 0.0, 100.0 * (1.0 - np.stack([ratio, rmse / span])), np.nan)
 
 

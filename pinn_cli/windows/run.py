@@ -94,7 +94,14 @@ class WindowedRun:
                 with replacing(self.directory / name) as beside:
                     shutil.copyfile(folders[-1] / name, beside)
         stack_tables(self._before() + [folder / OVER_TIME for folder in folders], self.directory / OVER_TIME)
-        write_table(self._table(), self.directory / "windows.csv")
+        rows = [
+            (
+                e["number"], e["start"], e["hand_over"], e["stop"], e.get("verdict"), " ".join(e["changed"]),
+                e["training"].get("sigma_discrepancy"),
+            )
+            for e in self._entries()
+        ]  # fmt: skip
+        write_table(pd.DataFrame(rows, columns=list(COLUMNS)), self.directory / "windows.csv")
 
     def _before(self) -> list[Path]:
         """The parameters over time of the records before, as a file; none without a model that is updated."""
@@ -110,33 +117,31 @@ class WindowedRun:
         found = [self.store.entry(number) for number in range(1, self.store.done + 1)]
         return [*found[:-1], found[-1] | {"hand_over": None}]
 
-    def _table(self) -> pd.DataFrame:
-        """One row per window: the content of ``windows.csv``."""
-        rows = [
-            (
-                e["number"], e["start"], e["hand_over"], e["stop"], e.get("verdict"), " ".join(e["changed"]),
-                e["training"].get("sigma_discrepancy"),
-            )
-            for e in self._entries()
-        ]  # fmt: skip
-        return pd.DataFrame(rows, columns=list(COLUMNS))
-
     def _whole(self, stages: Stages) -> str:
         """Write what is about the whole record; ``run.json`` comes last."""
-        store, entries = self.store, self._entries()
-        folders = [store.folder(number) for number in range(1, len(entries) + 1)]
+        entries = self._entries()
+        folders = [self.store.folder(entry["number"]) for entry in entries]
         labels, verdict = self.solver.run.labels_of(estimator="pinn"), verdict_of_windows(entries)
         with stages("report"):
             self._write_tables()
-            pieces = self._pieces(entries)
+            pieces = [Piece(folder, e["hand_over"], e["step"]) for folder, e in zip(folders, entries, strict=True)]
             join_responses(pieces, self.directory / RESPONSE)
-            fitness = joined_fitness(pieces, labels)
+            fitness = joined_fitness(self.directory / RESPONSE, labels)
             write_table(fitness, self.directory / "fitness.csv")
             for name in STACKED:
                 stack_tables([folder / name for folder in folders], self.directory / name, "window")
-            self._export()
+            if self.exports:
+                import xarray as xr
+
+                with xr.open_dataset(self.directory / RESPONSE) as data:
+                    for export in self.exports:
+                        export.write(data, self.directory / f"response.{export.name}")
         with stages("figures"):
-            self._draw()
+            if self.drawn:
+                # Not above: matplotlib takes a while, and may not be wanted.
+                from pinn_cli.report.figures import write_over_time_figure
+
+                write_over_time_figure(pd.read_csv(self.directory / OVER_TIME), self.directory / "figures")
         digest = hashlib.sha256(" ".join(e["observed"] for e in entries).encode()).hexdigest()[:16]
         content = run_facts(self.solver.run, entries[-1]["training"], digest, stages.seconds)
         told = ("number", "start", "hand_over", "stop", "verdict", "reasons", "changed")
@@ -145,27 +150,6 @@ class WindowedRun:
         parameters = pd.read_csv(self.directory / "parameters.csv")
         texts = (parameters_text(parameters, entries[-1]["doubts"]), fitness_text(fitness), verdict_text(verdict))
         return "\n\n".join(text for text in texts if text)
-
-    def _pieces(self, entries: Sequence[dict[str, Any]]) -> list[Piece]:
-        """Of every window what is its own."""
-        return [Piece(self.store.folder(entry["number"]), entry["hand_over"], entry["step"]) for entry in entries]
-
-    def _export(self) -> None:
-        if not self.exports:
-            return
-        import xarray as xr
-
-        with xr.open_dataset(self.directory / RESPONSE) as data:
-            for export in self.exports:
-                export.write(data, self.directory / f"response.{export.name}")
-
-    def _draw(self) -> None:
-        if not self.drawn:
-            return
-        # Not above: matplotlib takes a while, and may not be wanted.
-        from pinn_cli.report.figures import write_over_time_figure
-
-        write_over_time_figure(pd.read_csv(self.directory / OVER_TIME), self.directory / "figures")
 
 
 def verdict_of_windows(entries: Sequence[dict[str, Any]]) -> Verdict:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 from pinn_cli.model.model import Model
@@ -22,7 +23,6 @@ from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
-from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS, HIGH_PASS, OF_ONE_CHANNEL
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.base import Estimator
@@ -103,17 +103,7 @@ class WindowSolver:
             raise DivergenceError(f"{window.name}: {error}") from error
         if estimate.structure is not None:
             problem = problem.in_coordinates_of(estimate.structure)
-        report = _Report(self, window, problem.alone, measured, estimate, before)
-        verdict = report.write(store, stages)
-        content = report.content(verdict, self.beliefs(problem.alone, store, window))
-        store.conclude(window, report.handed_over(verdict), content)
-
-    def beliefs(self, problem: Problem, store: WindowStore, window: Window) -> list[list[Any]]:
-        """Of every parameter what was prescribed before the first window."""
-        if window.number == 1:
-            return [[p.name, p.prescribed, p.prior_std] for p in problem.uncertain]
-        found: list[list[Any]] = store.entry(1)["beliefs"]
-        return found
+        _Report(self, window, problem.alone, measured, estimate, before, store).write(stages)
 
 
 def _goes_on(problem: Problem) -> bool:
@@ -153,48 +143,45 @@ class _Report:
     measured: Measurements
     estimate: Estimate
     before: Model | None
+    store: WindowStore
 
-    def write(self, store: WindowStore, stages: Stages) -> Verdict | None:
-        """Write its files; the verdict on it."""
-        folder, results = store.folder(self.window.number), self._results()
+    def write(self, stages: Stages) -> None:
+        """Write its files; the last one says that the window is done."""
+        folder, results, number = self.store.folder(self.window.number), self._results, self.window.number
         report = RecordReport(results, folder)
         with stages("verdict"):
             verdict = report.verdict()
         with stages("report"):
             report.write()
-            believed = self.believed(results, self.solver.beliefs(self.problem, store, self.window))
-            ours, _ = RecordReport(believed, folder).every_table
-            write_tables(believed, ours, folder)
-            number = self.window.number
+            ours, _ = RecordReport(self._believed, folder).every_table
+            write_tables(self._believed, ours, folder)
             write_table(window_rows(number + self.solver.earlier, f"window_{number}", self.estimate), folder / FILE)
             write_run_model(results, verdict, folder)
-        return verdict
+        self.store.conclude(self.window, self._handed_over(verdict), self._content(verdict))
 
-    def content(self, verdict: Verdict | None, beliefs: list[list[Any]]) -> dict[str, object]:
+    def _content(self, verdict: Verdict | None) -> dict[str, object]:
         """What ``window.json`` says."""
-        changes = self.estimate.changes
-        changed = [] if changes is None else [change.parameter.name for change in changes.found]
-        record = self.problem.record
-        found: dict[str, object] = {"changed": changed, "training": self.estimate.summary}
-        found |= {"observed": observed_digest([record]), "step": record.step, "doubts": self._doubts(beliefs)}
-        first = {"beliefs": beliefs} if self.window.number == 1 else {}
-        return {**(verdict.record() if verdict else {}), **found, **first}
+        changes, estimate, record = self.estimate.changes, self._believed.estimate, self.problem.record
+        return {
+            **(verdict.record() if verdict else {}),
+            "changed": [] if changes is None else [change.parameter.name for change in changes.found],
+            "training": self.estimate.summary,
+            "observed": observed_digest([record]),
+            "step": record.step,
+            "doubts": list(identifiability_warnings(estimate.parameters, estimate.correlation)),
+            **({"beliefs": self._beliefs} if self.window.number == 1 else {}),
+        }
 
-    def _doubts(self, beliefs: list[list[Any]]) -> list[str]:
-        """What is to be told of parameters that are not well known."""
-        estimate = self.believed(self._results(), beliefs).estimate
-        return list(identifiability_warnings(estimate.parameters, estimate.correlation))
-
-    def handed_over(self, verdict: Verdict | None) -> Model | None:
+    def _handed_over(self, verdict: Verdict | None) -> Model | None:
         """The model that the next window begins with; None where there is no next one."""
         handed = self.estimate.handed_over
         if handed is None:
             return None
-        results = self._results()
-        own = replace(results.estimate, known=handed.known, end=handed.end)
-        model = model_of(replace(results, estimate=own), verdict)
+        own = replace(self.estimate, known=handed.known, end=handed.end)
+        model = model_of(replace(self._results, estimate=own), verdict)
         return replace(model, levels=replace(model.levels, windows=handed.discrepancy))
 
+    @cached_property
     def _results(self) -> Results:
         solver = self.solver
         record = as_calibrated(self.problem.record, self.estimate)
@@ -207,16 +194,20 @@ class _Report:
             model=self.before or solver.model,
         )  # fmt: skip
 
-    @staticmethod
-    def believed(results: Results, beliefs: Sequence[Sequence[Any]]) -> Results:
+    @cached_property
+    def _beliefs(self) -> list[list[Any]]:
+        """Of every parameter what was prescribed before the first window: name, value, standard deviation."""
+        if self.window.number == 1:
+            return [[p.name, p.prescribed, p.prior_std] for p in self.problem.uncertain]
+        found: list[list[Any]] = self.store.entry(1)["beliefs"]
+        return found
+
+    @cached_property
+    def _believed(self) -> Results:
         """The results with what was prescribed before the first window in their tables."""
-        given = {name: (prescribed, std) for name, prescribed, std in beliefs}
-
-        def at_first(parameter: Parameter) -> Parameter:
-            if parameter.name not in given:
-                return parameter
-            prescribed, std = given[parameter.name]
-            return replace(parameter, prescribed=prescribed, prior_std=std)
-
-        found = [replace(one, parameter=at_first(one.parameter)) for one in results.estimate.parameters]
-        return replace(results, estimate=replace(results.estimate, parameters=found))
+        given = {name: {"prescribed": value, "prior_std": std} for name, value, std in self._beliefs}
+        found = [
+            replace(one, parameter=replace(one.parameter, **given.get(one.parameter.name, {})))
+            for one in self.estimate.parameters
+        ]
+        return replace(self._results, estimate=replace(self.estimate, parameters=found))

@@ -15,7 +15,7 @@ from pinn_cli.api.data import settings_of
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.prepare import compose_config
 from pinn_cli.record import record
-from pinn_cli.record.files.frame import FrameFormat, held, table_of
+from pinn_cli.record.files.frame import table_of
 
 STEP, SAMPLES = 0.02, 400
 CHAIN = (
@@ -54,13 +54,21 @@ def measured(data: object) -> record.Record:
         return config.source.measurements(config.structure)[0].record
 
 
-def test_a_frame_and_a_file_are_one_run(frame: pd.DataFrame) -> None:
+def test_a_frame_and_a_file_are_one_run_which_goes_on_with_the_same_frame_alone(frame: pd.DataFrame) -> None:
     frame.rename(columns={"acceleration.1": "a1"}).to_csv("rig.csv", index=False, float_format="%.17g")
     columns = ("data.acceleration={1: a1, 2: acceleration.2}", "data.force={2: force.2}")
     of_file = run(*CHAIN, "data=csv", "data.path=rig.csv", *columns, "data.intersample=band_limited", keep=False)
-    of_frame = run(*CHAIN, "data.intersample=band_limited", data=frame, keep=False)
+    of_frame = run(*CHAIN, "data.intersample=band_limited", data=frame, directory="done")
     np.testing.assert_array_equal(of_frame.response["displacement"], of_file.response["displacement"])
     pd.testing.assert_frame_equal(of_frame.residuals, of_file.residuals)
+
+    (of_frame.directory / "run.json").unlink()
+    other = frame.assign(**{"acceleration.1": 2.0 * frame["acceleration.1"]})
+    for data in (None, other):
+        with pytest.raises(InputError, match=r"data.path=frame-\w+: must be a frame that this process holds"):
+            run("resume=done", data=data)
+    again = run("resume=done", data=frame.copy())
+    assert again.parameters.equals(load("done").parameters)
 
 
 def test_a_frame_a_record_and_arrays_are_one_record(simulated: Record, frame: pd.DataFrame) -> None:
@@ -69,17 +77,6 @@ def test_a_frame_a_record_and_arrays_are_one_record(simulated: Record, frame: pd
         found = measured(data)
         for name in ("time", "acceleration", "force", "unforced"):
             np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
-
-
-def test_a_run_goes_on_with_the_same_frame_alone(frame: pd.DataFrame) -> None:
-    done = run(*CHAIN, data=frame, directory="done")
-    (done.directory / "run.json").unlink()
-    other = frame.assign(**{"acceleration.1": 2.0 * frame["acceleration.1"]})
-    for data in (None, other):
-        with pytest.raises(InputError, match=r"data.path=frame-\w+: must be a frame that this process holds"):
-            run("resume=done", data=data)
-    again = run("resume=done", data=frame.copy())
-    assert again.parameters.equals(load("done").parameters)
 
 
 def test_columns_are_named_by_what_they_measure(frame: pd.DataFrame) -> None:
@@ -166,14 +163,6 @@ def test_the_name_says_the_content(frame: pd.DataFrame) -> None:
     ]
     names = {str(table_of(one).path) for one in (frame, frame.copy(), *changed)}
     assert len(names) == 1 + len(changed)
-
-
-def test_a_frame_is_held_for_the_run_alone(frame: pd.DataFrame) -> None:
-    table = table_of(frame)
-    with held(table):
-        assert FrameFormat().read(table.path) is table
-    with pytest.raises(InputError, match="a frame that this process holds"):
-        FrameFormat().read(table.path)
 
 
 @pytest.mark.parametrize(

@@ -47,19 +47,6 @@ def test_an_example_has_a_figure_and_quotes_its_run(page: Path) -> None:
             assert image.width > 300
 
 
-@pytest.mark.parametrize(
-    ("quoted", "printed", "same"),
-    [
-        ("k_1 * 15.00", "k_1 *   15.01", True),
-        ("k_1 15.00", "k_1 17.0", False),
-        ("sound", "failed", False),
-        ("a b", "a", False),
-    ],
-)
-def test_lines_are_compared(quoted: str, printed: str, same: bool) -> None:
-    assert alike(quoted, printed) is same
-
-
 def in_python(page: Path, run: Callable[..., object]) -> None:
     """Do what the page shows in Python, with this for `run`."""
     for block in re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL):

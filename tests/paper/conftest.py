@@ -1,4 +1,4 @@
-"""Stand-ins for finished runs: their files, made up, in seconds less than a run takes."""
+"""Stand-ins for runs and for network and smoother: results made up from the published values."""
 
 from __future__ import annotations
 
@@ -9,17 +9,22 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 import pytest
-from fake_solver import FakeSolver
 from matplotlib.figure import Figure
 
 from pinn_cli.paper.commands import make_nonlinearity, make_paper, make_seeds
+from pinn_cli.paper.realisations import Scores
 from pinn_cli.report import published
 from pinn_cli.runs.writing import write_json, write_table
+from pinn_cli.settings.errors import InputError
 
 if TYPE_CHECKING:
     from pinn_cli.paper.cases import PlannedRun
+    from pinn_cli.paper.realisations import Realisation
 
 SECONDS = {"estimate": 2.0, "baseline": 1.0, "total": 4.0}
+SOLVED = {"record": 0.5, "estimate": 1.0, "baseline": 1.0, "total": 2.5}
+# Read once: a study asks for them hundreds of times.
+published_fitness, published_parameters = cache(published.fitness), cache(published.parameters)
 
 
 def _fitness(case: str, estimator: str, offset: float) -> pd.DataFrame:
@@ -89,25 +94,82 @@ class FakeRunner:
         return 5.0
 
 
+class FakeSolver:
+    """Range fitness is the published value plus 0.2, and 0.1 less with each seed; the smoother's is 0.05 less.
+
+    `diverging` realisations have no rows, `refused` ones raise; `interrupted_after` so many calls the user interrupts.
+    """
+
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+        self.diverging: set[str] = set()
+        self.refused: set[str] = set()
+        self.interrupted_after: int | None = None
+
+    def __call__(self, one: Realisation) -> Scores:
+        if self.interrupted_after is not None and len(self.calls) >= self.interrupted_after:
+            raise KeyboardInterrupt
+        self.calls.append(one.name)
+        if one.name in self.refused:
+            raise InputError("system.kappa", -1, ">= 0")
+        if one.name in self.diverging:
+            return Scores([], [], SOLVED, 3.0, "loss is not finite")
+        case = one.name.rpartition("_seed")[0]
+        scored = [self._scored(one, case, name, lag) for name, lag in (("pinn", 0.0), ("kalman_smoother", 0.05))]
+        fitness, parameters = (pd.concat(tables).to_dict("records") for tables in zip(*scored, strict=True))
+        strength = dict(one.columns).get("kappa", 0.0) / 1000.0
+        return Scores(fitness, parameters, SOLVED, strength)
+
+    def _scored(self, one: Realisation, case: str, estimator: str, lag: float) -> tuple[pd.DataFrame, pd.DataFrame]:
+        cells = published_fitness()
+        cells = cells.loc[cells["case"] == case, ["group", "quantity", "fitness_percent"]]
+        if cells.empty:
+            quantities = ["displacement", "velocity", "acceleration", "force"]
+            cells = pd.DataFrame({"group": "all", "quantity": quantities, "fitness_percent": 97.0})
+        ranged = cells["fitness_percent"] + 0.2 - 0.1 * one.seed - lag
+        labels = {"case": case, "estimator": estimator, "seed": one.seed, "model_error": case.partition("_")[0]}
+        fitness = cells.assign(**labels, range_fitness_percent=ranged, fitness_percent=ranged - 5.0)
+        given = published_parameters()
+        given = given.loc[given["case"] == case, ["parameter", "true"]]
+        estimate = given["true"] * (1.01 + lag)
+        error = 100.0 * (estimate / given["true"] - 1.0)
+        interval = {"lower_90": estimate * 0.98, "upper_90": estimate * 1.02}
+        return fitness, given.assign(**labels, estimate=estimate, error_percent=error, **interval)
+
+
 @pytest.fixture
 def runner() -> FakeRunner:
     return FakeRunner()
 
 
-@pytest.fixture(scope="session")
-def paper(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A whole outputs/paper from made-up runs and scores; digests have tests of their own."""
-    output = tmp_path_factory.mktemp("outputs") / "paper"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pinn_cli.paper.runs.run_digest", ",".join)
-        patch.setattr("pinn_cli.paper.robustness.scored._settings_digest", "".join)
-        assert make_paper(output, FakeRunner()) == 0
-        assert make_seeds(output, FakeSolver()) == 0
-        assert make_nonlinearity(output, FakeSolver()) == 0
-    return output
+@pytest.fixture
+def solver() -> FakeSolver:
+    return FakeSolver()
+
+
+def make_quick(patch: pytest.MonkeyPatch) -> None:
+    """Small studies, and no true digests, which have tests of their own."""
+    patch.setattr("pinn_cli.paper.runs.run_digest", ",".join)
+    patch.setattr("pinn_cli.paper.realisations._settings_digest", "".join)
+    patch.setattr("pinn_cli.paper.seeds.SEEDS", 3)
+    patch.setattr("pinn_cli.paper.nonlinearity.KAPPAS", (0.0, 10000.0))
+    patch.setattr("pinn_cli.paper.nonlinearity.FORCES", (1.0, 10.0))
 
 
 @pytest.fixture
-def quick_digests(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Papers without true digests, for tests of something else."""
-    monkeypatch.setattr("pinn_cli.paper.runs.run_digest", ",".join)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    make_quick(monkeypatch)
+
+
+@pytest.fixture(scope="session")
+def paper(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A whole outputs/paper from made-up runs and scores."""
+    output = tmp_path_factory.mktemp("outputs") / "paper"
+    with pytest.MonkeyPatch.context() as patch:
+        make_quick(patch)
+        assert make_seeds(output, FakeSolver()) == 0
+        assert make_paper(output, FakeRunner()) == 0
+        solver = FakeSolver()
+        solver.diverging = {f"none_kappa10000_force10_seed{seed}" for seed in range(2)}
+        assert make_nonlinearity(output, solver) == 0  # one that diverges is a finding
+    return output

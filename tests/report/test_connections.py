@@ -9,7 +9,7 @@ import pytest
 from small_estimates import Case, make_estimate, results_of
 from structures import braced, hysteretic
 
-from pinn_cli.model.misfit import Misfit
+from pinn_cli.model.knowledge import Misfit
 from pinn_cli.record.record import Truth
 from pinn_cli.record.response import Response
 from pinn_cli.record.simulation import simulate

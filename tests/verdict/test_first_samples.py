@@ -12,7 +12,7 @@ import pytest
 from calls import PinnRun
 from storeys import K, record, system, written
 
-from pinn_cli.model.misfit import Misfit
+from pinn_cli.model.knowledge import Misfit
 from pinn_cli.verdict.first_samples import first_sample_findings
 
 

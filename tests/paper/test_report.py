@@ -1,4 +1,4 @@
-"""What `make paper` leaves behind: tables in three formats, figures and one report, from made-up runs."""
+"""The figures and the report that `make paper` leaves behind, from made-up runs and scores."""
 
 from __future__ import annotations
 
@@ -13,12 +13,10 @@ import pandas as pd
 import pytest
 
 from pinn_cli.paper.__main__ import main
-from pinn_cli.paper.commands import make_figures, make_paper, make_table
+from pinn_cli.paper.commands import make_all, make_figures, make_paper, make_seeds
 from pinn_cli.paper.figures import copy_figures, paper_figures
+from pinn_cli.paper.report import fitness_reason, over_seeds, parameter_reason
 from pinn_cli.paper.runs import CaseFailedError
-from pinn_cli.paper.sheet import Row, Sheet, number
-from pinn_cli.paper.shortfalls import fitness_reason, parameter_reason
-from pinn_cli.paper.symbols import written
 
 VOID = {"meta", "img", "br"}
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
@@ -73,110 +71,34 @@ def test_report_says_what_was_run(paper):
     assert "no estimate of pe_2dof_duffing, pe_2dof_van_der_pol" in text
 
 
-@pytest.mark.parametrize("number", range(1, 7))
-def test_tables_are_written_in_three_formats(paper, number):
-    place = paper / "tables"
-    frame = pd.read_csv(place / f"table{number}.csv")
-    assert len(frame)
-    lines = (place / f"table{number}.md").read_text().splitlines()
-    assert len({line.count("|") for line in lines if line.startswith("| ")}) == 1
-    _check_latex((place / f"table{number}.tex").read_text())
-
-
-def _check_latex(text: str) -> None:
-    plain = re.sub(r"\\[{}%&#_$]", "", re.sub(r"^%.*$", "", text, flags=re.MULTILINE)).replace(r"{!}{%", "{!}{")
-    assert plain.count("{") == plain.count("}")
-    assert "_" not in re.sub(r"\$[^$]*\$", "", plain)
-    environments = re.findall(r"\\(begin|end){([a-z*]+)}", plain)
-    assert environments == [("begin", "table*"), ("begin", "tabular"), ("end", "tabular"), ("end", "table*")]
-    assert [plain.count(rule) for rule in (r"\toprule", r"\bottomrule")] == [1, 1]
-    columns = len(re.search(r"\\begin{tabular}{([lr]+)}", plain)[1])
-    for line in plain.splitlines():
-        if line.endswith(r"\\"):
-            spans = sum(int(span) - 1 for span in re.findall(r"\\multicolumn{(\d+)}", line))
-            assert line.count("&") + 1 + spans == columns
-    assert text.isascii()
-
-
-def test_table2_holds_published_ours_and_smoother(paper):
-    text = (paper / "tables" / "table2.md").read_text()
-    row = "| 6 DOFs, Duffing, no error, 50 dB | published | 98.57 | 99.30 | 99.11 | - |"
-    assert row in text
-    assert "|  | ours, uncertain parameters | 98.77 ▲ | 99.50 ▲ | 99.31 ▲ | - |" in text
-    assert "|  | Kalman smoother | 98.67 ▲ | 99.40 ▲ |" in text
-    assert "|  | ours, uncertain parameters, printed | 90.00 | 90.00 |" in text
-
-
-def test_table1_has_estimates_of_the_wrong_values(paper):
-    frame = pd.read_csv(paper / "tables" / "table1.csv")
-    assert frame[["drawn", "uncertain", "kalman_smoother"]].notna().all().all()
-    assert r"\textbf{" in (paper / "tables" / "table1.tex").read_text()
-
-
-def test_table6_has_no_smoother_where_it_found_nothing(paper):
-    text = (paper / "tables" / "table6.md").read_text()
-    assert "| κ_1/μ_1 | published | 100 | 99.21 | 0.79 | 0.65 | 0.75 |" in text
-    assert "ours, conditional posterior" in text
-    assert "Kalman smoother" not in text
-
-
 def test_every_figure_as_a_picture_for_screens_and_one_for_print(paper):
     names = {f"figure{number:02d}.{'svg' if number < 4 else 'png'}" for number in range(1, 15)}
     names |= {f"figure{number:02d}.pdf" for number in range(1, 15)}
     assert {file.name for file in (paper / "figures").iterdir()} == names
     starts = {".png": b"\x89PNG", ".pdf": b"%PDF", ".svg": b"<?xml"}
     assert all(file.read_bytes().startswith(starts[file.suffix]) for file in (paper / "figures").iterdir())
-
-
-def test_figures_are_those_of_their_runs(paper):
     run = paper / "runs" / "sr_20dof_snr50_uncertain" / "figures"
     assert (paper / "figures" / "figure06.png").read_bytes() == (run / "error_map.png").read_bytes()
 
 
-@pytest.mark.usefixtures("quick_digests")
+@pytest.mark.usefixtures("quick")
 def test_figures_alone_need_only_their_runs(tmp_path, runner):
     assert make_figures(tmp_path, runner) == 0
     assert len(runner.calls) == len({figure.run for figure in paper_figures() if figure.run}) == 10
     assert not (tmp_path / "report.html").exists()
 
 
-@pytest.mark.usefixtures("quick_digests")
-@pytest.mark.parametrize(("table", "count"), [("table1", 1), ("table2", 12), ("table3", 6), ("table6", 6)])
-def test_a_table_alone_needs_only_its_runs(tmp_path, runner, capsys, table, count):
-    assert make_table(table, tmp_path, runner) == 0
-    assert len(runner.calls) == count
-    assert {file.name for file in (tmp_path / "tables").iterdir()} == {
-        f"{table}.{form}" for form in ("csv", "md", "tex")
-    }
-    assert (tmp_path / "tables" / f"{table}.md").read_text() in capsys.readouterr().out
-    assert not (tmp_path / "report.html").exists()
-
-
-@pytest.mark.usefixtures("quick_digests")
-def test_a_table_tells_of_the_case_that_failed(tmp_path, runner, capsys):
-    runner.failing = {"sp_5dof_linear": CaseFailedError("sp_5dof_linear, fixed parameters: exit status 1")}
-    assert make_table("table4", tmp_path, runner) == 1
-    assert set(pd.read_csv(tmp_path / "tables" / "table4.csv")["case"]) == {"sp_5dof_van_der_pol", "sp_5dof_perturbed"}
-    assert "sp_5dof_linear, fixed parameters: exit status 1" in capsys.readouterr().err
-
-
-@pytest.mark.usefixtures("quick_digests")
-def test_a_failed_case_leaves_a_gap_that_the_report_tells(tmp_path, runner):
+@pytest.mark.usefixtures("quick")
+def test_failed_cases_and_values_that_are_worse_are_told(tmp_path, runner):
     runner.failing = {"sr_20dof_snr50": CaseFailedError("sr_20dof_snr50, fixed parameters: exit status 3")}
+    runner.offset = -0.2
     assert make_paper(tmp_path, runner) == 1
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "exit status 3" in text
     assert "Not drawn: the run sr_20dof_snr50_uncertain is missing" in text
-    Checked(text)
-
-
-@pytest.mark.usefixtures("quick_digests")
-def test_values_that_are_worse_are_listed_with_a_reason(tmp_path, runner):
-    runner.offset = -0.2
-    make_paper(tmp_path, runner)
-    text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "sr_6dof_snr50, All DOFs, displacement" in text
     assert "The smoother reaches 98.47 % on the same record" in text
+    Checked(text)
 
 
 def test_reasons():
@@ -192,25 +114,49 @@ def test_reasons():
     assert "1.8 standard deviations" in outside
 
 
-def test_a_sheet_checks_itself():
-    with pytest.raises(ValueError, match="groups span"):
-        Sheet("t", "t", "", ("a",), (("g", 1),), ("x", "y"), ())
-    with pytest.raises(ValueError, match="does not fit"):
-        Sheet("t", "t", "", ("a",), (("", 1),), ("x",), (Row(("h",), ()),))
+def test_other_draws_tell_luck_from_fault():
+    summary = pd.DataFrame({"case": "c", "estimator": ["pinn", "kalman_smoother"], "mean": [99.0, 99.4], "seeds": 10})
+    assert "this draw is unlucky" in over_seeds(summary, {"case": "c"}, "mean", 98.9)
+    assert "the noise allows it" in over_seeds(summary, {"case": "c"}, "mean", 99.2)
+    assert "not reached on average by either" in over_seeds(summary, {"case": "c"}, "mean", 99.9)
+    assert over_seeds(summary, {"case": "other"}, "mean", 99.0) == ""
+    assert over_seeds(pd.DataFrame(), {"case": "c"}, "mean", 99.0) == ""
+    errors = summary.assign(mean=[1.0, 2.0])
+    assert "mean error is 1.00 %" in over_seeds(errors, {"case": "c"}, "mean", -1.5)
+    assert "this draw is unlucky" in over_seeds(errors, {"case": "c"}, "mean", -1.5)
+    assert "not reached" in over_seeds(errors, {"case": "c"}, "mean", -0.5)
 
 
-def test_symbols_and_escapes():
-    assert written("kappa_2/mu_2", "latex") == r"$\kappa_{2}$/$\mu_{2}$"
-    assert written("kappa_2", "html") == "<i>κ</i><sub>2</sub>"
-    assert written("acceleration", "plain") == "ü"
-    assert written("a_b & 5 %", "latex") == r"a\_b \& 5 \%"
-    assert written("‖x − x̃‖", "latex") == r"$\|$x $-$ $\tilde{x}$$\|$"
-    assert written("<b>", "html") == "&lt;b&gt;"
-    assert number(math.nan, ".2f", "better").mark == ""
+def test_the_report_shows_both(paper):
+    text = (paper / "report.html").read_text(encoding="utf-8")
+    assert 'id="seeds_table2"' in text
+    assert 'id="nonlinearity-figure"' in text
+    assert "36 records, each estimated by both, in 90 s" in text
+    assert "24 records, each estimated by both, in 60 s" in text
+    assert "Over 3 other draws our mean error is 1.00 %" in text
+    assert (paper / "seeds" / "seeds_table2.tex").exists()
+
+
+@pytest.mark.usefixtures("quick")
+def test_seeds_alone_leave_the_report_to_the_runs(tmp_path, capsys, solver):
+    solver.refused = {"sr_6dof_linear_seed0"}
+    assert make_seeds(tmp_path, solver) == 1
+    assert "waits for runs" in capsys.readouterr().out
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_all_makes_the_three(tmp_path, monkeypatch):
+    made = []
+    for name, status in (("make_paper", 0), ("make_seeds", 1), ("make_nonlinearity", 0)):
+        monkeypatch.setattr(
+            f"pinn_cli.paper.commands.{name}", lambda output, n=name, s=status: made.append((n, output)) or s
+        )
+    assert make_all(tmp_path) == 1
+    assert made == [(name, tmp_path) for name in ("make_paper", "make_seeds", "make_nonlinearity")]
 
 
 def test_a_figure_of_a_run_needs_it(tmp_path):
-    assert list(copy_figures({}, tmp_path)) == [1, 2, 3]
+    assert list(copy_figures([], tmp_path)) == [1, 2, 3]
 
 
 def test_an_interrupt_ends_with_130(tmp_path, monkeypatch, capsys):

@@ -1,44 +1,98 @@
-"""Fitness over the grid of nonlinearity and force, one panel per quantity and model error; error against strength."""
+"""Fitness against how nonlinear the chain is, with and without model error: a question that the paper leaves open."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.image import AxesImage
 
-from pinn_cli.paper.cases import SMOOTHER
-from pinn_cli.paper.robustness.realisation import PINN
+from pinn_cli.paper.cases import BESIDE, SMOOTHER
+from pinn_cli.paper.realisations import PINN, Realisation, ScoredRealisations
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.report.figures import style
+from pinn_cli.runs.writing import write_table
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.colorbar import Colorbar
-    from matplotlib.image import AxesImage
-
-    from pinn_cli.paper.robustness.nonlinearity import NonlinearityScores
+# N/m^3 and N; 100 N/m^3 and 1 N are the defaults of the chain and of the force.
+KAPPAS = (0.0, 10.0, 100.0, 1000.0, 10000.0)
+FORCES = (0.3, 1.0, 3.0, 10.0)
+MODEL_ERRORS = ("none", "linear", "perturbed")
+# Of force and noise together: one draw of the force may happen to dwell at one amplitude.
+SEEDS = 2
+KEYS = ["model_error", "kappa", "force_rms", "estimator", "quantity"]
 
 _TITLES = {"none": "right model", "linear": "linear model", "perturbed": "wrong values"}
 _SMALLEST, _LARGEST = 0.03, 100.0  # errors in percent, the ends of the colours
 _DARK = 3.0  # errors from here up stand on a dark ground
 
 
-def write_nonlinearity_figure(scores: NonlinearityScores, directory: Path) -> Path | None:
-    """Draw ``nonlinearity.png`` and ``.pdf``; the former's path, None where there is nothing to draw."""
-    return None if scores.empty else style.save(nonlinearity_figure(scores.summary), directory, "nonlinearity")[0]
+def nonlinearity_realisations() -> list[Realisation]:
+    """Six DOFs, 50 dB, defaults but for kappa, the force's root mean square and the model error."""
+    return [
+        Realisation(
+            f"{model_error}_kappa{kappa:g}_force{force:g}_seed{seed}",
+            (f"system.kappa={kappa}", f"excitation.rms={force}", f"model_error={model_error}", *BESIDE),
+            seed, redraws_force=True, columns=(("kappa", kappa), ("force_rms", force)),
+        )
+        for seed in range(SEEDS)
+        for model_error in MODEL_ERRORS
+        for kappa in KAPPAS
+        for force in FORCES
+    ]  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearityScores:
+    """Fitness over the grid.
+
+    Attributes:
+        scored: The realisations.
+        rows: One per realisation, estimator and quantity, over all DOFs (``nonlinearity_by_seed.csv``).
+        summary: Mean over the seeds, one row per `KEYS`, with the mean ``strength``, the worst fitness and the number
+            of ``seeds`` that there are (``nonlinearity.csv``).
+    """
+
+    scored: ScoredRealisations
+    rows: pd.DataFrame
+    summary: pd.DataFrame
+
+    @classmethod
+    def of(cls, scored: ScoredRealisations) -> NonlinearityScores:
+        """Tables of the scores that are there."""
+        rows = scored.rows("fitness")
+        if rows.empty:
+            return cls(scored, rows, rows)
+        rows = rows[(rows["group"] == "all") & rows["quantity"].isin(RESPONSE_QUANTITIES)].reset_index(drop=True)
+        grouped = rows.groupby(KEYS, sort=False)
+        summary = grouped[["strength", "fitness_percent", "range_fitness_percent"]].mean()
+        summary["worst_fitness_percent"] = grouped["fitness_percent"].min()
+        summary.insert(1, "seeds", grouped["seed"].nunique())
+        return cls(scored, rows, summary.reset_index())
+
+    def write(self, directory: Path) -> Path:
+        """Write both tables; the path of the summary."""
+        write_table(self.rows, directory / "nonlinearity_by_seed.csv")
+        return write_table(self.summary, directory / "nonlinearity.csv")
+
+    def draw(self, directory: Path) -> Path | None:
+        """Draw ``nonlinearity.png`` and ``.pdf``; the former's path, None where there is nothing to draw."""
+        if self.summary.empty:
+            return None
+        return style.save(nonlinearity_figure(self.summary), directory, "nonlinearity")[0]
 
 
 def nonlinearity_figure(summary: pd.DataFrame) -> Figure:
     """Draw the scores.
 
     Args:
-        summary: Of `pinn_cli.paper.robustness.nonlinearity.NonlinearityScores`; cells that it lacks are left empty.
+        summary: Of `NonlinearityScores`; cells that it lacks are left empty.
     """
     positive = summary.loc[summary["strength"] > 0.0, "strength"]
     edge = 0.3 * float(positive.min()) if len(positive) else 1e-6  # where kappa = 0 stands on a logarithmic axis
@@ -101,7 +155,7 @@ def _percent(value: float) -> str:
 
 
 def _colour_bar(figure: SubFigure, axes: Axes, image: AxesImage) -> None:
-    bar: Colorbar = figure.colorbar(image, cax=axes.inset_axes((1.06, -0.5, 0.06, 2.0)), extend="both")
+    bar: Any = figure.colorbar(image, cax=axes.inset_axes((1.06, -0.5, 0.06, 2.0)), extend="both")
     bar.set_label("our error, 100 − fitness (%)")
     bar.outline.set_linewidth(0.4)
     bar.ax.set_yticks([0.1, 1.0, 10.0, 100.0], ["0.1", "1", "10", "100"])

@@ -8,11 +8,11 @@ import pytest
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.prepare import compose_config, prepare_problem
-from pinn_cli.paper.robustness import scored
-from pinn_cli.paper.robustness.noise_seeds import seed_realisations
-from pinn_cli.paper.robustness.realisation import Realisation, Scores, solve
-from pinn_cli.paper.robustness.scored import read_scores, solve_missing
-from pinn_cli.runs.writing import write_json
+from pinn_cli.paper import realisations as realised
+from pinn_cli.paper.realisations import Realisation, Scores, read_scores, solve, solve_missing
+from pinn_cli.paper.seeds import seed_realisations
+
+pytestmark = pytest.mark.usefixtures("quick")
 
 SMALL = ("system.ndof=2", "simulation.duration=12", "simulation.samples=257", "baseline=kalman_smoother")
 
@@ -46,7 +46,7 @@ def test_an_interruption_loses_nothing(tmp_path, solver, realisations):
 
 def test_a_change_of_code_or_configuration_makes_all_again(tmp_path, solver, realisations, monkeypatch):
     solve_missing(realisations, tmp_path, solver)
-    monkeypatch.setattr(scored, "_settings_digest", lambda overrides: f"other {overrides}")
+    monkeypatch.setattr(realised, "_settings_digest", lambda overrides: f"other {overrides}")
     assert len(read_scores(realisations, tmp_path).missing) == 3
     solve_missing(realisations, tmp_path, solver)
     assert len(solver.calls) == 6
@@ -66,12 +66,6 @@ def test_one_that_diverged_is_a_result(tmp_path, solver, realisations):
     assert not found.missing
     assert found.failures == [f"{realisations[0].name}: loss is not finite"]
     assert set(found.rows("fitness")["seed"]) == {1, 2}
-
-
-@pytest.mark.parametrize("content", [{}, {"digest": "d"}, {"digest": None, "fitness": 3}])
-def test_what_cannot_be_read_is_missing(tmp_path, realisations, content):
-    write_json(content, tmp_path / f"{realisations[0].name}.json")
-    assert read_scores(realisations, tmp_path).missing == realisations
 
 
 def test_scores_come_back(tmp_path, solver, realisations):

@@ -1,0 +1,310 @@
+"""Finished runs and sweeps as Python has them: their files, their figures, and how a notebook shows them."""
+
+from __future__ import annotations
+
+import html
+import os
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pinn_cli.runs.resume import RESULT, read_record
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.suggestion import suggestion
+from pinn_cli.sweep.jobs import FINISHED, STORED, Job, Sweep
+
+if TYPE_CHECKING:
+    import arviz
+    import pandas as pd
+    import xarray as xr
+
+    from pinn_cli.api.plots import Plots
+
+# Which run it is: columns that are the same in every row of a run's tables.
+_RUN = ("case", "scheme", "ndof", "nonlinearity", "model_error", "snr_db", "seed")
+_ROWS_SHOWN = 40
+
+
+def load(directory: str | os.PathLike[str]) -> Result | SweepResult:
+    """Open the directory of a finished run, or of a sweep, whose runs may still be under way. Nothing is changed there.
+
+    Args:
+        directory: As the command prints it at its end.
+
+    Returns:
+        The result; of a sweep those of its runs, with their tables joined.
+
+    Raises:
+        InputError: It is neither, or the run has not finished.
+    """
+    place = Path(directory).expanduser().absolute()
+    if (place / RESULT).is_file():
+        return Result(place)
+    if (place / STORED).is_file():
+        return SweepResult(place)
+    hint = "it holds no run.json"
+    if not place.is_dir():
+        hint = "there is no such directory"
+    elif (place / ".hydra").is_dir():
+        hint = f"the run has not finished: run('resume={place}') goes on with it"
+    raise InputError("directory", directory, "the directory of a finished run or of a sweep", hint)
+
+
+class Result:
+    """A finished run, whose files are read when they are asked for.
+
+    Args:
+        directory: Of the run; absolute.
+
+    Attributes:
+        directory: Where its files lie.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+
+    @cached_property
+    def plot(self) -> Plots:
+        """Its figures: ``result.plot.response()``."""
+        from pinn_cli.api.plots import Plots
+
+        return Plots(self.directory)
+
+    @cached_property
+    def run_record(self) -> dict[str, Any]:
+        """What ``run.json`` says: seconds by stage, why training stopped, noise levels, versions."""
+        return read_record(self.directory)
+
+    @property
+    def verdict(self) -> str | None:
+        """``sound``, or how far the run is from it; None where there is no verdict."""
+        found = self.run_record.get("verdict")
+        return None if found is None else str(found)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the verdict is not sound."""
+        return tuple(self.run_record.get("reasons", ()))
+
+    @cached_property
+    def fitness(self) -> pd.DataFrame:
+        """Fitness by group of DOFs and quantity, of every estimator; NaN where the truth is unknown."""
+        return self.table("fitness")
+
+    @cached_property
+    def parameters(self) -> pd.DataFrame:
+        """A row for each parameter: ``estimate``, ``std``, ``lower_90`` and ``upper_90`` beside what was given."""
+        return self.table("parameters")
+
+    @cached_property
+    def modes(self) -> pd.DataFrame | None:
+        """Natural frequencies (Hz), damping ratios and shapes, with 90 % intervals; None where there are none."""
+        return self._optional("modes")
+
+    @cached_property
+    def residuals(self) -> pd.DataFrame:
+        """What the estimate leaves of every sensor."""
+        return self.table("residuals")
+
+    @cached_property
+    def free_run(self) -> pd.DataFrame | None:
+        """How well the estimated structure by itself follows, under the measured forces; None where it has not run."""
+        return self._optional("free_run")
+
+    @cached_property
+    def validation(self) -> pd.DataFrame | None:
+        """The identified system on data that no estimator has seen; None without such data."""
+        return self._optional("validation")
+
+    @cached_property
+    def history(self) -> pd.DataFrame:
+        """A row for each iteration: loss terms and weights."""
+        return self.table("history")
+
+    @cached_property
+    def response(self) -> xr.Dataset:
+        """``displacement``, ``velocity``, ``acceleration``, ``force`` over (``time``, ``dof``), SI units.
+
+        Each has ``<quantity>_std`` beside it, ``<quantity>_observed`` (NaN where there is no sensor) and, where it is
+        known, ``<quantity>_true``.
+        """
+        import xarray as xr
+
+        return xr.load_dataset(self.directory / "response.nc", engine="h5netcdf")
+
+    @cached_property
+    def posterior(self) -> arviz.InferenceData | None:
+        """Draws of the parameters; None but with ``scheme=bayesian``."""
+        file = self.directory / "posterior.nc"
+        if not file.is_file():
+            return None
+        import arviz
+
+        return arviz.from_netcdf(str(file), engine="h5netcdf")
+
+    @cached_property
+    def settings(self) -> dict[str, Any]:
+        """Every setting that it ran with."""
+        from omegaconf import OmegaConf
+
+        from pinn_cli.settings.yaml_file import read_yaml
+
+        plain: Any = OmegaConf.to_container(read_yaml(self.directory / ".hydra" / "config.yaml"), resolve=False)
+        return dict(plain)
+
+    @property
+    def tables(self) -> list[str]:
+        """Names of all its tables; :meth:`table` reads one."""
+        return sorted(file.stem for file in self.directory.glob("*.csv"))
+
+    def table(self, name: str) -> pd.DataFrame:
+        """One of its tables, ``drift.csv`` by the name ``drift``.
+
+        Raises:
+            InputError: It has no such table.
+        """
+        return _table(self.directory, name, self.tables)
+
+    def _optional(self, name: str) -> pd.DataFrame | None:
+        return self.table(name) if name in self.tables else None
+
+    def __repr__(self) -> str:
+        case, verdict = self.run_record.get("case"), self.verdict or "no verdict"
+        return f"<Result of {case}: {verdict}; {len(self.parameters)} parameters; {self.directory}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the verdict with its reasons, parameters, and fitness where there is a truth."""
+        reasons = "".join(f"<li>{html.escape(reason)}</li>" for reason in self.reasons)
+        overall = self.fitness[(self.fitness["group"] == "all") & self.fitness["fitness_percent"].notna()]
+        parts = [
+            f"<b>{html.escape(str(self.run_record.get('case')))}</b>: {html.escape(self.verdict or 'no verdict')}",
+            f"<ul>{reasons}</ul>" if reasons else "",
+            _as_html(self.parameters.drop(columns=[*_RUN, "estimator"], errors="ignore")),
+            _as_html(overall[["estimator", "quantity", "fitness_percent", "range_fitness_percent"]]),
+            f"<code>{html.escape(str(self.directory))}</code>",
+        ]
+        return "\n".join(part for part in parts if part)
+
+
+class SweepResult:
+    """The runs of a sweep, those that have finished so far.
+
+    ``len(sweep)``, ``sweep[0]`` and ``for result in sweep`` are about their results.
+
+    Args:
+        directory: Of the sweep; absolute.
+
+    Attributes:
+        directory: Where its files lie.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self._sweep = Sweep.read(directory)
+        self._jobs = self._sweep.jobs()
+        self._finished = [job for job in self._jobs if job.status == FINISHED]
+
+    @cached_property
+    def runs(self) -> list[Result]:
+        """Of every run that has finished, in the sweep's order."""
+        return [Result(job.directory) for job in self._finished]
+
+    def __len__(self) -> int:
+        return len(self.runs)
+
+    def __getitem__(self, index: int) -> Result:
+        return self.runs[index]
+
+    def __iter__(self) -> Iterator[Result]:
+        return iter(self.runs)
+
+    @cached_property
+    def jobs(self) -> pd.DataFrame:
+        """A row for each run, finished or not: its swept settings, ``status``, ``reason``, ``seconds`` and place."""
+        import pandas as pd
+
+        rows = [
+            self._columns(job)
+            | {"status": job.status, "reason": job.reason, "seconds": job.seconds, "directory": str(job.directory)}
+            for job in self._jobs
+        ]
+        return pd.DataFrame(rows)
+
+    @cached_property
+    def fitness(self) -> pd.DataFrame:
+        """Of all runs; see :attr:`pinn_cli.Result.fitness`."""
+        return self.table("fitness")
+
+    @cached_property
+    def parameters(self) -> pd.DataFrame:
+        """Of all runs; see :attr:`pinn_cli.Result.parameters`."""
+        return self.table("parameters")
+
+    @property
+    def tables(self) -> list[str]:
+        """Names of all tables that its runs have, and of those of the sweep as a whole."""
+        return sorted({name for run in self.runs for name in run.tables} | set(self._own))
+
+    @property
+    def _own(self) -> list[str]:
+        """Tables about the sweep as a whole."""
+        joined = {"jobs", *(name for run in self.runs for name in run.tables)}
+        return [file.stem for file in self.directory.glob("*.csv") if file.stem not in joined]
+
+    def table(self, name: str) -> pd.DataFrame:
+        """A table of all runs, one below the other, the swept settings as its first columns.
+
+        Raises:
+            InputError: No run has such a table.
+        """
+        import pandas as pd
+
+        if name in self._own or name not in self.tables:
+            return _table(self.directory, name, self.tables)
+        parts = []
+        for job, run in zip(self._finished, self.runs, strict=True):
+            if name in run.tables:
+                table = run.table(name)
+                swept = {k: v for k, v in self._columns(job).items() if k not in table}
+                parts.append(pd.concat([pd.DataFrame(swept, index=table.index), table], axis="columns"))
+        return pd.concat(parts, ignore_index=True)
+
+    def _columns(self, job: Job) -> dict[str, object]:
+        """Swept settings; numbers as such."""
+        return {name: _number(value) for name, value in self._sweep.columns(job).items()}
+
+    def __repr__(self) -> str:
+        return f"<SweepResult: {len(self.runs)} of {len(self._jobs)} runs have finished; {self.directory}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: what became of every run, and a table of the sweep as a whole, if there is one."""
+        own = "\n".join(f"<b>{html.escape(name)}</b>\n{_as_html(self.table(name))}" for name in self._own)
+        jobs = self.jobs.drop(columns="directory")
+        return f"{own}\n{_as_html(jobs)}\n<code>{html.escape(str(self.directory))}</code>"
+
+
+def _table(directory: Path, name: str, tables: Sequence[str]) -> pd.DataFrame:
+    """A table that lies in a directory; an `InputError` where it is none of those that there are."""
+    import pandas as pd
+
+    if name not in tables:
+        raise InputError("table", name, f"one of {', '.join(tables)}", suggestion(name, tables))
+    return pd.read_csv(directory / f"{name}.csv")
+
+
+def _as_html(table: pd.DataFrame) -> str:
+    """A table as a notebook shows it, its columns without content left out; "" of an empty one."""
+    table = table.dropna(axis="columns", how="all")
+    if table.empty:
+        return ""
+    return str(table.to_html(index=False, na_rep="", float_format="{:.5g}".format, max_rows=_ROWS_SHOWN, border=0))
+
+
+def _number(value: str) -> object:
+    for kind in (int, float):
+        try:
+            return kind(value)
+        except ValueError:
+            continue
+    return value

@@ -1,1 +1,0 @@
-"""How far the paper's results carry: its cases over noise seeds, and chains of growing nonlinearity."""
