@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any, NoReturn
 
@@ -31,14 +32,11 @@ _OPTIONS: dict[tuple[str, ...], dict[str, Any]] = {
 }
 
 
-def read_options(arguments: list[str]) -> Namespace:
-    """Check the process's arguments, and write them as Hydra reads them.
-
-    Options are put before overrides, and a mapping that is given (`data.force={1: f1}`) may have keys of its own, for
-    which Hydra wants a `++`; whether a key is known is checked when the configuration is read.
+def read_options(arguments: Sequence[str]) -> Namespace:
+    """Check the process's arguments.
 
     Args:
-        arguments: `sys.argv`, changed in place.
+        arguments: Without the name of the program.
 
     Returns:
         The options as Hydra names them; `overrides` is the list of `setting=value`.
@@ -47,18 +45,13 @@ def read_options(arguments: list[str]) -> Namespace:
         InputError: An option is unknown, lacks its value, or excludes another.
         SystemExit: After printing the version, if that was asked for.
     """
-    given = arguments[1:]
-    if "--version" in given:
+    if "--version" in arguments:
         print(f"pinn-run {version('pinn-cli')}")
         sys.exit(0)
-    options = _parser().parse_intermixed_args(given)
-    if options.config_dir == "":
-        raise InputError("--config-dir", "''", "an existing folder", "is a variable of the shell empty?")
+    options = _parser().parse_intermixed_args(arguments)
     chosen = [name for name in _EXCLUSIVE if getattr(options, name)]
     if len(chosen) > 1:
         raise InputError("options", " ".join(f"--{name}" for name in chosen), "one of them at a time")
-    flags = [argument for argument in given if argument not in set(options.overrides)]
-    arguments[1:] = [*flags, *(re.sub(r"^(?=[\w.]+=\{)", "++", override) for override in options.overrides)]
     return options
 
 

@@ -27,11 +27,10 @@ class Subcommand:
     hint: str = ""
     directory: str = ""
 
-    def taken_out(self, arguments: list[str], options: Namespace) -> bool:
+    def taken_out(self, options: Namespace) -> bool:
         """Whether the command line says it; the word is taken out of it, and what goes ill with it is refused.
 
         Args:
-            arguments: `sys.argv`, changed in place.
             options: As read, changed in place.
 
         Raises:
@@ -46,10 +45,8 @@ class Subcommand:
             if name in self.left_out:
                 raise InputError(name, override.partition("=")[2], f"left out with {self.word}", self.hint)
         options.overrides.remove(self.word)
-        arguments.remove(self.word)
         if self.directory and not any(setting_of(o) == setting_of(self.directory) for o in options.overrides):
             options.overrides.append(self.directory)
-            arguments.append(self.directory)
         return True
 
 

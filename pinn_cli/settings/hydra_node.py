@@ -23,7 +23,7 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.hydra_logging import check_logging
 from pinn_cli.settings.instantiation import check_classes
 from pinn_cli.settings.override_syntax import setting_of
-from pinn_cli.settings.registry import CALLBACKS, check_registered, shipped
+from pinn_cli.settings.registry import CALLBACKS, check_registered
 
 # Of the libraries: they choose how a run is computed, and name no file.
 ENVIRONMENT = (
@@ -39,7 +39,7 @@ _WORDS = ("name", "partition", "account", "qos", "constraint", "exclude", "comme
 def check_hydra(config: DictConfig, given: Sequence[str]) -> None:
     """Refuse a `hydra` node that would run code, write elsewhere, or reach other programs.
 
-    Launchers, sweepers and callbacks are marked such that Hydra builds them alone and no node within them.
+    Launchers and sweepers are marked such that Hydra builds them alone and no node within them.
 
     Args:
         config: As Hydra composed it, with its `hydra` node; changed in place by those marks.
@@ -52,10 +52,9 @@ def check_hydra(config: DictConfig, given: Sequence[str]) -> None:
     typed = [*hydra["overrides"]["hydra"], *hydra["overrides"]["task"]]
     if sorted(typed) != sorted(given):
         raise InputError("hydra.overrides", typed, "left out of files", "it is the command line that has overrides")
-    starts_jobs = hydra["job"]["config_name"] is not None  # --hydra-help has no file of ours, and starts none
-    for name in ("hydra_logging", "job_logging") if starts_jobs else ("hydra_logging",):
+    for name in ("hydra_logging", "job_logging"):
         check_logging(f"hydra.{name}", hydra[name])
-    _check_callbacks(hydra["callbacks"], complete=starts_jobs)
+    _check_callbacks(hydra["callbacks"])
     for name in ("launcher", "sweeper"):
         _check_plugin(name, hydra[name], typed)
     _check_environment(hydra["job"])
@@ -78,8 +77,7 @@ def check_search_path(places: object) -> None:
             raise InputError("hydra.searchpath", place, "a list of folders, file://FOLDER", "or --config-dir FOLDER")
 
 
-def _check_callbacks(callbacks: object, complete: bool) -> None:
-    """`complete`: with the main configuration, which has ours."""
+def _check_callbacks(callbacks: object) -> None:
     if not isinstance(callbacks, dict):
         raise InputError(CALLBACKS, callbacks, "a mapping of names to callbacks")
     for name, callback in callbacks.items():
@@ -91,9 +89,6 @@ def _check_callbacks(callbacks: object, complete: bool) -> None:
         for path, value in _leaves(callback, setting):
             if isinstance(value, str) and "${" in value:
                 raise InputError(path, value, "written out")
-    missing = shipped()[CALLBACKS] - {callback["_target_"] for callback in callbacks.values()}
-    if missing and complete:
-        raise InputError(CALLBACKS, sorted(callbacks), "left as it is, or added to", f"{min(missing)} keeps runs apart")
 
 
 def _check_plugin(name: str, node: object, typed: Sequence[str]) -> None:
@@ -172,7 +167,7 @@ def _check_places(hydra: Mapping[str, Any]) -> None:
     name, subdirectory = hydra["job"]["name"], hydra["output_subdir"]
     if not isinstance(name, str) or not re.fullmatch(r"\w[\w.+-]*", name):
         raise InputError("hydra.job.name", name, "a file's name: letters, digits, and any of . _ + -")
-    if subdirectory is not None and hydra["job"]["config_name"] is not None:  # `--hydra-help` has no file of ours
+    if subdirectory is not None:
         raise InputError("hydra.output_subdir", subdirectory, "null", "a run writes .hydra/ itself, once it is checked")
 
 
@@ -184,8 +179,7 @@ def _check_verbose(verbose: object) -> None:
 
 
 def _build_alone(hydra: DictConfig) -> None:
-    nodes = [hydra.launcher, hydra.sweeper, *hydra.callbacks.values()]
-    for node in nodes:
+    for node in (hydra.launcher, hydra.sweeper):
         if not OmegaConf.is_missing(node, "_target_") and OmegaConf.get_type(node) is dict:
             with open_dict(node):
                 node["_recursive_"] = False

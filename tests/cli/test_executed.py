@@ -54,7 +54,7 @@ OTHERS = (
     STARTER,
     "torch.nn.SiLU",
     "os.system",
-    "pinn_cli.runs.directories.RunDirectories",
+    "pinn_cli.runs.log.RunLog",
     "pinn_cli.network",
     "5",
     "''",

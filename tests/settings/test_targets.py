@@ -31,7 +31,7 @@ def node(**entries: object) -> DictConfig:
         "pinn_cli_evil.Class",
         "pinn_cli.runs.directories.shutil.rmtree",
         "pinn_cli.runs.directories.Path",
-        "pinn_cli.runs.directories.RunDirectories",  # ours, at another place
+        "pinn_cli.runs.log.RunLog",  # ours, at another place
         "pinn_cli.network.mlp.Mlp",
         DUFFING.lower(),
         f" {DUFFING}",
