@@ -27,8 +27,8 @@ from pinn_cli.cli.override_errors import explain
 from pinn_cli.cli.starting import show, start
 from pinn_cli.cli.subcommands import FOLLOW, INSPECT
 from pinn_cli.cli.terminal import Terminal
-from pinn_cli.runs import directories as run_directories
 from pinn_cli.runs.interruption import Interruption, watched
+from pinn_cli.runs.ownership import discard
 from pinn_cli.runs.resume import StoredRun, check_sound, how_to_go_on
 from pinn_cli.runs.writing import OUTPUT, WriteError, refused_by_disk
 from pinn_cli.settings.errors import InputError
@@ -124,7 +124,7 @@ def perform(jobs: Jobs, look: Task | None, watch: AbstractContextManager[None], 
         raise told.with_traceback(error.__traceback__) from None
     finally:
         if jobs.refused:
-            run_directories.discard()
+            discard()
     if jobs.error is not None:
         raise jobs.error
 

@@ -6,6 +6,8 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -123,6 +125,12 @@ def _checked(config: DictConfig, overrides: Sequence[str]) -> DictConfig:
     check_hydra(config, overrides)
     check_used(config, overrides)
     plain: Any = OmegaConf.to_container(config, resolve=False)
-    check_interpolations(plain)
-    check_classes({name: node for name, node in plain.items() if name != "hydra"})
+    hydra = plain.pop("hydra")
+    check_interpolations({**plain, "hydra": hydra}, _own_text())  # Hydra's last: it repeats what is typed
+    check_classes(plain)
     return config
+
+
+@cache
+def _own_text() -> str:
+    return (files("pinn_cli.conf") / f"{CONFIG}.yaml").read_text(encoding="utf-8")

@@ -20,7 +20,7 @@ from hydra.types import HydraContext, RunMode, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
 from pinn_cli.cli.composing import CONFIG, CheckedLoader, as_hydra_reads, checked_hydra, in_folders
-from pinn_cli.runs.directories import note_new
+from pinn_cli.runs.ownership import note_new
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build
 from pinn_cli.settings.registry import CALLBACKS

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -20,7 +20,6 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.hydra_logging import check_logging
 from pinn_cli.settings.instantiation import check_classes
 from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.settings.registry import CALLBACKS, check_registered
@@ -34,6 +33,40 @@ ENVIRONMENT = (
 _WORD = re.compile(r"[\w.,:+=@%*-]*")
 # Settings of a launcher that a file may set to any such word; each is an option of sbatch.
 _WORDS = ("name", "partition", "account", "qos", "constraint", "exclude", "comment", "gres")
+
+
+def _is_text(value: object) -> bool:
+    # What begins with a protocol is looked up by Python, and what is interpolated by OmegaConf.
+    return isinstance(value, str) and not re.match(r"\s*[a-z]+://", value) and "${" not in value
+
+
+def _is_level(value: object) -> bool:
+    return isinstance(value, int) or (isinstance(value, str) and re.fullmatch(r"[A-Z]+", value) is not None)
+
+
+def _are_names(value: object) -> bool:
+    return isinstance(value, list) and all(map(_is_text, value))
+
+
+def _is_switch(value: object) -> bool:
+    return isinstance(value, bool)
+
+
+# What logs may be configured to do, `*` being any name. Python's `logging.config` calls whatever a configuration names:
+# `()` of a handler, a `class`, and any value that begins with `ext://`.
+_LOGGER = {"level": _is_level, "handlers": _are_names, "propagate": _is_switch}
+_LOGGING: Mapping[tuple[str, ...], Callable[[Any], bool]] = {
+    ("version",): (1,).__contains__,
+    ("disable_existing_loggers",): _is_switch,
+    ("formatters", "*", "format"): _is_text,
+    ("formatters", "*", "datefmt"): _is_text,
+    ("handlers", "*", "class"): ("logging.StreamHandler",).__contains__,
+    ("handlers", "*", "formatter"): _is_text,
+    ("handlers", "*", "level"): _is_level,
+    ("handlers", "*", "stream"): ("ext://sys.stdout", "ext://sys.stderr").__contains__,
+    **{("loggers", "*", name): allowed for name, allowed in _LOGGER.items()},
+    **{("root", name): allowed for name, allowed in _LOGGER.items()},
+}
 
 
 def check_hydra(config: DictConfig, given: Sequence[str]) -> None:
@@ -53,7 +86,7 @@ def check_hydra(config: DictConfig, given: Sequence[str]) -> None:
     if sorted(typed) != sorted(given):
         raise InputError("hydra.overrides", typed, "left out of files", "it is the command line that has overrides")
     for name in ("hydra_logging", "job_logging"):
-        check_logging(f"hydra.{name}", hydra[name])
+        _check_logging(f"hydra.{name}", hydra[name])
     _check_callbacks(hydra["callbacks"])
     for name in ("launcher", "sweeper"):
         _check_plugin(name, hydra[name], typed)
@@ -61,6 +94,24 @@ def check_hydra(config: DictConfig, given: Sequence[str]) -> None:
     _check_places(hydra)
     _check_verbose(hydra["verbose"])
     _build_alone(config.hydra)
+
+
+def _check_logging(setting: str, node: object, kind: tuple[str, ...] = ()) -> None:
+    """Refuse logs that call something or are written elsewhere than to the terminal.
+
+    Args:
+        setting: `hydra.job_logging` or `hydra.hydra_logging`, and what is within.
+        node: Plain, as it is written.
+        kind: Its place in `_LOGGING`.
+    """
+    if node is None or (kind in _LOGGING and _LOGGING[kind](node)):
+        return
+    if not isinstance(node, dict) or kind not in {known[: len(kind)] for known in _LOGGING if len(known) > len(kind)}:
+        hint = "logs of these settings go to the terminal, and call nothing; a run writes its pinn-run.log itself"
+        raise InputError(setting, node, "one of the settings of a logging.StreamHandler, written out", hint)
+    for name, value in node.items():
+        is_named = kind in (("formatters",), ("handlers",), ("loggers",))
+        _check_logging(f"{setting}.{name}", value, (*kind, "*" if is_named else name))
 
 
 def check_search_path(places: object) -> None:

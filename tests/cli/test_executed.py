@@ -54,7 +54,7 @@ OTHERS = (
     STARTER,
     "torch.nn.SiLU",
     "os.system",
-    "pinn_cli.runs.log.RunLog",
+    "pinn_cli.runs.claim.RunLog",
     "pinn_cli.network",
     "5",
     "''",
@@ -101,7 +101,7 @@ def test_a_target_that_is_put_together(pinn_run: PinnRun, marker: Path) -> None:
     outcome = pinn_run("+case={a: acting_when_imported.Anything}", "network._target_=${case.a}")
     refused(outcome, marker, "network._target_=${case.a}")
     made = "'${oc.create:{_target_:acting_when_imported.Anything}}'"
-    refused(pinn_run(f"++network.depth={made}"), marker, "network.depth._target_=acting_when_imported.Anything")
+    refused(pinn_run(f"++network.depth={made}"), marker, "network.depth=${oc.create:{_target_:acting")
 
 
 def test_a_directory_that_is_resumed(pinn_run: PinnRun, marker: Path) -> None:
@@ -130,7 +130,7 @@ HYDRA_NODES = {
     "callback put together": ("callbacks: {x: '${network}'}", "hydra.callbacks.x"),
     "handler's factory": (
         "job_logging: {handlers: {x: {(): acting_when_imported.Anything}}}",
-        "hydra.job_logging.handlers.x.class",
+        "hydra.job_logging.handlers.x.()=acting_when_imported.Anything",
     ),
     "handler's class": (
         "job_logging: {handlers: {x: {class: acting_when_imported.Anything}}}",

@@ -15,8 +15,7 @@ from interrupted_runs import ADAM, Steps, contents, without_figures
 from sweeps import start
 
 from pinn_cli.runs import claim as claims
-from pinn_cli.runs.claim import LOG, Claim
-from pinn_cli.runs.log import RunLog
+from pinn_cli.runs.claim import LOG, Claim, RunLog
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.gradient.training import GradientTraining
 
