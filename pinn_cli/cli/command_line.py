@@ -24,7 +24,6 @@ from pinn_cli.cli.help import help_text
 from pinn_cli.cli.jobs import Jobs, Reported, Task
 from pinn_cli.cli.options import read_options
 from pinn_cli.cli.override_errors import explain
-from pinn_cli.cli.starting import show, start
 from pinn_cli.cli.subcommands import FOLLOW, INSPECT
 from pinn_cli.cli.terminal import Terminal
 from pinn_cli.runs.interruption import Interruption, watched
@@ -212,6 +211,8 @@ def _collect(jobs: Jobs, cut_off: bool = False) -> None:
 
 
 def _start(jobs: Jobs, options: Namespace) -> None:
+    from pinn_cli.cli.starting import show, start  # not for --help
+
     if jobs.stored is not None:
         overrides, config_dir = jobs.stored.arguments, None
     else:

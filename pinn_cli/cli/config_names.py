@@ -11,8 +11,6 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from pinn_cli.cli.prepare import compose_config
-
 
 def option_names(group: str, config_dir: str | None = None) -> Iterator[str]:
     """Every option of a group, in its folders too (`paper/sr_6dof_snr50`); a leading underscore marks no option."""
@@ -38,6 +36,8 @@ def options_with(setting: str) -> list[str]:
 
 def setting_names(overrides: Sequence[str], config_dir: str | None = None) -> list[str]:
     """All settings and groups as a user types them, under these overrides, or by default if they do not compose."""
+    from pinn_cli.cli.prepare import compose_config  # not for --help
+
     try:
         config = compose_config(overrides, config_dir)
     except (HydraException, OmegaConfBaseException, ValueError):

@@ -16,7 +16,6 @@ from omegaconf import DictConfig
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.inspecting import Inspected
-from pinn_cli.cli.prepare import prepare_problem
 from pinn_cli.cli.records import check_records
 from pinn_cli.cli.terminal import Silence, Terminal
 from pinn_cli.cli.windows import windowed_run
@@ -192,6 +191,7 @@ def _prepare(
         InputError: No run can use it.
     """
     with stages("imports"):
+        from pinn_cli.cli.prepare import prepare_problem
         from pinn_cli.runs.checkpoint import open_checkpoints
         from pinn_cli.training.estimate import RunContext
         from pinn_cli.validation.base import Setup

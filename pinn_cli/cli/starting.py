@@ -35,7 +35,7 @@ class Callbacks(Callback):
     """
 
     def __init__(self, nodes: DictConfig) -> None:
-        self.callbacks = [build(node, f"{CALLBACKS}.{name}") for name, node in nodes.items()]
+        self.callbacks = [build(node, f"{CALLBACKS}.{name!s}") for name, node in nodes.items()]
 
     def _call(self, moment: str, **given: Any) -> None:
         for callback in self.callbacks:
