@@ -22,9 +22,8 @@ from contextlib import AbstractContextManager, suppress
 
 from pinn_cli.cli.help import help_text
 from pinn_cli.cli.jobs import Jobs, Reported, Task
-from pinn_cli.cli.options import read_options
+from pinn_cli.cli.options import FOLLOW, INSPECT, read_options
 from pinn_cli.cli.override_errors import explain
-from pinn_cli.cli.subcommands import FOLLOW, INSPECT
 from pinn_cli.cli.terminal import Terminal
 from pinn_cli.runs.interruption import Interruption, watched
 from pinn_cli.runs.ownership import discard

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import logging
 import os
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from logging.handlers import MemoryHandler
 from pathlib import Path
-from typing import TextIO
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
@@ -25,14 +26,11 @@ LOG, FORMAT = "pinn-run.log", "[%(asctime)s][%(name)s][%(levelname)s] %(message)
 log = logging.getLogger(__name__)
 
 
-class RunLog(logging.Handler):
-    """A log that is kept in memory until it has a file. A disk that takes no more ends no run: lines are then lost."""
+class RunLog(MemoryHandler):
+    """`pinn-run.log`: what is said before the directory is the run's own waits in memory."""
 
     def __init__(self) -> None:
-        super().__init__()
-        self.setFormatter(logging.Formatter(FORMAT))
-        self._waiting: list[str] = []
-        self._file: TextIO | None = None
+        super().__init__(sys.maxsize, logging.CRITICAL + 1)
 
     def attach(self) -> None:
         """Have everything that this process logs come here too."""
@@ -44,33 +42,25 @@ class RunLog(logging.Handler):
         Raises:
             OSError: The file cannot be opened.
         """
-        self._file = path.open("a", encoding="utf-8")
-        for line in self._waiting:
-            self._write(line)
-        self._waiting.clear()
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """See :class:`logging.Handler`."""
-        line = self.format(record)
-        if self._file is None:
-            self._waiting.append(line)
-        else:
-            self._write(line)
+        file = _LogFile(path, encoding="utf-8")
+        file.setFormatter(logging.Formatter(FORMAT))
+        self.setTarget(file)
+        self.flushLevel = logging.NOTSET
+        self.flush()
 
     def close(self) -> None:
         """Close the file and hear no more."""
         logging.getLogger().removeHandler(self)
-        if self._file is not None:
-            with suppress(OSError):
-                self._file.close()
-            self._file = None
+        file = self.target
         super().close()
-
-    def _write(self, line: str) -> None:
-        if self._file is not None:
+        if file is not None:
             with suppress(OSError):
-                self._file.write(f"{line}\n")
-                self._file.flush()
+                file.close()
+
+
+class _LogFile(logging.FileHandler):
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
+        """A disk that takes no more ends no run: the line is lost."""
 
 
 class Claim:
