@@ -20,17 +20,13 @@ import traceback
 from argparse import Namespace
 from contextlib import AbstractContextManager, suppress
 
-import hydra
-
-from pinn_cli.cli.composing import check_what_is_composed
 from pinn_cli.cli.help import help_text
 from pinn_cli.cli.jobs import Jobs, Reported, Task
-from pinn_cli.cli.options import read_options
+from pinn_cli.cli.options import FOLLOW, INSPECT, read_options
 from pinn_cli.cli.override_errors import explain
-from pinn_cli.cli.subcommands import FOLLOW, INSPECT
 from pinn_cli.cli.terminal import Terminal
-from pinn_cli.runs import directories as run_directories
 from pinn_cli.runs.interruption import Interruption, watched
+from pinn_cli.runs.ownership import discard
 from pinn_cli.runs.resume import StoredRun, check_sound, how_to_go_on
 from pinn_cli.runs.writing import OUTPUT, WriteError, refused_by_disk
 from pinn_cli.settings.errors import InputError
@@ -81,7 +77,7 @@ def execute(task: Task, look: Task | None = None, follow: Task | None = None) ->
 
 
 def perform(jobs: Jobs, look: Task | None, watch: AbstractContextManager[None], follow: Task | None = None) -> None:
-    """Do what `sys.argv` says, whoever put it there: a shell or a caller in Python.
+    """Do what `sys.argv` says, whoever put it there: a shell or a caller in Python; it stays as it is.
 
     Args:
         jobs: Of this start; says afterwards what became of them.
@@ -98,16 +94,16 @@ def perform(jobs: Jobs, look: Task | None, watch: AbstractContextManager[None], 
     """
     options = Namespace(overrides=[], config_dir=None)
     try:
-        options = read_options(sys.argv)
-        if look is not None and INSPECT.taken_out(sys.argv, options):
+        options = read_options(sys.argv[1:])
+        if look is not None and INSPECT.taken_out(options):
             jobs.task = look
-        if follow is not None and FOLLOW.taken_out(sys.argv, options):
+        if follow is not None and FOLLOW.taken_out(options):
             jobs.task, jobs.goes_on_by = follow, "the same command"
         with watch:
             if options.help:
                 jobs.terminal.say(help_text(options.config_dir))
             elif not _has_collected(jobs, options) and not _has_finished(jobs, options):
-                _run_hydra(jobs)
+                _start(jobs, options)
                 _collect(jobs)
             sys.stdout.flush()
     except KeyboardInterrupt:
@@ -126,7 +122,7 @@ def perform(jobs: Jobs, look: Task | None, watch: AbstractContextManager[None], 
         raise told.with_traceback(error.__traceback__) from None
     finally:
         if jobs.refused:
-            run_directories.discard()
+            discard()
     if jobs.error is not None:
         raise jobs.error
 
@@ -165,7 +161,6 @@ def _has_finished(jobs: Jobs, options: Namespace) -> bool:
         if jobs.stored.strict:
             check_sound(jobs.stored.directory)
         return True
-    sys.argv[1:] = jobs.stored.arguments
     jobs.stored.enter()
     return False
 
@@ -214,13 +209,14 @@ def _collect(jobs: Jobs, cut_off: bool = False) -> None:
     jobs.terminal.say(str(sweep.directory))
 
 
-def _run_hydra(jobs: Jobs) -> None:
-    check_what_is_composed()
-    sys.argv += jobs.of_hydra
-    given = os.environ.get("HYDRA_FULL_ERROR")
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # so that Hydra raises, rather than prints and exits with status 1
-    try:
-        hydra.main(version_base="1.3", config_path="pkg://pinn_cli.conf", config_name="config")(jobs)()
-    finally:
-        del os.environ["HYDRA_FULL_ERROR"]
-        os.environ.update({} if given is None else {"HYDRA_FULL_ERROR": given})
+def _start(jobs: Jobs, options: Namespace) -> None:
+    from pinn_cli.cli.starting import show, start  # not for --help
+
+    if jobs.stored is not None:
+        overrides, config_dir = jobs.stored.arguments, None
+    else:
+        overrides, config_dir = options.overrides, options.config_dir
+    if options.cfg or options.info or options.hydra_help or options.shell_completion:
+        show(options, overrides, config_dir)
+    else:
+        start(jobs, [*overrides, *jobs.of_hydra], config_dir, options.multirun)

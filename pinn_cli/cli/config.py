@@ -22,7 +22,7 @@ from pinn_cli.runs.process import prepare_process
 from pinn_cli.runs.resume import ALLOWED, NEVER
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build, check_classes, construct
-from pinn_cli.settings.legal_values import positive_number, whole_number
+from pinn_cli.settings.legal_values import positive_number, true_or_false, whole_number
 from pinn_cli.settings.suggestion import suggestion
 
 if TYPE_CHECKING:
@@ -135,7 +135,8 @@ class RunConfig:
         check_classes(config)
         identity, resume = Identity.of(config, base, grows=follows), _resume(config)
         checkpoint_every_s = _checkpoint_every_s(config)
-        case, seed, device, threads = _case(config), _seed(config), _device(config), _threads(config)
+        case, seed = _case(config), whole_number("seed", config.seed, most=2**32 - 1)
+        device, threads = _device(config), whole_number("threads", config.threads, least=1, most=MOST_THREADS)
         prepare_process(threads)
         _check_available(device)
         model_error = build(config.model_error, "model_error")
@@ -149,7 +150,7 @@ class RunConfig:
         estimation["baseline"] = build(config.baseline, "baseline") if config.baseline else None
         estimation["tracking"] = build(config.tracking, "tracking", base=base)
         again: dict[str, Any] = {"identity": identity, "resume": resume, "checkpoint_every_s": checkpoint_every_s}
-        again |= {"figures": _figures(config), "strict": _strict(config)}
+        again |= {"figures": _figures(config), "strict": true_or_false("strict", config.strict)}
         again |= {"exports": _exports(config), "model": model, "modes": modes_sought(config)}
         return cls(case, seed, device, threads, structure, model_error, source, **estimation, **again)
 
@@ -217,9 +218,10 @@ def resolved(config: DictConfig) -> DictConfig:
 def _check_names(config: DictConfig) -> None:
     """A setting that nothing reads is a slip: in a config file Hydra lets it pass."""
     known = (*VALUES, *NODES)
-    for name in map(str, config):
+    for name in config:
         if name not in known:
-            raise InputError(name, config[name], f"one of the settings {', '.join(known)}", suggestion(name, known))
+            hint = suggestion(str(name), known)
+            raise InputError(str(name), config[name], f"one of the settings {', '.join(known)}", hint)
     for name in known:
         if name not in config:
             raise InputError(name, "(missing)", "given", "the main config has it: was it deleted with ~?")
@@ -233,14 +235,6 @@ def _case(config: DictConfig) -> str:
     if not is_name or not re.fullmatch(r"[\w+-][\w.+-]*", str(config.case)):
         raise InputError("case", config.case, "a folder's name: letters, digits, and any of . _ + -")
     return str(config.case)
-
-
-def _seed(config: DictConfig) -> int:
-    return whole_number("seed", config.seed, most=2**32 - 1)
-
-
-def _threads(config: DictConfig) -> int:
-    return whole_number("threads", config.threads, least=1, most=MOST_THREADS)
 
 
 def _device(config: DictConfig) -> str:
@@ -259,12 +253,6 @@ def _figures(config: DictConfig) -> bool | None:
     if config.figures is not None and not isinstance(config.figures, bool):
         raise InputError("figures", config.figures, "null, true or false")
     return config.figures
-
-
-def _strict(config: DictConfig) -> bool:
-    if not isinstance(config.strict, bool):
-        raise InputError("strict", config.strict, "true or false")
-    return config.strict
 
 
 def _exports(config: DictConfig) -> tuple[Export, ...]:

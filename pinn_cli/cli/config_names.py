@@ -7,12 +7,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_module
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-
-from pinn_cli.cli.composing import check_what_is_composed
 
 
 def option_names(group: str, config_dir: str | None = None) -> Iterator[str]:
@@ -39,13 +36,12 @@ def options_with(setting: str) -> list[str]:
 
 def setting_names(overrides: Sequence[str], config_dir: str | None = None) -> list[str]:
     """All settings and groups as a user types them, under these overrides, or by default if they do not compose."""
-    searchpath = [f"hydra.searchpath=[file://{Path(config_dir).resolve()}]"] if config_dir else []
-    check_what_is_composed()
-    with initialize_config_module("pinn_cli.conf", version_base="1.3"):
-        try:
-            config = compose("config", overrides=[*overrides, *searchpath])
-        except (HydraException, OmegaConfBaseException, ValueError):
-            config = compose("config", overrides=searchpath)
+    from pinn_cli.cli.prepare import compose_config  # not for --help
+
+    try:
+        config = compose_config(overrides, config_dir)
+    except (HydraException, OmegaConfBaseException, ValueError):
+        config = compose_config([], config_dir)
     return [*_names(_plain(config)), "experiment"]
 
 

@@ -16,7 +16,6 @@ from omegaconf import DictConfig
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.inspecting import Inspected
-from pinn_cli.cli.prepare import prepare_problem
 from pinn_cli.cli.records import check_records
 from pinn_cli.cli.terminal import Silence, Terminal
 from pinn_cli.cli.windows import windowed_run
@@ -25,8 +24,7 @@ from pinn_cli.runs.identity import flattened
 from pinn_cli.runs.memory import collect_rarely
 from pinn_cli.runs.process import is_borrowed
 from pinn_cli.runs.resume import RESULT, asked_to_resume, check_sound, is_finished, stored_score
-from pinn_cli.runs.signs_of_life import signs_of_life
-from pinn_cli.runs.stages import Stages
+from pinn_cli.runs.stages import Stages, signs_of_life
 from pinn_cli.runs.tracking_state import is_tracked
 
 if TYPE_CHECKING:
@@ -103,7 +101,7 @@ def inspect(composed: DictConfig) -> None:
         take_directory()
         with stages("report"):
             text = write_inspection(found, directory, composed.get("figures") is not False)
-    print(f"{text}\n{directory}")
+    Terminal().say(f"{text}\n{directory}")
 
 
 def _tracked(
@@ -193,7 +191,8 @@ def _prepare(
         InputError: No run can use it.
     """
     with stages("imports"):
-        from pinn_cli.runs.run_checkpoints import open_checkpoints
+        from pinn_cli.cli.prepare import prepare_problem
+        from pinn_cli.runs.checkpoint import open_checkpoints
         from pinn_cli.training.estimate import RunContext
         from pinn_cli.validation.base import Setup
     goes_on, in_sweep, follows = how

@@ -1,14 +1,20 @@
-"""The options of `pinn-run`, which begin with a dash, read before Hydra reads them: a slip is told in one line."""
+"""The options of `pinn-run`, which begin with a dash, and its subcommands, `inspect` and `follow`.
+
+They are read before Hydra reads them: a slip is told in one line.
+"""
 
 from __future__ import annotations
 
 import re
 import sys
 from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any, NoReturn
 
 from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.settings.suggestion import suggestion
 
 _EXCLUSIVE = ("run", "multirun", "cfg", "info", "shell_completion")
@@ -31,14 +37,11 @@ _OPTIONS: dict[tuple[str, ...], dict[str, Any]] = {
 }
 
 
-def read_options(arguments: list[str]) -> Namespace:
-    """Check the process's arguments, and write them as Hydra reads them.
-
-    Options are put before overrides, and a mapping that is given (`data.force={1: f1}`) may have keys of its own, for
-    which Hydra wants a `++`; whether a key is known is checked when the configuration is read.
+def read_options(arguments: Sequence[str]) -> Namespace:
+    """Check the process's arguments.
 
     Args:
-        arguments: `sys.argv`, changed in place.
+        arguments: Without the name of the program.
 
     Returns:
         The options as Hydra names them; `overrides` is the list of `setting=value`.
@@ -47,18 +50,13 @@ def read_options(arguments: list[str]) -> Namespace:
         InputError: An option is unknown, lacks its value, or excludes another.
         SystemExit: After printing the version, if that was asked for.
     """
-    given = arguments[1:]
-    if "--version" in given:
+    if "--version" in arguments:
         print(f"pinn-run {version('pinn-cli')}")
         sys.exit(0)
-    options = _parser().parse_intermixed_args(given)
-    if options.config_dir == "":
-        raise InputError("--config-dir", "''", "an existing folder", "is a variable of the shell empty?")
+    options = _parser().parse_intermixed_args(arguments)
     chosen = [name for name in _EXCLUSIVE if getattr(options, name)]
     if len(chosen) > 1:
         raise InputError("options", " ".join(f"--{name}" for name in chosen), "one of them at a time")
-    flags = [argument for argument in given if argument not in set(options.overrides)]
-    arguments[1:] = [*flags, *(re.sub(r"^(?=[\w.]+=\{)", "++", override) for override in options.overrides)]
     return options
 
 
@@ -84,3 +82,56 @@ def _refused(message: str, known: list[str]) -> InputError:
     if choice:
         return InputError(choice[1], choice[2], f"one of {choice[3]}".replace("'", ""))
     return InputError("options", message, "as pinn-run --help shows them")
+
+
+@dataclass(frozen=True)
+class Subcommand:
+    """A word among the overrides.
+
+    Attributes:
+        word: It.
+        left_out: Settings that go ill with it.
+        one_at_a_time: Why there is no sweep of it.
+        hint: What to do instead of giving one of those settings.
+        directory: Override of the run's directory, unless the command line has one; "": none.
+    """
+
+    word: str
+    left_out: tuple[str, ...]
+    one_at_a_time: str
+    hint: str = ""
+    directory: str = ""
+
+    def taken_out(self, options: Namespace) -> bool:
+        """Whether the command line says it; the word is taken out of it, and what goes ill with it is refused.
+
+        Args:
+            options: As read, changed in place.
+
+        Raises:
+            InputError: Something else is asked for along with it.
+        """
+        if self.word not in options.overrides:
+            return False
+        if options.multirun:
+            raise InputError("--multirun", self.word, f"left out with {self.word}", self.one_at_a_time)
+        for override in options.overrides:
+            name = setting_of(override)
+            if name in self.left_out:
+                raise InputError(name, override.partition("=")[2], f"left out with {self.word}", self.hint)
+        options.overrides.remove(self.word)
+        if self.directory and not any(setting_of(o) == setting_of(self.directory) for o in options.overrides):
+            options.overrides.append(self.directory)
+        return True
+
+
+# What goes on with a run, or makes several, has nothing to do with a look at a record.
+INSPECT = Subcommand("inspect", ("resume", "collect", "model"), "one record is looked at at a time")
+# Its directory is the same at every start, so that the same command goes on.
+FOLLOW = Subcommand(
+    "follow",
+    ("resume", "collect"),
+    "one record is followed at a time",
+    "the same command goes on where it was",
+    "hydra.run.dir=outputs/${case}/follow",
+)

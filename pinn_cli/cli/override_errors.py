@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from hydra.errors import HydraException, MissingConfigException, OverrideParseException, SearchPathException
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
@@ -42,8 +42,6 @@ def explain(
         return _unknown_option(error, config_dir)
     if isinstance(error, OverrideParseException):
         return _bad_syntax(error, overrides)
-    if isinstance(error, SearchPathException):
-        return InputError("--config-dir", config_dir, "an existing folder")
     for cause in _chain(error):
         key = getattr(cause, "full_key", None)
         if key and "not in struct" in str(cause):

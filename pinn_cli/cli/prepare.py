@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hydra import compose, initialize_config_module
+from hydra.types import RunMode
+from omegaconf import DictConfig, open_dict
 
-from pinn_cli.cli.composing import check_what_is_composed
+from pinn_cli.cli.composing import CONFIG, checked_hydra, in_folders
 from pinn_cli.runs.stages import Stages
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from omegaconf import DictConfig
 
     from pinn_cli.cli.config import RunConfig
     from pinn_cli.record.record import Record, Truth
@@ -79,13 +78,19 @@ def prepare_problem(config: RunConfig, stages: Stages | None = None) -> Prepared
     return PreparedProblem(true, prescribed, records[0], truths[0], problem, truths, validation)
 
 
-def compose_config(overrides: Sequence[str]) -> DictConfig:
+def compose_config(overrides: Sequence[str], config_dir: str | None = None) -> DictConfig:
     """The configuration of ``pinn-run <overrides>``, without a process or a directory of its own.
+
+    Args:
+        overrides: As typed.
+        config_dir: A folder of more configurations.
 
     Raises:
         hydra.errors.HydraException: The overrides do not compose.
         InputError: They choose a class that is not registered.
     """
-    check_what_is_composed()
-    with initialize_config_module("pinn_cli.conf", version_base="1.3"):
-        return compose("config", overrides=list(overrides))
+    with checked_hydra() as loader:
+        config = loader.load_configuration(CONFIG, in_folders(overrides, config_dir), RunMode.RUN, from_shell=False)
+    with open_dict(config):
+        del config["hydra"]
+    return config

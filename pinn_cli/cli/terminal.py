@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import unicodedata
 
 
 class Terminal:
@@ -10,11 +11,11 @@ class Terminal:
 
     def say(self, text: str) -> None:
         """Print results."""
-        print(text)
+        print(printable(text))
 
     def complain(self, text: str) -> None:
         """Print one line on standard error."""
-        print(f"pinn-run: {' '.join(text.split())}", file=sys.stderr)
+        print(printable(f"pinn-run: {' '.join(text.split())}"), file=sys.stderr)
 
 
 class Silence(Terminal):
@@ -25,3 +26,13 @@ class Silence(Terminal):
 
     def complain(self, text: str) -> None:
         """Print nothing."""
+
+
+def printable(text: str) -> str:
+    r"""A text whose control characters are written out, as ``\x1b``: files of others may hold some for a terminal."""
+    return "".join(
+        character.encode("unicode_escape").decode()
+        if character not in "\n\t" and unicodedata.category(character).startswith("C")
+        else character
+        for character in text
+    )

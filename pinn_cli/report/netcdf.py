@@ -22,12 +22,9 @@ from pinn_cli.report.connections import connection_forces, drifts
 from pinn_cli.report.estimates import Histories, dof_histories, ground_history, support_histories
 from pinn_cli.report.results import Results
 from pinn_cli.runs.identity import package_version
-from pinn_cli.runs.reserved_file import replacing_by_reserved
 from pinn_cli.runs.writing import write_bytes
 from pinn_cli.system.parameters import LINEAR_TITLES, Parameter
 
-# Bytes at most of names, attributes and HDF5's own tables.
-AROUND_DATA = 2**20
 # The suffix of a variable and its description, by its source.
 SOURCES = {
     "estimate": ("", "estimated {}"),
@@ -115,10 +112,8 @@ def _told(long_name: str, units: str = "") -> dict[str, str]:
 
 
 def write_dataset(dataset: xr.Dataset, path: Path | str) -> Path:
-    """Write ``dataset`` as netCDF 4 through h5netcdf, variable by variable."""
-    with replacing_by_reserved(path, dataset.nbytes + AROUND_DATA) as file:
-        dataset.to_netcdf(file, engine="h5netcdf", format="NETCDF4")
-    return Path(path)
+    """Write ``dataset`` as netCDF 4 through h5netcdf; in memory first, since HDF5 does not outlive a full disk."""
+    return write_bytes(dataset.to_netcdf(None, engine="h5netcdf", format="NETCDF4"), path)
 
 
 def netcdf_attributes(given: Mapping[str, object]) -> dict[str, object]:

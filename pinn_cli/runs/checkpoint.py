@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import copy
+import logging
+import random
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from pinn_cli.runs.checkpoint_files import LAST, CheckpointFiles, sealed
+import numpy as np
+import torch
+
+from pinn_cli.runs.checkpoint_files import LAST, PREVIOUS, CheckpointFiles, sealed
 from pinn_cli.runs.identity import Identity
 from pinn_cli.runs.interruption import warned
-from pinn_cli.runs.random_states import random_states, set_random_states
+from pinn_cli.runs.resume import AUTO
 from pinn_cli.settings.errors import InputError
+
+log = logging.getLogger(__name__)
 
 FORMAT = 1
 # What may come of a file whose seal is right but whose content is none of ours.
@@ -143,3 +150,61 @@ class Checkpoints:
         self.write(self.packed(training, ended=True))
         # A copy, since a further training may move the same network.
         self._ended.append(copy.deepcopy(training.state_dict()))
+
+
+def open_checkpoints(
+    directory: Path, identity: Identity, resume: str | None, every_s: float | None, device: str
+) -> Checkpoints:
+    """Those of a run that is about to train, taken up if it resumes; nothing in the directory is changed.
+
+    Args:
+        directory: Of the run.
+        identity: Which run it is.
+        resume: Whether to go on with what lies there: None, `auto`, or that directory.
+        every_s: See :class:`Checkpoints`.
+        device: Of the run.
+
+    Raises:
+        InputError: The run was to be resumed by its directory's name, and the checkpoint there is another run's.
+    """
+    checkpoints = Checkpoints(directory, identity, every_s, device)
+    found = any((directory / name).is_file() for name in (LAST, PREVIOUS))
+    if resume is None:
+        if found:
+            log.warning("%s holds a checkpoint, which this run replaces: resume=auto would go on from it", directory)
+    else:
+        try:
+            if checkpoints.take_up():
+                log.info("going on from the checkpoint in %s", directory)
+                return checkpoints
+            log.info("%s holds no checkpoint to go on from: training starts over", directory)
+        except OtherRunError as error:
+            if resume != AUTO:
+                allowed, hint = "a run whose checkpoint is its own", "remove checkpoint*.pt there to start over"
+                raise InputError("resume", resume, f"{allowed}, but {error}", hint) from error
+            log.warning("the checkpoint in %s is of another run: training starts over; %s", directory, error)
+    return Checkpoints(directory, identity, every_s, device)
+
+
+def random_states() -> dict[str, Any]:
+    """All of them, as tensors and plain values."""
+    kind, keys, *rest = np.random.get_state()  # noqa: NPY002
+    version, words, gauss = random.getstate()
+    return {
+        "python": (version, torch.tensor(words, dtype=torch.int64), gauss),
+        "numpy": (kind, torch.from_numpy(np.asarray(keys, dtype=np.int64)), *rest),
+        "torch": torch.get_rng_state(),
+        "cuda": torch.cuda.get_rng_state_all() if torch.cuda.is_initialized() else [],
+    }
+
+
+def set_random_states(states: Mapping[str, Any]) -> None:
+    """Put the generators back; those of GPUs that are not there are passed over."""
+    version, words, gauss = states["python"]
+    random.setstate((version, tuple(words.tolist()), gauss))
+    kind, keys, *rest = states["numpy"]
+    np.random.set_state((kind, keys.numpy().astype(np.uint32), *rest))  # noqa: NPY002
+    torch.set_rng_state(states["torch"].cpu())
+    if torch.cuda.is_available():
+        for number, state in enumerate(states["cuda"][: torch.cuda.device_count()]):
+            torch.cuda.set_rng_state(state.cpu(), number)

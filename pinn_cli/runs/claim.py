@@ -8,21 +8,59 @@ from __future__ import annotations
 
 import logging
 import os
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from logging.handlers import MemoryHandler
 from pathlib import Path
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from pinn_cli.runs.lock import held
-from pinn_cli.runs.log import RunLog
 from pinn_cli.runs.ownership import SETTINGS, check_destination
 from pinn_cli.runs.writing import WriteError, replacing, tidy
 from pinn_cli.settings.errors import InputError
 
-LOG = "pinn-run.log"
+LOG, FORMAT = "pinn-run.log", "[%(asctime)s][%(name)s][%(levelname)s] %(message)s"
 
 log = logging.getLogger(__name__)
+
+
+class RunLog(MemoryHandler):
+    """`pinn-run.log`: what is said before the directory is the run's own waits in memory."""
+
+    def __init__(self) -> None:
+        super().__init__(sys.maxsize, logging.CRITICAL + 1)
+
+    def attach(self) -> None:
+        """Have everything that this process logs come here too."""
+        logging.getLogger().addHandler(self)
+
+    def open(self, path: Path) -> None:
+        """Append what waits, and from now on every line.
+
+        Raises:
+            OSError: The file cannot be opened.
+        """
+        file = _LogFile(path, encoding="utf-8")
+        file.setFormatter(logging.Formatter(FORMAT))
+        self.setTarget(file)
+        self.flushLevel = logging.NOTSET
+        self.flush()
+
+    def close(self) -> None:
+        """Close the file and hear no more."""
+        logging.getLogger().removeHandler(self)
+        file = self.target
+        super().close()
+        if file is not None:
+            with suppress(OSError):
+                file.close()
+
+
+class _LogFile(logging.FileHandler):
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
+        """A disk that takes no more ends no run: the line is lost."""
 
 
 class Claim:

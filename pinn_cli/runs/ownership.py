@@ -1,8 +1,14 @@
-"""Whose a directory is: a run writes only where nothing lies, or where `pinn-run` has written before."""
+"""Whose a directory is: a run writes only where nothing lies, or where `pinn-run` has written before.
+
+Hydra makes a run's directory before the task sees the configuration. A command that its input makes impossible must
+leave nothing behind, and must not touch what was there before it.
+"""
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
 import stat
 from collections.abc import Iterable
 from pathlib import Path
@@ -20,6 +26,9 @@ _PREPARED_SETTINGS = re.compile(r"overrides\.yaml|\.(hydra|config|overrides)\.\d
 _FILES = re.compile(r".*\.(csv|json|pt|nc|log|lock|yaml)")
 _FOLDERS = (SETTINGS, "figures", "chains", "tensorboard")
 ALLOWED = "a new or empty directory, or one that pinn-run made"
+
+# Directories that did not exist before the run or sweep that was started last, outermost first.
+_new: list[Path] = []
 
 
 def check_destination(directory: Path, setting: str) -> None:
@@ -86,3 +95,16 @@ def _check_kinds(entries: Iterable[Path], setting: str) -> None:
             raise InputError(setting, entry.parent, ALLOWED, f"{entry.name} there is no directory")
         if _FILES.fullmatch(entry.name) and not stat.S_ISREG(kind):
             raise InputError(setting, entry.parent, ALLOWED, f"{entry.name} there is no regular file")
+
+
+def note_new(directory: Path) -> None:
+    """Note the directory of a run or of a sweep, and its parents, as far as they are missing."""
+    path = directory.absolute()
+    _new[:] = [p for p in (path, *path.parents) if not os.path.lexists(p)]
+
+
+def discard() -> None:
+    """Remove what unusable input left: directories that are new and in which no run was begun."""
+    for directory in _new:
+        if os.path.isdir(directory) and all(map(is_prepared, directory.iterdir())):
+            shutil.rmtree(directory)

@@ -16,7 +16,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.version import VersionBase
 
-from pinn_cli.runs.memory import give_freed_memory_back, keep_freed_memory, leave_without_collecting
+from pinn_cli.runs.memory import leave_without_collecting
 
 PACKAGE = "pinn_cli"
 # Read by the linear algebra libraries when they are loaded.
@@ -50,13 +50,11 @@ def borrowed(arguments: Sequence[str]) -> Iterator[None]:
 
 
 def prepare_process(threads: int) -> None:
-    """Limit the threads of torch and of the linear algebra, and have memory used again: a run begins."""
+    """Limit the threads of torch and of the linear algebra: a run begins."""
     if _borrowed is None:
         leave_without_collecting()
     else:
         _borrowed.enter_context(_threads(threads))
-        _borrowed.callback(give_freed_memory_back)
-    keep_freed_memory()
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
     import torch
 
@@ -103,7 +101,7 @@ def _folder() -> Iterator[None]:
 
 @contextmanager
 def _random_states() -> Iterator[None]:
-    from pinn_cli.runs.random_states import random_states, set_random_states  # not for --help, which reads this file
+    from pinn_cli.runs.checkpoint import random_states, set_random_states  # not for --help, which reads this file
 
     before = random_states()
     try:

@@ -82,6 +82,20 @@ def replacing(path: Path | str) -> Iterator[Path]:
             beside.unlink(missing_ok=True)
 
 
+@contextmanager
+def replacing_by_large(path: Path | str, size: int) -> Iterator[Path]:
+    """:func:`replacing`, once the disk has been asked for room for ``size`` bytes: HDF5 does not outlive a full disk.
+
+    Raises:
+        WriteError: It has not as much; what was there before stays.
+    """
+    with replacing(path) as beside:
+        if hasattr(os, "posix_fallocate"):
+            with beside.open("wb") as file:
+                os.posix_fallocate(file.fileno(), 0, size)
+        yield beside
+
+
 def tidy(directory: Path) -> None:
     """Remove what a killed process left half-written in a run's directory and its folders."""
     for folder in (directory, *(directory / name for name in FOLDERS)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from hydra.core.object_type import ObjectType
@@ -12,6 +13,7 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.yaml_file import read_yaml_and_text
 
 SCHEME, HYDRAS = "folder", "file"
+ENDING = ".yaml"
 
 
 def as_folder(place: str) -> str:
@@ -41,8 +43,7 @@ class ConfigFolder(ConfigSource):
             raise ConfigLoadError(f"Config not found : {file}")
         text, config = read_yaml_and_text(file)
         _check_defaults(file, config)
-        place = f"{SCHEME}://{self.path}"
-        return ConfigResult(self.provider, place, config, self._get_header_dict(text[:512]))
+        return ConfigResult(self.provider, f"{SCHEME}://{self.path}", config, _header(text))
 
     def available(self) -> bool:
         """Whether the folder is there."""
@@ -58,13 +59,25 @@ class ConfigFolder(ConfigSource):
 
     def list(self, config_path: str, results_filter: ObjectType | None) -> list[str]:
         """What is in one of its folders."""
-        found: list[str] = []
-        for entry in (Path(self.path) / config_path).iterdir():
-            self._list_add_result(found, str(Path(config_path) / entry.name), entry.name, results_filter)
-        return sorted(set(found))
+        entries = sorted((Path(self.path) / config_path).iterdir())
+        groups = [entry.name for entry in entries if entry.is_dir() and entry.name != "__pycache__"]
+        configs = [entry.stem for entry in entries if entry.suffix == ENDING and entry.is_file()]
+        kinds = {None: [*groups, *configs], ObjectType.GROUP: groups, ObjectType.CONFIG: configs}
+        return sorted(set(kinds.get(results_filter, ())))
 
     def _file(self, config_path: str) -> Path:
-        return Path(self.path) / self._normalize_file_name(config_path)
+        return Path(self.path) / (config_path if config_path.endswith(ENDING) else f"{config_path}{ENDING}")
+
+
+def _header(text: str) -> dict[str, str | None]:
+    """What the lines before the settings say of them: `# @package _global_`."""
+    found: dict[str, str | None] = {"package": None}
+    for line in filter(str.strip, text.splitlines()):
+        said = re.fullmatch(r"\s*#\s*@(\w+)\s+(\S+)\s*", line)
+        if said is None:
+            break
+        found[said[1]] = said[2]
+    return found
 
 
 def _check_defaults(file: Path, config: DictConfig) -> None:

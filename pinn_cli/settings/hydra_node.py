@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -20,10 +20,9 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.hydra_logging import check_logging
 from pinn_cli.settings.instantiation import check_classes
 from pinn_cli.settings.override_syntax import setting_of
-from pinn_cli.settings.registry import CALLBACKS, check_registered, shipped
+from pinn_cli.settings.registry import CALLBACKS, check_registered
 
 # Of the libraries: they choose how a run is computed, and name no file.
 ENVIRONMENT = (
@@ -36,10 +35,44 @@ _WORD = re.compile(r"[\w.,:+=@%*-]*")
 _WORDS = ("name", "partition", "account", "qos", "constraint", "exclude", "comment", "gres")
 
 
+def _is_text(value: object) -> bool:
+    # What begins with a protocol is looked up by Python, and what is interpolated by OmegaConf.
+    return isinstance(value, str) and not re.match(r"\s*[a-z]+://", value) and "${" not in value
+
+
+def _is_level(value: object) -> bool:
+    return isinstance(value, int) or (isinstance(value, str) and re.fullmatch(r"[A-Z]+", value) is not None)
+
+
+def _are_names(value: object) -> bool:
+    return isinstance(value, list) and all(map(_is_text, value))
+
+
+def _is_switch(value: object) -> bool:
+    return isinstance(value, bool)
+
+
+# What logs may be configured to do, `*` being any name. Python's `logging.config` calls whatever a configuration names:
+# `()` of a handler, a `class`, and any value that begins with `ext://`.
+_LOGGER = {"level": _is_level, "handlers": _are_names, "propagate": _is_switch}
+_LOGGING: Mapping[tuple[str, ...], Callable[[Any], bool]] = {
+    ("version",): (1,).__contains__,
+    ("disable_existing_loggers",): _is_switch,
+    ("formatters", "*", "format"): _is_text,
+    ("formatters", "*", "datefmt"): _is_text,
+    ("handlers", "*", "class"): ("logging.StreamHandler",).__contains__,
+    ("handlers", "*", "formatter"): _is_text,
+    ("handlers", "*", "level"): _is_level,
+    ("handlers", "*", "stream"): ("ext://sys.stdout", "ext://sys.stderr").__contains__,
+    **{("loggers", "*", name): allowed for name, allowed in _LOGGER.items()},
+    **{("root", name): allowed for name, allowed in _LOGGER.items()},
+}
+
+
 def check_hydra(config: DictConfig, given: Sequence[str]) -> None:
     """Refuse a `hydra` node that would run code, write elsewhere, or reach other programs.
 
-    Launchers, sweepers and callbacks are marked such that Hydra builds them alone and no node within them.
+    Launchers and sweepers are marked such that Hydra builds them alone and no node within them.
 
     Args:
         config: As Hydra composed it, with its `hydra` node; changed in place by those marks.
@@ -52,16 +85,33 @@ def check_hydra(config: DictConfig, given: Sequence[str]) -> None:
     typed = [*hydra["overrides"]["hydra"], *hydra["overrides"]["task"]]
     if sorted(typed) != sorted(given):
         raise InputError("hydra.overrides", typed, "left out of files", "it is the command line that has overrides")
-    starts_jobs = hydra["job"]["config_name"] is not None  # --hydra-help has no file of ours, and starts none
-    for name in ("hydra_logging", "job_logging") if starts_jobs else ("hydra_logging",):
-        check_logging(f"hydra.{name}", hydra[name])
-    _check_callbacks(hydra["callbacks"], complete=starts_jobs)
+    for name in ("hydra_logging", "job_logging"):
+        _check_logging(f"hydra.{name}", hydra[name])
+    _check_callbacks(hydra["callbacks"])
     for name in ("launcher", "sweeper"):
         _check_plugin(name, hydra[name], typed)
     _check_environment(hydra["job"])
     _check_places(hydra)
     _check_verbose(hydra["verbose"])
     _build_alone(config.hydra)
+
+
+def _check_logging(setting: str, node: object, kind: tuple[str, ...] = ()) -> None:
+    """Refuse logs that call something or are written elsewhere than to the terminal.
+
+    Args:
+        setting: `hydra.job_logging` or `hydra.hydra_logging`, and what is within.
+        node: Plain, as it is written.
+        kind: Its place in `_LOGGING`.
+    """
+    if node is None or (kind in _LOGGING and _LOGGING[kind](node)):
+        return
+    if not isinstance(node, dict) or kind not in {known[: len(kind)] for known in _LOGGING if len(known) > len(kind)}:
+        hint = "logs of these settings go to the terminal, and call nothing; a run writes its pinn-run.log itself"
+        raise InputError(setting, node, "one of the settings of a logging.StreamHandler, written out", hint)
+    for name, value in node.items():
+        is_named = kind in (("formatters",), ("handlers",), ("loggers",))
+        _check_logging(f"{setting}.{name}", value, (*kind, "*" if is_named else name))
 
 
 def check_search_path(places: object) -> None:
@@ -78,8 +128,7 @@ def check_search_path(places: object) -> None:
             raise InputError("hydra.searchpath", place, "a list of folders, file://FOLDER", "or --config-dir FOLDER")
 
 
-def _check_callbacks(callbacks: object, complete: bool) -> None:
-    """`complete`: with the main configuration, which has ours."""
+def _check_callbacks(callbacks: object) -> None:
     if not isinstance(callbacks, dict):
         raise InputError(CALLBACKS, callbacks, "a mapping of names to callbacks")
     for name, callback in callbacks.items():
@@ -91,9 +140,6 @@ def _check_callbacks(callbacks: object, complete: bool) -> None:
         for path, value in _leaves(callback, setting):
             if isinstance(value, str) and "${" in value:
                 raise InputError(path, value, "written out")
-    missing = shipped()[CALLBACKS] - {callback["_target_"] for callback in callbacks.values()}
-    if missing and complete:
-        raise InputError(CALLBACKS, sorted(callbacks), "left as it is, or added to", f"{min(missing)} keeps runs apart")
 
 
 def _check_plugin(name: str, node: object, typed: Sequence[str]) -> None:
@@ -172,7 +218,7 @@ def _check_places(hydra: Mapping[str, Any]) -> None:
     name, subdirectory = hydra["job"]["name"], hydra["output_subdir"]
     if not isinstance(name, str) or not re.fullmatch(r"\w[\w.+-]*", name):
         raise InputError("hydra.job.name", name, "a file's name: letters, digits, and any of . _ + -")
-    if subdirectory is not None and hydra["job"]["config_name"] is not None:  # `--hydra-help` has no file of ours
+    if subdirectory is not None:
         raise InputError("hydra.output_subdir", subdirectory, "null", "a run writes .hydra/ itself, once it is checked")
 
 
@@ -184,8 +230,7 @@ def _check_verbose(verbose: object) -> None:
 
 
 def _build_alone(hydra: DictConfig) -> None:
-    nodes = [hydra.launcher, hydra.sweeper, *hydra.callbacks.values()]
-    for node in nodes:
+    for node in (hydra.launcher, hydra.sweeper):
         if not OmegaConf.is_missing(node, "_target_") and OmegaConf.get_type(node) is dict:
             with open_dict(node):
                 node["_recursive_"] = False

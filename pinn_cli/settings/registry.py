@@ -67,7 +67,7 @@ def check_registered(setting: str, target: object) -> None:
 def shipped() -> Mapping[str, frozenset[str]]:
     """The classes that the program itself brings, by place."""
     conf = Path(str(files("pinn_cli.conf") / "config.yaml")).parent
-    found = {CALLBACKS: set(_targets(conf / "config.yaml"))}
+    found: dict[str, set[str]] = {}
     for file in (*conf.glob("*/*.yaml"), *conf.glob("hydra/*/*.yaml")):
         place = ".".join(file.parent.relative_to(conf).parts)
         for target in _targets(file):

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from copy import deepcopy
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from pinn_cli.runs.checkpoint import random_states, set_random_states
 from pinn_cli.runs.interruption import Interruption, asked, deferred, heeded
-from pinn_cli.runs.random_states import random_states, set_random_states
 from pinn_cli.training.estimate import RunContext
 
 if TYPE_CHECKING:

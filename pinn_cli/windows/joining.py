@@ -13,14 +13,14 @@ import pandas as pd
 
 from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report.fitness import fitness_rows
-from pinn_cli.report.netcdf import AROUND_DATA
 from pinn_cli.report.results import with_labels
-from pinn_cli.runs.reserved_file import replacing_by_reserved
-from pinn_cli.runs.writing import write_text
+from pinn_cli.runs.writing import replacing_by_large, write_text
 
 RESPONSE, TIME = "response.nc", "time"
 # Samples that are held in memory.
 AT_ONCE = 2**16
+# Bytes at most of names, attributes and HDF5's own tables.
+AROUND_DATA = 2**20
 
 Parts = Callable[[], Iterator[tuple[np.ndarray, np.ndarray]]]
 
@@ -62,8 +62,8 @@ def join_responses(pieces: Sequence[Piece], target: Path) -> None:
                     sources[name] = piece.folder / RESPONSE
                     width += int(np.prod(variable.shape[1:])) if variable.dimensions[:1] == (TIME,) else 0
     with (
-        replacing_by_reserved(target, 2 * 8 * sum(counts) * width + AROUND_DATA) as place,
-        h5netcdf.File(place, "w") as out,
+        replacing_by_large(target, 2 * 8 * sum(counts) * width + AROUND_DATA) as place,
+        h5netcdf.File(place, "w", locking=False) as out,
         h5netcdf.File(pieces[-1].folder / RESPONSE, "r") as model,
     ):
         out.dimensions = {name: sum(counts) if name == TIME else len(d) for name, d in model.dimensions.items()}

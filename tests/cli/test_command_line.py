@@ -244,3 +244,32 @@ def test_nothing_slow_is_imported_before_a_run() -> None:
     slow = ["torch", "numpy", "scipy", "pandas", "xarray", "matplotlib"]
     done = subprocess.run([sys.executable, "-c", code, *slow], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
+
+
+CALLBACK = """
+from hydra.experimental.callback import Callback
+
+class Mine(Callback):
+    def _note(self, **given):
+        print("run" if "job_return" not in given else "ended", given["config"].seed)
+
+    on_run_start = on_job_start = on_job_end = _note
+
+    def on_multirun_end(self, **given):
+        raise ValueError("odd")
+"""
+
+
+def test_callbacks_of_an_installed_package_are_called(
+    pinn_run: PinnRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    information = tmp_path / "own" / "of_callbacks-1.dist-info"
+    information.mkdir(parents=True)
+    (information.parent / "of_callbacks.py").write_text(CALLBACK)
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: of-callbacks\nVersion: 1\n")
+    (information / "entry_points.txt").write_text("[pinn_cli.plugins]\nhydra.callbacks.mine = of_callbacks:Mine\n")
+    monkeypatch.syspath_prepend(information.parent)
+    given = "+hydra.callbacks.mine={_target_: of_callbacks.Mine}"
+    assert pinn_run(given, "seed=1", task=judge).out.splitlines() == ["run 1", "run 1", "done", "ended 1"]
+    with pytest.warns(UserWarning, match=r"Mine.on_multirun_end: ValueError\('odd'\)"):
+        assert "run 7\ndone\nended 7\nrun 6\n" in pinn_run(given, "--multirun", "seed=7,6", task=judge).out

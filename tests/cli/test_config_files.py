@@ -28,6 +28,26 @@ FILES = {
         "a0: [x, y]\n" + "".join(f"a{i}: ['${{..a{i - 1}}}', '${{..a{i - 1}}}']\n" for i in range(1, 40)),
         ["network.a", "at most 100000 values", "unfold"],
     ),
+    "bomb of selected names": (
+        "a0: x\n" + "".join(f"a{i}: ${{oc.select:network.a{i - 1}}}${{network[a{i - 1}]}}\n" for i in range(1, 40)),
+        ["network.a", "at most 100000 values", "unfold"],
+    ),
+    "bomb behind a name": (
+        "b0: {x: [1]}\n"
+        + "".join(
+            f"a{i}: ${{.b{i}}}\nb{i}: {{x: ['${{...a{i - 1}.x}}', '${{...a{i - 1}.x}}']}}\n" for i in range(1, 40)
+        )
+        + "a0: ${.b0}\n",
+        ["at most 100000 values", "unfold"],
+    ),
+    "names within names": (
+        "one: a0\na0: x\na1: ${network.${network.one}}\n",
+        ["network.a1=${network.${network.one}}", "plainly"],
+    ),
+    "long text": (
+        f"a0: {'x' * 100_000}\n" + "".join(f"a{i}: ${{.a{i - 1}}}${{.a{i - 1}}}\n" for i in range(1, 12)),
+        ["at most 100000 values"],
+    ),
     "interpolated circle": ("depth: ${.width}\nwidth: ${.depth}\n", ["network.depth=${.width}", "names itself"]),
     "name within itself": ("depth: &a\n  b: *a\n", ["line 1", "alias"]),
     "a number": ("5\n", ["mine.yaml=5", "settings"]),
@@ -115,3 +135,23 @@ def test_folders_of_one_s_own_work_in_every_way(pinn_run: PinnRun, folder: Path)
         assert outcome.out.split("\n")[1:4] == ["_target_: pinn_cli.network.spline.Spline", "degree: 4", "intervals: 9"]
     outcome = pinn_run("--config-dir", "own", "--multirun", "network=longer,mine", "seed=0,1", task=lambda config: None)
     assert "4 jobs" in outcome.out, outcome.err
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("true: 1\n2: 3", "True=1"),
+        ("noise: {seeds: {true: 1, 2: 3}}", "noise.seeds="),
+        ("data: {1.5: 3, true: 4}", "data.1.5=3"),
+        ("case: ${hydra.nothing}", "hydra.nothing"),
+        ("hydra: {run: {dir: 'out/${hydra.nothing}'}}", "hydra.run.dir="),
+    ],
+)
+def test_odd_keys_and_names_leave_nothing(pinn_run: PinnRun, folder: Path, text: str, told: str) -> None:
+    place = folder.parent / "experiment"
+    place.mkdir()
+    (place / "odd.yaml").write_text(f"# @package _global_\n{text}\n")
+    outcome = pinn_run("--config-dir", "own", "experiment=odd")
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1), outcome.err
+    assert told in outcome.err
+    assert [entry.name for entry in folder.parents[1].iterdir()] == ["own"]

@@ -273,11 +273,11 @@ def test_an_interrupted_training_that_keeps_nothing_says_so(
     assert stopped.err == "pinn-run: interrupted; nothing is kept of it; to start over: pinn-run resume=run\n"
     monkeypatch.undo()
     monkeypatch.chdir(tmp_path)
-    again = pinn_run("resume=run")
+    again = pinn_run("resume=run", "figures=false")
     assert again.status == 0, again.err
 
 
-MLP = (*SMALL, "network=mlp", "training.collocation_points=60")
+MLP = (*SMALL, "network=mlp", "training.collocation_points=60", "figures=false")
 
 
 def test_a_long_step_is_broken_off_and_taken_anew(

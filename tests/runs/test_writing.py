@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from pinn_cli.runs.writing import replacing, write_json, write_table, write_text
+from pinn_cli.runs.writing import WriteError, replacing, replacing_by_large, write_json, write_table, write_text
 
 
 def _fail_halfway(place: Path) -> None:
@@ -67,3 +69,14 @@ def test_json_refuses_what_it_cannot_hold(tmp_path):
 
 def test_text_ends_in_one_newline(tmp_path):
     assert write_text("a\n\n", tmp_path / "t.md").read_text() == "a\n"
+
+
+def test_a_full_disk_is_told_before_a_large_file_is_written(tmp_path, monkeypatch):
+    def full(*_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    (tmp_path / "response.nc").write_bytes(b"old")
+    monkeypatch.setattr(os, "posix_fallocate", full, raising=False)
+    with pytest.raises(WriteError, match="No space left"), replacing_by_large(tmp_path / "response.nc", 100):
+        pytest.fail("the block was entered")
+    assert [place.read_bytes() for place in tmp_path.iterdir()] == [b"old"]
