@@ -25,6 +25,14 @@ from pinn_cli.system.damping import of_ratio
 from pinn_cli.system.parameters import FACTOR, LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.structure import Structure
 
+AUTO, GIVEN = "auto", "given"
+# Damping ratios of structures that may start.
+RATIOS = 1e-3, 0.3
+# A linear chain that explains nothing has a misfit of one, and with one above the first of these nothing can be said;
+# where missing samples scatter everything, the right one explains a little only. Those with so many times the least
+# misfit are worth a start of their own, so many at most.
+HOPELESS, NEARLY_NOTHING, RIVAL, MOST_RIVALS = 0.9, 0.98, 2.0, 3
+
 
 def parameter_scales(structure: Structure, records: Sequence[Record]) -> dict[str, float]:
     """Kind of parameter to the value with which it alone would carry the force that acts, at the motion that there is.
@@ -78,15 +86,6 @@ def starting_value(kind: str, scale: float) -> float:
     A chain without damping and nonlinearity is a chain; one without springs or masses is none.
     """
     return scale if kind in ("m", "k") else 0.0
-
-
-AUTO, GIVEN = "auto", "given"
-# Damping ratios of structures that may start.
-RATIOS = 1e-3, 0.3
-# A linear chain that explains nothing has a misfit of one, and with one above the first of these nothing can be said;
-# where missing samples scatter everything, the right one explains a little only. Those with so many times the least
-# misfit are worth a start of their own, so many at most.
-HOPELESS, NEARLY_NOTHING, RIVAL, MOST_RIVALS = 0.9, 0.98, 2.0, 3
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import numpy as np
 
 from pinn_cli.record.response import GROUND
 from pinn_cli.system.quantities import FORCE
-from pinn_cli.verdict.comparison import Comparison, compare, comparisons
 from pinn_cli.verdict.finding import Finding
+from pinn_cli.verdict.prediction import Comparison, compare, comparisons
 from pinn_cli.verdict.record_faults import DEVIATIONS, LEAST_OFFSET
 
 if TYPE_CHECKING:

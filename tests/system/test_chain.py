@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from pinn_cli.system import Structure, build_chain, draw
+from pinn_cli.system import Structure, build_chain
 from pinn_cli.system.building import chain_of
 from pinn_cli.system.connection import Duffing, Linear, PowerDamping, VanDerPol
 
@@ -131,16 +131,3 @@ def test_a_chain_checks_itself():
         chain_of({"m": one, "c": one, "k": torch.ones(2, dtype=torch.float64)}, Linear())
     with pytest.raises(ValueError, match="mu"):
         chain_of({"m": one, "c": one, "k": one}, Linear()).with_parameters(mu=one)
-
-
-def test_drawing_names_every_mass_and_connection():
-    text = draw(build_chain(2, Duffing(), m=10.0, c=1.0, k=[15.0, 14.0], kappa=100.0))
-    assert text == "\n".join(
-        [
-            "///",
-            " |   c_1 = 1  k_1 = 15  kappa_1 = 100",
-            "(1)  m_1 = 10",
-            " |   c_2 = 1  k_2 = 14  kappa_2 = 100",
-            "(2)  m_2 = 10",
-        ]
-    )

@@ -19,8 +19,8 @@ from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import Change, Changes, Estimate, ParameterEstimate
-from pinn_cli.verdict.change_findings import change_findings
 from pinn_cli.verdict.judge import judge
+from pinn_cli.verdict.records import change_findings
 
 
 def estimate(chance: float, *changed: int) -> SimpleNamespace:

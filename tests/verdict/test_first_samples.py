@@ -13,7 +13,7 @@ from calls import PinnRun
 from storeys import K, record, system, written
 
 from pinn_cli.model.misfit import Misfit
-from pinn_cli.verdict.first_samples import first_sample_findings
+from pinn_cli.verdict.record_faults import first_sample_findings
 
 
 def test_a_right_estimate_has_none(right_estimate):
