@@ -17,9 +17,8 @@ from pinn_cli.system.connection.base import Hysteresis
 from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.connection_groups import ConnectionGroup, GroupPart, Linearisation, carriers, group_parts, slopes
 from pinn_cli.system.damping import StructuralDamping
-from pinn_cli.system.incidence import Incidence
+from pinn_cli.system.incidence import Incidence, Pairs
 from pinn_cli.system.labels import Labels
-from pinn_cli.system.pairs import Pairs
 from pinn_cli.system.parameters import FACTOR, LINEAR_TITLES, LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.shapes import OfMasses, Shapes
 
@@ -143,17 +142,6 @@ class Structure:
     def members(self) -> dict[str, np.ndarray]:
         """Kind of the connections' parameters to the connection of each member; of several that share it the first."""
         return {k: at[np.unique(which, return_index=True)[1]] for k, (at, which) in self.carriers.items()}
-
-    @property
-    def nonlinearity(self) -> Nonlinearity:
-        """That of the connections of a structure that has one law.
-
-        Raises:
-            ValueError: It has several.
-        """
-        if len(self.groups) > 1:
-            raise ValueError(f"{self._article} has no one nonlinearity")
-        return self.groups[0].nonlinearity
 
     @property
     def nonlinearity_name(self) -> str:

@@ -133,10 +133,7 @@ class Comparison:
         measured, predicted: (M,).
         constant: (M,), a constant without what free decays can follow of it.
         power: Mean square of the channel about its mean.
-        force: (M, n), that the prediction is of, N.
-        ground: Likewise the ground's acceleration (M,), m/s^2; None: at rest.
-        step: From sample to sample, s.
-        dofs: Names of the DOFs; empty: they go by their numbers.
+        record: That the prediction is of.
     """
 
     channel: Channel
@@ -144,27 +141,19 @@ class Comparison:
     predicted: np.ndarray
     constant: np.ndarray
     power: float
-    force: np.ndarray
-    step: float
-    ground: np.ndarray | None = None
-    dofs: tuple[str, ...] = ()
+    record: Record
 
     @property
-    def forced_names(self) -> str:
-        """Names or numbers of the DOFs that carry a force: ``1, 3``."""
-        return ", ".join(self.dofs[dof - 1] if self.dofs else str(dof) for dof in self.forced)
-
-    @property
-    def forced(self) -> np.ndarray:
-        """The DOFs that carry a force, counted from 1."""
-        return np.flatnonzero(~np.all(self.force == 0.0, axis=0)) + 1
+    def forced(self) -> list[str]:
+        """Names or numbers of the DOFs that carry a force."""
+        return [self.record.dof_name(int(dof)) for dof in np.flatnonzero(~np.all(self.record.force == 0.0, axis=0))]
 
     @property
     def acting(self) -> str:
         """What the prediction is of, in words."""
-        if self.ground is None:
+        if self.record.ground_acceleration is None:
             return "force"
-        return "ground acceleration" if not len(self.forced) else "ground acceleration and force"
+        return "ground acceleration" if not self.forced else "ground acceleration and force"
 
     @property
     def misfit(self) -> float:
@@ -193,9 +182,9 @@ class Comparison:
     @cached_property
     def delay(self) -> Reading:
         """How much later the channel is than its prediction, s."""
-        angular = 2 * np.pi * rfftfreq(len(self.measured), self.step)
+        angular = 2 * np.pi * rfftfreq(len(self.measured), self.record.step)
         crossed = rfft(self.measured) * np.conj(self._predicted_lines)
-        value = self._best_lag(crossed) * self.step
+        value = self._best_lag(crossed) * self.record.step
         for _ in range(NEWTON_STEPS):
             turned = crossed * np.exp(1j * angular * value)
             curvature = float(np.sum(angular**2 * turned.real))
@@ -242,8 +231,7 @@ def compare(channel: Channel, prediction: Prediction, as_dof: int | None = None)
     columns = columns - basis @ (basis.T @ columns)
     power = max(float(np.var(measured)), np.finfo(float).tiny)
     own, expected, constant = (np.ascontiguousarray(column) for column in columns.T)
-    acting = (record.force, record.step, record.ground_acceleration, record.dofs)
-    return Comparison(channel, own, expected, constant, power, *acting)
+    return Comparison(channel, own, expected, constant, power, record)
 
 
 def comparisons(prediction: Prediction, excused: Sequence[str] = ()) -> list[Comparison]:

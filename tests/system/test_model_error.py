@@ -27,7 +27,7 @@ def test_none_changes_nothing_and_linear_prescribes_no_nonlinearity():
     assert NoModelError().structures(structure) == (structure, structure)
     true, prescribed = LinearModelError().structures(structure)
     assert true is structure
-    assert prescribed.nonlinearity.name == "linear"
+    assert prescribed.nonlinearity_name == "linear"
     assert prescribed.parameters["k"].tolist() == [15.0] * 6
 
 

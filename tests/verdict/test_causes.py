@@ -61,7 +61,7 @@ def test_exchanged_sensors(problem):
     assert (cause.kind, cause.suspect) == ("swap", "acceleration of DOFs 1 and 3")
 
 
-@pytest.mark.parametrize(("dof", "factor"), [(1, 5.0), (2, 0.5), (3, 2.0)])
+@pytest.mark.parametrize(("dof", "factor"), [(1, 5.0), (2, 0.5)])
 def test_a_wrong_mass(problem, dof, factor):
     m = problem.structure.parameters["m"].clone()
     m[dof - 1] *= factor

@@ -362,7 +362,7 @@ def _noise(model: BandModel, x: np.ndarray, solved: Solved, response: np.ndarray
     left = left / np.sqrt(freedom)
     start = np.log(np.append(np.median(np.abs(left), axis=0) + FINEST_NOISE, 1e-3))
 
-    def minus_log(levels: np.ndarray) -> tuple[float, np.ndarray]:
+    def minus_log(levels: np.ndarray) -> float:
         variance = np.exp(2.0 * levels)
         over = np.abs(response) ** 2 / variance[:-1]  # (B, S)
         whole = 1.0 + variance[-1] * over.sum(1)
@@ -370,10 +370,10 @@ def _noise(model: BandModel, x: np.ndarray, solved: Solved, response: np.ndarray
         value = lines * 2.0 * levels[:-1].sum() + np.log(whole).sum()
         square = np.abs(left) ** 2 / variance[:-1]
         value += square.sum() - (variance[-1] * np.abs(along) ** 2 / whole).sum()
-        return float(value), np.empty(0)
+        return float(value)
 
     bounds = [(np.log(FINEST_NOISE), np.log(10.0))] * (sensors + 1)
-    found = minimize(lambda x: minus_log(x)[0], start, method="L-BFGS-B", bounds=bounds)
+    found = minimize(minus_log, start, method="L-BFGS-B", bounds=bounds)
     return Noise(np.exp(found.x[:-1]), float(np.exp(found.x[-1])))
 
 
