@@ -80,14 +80,6 @@ def unit_forces(structure: Structure, elongation: float, rate: float) -> dict[st
     return forces
 
 
-def starting_value(kind: str, scale: float) -> float:
-    """Where an unknown parameter starts when the user does not say: masses and springs at their scale, others at 0.
-
-    A chain without damping and nonlinearity is a chain; one without springs or masses is none.
-    """
-    return scale if kind in ("m", "k") else 0.0
-
-
 @dataclass(frozen=True)
 class Start:
     """Where one unknown parameter starts, and its order of magnitude."""
@@ -268,7 +260,7 @@ def _starts(
             value = given.get(parameter, float(linear["c"][index]))
             out[parameter] = Start(value, max(abs(value), float(damping[index])))
         else:
-            value = given.get(parameter, starting_value(kind, scales[kind]))
+            value = given.get(parameter, 0.0)  # without it the connection is one like any other
             # A spring as strong as the linear one beside it, at the motion that there is.
             connection = prescribed.members[kind][index]
             stiffness = max(float(abs(linear["k"][connection])), float(usual[connection]))
