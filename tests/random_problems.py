@@ -17,11 +17,9 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.record.data_channels import FELT_BY
 from pinn_cli.record.gauge import GAUGE, Calibration, Gauge
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.initial_motion import CHOICES
 from pinn_cli.scheme.inputs import FREE, GAUSSIAN_PROCESS
-from pinn_cli.scheme.joint_prior import JointPrior
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.problem import THROUGH, Problem, TurningPoints
+from pinn_cli.scheme.problem import BEGINNINGS, THROUGH, JointPrior, Problem, TurningPoints
 from pinn_cli.system.finite_elements import FiniteElements
 from pinn_cli.system.quantities import CONNECTION_FORCE, FORCE, GROUND, HIGH_PASS, MOTION, SUPPORT, TILT
 from pinn_cli.system.reduction import WholeModel, reduced_model
@@ -206,7 +204,7 @@ def problems(draw: st.DrawFn, plain: bool) -> JointProblem:
         for p in some(draw, structure.every_parameter())
     )
     through = draw(st.sampled_from(THROUGH)) if plain else THROUGH[0]
-    begins, force = draw(st.sampled_from(CHOICES)), FREE if plain else GAUSSIAN_PROCESS
+    begins, force = draw(st.sampled_from(BEGINNINGS)), FREE if plain else GAUSSIAN_PROCESS
     problem = JointProblem.of_records(structure, own, uncertain, through, begins, force)
     further = draw(st.sampled_from((None, None, "state", "turns")))
     if further == "turns":

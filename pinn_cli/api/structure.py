@@ -18,7 +18,7 @@ from pinn_cli.settings.suggestion import suggestion
 from pinn_cli.system import structure
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.laws import law_called, law_settings
-from pinn_cli.system.natural_modes import NaturalModes
+from pinn_cli.system.modes import NaturalModes
 from pinn_cli.system.topology import build_structure
 
 if TYPE_CHECKING:

@@ -13,10 +13,9 @@ from scipy.sparse import csr_matrix
 from pinn_cli.system.connection.base import Nonlinearity
 from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.damping import MassProportional, ModalRatios, StiffnessProportional, StructuralDamping
-from pinn_cli.system.incidence import Incidence
+from pinn_cli.system.incidence import Incidence, Pairs
 from pinn_cli.system.labels import Labels
 from pinn_cli.system.laws import law_called
-from pinn_cli.system.pairs import Pairs
 from pinn_cli.system.shapes import Shapes
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.substructures import Substructure

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.report.estimates import error_percent
-from pinn_cli.system.natural_modes import NaturalModes, frequency
+from pinn_cli.system.modes import NaturalModes, frequency
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.estimated_structure import estimated_structure

@@ -1,4 +1,4 @@
-"""What a scheme is: which sensors exist, and which parameters may move."""
+"""What a scheme is: which sensors exist, and which parameters may move; and what schemes with sensors share."""
 
 from __future__ import annotations
 
@@ -8,8 +8,14 @@ from typing import ClassVar
 
 from pinn_cli.model.model import Model
 from pinn_cli.record.record import Record
+from pinn_cli.scheme.inputs import UNKNOWN_FORCES
 from pinn_cli.scheme.joint_problem import JointProblem
+from pinn_cli.scheme.of_model import problem_going_on, problem_of_model
+from pinn_cli.scheme.problem import BEGINNINGS, THROUGH
+from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import one_of
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
 
 
@@ -92,3 +98,42 @@ class Scheme(ABC):
             record: In place of its own.
         """
         return self.pose(prescribed, [record])
+
+
+class EstimationScheme(Scheme):
+    """A scheme that estimates a motion from sensors, its settings those that all of these have.
+
+    Args:
+        sensors: Of a simulated record.
+        acceleration_through, initial_motion: See :class:`pinn_cli.scheme.problem.Problem`.
+        unknown_force: How a force that nobody measured is estimated: ``gaussian_process`` or ``free``.
+
+    Raises:
+        InputError: A setting is none of those that there are.
+    """
+
+    def __init__(self, sensors: Sensors, acceleration_through: str, initial_motion: str, unknown_force: str) -> None:
+        self.sensors = sensors
+        self.acceleration_through = one_of("scheme.acceleration_through", acceleration_through, THROUGH)
+        self.initial_motion = one_of("scheme.initial_motion", initial_motion, BEGINNINGS)
+        self.unknown_force = one_of("scheme.unknown_force", unknown_force, UNKNOWN_FORCES)
+
+    def observe(self, record: Record) -> Record:
+        """See :meth:`Scheme.observe`."""
+        return self.sensors.observe(record)
+
+    def next_problem(self, model: Model, record: Record) -> JointProblem:
+        """See :meth:`Scheme.next_problem`."""
+        return problem_going_on(model, record, self.acceleration_through, self.unknown_force)
+
+    def joint_problem(
+        self, structure: Structure, records: Sequence[Record], uncertain: tuple[Parameter, ...]
+    ) -> JointProblem:
+        """See :meth:`pinn_cli.scheme.joint_problem.JointProblem.of_records`."""
+        settings = self.acceleration_through, self.initial_motion, self.unknown_force
+        return JointProblem.of_records(structure, records, uncertain, *settings)
+
+    def problem_of_model(self, model: Model, record: Record, updates: bool) -> JointProblem:
+        """See :func:`pinn_cli.scheme.of_model.problem_of_model`."""
+        settings = self.acceleration_through, self.initial_motion, self.unknown_force
+        return problem_of_model(model, record, updates, *settings)

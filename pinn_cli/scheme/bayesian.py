@@ -15,13 +15,12 @@ import numpy as np
 from omegaconf import OmegaConf
 
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.base import Scheme
+from pinn_cli.scheme.base import EstimationScheme
 from pinn_cli.scheme.calibration import calibrated_starts
-from pinn_cli.scheme.initial_motion import CHOICES, FREE
-from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
+from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.missing_values import check_given
-from pinn_cli.scheme.problem import THROUGH, Problem
+from pinn_cli.scheme.problem import FREE, Problem
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import Start, parameter_starts
 from pinn_cli.scheme.unknowns import (
@@ -34,7 +33,7 @@ from pinn_cli.scheme.unknowns import (
 )
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import construct
-from pinn_cli.settings.legal_values import finite_number, one_of, positive_number
+from pinn_cli.settings.legal_values import finite_number, positive_number
 from pinn_cli.settings.suggestion import suggestion
 from pinn_cli.system.parameters import MASS, PRIOR_WIDTH, Parameter
 from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal, Prior
@@ -130,7 +129,7 @@ KINDS: dict[str, Callable[..., Prior]] = {
 }
 
 
-class Bayesian(Scheme):
+class Bayesian(EstimationScheme):
     """Posterior distribution of all unknown parameters from the motion and force of every DOF.
 
     Args:
@@ -140,8 +139,7 @@ class Bayesian(Scheme):
         priors: See :func:`pinn_cli.scheme.bayesian.read_priors`; parameters without one get a wide one on the
             record's own scale.
         positive: Kinds of parameters whose wide priors end at zero.
-        acceleration_through, initial_motion: See :class:`pinn_cli.scheme.problem.Problem`.
-        unknown_force: How a force that nobody measured is estimated: ``gaussian_process`` or ``free``.
+        acceleration_through, initial_motion, unknown_force: See :class:`pinn_cli.scheme.base.EstimationScheme`.
 
     Raises:
         InputError: A setting outside its range.
@@ -160,17 +158,11 @@ class Bayesian(Scheme):
         initial_motion: str = FREE,
         unknown_force: str = GAUSSIAN_PROCESS,
     ) -> None:
+        chosen = Sensors.chosen(sensors, 0.0, unobserved, default=("displacement", "velocity"))
+        super().__init__(chosen, acceleration_through, initial_motion, unknown_force)
         self.unknown, self.priors = unknown, priors
-        self.sensors = Sensors.chosen(sensors, 0.0, unobserved, default=("displacement", "velocity"))
         checked_priors(priors)
         self.positive = checked_positive(positive)
-        self.acceleration_through = one_of("scheme.acceleration_through", acceleration_through, THROUGH)
-        self.initial_motion = one_of("scheme.initial_motion", initial_motion, CHOICES)
-        self.unknown_force = one_of("scheme.unknown_force", unknown_force, UNKNOWN_FORCES)
-
-    def observe(self, record: Record) -> Record:
-        """See :meth:`Scheme.observe`."""
-        return self.sensors.observe(record)
 
     def pose(self, prescribed: Structure, records: Sequence[Record]) -> JointProblem:
         """See :meth:`Scheme.pose`."""
@@ -194,8 +186,7 @@ class Bayesian(Scheme):
         said = (replace(p, said=given.get(p, math.nan)) for p in chosen)
         unknown = tuple(_unknown(p, priors[p], starts[p], p in own) for p in said)
         structure = at_starts(prescribed, unknown)
-        settings = self.acceleration_through, self.initial_motion, self.unknown_force
-        return JointProblem.of(*map(_with_priors, JointProblem.of_records(structure, records, unknown, *settings)))
+        return JointProblem.of(*map(_with_priors, self.joint_problem(structure, records, unknown)))
 
 
 def _given(record: Record, unknown: Collection[Parameter]) -> dict[Parameter, float]:

@@ -10,11 +10,9 @@ from pinn_cli.model.knowledge import ParameterKnowledge
 from pinn_cli.model.model import Model
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import sensor_parameters
-from pinn_cli.scheme.initial_motion import FREE
 from pinn_cli.scheme.inputs import inputs_of
-from pinn_cli.scheme.joint_prior import JointPrior
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.problem import FREE, JointPrior, Problem
 from pinn_cli.settings.errors import InputError
 
 SETTING = "model"

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from pinn_cli.model.knowledge import EndState
+from pinn_cli.model.knowledge import EndState, Levels, ParameterKnowledge
 from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.record import Record
 from pinn_cli.record.steps import has_stiff_law
-from pinn_cli.scheme.initial_motion import FREE, initial_deviation
-from pinn_cli.scheme.joint_prior import JointPrior
-from pinn_cli.scheme.spectral_estimate import SpectralEstimate
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Inputs
 from pinn_cli.system.parameters import Parameter
@@ -23,6 +20,10 @@ from pinn_cli.system.structure import Structure
 
 # What measured accelerations can be compared with.
 THROUGH = ("derivative", "observer", "both")
+# How the motion of a record may begin: anyhow, or at rest.
+BEGINNINGS = FREE, REST = "free", "rest"
+# A structure that somebody calls at rest still moves a little: so much of what it does later.
+RESIDUAL_MOTION = 1e-3
 # Speed below which contacts that stick creep in the equations of an estimator, over the record's rms velocity. With ten
 # times as much, damping is 50 % off; with 1e-7 m/s, solutions ended far from the most probable one.
 STICKS_BELOW = 0.005
@@ -54,6 +55,83 @@ class TurningPoints:
         distances = [np.abs(time - self.time[np.clip(after - k, 0, len(self.time) - 1)]) for k in (0, 1)]
         close: np.ndarray = np.minimum(*distances) < RINGS * spacing
         return close
+
+
+@dataclass(frozen=True, eq=False)
+class JointPrior:
+    """Beside the means and standard deviations that the parameters themselves have; p of them.
+
+    Attributes:
+        correlation: (p, p).
+        first_std: (p,), what the prior before the first record allowed, in the parameters' units.
+        told, weight: See :class:`pinn_cli.model.knowledge.ParameterKnowledge`; of the records before this one.
+        prescribed, spread: Likewise; of the first prior.
+        levels: Noise that the last record was found to have: near it this one's is looked for.
+    """
+
+    correlation: np.ndarray
+    first_std: np.ndarray
+    told: np.ndarray
+    weight: np.ndarray
+    levels: Levels
+    prescribed: np.ndarray | None = None
+    spread: float = 1.0
+
+    @classmethod
+    def of(cls, known: ParameterKnowledge, levels: Levels) -> JointPrior:
+        """What earlier records say."""
+        std = np.sqrt(np.diag(known.covariance))
+        correlation = known.covariance / np.outer(std, std)
+        return cls(correlation, known.first_std, known.told, known.weight, levels, known.prescribed, known.spread)
+
+    def known(self, mean: np.ndarray, std: np.ndarray) -> ParameterKnowledge:
+        """The same as knowledge, with the parameters' means and standard deviations (p,)."""
+        covariance = self.correlation * np.outer(std, std)
+        before = self.told, self.weight, self.first_std, self.prescribed, self.spread
+        return ParameterKnowledge(mean, covariance, *before)
+
+    @cached_property
+    def precision(self) -> np.ndarray:
+        """(p, p), the inverse of the correlation."""
+        root = np.linalg.inv(np.linalg.cholesky(self.correlation))
+        inverse: np.ndarray = root.T @ root
+        return inverse
+
+    def with_independent(self, std: Sequence[float]) -> JointPrior:
+        """With parameters behind these that have nothing to do with them, and their standard deviations."""
+        p, more = len(self.correlation), len(std)
+        correlation = np.eye(p + more)
+        correlation[:p, :p] = self.correlation
+        nothing = np.zeros(more)
+        return replace(
+            self,
+            correlation=correlation,
+            first_std=np.concatenate((self.first_std, std)),
+            told=np.concatenate((self.told, nothing)),
+            weight=np.concatenate((self.weight, nothing)),
+            prescribed=None if self.prescribed is None else np.append(self.prescribed, np.full(more, np.nan)),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SpectralEstimate:
+    """What spectra say of parameters; the motion under a measured force then says no more of them.
+
+    Attributes:
+        parameters: Whose prescribed values are the most probable ones.
+        covariance: (p, p), in the parameters' units.
+        log_likelihood: Of the spectra.
+        levels: Quantity to (dofs,), standard deviation of the white noise of its sensors; NaN where there is none.
+        misfit: Part of the sensors' power that is left in the part of the spectra that fits worst, beyond noise.
+        missing: Frequency, Hz, of a mode that the spectra show and the structure does not have; None: there is none.
+    """
+
+    parameters: tuple[Parameter, ...]
+    covariance: np.ndarray
+    log_likelihood: float
+    levels: Mapping[str, np.ndarray]
+    misfit: float
+    missing: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +192,15 @@ class Problem:
 
     @property
     def initial_deviation(self) -> tuple[float, float] | None:
-        """See :func:`pinn_cli.scheme.initial_motion.initial_deviation`."""
-        return None if self.initial_state is not None else initial_deviation(self.record, self.initial_motion)
+        """Prior standard deviations of every DOF's displacement (m) and velocity (m/s) at the first sample.
+
+        A thousandth of the record's rms displacement and velocity where the motion begins at rest; None where nothing
+        is known about its beginning, or an earlier record says it.
+        """
+        if self.initial_state is not None or self.initial_motion == FREE:
+            return None
+        size = motion_amplitudes(self.record)
+        return RESIDUAL_MOTION * size["displacement"], RESIDUAL_MOTION * size["velocity"]
 
     @property
     def priors(self) -> tuple[Prior, ...]:

@@ -23,6 +23,16 @@ from pinn_cli.scheme.linear_fit import ABOVE_FLOOR, WIDTHS, JointFit, LinearFit,
 from pinn_cli.system.frequency_response import Acting
 from pinn_cli.system.modes import RIGID
 
+# Starts that go on to each width of the smoothing.
+SURVIVORS = (6, 4, 3)
+# Common factors on the stiffnesses that are tried per decade.
+PER_DECADE = 8
+# Starts whose masses and springs differ by less, as logarithms, are one.
+SAME = 0.1
+# Frequencies of a start: the highest lies above this part of the lowest that the record can tell, the lowest below so
+# many times its highest.
+SLOWEST, FASTEST = 0.5, 3.0
+
 
 class PowerFit(LinearFit):
     """The unknowns of a :class:`LinearFit`, and the misfit of the logarithms of the sensors' power spectra.
@@ -66,17 +76,6 @@ class PowerFit(LinearFit):
         flat = logarithms.reshape(-1)
         left: np.ndarray = flat - self.basis @ (self.basis.T @ flat)
         return left.reshape(logarithms.shape)
-
-
-# Starts that go on to each width of the smoothing.
-SURVIVORS = (6, 4, 3)
-# Common factors on the stiffnesses that are tried per decade.
-PER_DECADE = 8
-# Starts whose masses and springs differ by less, as logarithms, are one.
-SAME = 0.1
-# Frequencies of a start: the highest lies above this part of the lowest that the record can tell, the lowest below so
-# many times its highest.
-SLOWEST, FASTEST = 0.5, 3.0
 
 
 @dataclass(frozen=True, eq=False)

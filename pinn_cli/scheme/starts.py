@@ -25,6 +25,14 @@ from pinn_cli.system.damping import of_ratio
 from pinn_cli.system.parameters import FACTOR, LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.structure import Structure
 
+AUTO, GIVEN = "auto", "given"
+# Damping ratios of structures that may start.
+RATIOS = 1e-3, 0.3
+# A linear chain that explains nothing has a misfit of one, and with one above the first of these nothing can be said;
+# where missing samples scatter everything, the right one explains a little only. Those with so many times the least
+# misfit are worth a start of their own, so many at most.
+HOPELESS, NEARLY_NOTHING, RIVAL, MOST_RIVALS = 0.9, 0.98, 2.0, 3
+
 
 def parameter_scales(structure: Structure, records: Sequence[Record]) -> dict[str, float]:
     """Kind of parameter to the value with which it alone would carry the force that acts, at the motion that there is.
@@ -70,23 +78,6 @@ def unit_forces(structure: Structure, elongation: float, rate: float) -> dict[st
         alone = {name: np.full(len(other), float(name == kind)) for name, other in structure.parameters.items()}
         forces[kind] = np.abs(structure.connection_force(e, de, alone)[members])
     return forces
-
-
-def starting_value(kind: str, scale: float) -> float:
-    """Where an unknown parameter starts when the user does not say: masses and springs at their scale, others at 0.
-
-    A chain without damping and nonlinearity is a chain; one without springs or masses is none.
-    """
-    return scale if kind in ("m", "k") else 0.0
-
-
-AUTO, GIVEN = "auto", "given"
-# Damping ratios of structures that may start.
-RATIOS = 1e-3, 0.3
-# A linear chain that explains nothing has a misfit of one, and with one above the first of these nothing can be said;
-# where missing samples scatter everything, the right one explains a little only. Those with so many times the least
-# misfit are worth a start of their own, so many at most.
-HOPELESS, NEARLY_NOTHING, RIVAL, MOST_RIVALS = 0.9, 0.98, 2.0, 3
 
 
 @dataclass(frozen=True)
@@ -269,7 +260,7 @@ def _starts(
             value = given.get(parameter, float(linear["c"][index]))
             out[parameter] = Start(value, max(abs(value), float(damping[index])))
         else:
-            value = given.get(parameter, starting_value(kind, scales[kind]))
+            value = given.get(parameter, 0.0)  # without it the connection is one like any other
             # A spring as strong as the linear one beside it, at the motion that there is.
             connection = prescribed.members[kind][index]
             stiffness = max(float(abs(linear["k"][connection])), float(usual[connection]))

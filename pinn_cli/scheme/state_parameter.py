@@ -11,31 +11,29 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from pinn_cli.model.model import Model
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.base import Scheme
-from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
+from pinn_cli.scheme.base import EstimationScheme
 from pinn_cli.scheme.calibration import calibrated_starts
-from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import FREE as FREE_FORCE
-from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
+from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.missing_values import check_given
-from pinn_cli.scheme.of_model import problem_going_on
-from pinn_cli.scheme.problem import THROUGH
+from pinn_cli.scheme.problem import FREE
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import AUTO, Start, checked_starts, parameter_starts
 from pinn_cli.scheme.unknowns import (
     POSITIVE,
     at_starts,
+    believed_parameters,
     check_used,
     checked_positive,
+    checked_uncertainty,
     initial_values,
     unknown_parameters,
 )
-from pinn_cli.settings.legal_values import one_of, positive_number
-from pinn_cli.system.natural_modes import NaturalModes
+from pinn_cli.settings.legal_values import positive_number
+from pinn_cli.system.modes import NaturalModes
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.whole_damping import damped
@@ -46,7 +44,7 @@ log = logging.getLogger(__name__)
 MOST_RATIOS = 30
 
 
-class StateParameter(Scheme):
+class StateParameter(EstimationScheme):
     """States and unknown parameters from sparse sensors.
 
     Args:
@@ -63,8 +61,7 @@ class StateParameter(Scheme):
             enough to leave the answer to the record.
         parameter_uncertainty: Relative prior standard deviation of every other parameter but the masses; 0 holds them
             fixed, as the paper does.
-        acceleration_through, initial_motion: See :class:`pinn_cli.scheme.problem.Problem`.
-        unknown_force: How a force that nobody measured is estimated: ``gaussian_process`` or ``free``.
+        acceleration_through, initial_motion, unknown_force: See :class:`pinn_cli.scheme.base.EstimationScheme`.
 
     Raises:
         InputError: A setting outside its range.
@@ -88,19 +85,13 @@ class StateParameter(Scheme):
         initial_motion: str = FREE,
         unknown_force: str = GAUSSIAN_PROCESS,
     ) -> None:
-        self.sensors = Sensors.chosen(sensors, unobserved_fraction, unobserved)
+        chosen = Sensors.chosen(sensors, unobserved_fraction, unobserved)
+        super().__init__(chosen, acceleration_through, initial_motion, unknown_force)
         self.unknown, self.initial = unknown, initial
         self.starts = checked_starts(starts)
         self.positive = checked_positive(positive)
         self.prior_width = positive_number("scheme.prior_width", prior_width)
         self.parameter_uncertainty = checked_uncertainty(parameter_uncertainty)
-        self.acceleration_through = one_of("scheme.acceleration_through", acceleration_through, THROUGH)
-        self.initial_motion = one_of("scheme.initial_motion", initial_motion, CHOICES)
-        self.unknown_force = one_of("scheme.unknown_force", unknown_force, UNKNOWN_FORCES)
-
-    def observe(self, record: Record) -> Record:
-        """See :meth:`Scheme.observe`."""
-        return self.sensors.observe(record)
 
     def damped(self, prescribed: Structure, records: Sequence[Record]) -> Structure:
         """See :meth:`Scheme.damped`: an unknown ratio for each mode in the band; modes beyond have the last.
@@ -140,23 +131,17 @@ class StateParameter(Scheme):
         order = {kind: i for i, kind in enumerate(prescribed.parameters)}
         problems: list[JointProblem] = []
         given = self._given(prescribed, record, chosen)
-        settings = self.acceleration_through, self.initial_motion, self.unknown_force
         for start in parameter_starts(prescribed, record, chosen, given, self.starts, further):
             unknown = [self._unknown(p, start[p], given.get(p, math.nan)) for p in chosen]
             uncertain = tuple(sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.index)))
             values = {parameter: one.value for parameter, one in start.items()}
             own = [calibrated_starts(each, values) for each in records]
-            structure = at_starts(prescribed, unknown)
-            problems.append(JointProblem.of_records(structure, own, uncertain, *settings))
+            problems.append(self.joint_problem(at_starts(prescribed, unknown), own, uncertain))
         return replace(problems[0], other_starts=tuple(problems[1:]))
 
     def _chosen(self, prescribed: Structure, records: Sequence[Record]) -> list[Parameter]:
         record, *further = records
         return unknown_parameters(prescribed, record, self.unknown, further, self.unknown_force == FREE_FORCE)
-
-    def next_problem(self, model: Model, record: Record) -> JointProblem:
-        """See :meth:`Scheme.next_problem`."""
-        return problem_going_on(model, record, self.acceleration_through, self.unknown_force)
 
     def with_record(self, problem: JointProblem, prescribed: Structure, record: Record) -> JointProblem:
         """See :meth:`Scheme.with_record`: by default it is the sensors that say what is unknown."""

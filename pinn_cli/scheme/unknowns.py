@@ -1,9 +1,10 @@
-"""Which parameters are unknown, as a user says it: names and patterns."""
+"""Which parameters are unknown, as a user says it by names and patterns, and how far the others are believed."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -24,6 +25,8 @@ POSITIVE = ("m", "c", "k", "kappa", "mu", "A", "n", "F_c", "factor", *WHOLE)
 MISSING = "missing"
 # In a message.
 NAMES_SHOWN = 16
+# Of a standard deviation over the value: beyond it nothing is believed, and sums lose their last digits.
+LARGEST_UNCERTAINTY = 1000
 
 
 def all_names(structure: Structure) -> dict[str, Parameter]:
@@ -238,3 +241,32 @@ def check_used(
 def at_starts(prescribed: Structure, unknown: Iterable[Parameter]) -> Structure:
     """The prescribed chain with unknown parameters where they start: of a simulated record they were the truth."""
     return prescribed.with_values({parameter: parameter.prescribed for parameter in unknown})
+
+
+def checked_uncertainty(value: Any) -> float:
+    """``scheme.parameter_uncertainty`` as a number.
+
+    Raises:
+        InputError: It is none, negative, or so large that nothing is believed.
+    """
+    if not is_finite_number(value) or not 0 <= value <= LARGEST_UNCERTAINTY:
+        allowed = f"a number between 0 and {LARGEST_UNCERTAINTY}"
+        raise InputError("scheme.parameter_uncertainty", value, allowed, "0 holds the parameters fixed")
+    return float(value)
+
+
+def believed_parameters(
+    structure: Structure, uncertainty: float, but: Collection[Parameter] = ()
+) -> tuple[Parameter, ...]:
+    """Every parameter of a chain but its masses, with a relative prior standard deviation.
+
+    Args:
+        structure: The prescribed model.
+        uncertainty: The standard deviation over the value; 0 leaves every parameter fixed.
+        but: Parameters that are left out.
+    """
+    return tuple(
+        replace(parameter, prior_std=uncertainty * abs(parameter.prescribed))
+        for parameter in structure.every_parameter()
+        if parameter.kind != MASS and parameter not in but and uncertainty * parameter.prescribed != 0
+    )

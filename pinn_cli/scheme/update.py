@@ -6,26 +6,23 @@ from collections.abc import Mapping, Sequence
 
 from pinn_cli.model.model import Model
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.base import Scheme
-from pinn_cli.scheme.initial_motion import CHOICES, FREE
-from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
+from pinn_cli.scheme.base import EstimationScheme
+from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.of_model import check_updatable, given, problem_going_on, problem_of_model
-from pinn_cli.scheme.problem import THROUGH
+from pinn_cli.scheme.of_model import check_updatable, given
+from pinn_cli.scheme.problem import FREE
 from pinn_cli.scheme.sensors import Sensors
-from pinn_cli.settings.legal_values import one_of
 from pinn_cli.system.structure import Structure
 
 
-class Update(Scheme):
+class Update(EstimationScheme):
     """The parameters of a finished run, updated with a new record of the same structure.
 
     Args:
         model: The finished run.
         unobserved_fraction, unobserved, sensors: Of a simulated record, see
             :class:`pinn_cli.scheme.sparse_recovery.SparseRecovery`.
-        acceleration_through, initial_motion: See :class:`pinn_cli.scheme.problem.Problem`.
-        unknown_force: How a force that nobody measured is estimated: ``gaussian_process`` or ``free``.
+        acceleration_through, initial_motion, unknown_force: See :class:`pinn_cli.scheme.base.EstimationScheme`.
 
     Raises:
         InputError: A setting outside its range, or no model.
@@ -47,20 +44,9 @@ class Update(Scheme):
     ) -> None:
         self.model = given(model, self.name)
         check_updatable(self.model)
-        self.sensors = Sensors.chosen(sensors, unobserved_fraction, unobserved)
-        self.acceleration_through = one_of("scheme.acceleration_through", acceleration_through, THROUGH)
-        self.initial_motion = one_of("scheme.initial_motion", initial_motion, CHOICES)
-        self.unknown_force = one_of("scheme.unknown_force", unknown_force, UNKNOWN_FORCES)
-
-    def observe(self, record: Record) -> Record:
-        """See :meth:`Scheme.observe`."""
-        return self.sensors.observe(record)
+        chosen = Sensors.chosen(sensors, unobserved_fraction, unobserved)
+        super().__init__(chosen, acceleration_through, initial_motion, unknown_force)
 
     def pose(self, prescribed: Structure, records: Sequence[Record]) -> JointProblem:
         """See :meth:`Scheme.pose`; what is prescribed is the model's."""
-        settings = self.acceleration_through, self.initial_motion, self.unknown_force
-        return problem_of_model(self.model, self.only_one(records), True, *settings)
-
-    def next_problem(self, model: Model, record: Record) -> JointProblem:
-        """See :meth:`Scheme.next_problem`."""
-        return problem_going_on(model, record, self.acceleration_through, self.unknown_force)
+        return self.problem_of_model(self.model, self.only_one(records), updates=True)

@@ -1,4 +1,4 @@
-"""The structure: its equation of motion, parameters, nonlinearities, matrices and model error."""
+"""The structure: its equation of motion, parameters, connections, damping, matrices, modes and model error."""
 
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.drawing import draw

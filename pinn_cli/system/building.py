@@ -19,9 +19,11 @@ from pinn_cli.system.whole_damping import damped
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    import torch
-
     from pinn_cli.system.connection.base import Nonlinearity
+
+# What an estimator holds grows with the square of this number;
+# `pinn_cli.training.normal_matrix.layout` counts it for a record.
+MOST_DOFS = 2000
 
 
 def chain_of(parameters: dict[str, torch.Tensor], nonlinearity: Nonlinearity) -> Structure:
@@ -39,11 +41,6 @@ def chain_of(parameters: dict[str, torch.Tensor], nonlinearity: Nonlinearity) ->
     """
     ndof = parameters[MASS].shape[-1] if MASS in parameters else 1
     return Structure(parameters, (ConnectionGroup(nonlinearity, Incidence.chain(ndof)),))
-
-
-# What an estimator holds grows with the square of this number;
-# `pinn_cli.training.normal_matrix.layout` counts it for a record.
-MOST_DOFS = 2000
 
 
 def build_chain(

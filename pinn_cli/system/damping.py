@@ -28,21 +28,9 @@ class StructuralDamping(Linear):
 
     Attributes:
         kind: Of their parameter.
-        unit: Of it.
     """
 
     kind: ClassVar[str]
-    unit: ClassVar[str] = ""
-
-    @property
-    def titles(self) -> Mapping[str, str]:
-        """See :attr:`Nonlinearity.titles`."""
-        return {self.kind: "Damping ratio" if self.kind == RATIO else "Rayleigh damping"}
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """See :attr:`Nonlinearity.units`."""
-        return {self.kind: self.unit}
 
     def damping_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray | float:
         """See :meth:`Nonlinearity.damping_at_rest`."""
@@ -69,6 +57,8 @@ class ModalRatios(StructuralDamping):
 
     kind = RATIO
     parameters = nonnegative = (RATIO,)
+    titles: Mapping[str, str] = {RATIO: "Damping ratio"}
+    units: Mapping[str, str] = {RATIO: ""}
 
     def rows(self, mass: np.ndarray, stretch: csr_matrix, stiffness: np.ndarray) -> csr_matrix:
         """See :meth:`StructuralDamping.rows`."""
@@ -79,8 +69,10 @@ class ModalRatios(StructuralDamping):
 class MassProportional(StructuralDamping):
     """a_0 M: rows sqrt(m_i)."""
 
-    kind, unit = OF_MASS, "1/s"
+    kind = OF_MASS
     parameters = nonnegative = (OF_MASS,)
+    titles: Mapping[str, str] = {OF_MASS: "Rayleigh damping"}
+    units: Mapping[str, str] = {OF_MASS: "1/s"}
 
     def rows(self, mass: np.ndarray, stretch: csr_matrix, stiffness: np.ndarray) -> csr_matrix:
         """See :meth:`StructuralDamping.rows`."""
@@ -90,8 +82,10 @@ class MassProportional(StructuralDamping):
 class StiffnessProportional(StructuralDamping):
     """a_1 K: rows sqrt(k_j) b_j; omega_r phi_r' M where a part is softer than its matrix, as a negative spring."""
 
-    kind, unit = OF_STIFFNESS, "s"
+    kind = OF_STIFFNESS
     parameters = nonnegative = (OF_STIFFNESS,)
+    titles: Mapping[str, str] = {OF_STIFFNESS: "Rayleigh damping"}
+    units: Mapping[str, str] = {OF_STIFFNESS: "s"}
 
     def rows(self, mass: np.ndarray, stretch: csr_matrix, stiffness: np.ndarray) -> csr_matrix:
         """See :meth:`StructuralDamping.rows`."""

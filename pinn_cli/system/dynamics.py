@@ -31,10 +31,10 @@ import torch
 from scipy.sparse import csr_matrix, hstack, vstack
 from torch import Tensor
 
+from pinn_cli.system.connection_groups import Linearisation, slopes
 from pinn_cli.system.coupling import Coupling
 from pinn_cli.system.functions import Functions, Jet
 from pinn_cli.system.incidence import Incidence
-from pinn_cli.system.linearisation import Linearisation, slopes
 from pinn_cli.system.parameters import MASS
 
 

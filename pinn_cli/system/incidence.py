@@ -1,8 +1,9 @@
-"""Which coordinates stretch which connection: the incidence matrix B of a structure, and what follows from it."""
+"""Which coordinates stretch which connection: the incidence matrix B of a structure; and pairs that nothing joins."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -119,6 +120,27 @@ class Incidence:
     def sign(self) -> np.ndarray:
         """See the class."""
         return padded(self.matrix.T.tocsr())[1]
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Pairs of DOFs whose drift a user wants to know: nothing joins them, they have no force.
+
+    Attributes:
+        names: Of the pairs.
+        weights: (P, dofs), of the displacements in each drift.
+    """
+
+    names: tuple[str, ...] = ()
+    weights: csr_matrix = field(default_factory=lambda: csr_matrix((0, 0)))
+
+    @classmethod
+    def of(cls, names: Sequence[str], weights: Sequence[Mapping[int, float]], dofs: int) -> Pairs:
+        """Of a map of DOF, counted from 0, to weight for every pair."""
+        matrix = np.zeros((len(names), dofs))
+        for row, own in zip(matrix, weights, strict=True):
+            row[list(own)] = list(own.values())
+        return cls(tuple(names), csr_matrix(matrix))
 
 
 def _as(x: Any, values: np.ndarray) -> Any:

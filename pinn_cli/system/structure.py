@@ -15,12 +15,10 @@ from scipy.sparse.linalg import norm as sparse_norm
 from pinn_cli.system.array_namespace import Array, namespace
 from pinn_cli.system.connection.base import Hysteresis
 from pinn_cli.system.connection.linear import Linear
-from pinn_cli.system.connection_groups import ConnectionGroup, GroupPart, carriers, group_parts
+from pinn_cli.system.connection_groups import ConnectionGroup, GroupPart, Linearisation, carriers, group_parts, slopes
 from pinn_cli.system.damping import StructuralDamping
-from pinn_cli.system.incidence import Incidence
+from pinn_cli.system.incidence import Incidence, Pairs
 from pinn_cli.system.labels import Labels
-from pinn_cli.system.linearisation import Linearisation, slopes
-from pinn_cli.system.pairs import Pairs
 from pinn_cli.system.parameters import FACTOR, LINEAR_TITLES, LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.shapes import OfMasses, Shapes
 

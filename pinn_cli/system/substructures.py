@@ -37,12 +37,8 @@ class Substructure(Nonlinearity):
 
     name = Linear.name
     parameters = (FACTOR,)
+    titles: Mapping[str, str] = {FACTOR: "Stiffness factor"}
     nonnegative = (FACTOR,)
-
-    @property
-    def titles(self) -> Mapping[str, str]:
-        """See :attr:`Nonlinearity.titles`."""
-        return {FACTOR: "Stiffness factor"}
 
     def stiffness_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray | float:
         """See :meth:`Nonlinearity.stiffness_at_rest`."""

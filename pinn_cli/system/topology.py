@@ -17,10 +17,9 @@ from pinn_cli.settings.legal_values import USABLE, entries, is_finite_number, is
 from pinn_cli.settings.suggestion import suggestion
 from pinn_cli.system.connection.base import Nonlinearity
 from pinn_cli.system.connection_groups import ConnectionGroup
-from pinn_cli.system.incidence import Incidence
+from pinn_cli.system.incidence import Incidence, Pairs
 from pinn_cli.system.labels import Labels
 from pinn_cli.system.laws import law_called, law_settings
-from pinn_cli.system.pairs import Pairs
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.support import loose_dofs

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from pinn_cli.system.frequency_response import Acting, FrequencyResponse, real_rows
-from pinn_cli.system.natural_modes import at_rest
+from pinn_cli.system.modes import at_rest
 from pinn_cli.system.parameters import MASS, Parameter
 from pinn_cli.system.structure import Structure
 

@@ -14,8 +14,7 @@ import torch
 from torch import Tensor
 
 from pinn_cli.model.knowledge import EndState
-from pinn_cli.scheme.joint_prior import JointPrior
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.problem import JointPrior, Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.quantities import INITIAL_STATE
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pinn_cli.model.knowledge import ParameterKnowledge
-from pinn_cli.scheme.joint_prior import JointPrior
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.problem import JointPrior, Problem
 from pinn_cli.training.parameter_spread import updated_spread
 
 # Rounds at most, and the relative change below which a spread has settled.

@@ -11,8 +11,8 @@ import numpy as np
 
 from pinn_cli.record.response import GROUND
 from pinn_cli.system.quantities import FORCE
-from pinn_cli.verdict.comparison import Comparison, compare, comparisons
 from pinn_cli.verdict.finding import Finding
+from pinn_cli.verdict.prediction import Comparison, compare, comparisons
 from pinn_cli.verdict.record_faults import DEVIATIONS, LEAST_OFFSET
 
 if TYPE_CHECKING:
@@ -132,9 +132,9 @@ def _remedy(kind: str, setting: str, value: float) -> str:
 
 
 def _delay(c: Comparison) -> Finding | None:
-    if not c.delay.differs(0.0, LEAST_DELAY * c.step, DEVIATIONS):
+    if not c.delay.differs(0.0, LEAST_DELAY * c.record.step, DEVIATIONS):
         return None
-    return replace(late_finding(c.channel, c.delay.value, c.step), left=c.delay.left)
+    return replace(late_finding(c.channel, c.delay.value, c.record.step), left=c.delay.left)
 
 
 def late_finding(channel: Channel, delay: float, step: float) -> Finding:
@@ -156,12 +156,13 @@ def _offset(c: Comparison) -> Finding | None:
 def _common_fault(found: Sequence[Comparison]) -> Finding | None:
     """What all of several channels share: then the force is to blame, or the ground's sensor, whichever there is."""
     factors, delays = [c.factor for c in found], [c.delay for c in found]
-    forced, shaken = found[0].forced, found[0].ground is not None
-    if len(found) == 1 or (len(forced) > 0) == shaken:
+    record, forced = found[0].record, found[0].forced
+    shaken = record.ground_acceleration is not None
+    if len(found) == 1 or bool(forced) == shaken:
         return None
     name, setting = "ground acceleration", f"data.{GROUND}"
     if not shaken:
-        name, setting = f"force of DOF {found[0].forced_names}", "data.force"
+        name, setting = f"force of DOF {', '.join(forced)}", "data.force"
     value = float(np.median([f.value for f in factors]))
     if all(_off(c) for c in found) and all(abs(f.value / value - 1) < SAME for f in factors):
         left = max(f.left for f in factors)
@@ -170,9 +171,8 @@ def _common_fault(found: Sequence[Comparison]) -> Finding | None:
         remedy = _remedy(kind, setting, 1 / value)
         return Finding(kind, name, f"{reason}; {remedy}", left=left) if left <= REPRODUCED else None
     late = float(np.median([d.value for d in delays]))
-    step = found[0].step
-    shifted = all(d.differs(0.0, LEAST_DELAY * step, DEVIATIONS) for d in delays)
-    if shifted and all(abs(d.value - late) < 0.2 * step for d in delays):
+    shifted = all(d.differs(0.0, LEAST_DELAY * record.step, DEVIATIONS) for d in delays)
+    if shifted and all(abs(d.value - late) < 0.2 * record.step for d in delays):
         left = max(d.left for d in delays)
         reason = f"every sensor says that the {name} is {abs(late):.4g} s {'early' if late > 0 else 'late'}"
         return Finding("delay", name, f"{reason}; shift its column in time", left=left) if left <= REPRODUCED else None

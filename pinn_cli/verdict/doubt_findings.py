@@ -28,8 +28,6 @@ MATTERS = 1.0
 # Another model of damping counts from these odds on, as a logarithm: one of many doubts has to be more probable, this
 # one is asked alone. And a damping ratio in the band must differ by so much: what is less needs no other model.
 OTHER_DAMPING, RATIOS_APART = 6.0, 0.1
-
-
 # Share of what is left that is worth a word.
 LEAST_SHARE = 0.05
 # Numbers that are held.

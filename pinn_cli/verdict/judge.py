@@ -16,18 +16,15 @@ from pinn_cli.scheme.reach import unreached_dofs
 from pinn_cli.system.parameters import MASS
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.causes import causes as fitted_causes
-from pinn_cli.verdict.change_findings import change_findings
 from pinn_cli.verdict.channel_faults import LEAST_GAIN, channel_faults
-from pinn_cli.verdict.comparison import worst_misfit
 from pinn_cli.verdict.doubt_findings import doubt_findings
 from pinn_cli.verdict.finding import Finding, Verdict
-from pinn_cli.verdict.first_samples import first_sample_findings
-from pinn_cli.verdict.input_findings import input_findings
+from pinn_cli.verdict.input_findings import input_findings, sampling_findings
 from pinn_cli.verdict.noise_findings import noise_findings
 from pinn_cli.verdict.parameter_findings import baseline_findings, parameter_findings
-from pinn_cli.verdict.prediction import predicted, prediction_of
-from pinn_cli.verdict.record_faults import record_faults
-from pinn_cli.verdict.sampling_findings import sampling_findings
+from pinn_cli.verdict.prediction import predicted, prediction_of, worst_misfit
+from pinn_cli.verdict.record_faults import first_sample_findings, record_faults
+from pinn_cli.verdict.records import change_findings
 from pinn_cli.verdict.sensor_findings import sensor_findings
 
 if TYPE_CHECKING:

@@ -1,6 +1,7 @@
 """What the estimated parameters say of an estimate: far from where they were believed, not determined, out of band.
 
-And where an estimate and the baseline's differ by more than their standard deviations allow.
+And where an estimate and the baseline's differ by more than their standard deviations allow, or where draws of a
+posterior failed their quality check.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pinn_cli.verdict.finding import Finding, failed_if
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from pinn_cli.posterior.result import PosteriorResult
     from pinn_cli.record.record import Record
     from pinn_cli.scheme.problem import Problem
     from pinn_cli.system.structure import Structure
@@ -229,3 +231,12 @@ def _displacements_apart(estimate: Estimate, baseline: Estimate, record: Record)
     place = f"DOF {record.dof_name(worst)}"
     extent = f"{100 * apart[worst] / size[worst]:.0f} % of its rms apart on {place}"
     return [Finding("baseline", f"displacement of {place}", f"{text}: {extent}; look at the free run")]
+
+
+def posterior_findings(posterior: PosteriorResult | None) -> list[Finding]:
+    """A finding where the check failed, with its first sentence; all of them are printed with the draws."""
+    if posterior is None or not posterior.verdict:
+        return []
+    first, *more = posterior.verdict
+    text = f"the sampling failed its quality check, intervals may be wrong: {first}"
+    return [Finding("sampling", "posterior", f"{text} (and {len(more)} more, see above)" if more else text)]

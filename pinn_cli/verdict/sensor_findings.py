@@ -12,10 +12,9 @@ from pinn_cli.record.channels import channels
 from pinn_cli.record.response import GROUND
 from pinn_cli.system.quantities import SUPPORT
 from pinn_cli.training.estimated_structure import estimated_structure
-from pinn_cli.verdict.comparison import Comparison, comparisons
 from pinn_cli.verdict.finding import Finding, failed_if
 from pinn_cli.verdict.noise_findings import noise_found
-from pinn_cli.verdict.prediction import predicted
+from pinn_cli.verdict.prediction import Comparison, comparisons, predicted
 
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record

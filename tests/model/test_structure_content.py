@@ -18,8 +18,8 @@ from pinn_cli.system.connection import Linear
 from pinn_cli.system.connection.friction import Friction
 from pinn_cli.system.connection.polynomial import Polynomial
 from pinn_cli.system.finite_elements import build_finite_elements
+from pinn_cli.system.incidence import Pairs
 from pinn_cli.system.labels import Labels
-from pinn_cli.system.pairs import Pairs
 from pinn_cli.system.structure import Structure
 
 

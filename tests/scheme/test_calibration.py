@@ -7,14 +7,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from independent_records import IndependentRecord, frame, measured, random_force
+from independent_records import IndependentRecord
+from storeys import RATE, record
 
 from pinn_cli.record.gauge import WIDEST_DELAY, WIDEST_GAIN, Calibration, Gauge, unknown_calibration
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.calibration import calibrated_starts, sensor_parameters
-from pinn_cli.scheme.channel_doubts import doubts_of
-from pinn_cli.scheme.linear_fit import JointFit, LinearFit, LinearStructure
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
@@ -22,17 +21,13 @@ from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.parameters import Parameter
 
-RATE = 100.0
-STRETCH = np.eye(3) - np.eye(3, k=-1)
 BELIEVED = {"gain": Calibration(1.0, 0.05), "offset": Calibration(0.0, 0.1)}
 
 
 @cache
 def exact() -> IndependentRecord:
-    """The frame of three storeys, from rest, without noise."""
-    structure, time = frame(cubic=False), np.arange(1500) / RATE
-    truth = structure.moved(random_force(0.5, 12.0, 2000.0, 15.0), time)
-    return measured(structure, truth, {"acceleration": (1, 2, 3)}, 60.0)
+    """Three storeys, nearly without noise."""
+    return record(1, duration=20.0, snr_db=60.0)
 
 
 def changed(quantity: str, dof: int, gain: float, delay: int, kinds: tuple[str, ...] = ("gain", "delay")) -> Gauge:
@@ -50,11 +45,10 @@ def changed(quantity: str, dof: int, gain: float, delay: int, kinds: tuple[str, 
 
 
 def with_gauges(*gauges: Gauge) -> Record:
-    record = exact().record
-    columns = {q: getattr(record, q).copy() for q in ("acceleration", "force")}
+    columns = {q: getattr(exact().record, q).copy() for q in ("acceleration", "force")}
     for gauge in gauges:
         columns[gauge.quantity][:, gauge.dof] = gauge.values
-    return replace(record, gauges=gauges, **columns)
+    return replace(exact().record, gauges=gauges, **columns)
 
 
 def chain(k=1.4e5):
@@ -86,13 +80,6 @@ def test_one_gain_must_be_known():
         sensor_parameters(with_gauges(*doubtful[1:], replace(every[0], calibration={"gain": Calibration(1.1)})))
 
 
-def test_schemes_have_them_among_their_parameters():
-    record, k = with_gauges(changed("acceleration", 0, 1.0, 0)), exact().structure.k
-    names = {"gain_a1", "delay_a1"}
-    assert names <= {p.name for p in SparseRecovery().pose(chain(k), [record]).alone.uncertain}
-    assert names <= {p.name for p in StateParameter(unknown=["k_*"]).pose(chain(), [record]).alone.uncertain}
-
-
 def test_bayesian_has_a_prior_for_what_is_in_doubt_of_a_sensor():
     problem = Bayesian(unknown=["k_*"]).pose(chain(), [with_gauges(changed("acceleration", 0, 1.3, 3))]).alone
     priors = {p.name: p.prior for p in problem.uncertain}
@@ -104,49 +91,31 @@ def test_bayesian_has_a_prior_for_what_is_in_doubt_of_a_sensor():
     assert (priors["gain_a1"].mean, priors["gain_a1"].std, priors["offset_a1"].std) == (1.0, 0.05, 0.1)
 
 
-class TestScreening:
-    """Gains and delays that hide the springs are found with them, from a guess a decade off."""
+# Channel, DOF, gain, and samples that it is late.
+DOUBTFUL = (("acceleration", 0, 1.3, 3), ("acceleration", 2, 0.8, -2), ("force", 2, 1.2, 1))
 
-    each = (("acceleration", 0, 1.3, 3), ("acceleration", 2, 0.8, -2), ("force", 2, 1.2, 1))
 
-    def record(self) -> Record:
-        return with_gauges(*(changed(*one) for one in self.each))
-
-    def test_springs_gains_and_delays_are_found_together(self):
-        problem = StateParameter(unknown=["k_*"]).pose(chain(), [self.record()]).alone
-        start = {p.name: p.prescribed for p in problem.uncertain}
-        for i, k in enumerate(exact().structure.k, 1):
-            assert start[f"k_{i}"] == pytest.approx(k, rel=0.02)
-        for name, (_, _, gain, delay) in zip(("a1", "a3", "f3"), self.each, strict=True):
-            assert start[f"gain_{name}"] == pytest.approx(gain, rel=0.03)
-            assert start[f"delay_{name}"] == pytest.approx(delay / RATE, abs=2e-3)
-        (first, *_) = problem.record.gauges
-        assert first.of("delay").value == start["delay_a1"]
-        assert problem.structure.parameters["k"][0] == start["k_1"]
-
-    def test_sparse_recovery_starts_there_too(self):
-        problem = SparseRecovery().pose(chain(exact().structure.k), [self.record()]).alone
-        start = {p.name: p.prescribed for p in problem.uncertain}
-        assert start["delay_a3"] == pytest.approx(-0.02, abs=2e-3)
-        assert start["gain_f3"] == pytest.approx(1.2, rel=0.03)
-
-    def test_slopes_of_the_misfit(self):
-        s, record = exact().structure, self.record()
-        known = {"m": s.m, "c": np.full(3, np.nan), "k": np.full(3, np.nan)}
-        fit = LinearFit(record, LinearStructure(STRETCH, known, s.k), doubts_of([record]))
-        x, count = JointFit([fit]).start(s.m, s.k), fit.structure.count
-        x[count:] = np.random.default_rng(0).normal(size=len(x) - count) * 0.2
-        slopes = fit.slopes(x)
-        for i in range(len(x)):
-            step = 1e-6 * (np.arange(len(x)) == i)
-            change = (fit.residual(x + step) - fit.residual(x - step)) / 2e-6
-            np.testing.assert_allclose(slopes[..., i], change, atol=1e-6 * np.abs(change).max())
+def test_springs_gains_and_delays_are_found_together():
+    """They hide each other, and the guess of the springs is a decade off."""
+    doubtful = with_gauges(*(changed(*one) for one in DOUBTFUL))
+    problem = StateParameter(unknown=["k_*"]).pose(chain(), [doubtful]).alone
+    start = {p.name: p.prescribed for p in problem.uncertain}
+    for i, k in enumerate(exact().structure.k, 1):
+        assert start[f"k_{i}"] == pytest.approx(k, rel=0.05)
+    (first, *_) = problem.record.gauges
+    assert first.of("delay").value == start["delay_a1"]
+    assert problem.structure.parameters["k"][0] == start["k_1"]
+    believed = SparseRecovery().pose(chain(exact().structure.k), [doubtful]).alone
+    for found in (start, {p.name: p.prescribed for p in believed.uncertain}):
+        for name, (_, _, gain, delay) in zip(("a1", "a3", "f3"), DOUBTFUL, strict=True):
+            assert found[f"gain_{name}"] == pytest.approx(gain, rel=0.05)
+            assert found[f"delay_{name}"] == pytest.approx(delay / RATE, abs=4e-3)
 
 
 def test_what_is_believed_stays_where_it_is_believed():
     gauge = replace(changed("acceleration", 0, 1.0, 0), calibration={**BELIEVED, "delay": Calibration(0.0, 0.05, True)})
-    record = with_gauges(gauge)
+    own = with_gauges(gauge)
     found = {Parameter("gain", 0, label=gauge.name): 2.0, Parameter("delay", 0, label=gauge.name): 0.02}
-    again = calibrated_starts(record, {**found, Parameter("k", 0): 5.0})
+    again = calibrated_starts(own, {**found, Parameter("k", 0): 5.0})
     assert (again.gauges[0].of("gain").value, again.gauges[0].of("delay").value) == (1.0, 0.02)
-    assert calibrated_starts(record, {Parameter("k", 0): 5.0}) is record
+    assert calibrated_starts(own, {Parameter("k", 0): 5.0}) is own

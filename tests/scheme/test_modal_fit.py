@@ -8,8 +8,7 @@ from wings import Wing, wing, wing_record
 
 from pinn_cli.record.band import BandPass
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.modal.band_spectra import BandSpectra
-from pinn_cli.scheme.modal.modal_fit import ModalFit
+from pinn_cli.scheme.modal.modal_fit import BandSpectra, ModalFit
 from pinn_cli.scheme.modal.modal_search import missing_mode, searched
 
 BAND = (4.0, 12.0)

@@ -1,24 +1,42 @@
-"""How many starts unknown parameters have, and where."""
+"""Which parameters of a structure are unknown, how many starts they have, and where."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from calls import PinnRun
+import torch
 from independent_records import IndependentRecord, frame_record
 
 from pinn_cli.record.amplitudes import motion_amplitudes
+from pinn_cli.record.excitation.banded_noise import BandedNoise
+from pinn_cli.record.noise import Noise
 from pinn_cli.record.record import Record
+from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.simulation import Simulation
+from pinn_cli.scheme.bayesian import Bayesian
+from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.starts import checked_starts
 from pinn_cli.scheme.state_parameter import StateParameter
+from pinn_cli.scheme.unknowns import parameters_called, unknown_parameters
+from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
-from pinn_cli.system.connection import Duffing
-from pinn_cli.system.topology import build_partial_structure
+from pinn_cli.system.connection import Duffing, Polynomial
+from pinn_cli.system.topology import build_partial_structure, build_structure
+
+CONNECTIONS = {
+    "storey_1": {"between": ["ground", "x1"], "law": "duffing", "c": 4500, "k": 1.5e6, "kappa": 1e9},
+    "storey_2": {"between": ["x1", "x2"], "law": "linear", "c": 4200, "k": 1.4e6},
+    "storey_3": {"between": ["x2", "x3"], "law": "linear", "c": 3600, "k": 1.2e6},
+    "brace": {"between": ["ground", "x2"], "law": "polynomial", "c": 300, "k": 4e5, "k_3": 1e9},
+    "damper": {"between": ["x1", "x3"], "law": "linear", "c": 3000, "k": 0},
+    "slide": {"weights": {"x1": -0.8, "x3": 0.8}, "law": "friction", "speed": 0.02, "c": 0, "k": 0, "F_c": 50},
+}
+FRAME = build_structure(["x1", "x2", "x3"], {"x1": 2000, "x2": 2000, "x3": 1500}, CONNECTIONS)
 
 
 @pytest.fixture(scope="module")
 def made() -> IndependentRecord:
-    return frame_record(rate=100.0, duration=20.0)
+    return frame_record(duration=8.0)
 
 
 def posed(made: IndependentRecord, factor: float, **settings):
@@ -34,46 +52,48 @@ def starts(problem) -> list[np.ndarray]:
     return [np.array([q.prescribed for q in p.alone.uncertain if q.unknown]) for p in problem.starts]
 
 
-def test_auto_and_whole_numbers_are_settings():
-    assert checked_starts("auto") is None
-    assert [checked_starts(n) for n in (1, 5)] == [1, 5]
+@pytest.mark.parametrize(("value", "most"), [("auto", None), ("given", 0), (1, 1), (5, 5)])
+def test_how_many_starts_there_are_at_most(value, most):
+    assert checked_starts(value) == most
 
 
-@pytest.mark.parametrize("value", ["0", "-1", "1.5", "many", "null", "true"])
-def test_others_are_refused_in_one_line(pinn_run: PinnRun, value: str) -> None:
-    done = pinn_run("scheme=state_parameter", f"scheme.starts={value}")
-    assert done.status == 2
-    assert done.err.strip().count("\n") == 0
-    assert done.err.startswith(f"pinn-run: scheme.starts={value if value not in ('null', 'true') else ''}")
-    assert "must be auto, given, or a whole number >= 1" in done.err
+@pytest.mark.parametrize("value", [0, -1, 1.5, "many", None, True])
+def test_other_numbers_of_starts_are_refused(value):
+    with pytest.raises(InputError, match=r"^scheme\.starts=.*: must be auto, given, or a whole number >= 1"):
+        checked_starts(value)
 
 
-@pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])
+@pytest.mark.parametrize("factor", [0.1, 10.0])
 def test_the_first_start_is_near_whatever_a_user_says(made, factor):
     """A cubic spring makes the linear one that comes nearest stiffer than its own stiffness."""
     first = starts(posed(made, factor))[0] / made.structure.k
     assert np.all((first > 0.8) & (first < 2.0))
 
 
-def test_there_are_no_more_starts_than_asked_for(made):
+def test_there_are_no_more_starts_than_asked_for_all_of_the_same_problem(made):
     assert len(starts(posed(made, 10.0, starts=1))) == 1
-    several = starts(posed(made, 10.0, starts=3))
+    problem = posed(made, 10.0, starts=3)
+    several = starts(problem)
     assert 1 <= len(several) <= 3
     for i, one in enumerate(several):
         assert all(np.abs(np.log(one / other)).max() > 0.01 for other in several[:i])
+    for other in problem.other_starts:
+        assert other.alone.record is problem.alone.record
+        assert [p.name for p in other.alone.uncertain] == [p.name for p in problem.alone.uncertain]
+        assert not other.other_starts
 
 
-@pytest.mark.parametrize("factor", [0.01, 1.0, 100.0])
+@pytest.mark.parametrize("factor", [0.01, 100.0])
 def test_what_the_user_says_is_a_start_of_its_own_beside_those_of_the_record(made, factor):
     """Unless the record starts there anyway, or a single start is asked for."""
     said = factor * made.structure.k * np.array([1.0, 1.3, 0.8])
     structure = build_chain(3, Duffing(), m=2000.0, c=[3000.0, 2800.0, 2400.0], k=said.tolist(), kappa=[5e9, 0.0, 0.0])
-    for settings, last in (({}, True), ({"starts": 2}, True), ({"starts": 1}, False)):
+    for settings, last in (({}, True), ({"starts": 1}, False)):
         problem = StateParameter(unobserved=[], unknown="k_*", **settings).pose(structure, [made.record])
         assert np.allclose(starts(problem)[-1], said, rtol=1e-12) is last
         assert [p.said for p in problem.alone.uncertain if p.unknown] == pytest.approx(said)
-    alone = build_chain(3, Duffing(), m=2000.0, c=3000.0, k=(1.05 * starts(problem)[0]).tolist(), kappa=0.0)
-    near = StateParameter(unobserved=[], unknown="k_*").pose(alone, [made.record])
+    beside = structure.with_parameters(k=torch.as_tensor(1.05 * starts(problem)[0]))
+    near = StateParameter(unobserved=[], unknown="k_*").pose(beside, [made.record])
     assert not any(np.allclose(one, [p.said for p in near.alone.uncertain if p.unknown]) for one in starts(near))
 
 
@@ -92,18 +112,97 @@ def test_without_a_spring_the_force_says_how_large_damping_and_friction_may_be(m
     assert (unknown["c"].prior_std, unknown["F_c"].prior_std) == (10 * unknown["c"].scale, 10 * unknown["F_c"].scale)
 
 
-def test_alternatives_are_the_same_problem_from_elsewhere(made):
-    problem = posed(made, 10.0, starts=3)
-    for other in problem.other_starts:
-        assert other.alone.record is problem.alone.record
-        assert [p.name for p in other.alone.uncertain] == [p.name for p in problem.alone.uncertain]
-        assert not other.other_starts
-
-
 def test_priors_are_as_wide_as_the_start_is_large_and_as_starts_of_its_kind_are(made):
     """A start decades too low would shut the truth out, were its prior as narrow as that."""
-    unknown = [p for p in posed(made, 1.0, prior_width=7.0).alone.uncertain if p.unknown]
+    unknown = [p for p in posed(made, 1.0, prior_width=7.0, starts=1).alone.uncertain if p.unknown]
     typical = np.median([p.prescribed for p in unknown])
     for parameter in unknown:
         assert parameter.prior_std == pytest.approx(7.0 * max(parameter.prescribed, typical))
         assert parameter.lower == -parameter.prescribed
+
+
+@pytest.fixture(scope="module")
+def framed() -> Record:
+    """Of the frame with a brace, a damper and a slide."""
+    force = BandedNoise(3, 12.0, 601, [0.5, 15.0], 2000.0, [3])
+    return Simulated(force, Simulation(12.0, 601), Noise(40.0, 0)).measure(FRAME).record
+
+
+def test_springs_and_dampers_of_a_structure_start_near_the_truth(framed):
+    unknown = ["k_storey_*", "k_brace", "c_*", "kappa_*", "k_3_*", "F_c_*"]
+    problem = StateParameter(unobserved=[], unknown=unknown, starts=1).pose(FRAME, [framed]).alone
+    start = {p.name: p for p in problem.uncertain if p.unknown}
+    for name in ("storey_1", "storey_2", "storey_3", "brace"):
+        assert start[f"k_{name}"].prescribed == pytest.approx(CONNECTIONS[name]["k"], rel=0.3)
+    for name in ("storey_1", "storey_2", "storey_3", "damper"):
+        # One damping ratio for all: the order of magnitude.
+        assert 0.1 < start[f"c_{name}"].prescribed / CONNECTIONS[name]["c"] < 10.0
+    assert (start["kappa_storey_1"].prescribed, start["k_3_brace"].prescribed) == (0.0, 0.0)
+    # Wide enough for the truth, each on the scale of its own connection.
+    for name, connection in (("kappa", "storey_1"), ("k_3", "brace"), ("F_c", "slide")):
+        assert start[f"{name}_{connection}"].prior_std > CONNECTIONS[connection][name]
+
+
+def test_the_bayesian_scheme_takes_every_parameter_but_the_masses(framed):
+    scheme = Bayesian(
+        priors={"k_3": {"kind": "normal", "mean": 0.0, "std": 1e9}, "k_brace": {"kind": "half_normal", "scale": 1e6}}
+    )
+    problem = scheme.pose(FRAME, [scheme.observe(framed)]).alone
+    assert [p.name for p in problem.uncertain] == [p.name for p in FRAME.every_parameter() if p.kind != "m"]
+    priors = {p.name: p.prior for p in problem.uncertain}
+    assert (priors["k_3_brace"].name, priors["k_brace"].scale) == ("normal", 1e6)
+    assert priors["k_storey_1"].scale != 1e6
+
+
+@pytest.mark.parametrize(
+    ("sensors", "names"),
+    [
+        ([1, 3], ["k_storey_2", "k_storey_3", "k_brace", "k_3_brace"]),
+        ([2, 3], ["k_storey_1", "k_storey_2", "k_damper", "k_slide", "kappa_storey_1", "F_c_slide"]),
+    ],
+)
+def test_unknown_by_default_are_springs_that_end_where_there_is_no_sensor(framed, sensors, names):
+    record = framed.keep({"acceleration": sensors})
+    assert [p.name for p in unknown_parameters(FRAME, record, None)] == names
+
+
+@pytest.mark.parametrize(
+    ("pattern", "names"),
+    [
+        ("k_brace", ["k_brace"]),
+        ("k_storey_*", ["k_storey_1", "k_storey_2", "k_storey_3"]),
+        ("k_3_*", ["k_3_brace"]),
+        ("*_brace", ["c_brace", "k_brace", "k_3_brace"]),
+        ("k_*", [f"k_{name}" for name in ("storey_1", "storey_2", "storey_3", "damper", "brace", "slide")]),
+        ("m_x[12]", ["m_x1", "m_x2"]),
+    ],
+)
+def test_patterns_mean_kinds_and_names(framed, pattern, names):
+    assert sorted(p.name for p in unknown_parameters(FRAME, framed, pattern)) == sorted(names)
+    assert sorted(p.name for p in parameters_called(pattern, FRAME, "scheme.initial")) == sorted(names)
+
+
+def test_a_kind_means_its_parameters_and_no_others():
+    assert [p.name for p in parameters_called("k_3", FRAME, "scheme.initial")] == ["k_3_brace"]
+    assert {p.kind for p in parameters_called("k", FRAME, "scheme.initial")} == {"k"}
+    # Of a numbered chain k_2 is what it always was, the second spring.
+    chain = build_chain(2, Polynomial(), m=1.0, c=1.0, k=1.0, k_2=3.0)
+    assert [p.name for p in parameters_called("k_2", chain, "scheme.initial")] == ["k_2"]
+    assert [p.name for p in parameters_called("k_2_*", chain, "scheme.initial")] == ["k_2_1", "k_2_2"]
+
+
+def test_an_unknown_name_is_answered_with_those_that_there_are(framed):
+    with pytest.raises(InputError, match=r"one of m_x1, m_x2, m_x3, c_storey_1.*did you mean k_brace\?"):
+        unknown_parameters(FRAME, framed, "k_brase")
+
+
+def test_what_is_missing_is_told_as_it_would_be_given():
+    connections = {
+        "storey": {"between": ["ground", "x1"], "law": "linear", "c": 1.0, "k": None},
+        "tie": {"between": ["x1", "x2"], "law": "linear", "c": None, "k": 3.0},
+    }
+    structure = build_partial_structure(["x1", "x2"], {"x1": 1.0, "x2": None}, connections)
+    with pytest.raises(InputError, match="kg.*N s/m.*N/m.*m_x2, c_tie, k_storey") as error:
+        check_given(structure)
+    assert error.value.setting == "system.mass.x2, system.connections.tie.c, system.connections.storey.k"
+    check_given(structure, list(structure.every_parameter()))

@@ -12,7 +12,7 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain, build_partial_chain
 from pinn_cli.system.connection import Duffing, Linear
 from pinn_cli.system.finite_elements import build_finite_elements
-from pinn_cli.system.natural_modes import NaturalModes
+from pinn_cli.system.modes import NaturalModes
 from pinn_cli.system.topology import build_structure
 
 K, MASS = [1.5e6, 1.4e6, 1.2e6], 2000.0

@@ -10,8 +10,7 @@ from structures import braced, hysteretic, shuffled
 
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Friction, Linear, PowerDamping, VanDerPol
-from pinn_cli.system.modes import Modes
-from pinn_cli.system.natural_modes import NaturalModes, at_rest
+from pinn_cli.system.modes import Modes, NaturalModes, at_rest
 
 
 def uniform(ndof: int = 5, c: float = 0.0):

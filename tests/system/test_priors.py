@@ -8,9 +8,8 @@ from scipy import stats
 from small_problems import small_chain
 from toy_likelihoods import slopes
 
-from pinn_cli.scheme.bayesian import KINDS, read_priors, with_defaults
+from pinn_cli.scheme.bayesian import KINDS, read_priors
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system.parameters import PRIOR_WIDTH, Parameter
 from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal, stacked
 
 PRIORS = [
@@ -24,27 +23,21 @@ THETA = np.array([0.01, 0.7, 4.0, 25.0])
 
 
 @pytest.mark.parametrize(("prior", "known"), PRIORS, ids=lambda x: getattr(x, "name", ""))
-def test_density_and_moments_are_scipys(prior, known):
+def test_density_slope_moments_and_draws_are_scipys(prior, known):
     np.testing.assert_allclose(prior.log_density(THETA), known.logpdf(THETA), rtol=1e-12)
     assert (prior.mean, prior.std) == pytest.approx((known.mean(), known.std()), rel=1e-12)
     assert prior.positive == (known.support()[0] == 0.0)
-
-
-@pytest.mark.parametrize(("prior", "known"), PRIORS, ids=lambda x: getattr(x, "name", ""))
-def test_slope_is_the_densitys(prior, known):
     numeric = slopes(lambda theta: prior.log_density(theta).sum(), THETA, 1e-6 * THETA)
     np.testing.assert_allclose(prior.slope(THETA), numeric, rtol=1e-6, atol=1e-6)
-
-
-@pytest.mark.parametrize(("prior", "known"), PRIORS, ids=lambda x: getattr(x, "name", ""))
-def test_draws_are_of_the_density(prior, known):
     draws = prior.sample(np.random.default_rng(0), 2000)
     assert stats.kstest(draws, known.cdf).pvalue > 0.001
 
 
-def test_a_gamma_by_its_moments():
+def test_a_gamma_by_its_moments_and_a_log_normal_that_is_too_wide_to_have_any():
     gamma = Gamma.of_moments(15.0, 3.0)
     assert (gamma.mean, gamma.std) == pytest.approx((15.0, 3.0))
+    with np.errstate(over="ignore"):
+        assert LogNormal(1.0, 50.0).std == np.inf
 
 
 def test_stacked_priors_are_those_that_they_were_made_of():
@@ -55,11 +48,6 @@ def test_stacked_priors_are_those_that_they_were_made_of():
         together[places] = prior.log_density(theta[places])
     alone = [float(prior.log_density(x)) for prior, x in zip(priors, theta, strict=True)]
     np.testing.assert_allclose(together, alone, rtol=1e-14)
-
-
-def test_a_wide_log_normal_has_no_moments_but_does_not_fail():
-    with np.errstate(over="ignore"):
-        assert LogNormal(1.0, 50.0).std == np.inf
 
 
 def test_priors_by_kind_name_and_pattern():
@@ -78,17 +66,7 @@ def test_priors_by_kind_name_and_pattern():
     assert priors[("kappa", 2)] == Normal(0.0, 100.0)
     assert {kind for kind, _ in priors} == {"k", "c", "kappa"}
     assert read_priors(None, small_chain()) == {}
-
-
-def test_parameters_without_a_prior_get_a_wide_one_on_the_scale_of_their_start():
-    first, second, cubic = Parameter("k", 0), Parameter("k", 1), Parameter("kappa", 1)
-    scales = {first: 7.0, second: 9.0, cubic: 50.0}
-    priors = with_defaults({first: Gamma(2.0, 0.1)}, scales, positive=("m", "c", "k"))
-    assert priors == {
-        first: Gamma(2.0, 0.1),
-        second: HalfNormal(PRIOR_WIDTH * 9.0),
-        cubic: Normal(0.0, PRIOR_WIDTH * 50.0),
-    }
+    assert set(KINDS) == {prior.name for prior, _ in PRIORS}
 
 
 @pytest.mark.parametrize(
@@ -98,13 +76,10 @@ def test_parameters_without_a_prior_get_a_wide_one_on_the_scale_of_their_start()
         ({"k": 3.0}, "scheme.priors.k=3.0: must be a mapping"),
         ({"k": {"shape": 2}}, "scheme.priors.k.kind=(missing): must be one of gamma, half_normal, log_normal, normal"),
         ({"k": {"kind": "gama"}}, "scheme.priors.k.kind=gama: must be one of"),
-        ({"k": {"kind": ["gamma"]}}, "scheme.priors.k.kind=['gamma']: must be one of"),
         ({"k": {"kind": "gamma", "shape": 2}}, "scheme.priors.k=gamma with shape: must be given shape and rate"),
         ({"k": {"kind": "gamma", "shape": 2, "std": 1}}, "scheme.priors.k=gamma with shape, std: must be"),
         ({"k": {"kind": "gamma", "shape": 2, "rate": 0}}, "scheme.priors.k.rate=0: must be a finite number > 0"),
-        ({"k": {"kind": "gamma", "mean": "x", "std": 1}}, "scheme.priors.k.mean=x: must be a finite number > 0"),
         ({"k_1": {"kind": "half_normal"}}, "scheme.priors.k_1.scale=(missing): must be given"),
-        ({"k": {"kind": "half_normal", "scale": -5}}, "scheme.priors.k.scale=-5: must be a finite number > 0"),
         ({"k": {"kind": "half_normal", "scal": 5}}, "scheme.priors.k.scal=5: must be one of the settings"),
         ({"k": {"kind": "log_normal", "median": 1, "sigma": True}}, "scheme.priors.k.sigma=True"),
         ({"k": {"kind": "normal", "mean": float("nan"), "std": 1}}, "scheme.priors.k.mean=nan: must be a finite"),
@@ -116,7 +91,3 @@ def test_what_is_wrong_is_told_in_one_line(given, told):
         read_priors(given, small_chain())
     assert str(error.value).startswith(told)
     assert "\n" not in str(error.value)
-
-
-def test_every_kind_is_called_what_it_calls_itself():
-    assert set(KINDS) == {prior.name for prior, _ in PRIORS}

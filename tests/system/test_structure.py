@@ -1,4 +1,4 @@
-"""Structures of any topology against dense matrices and automatic differentiation."""
+"""Structures of any topology against their equations written out, dense matrices and automatic differentiation."""
 
 from __future__ import annotations
 
@@ -7,37 +7,57 @@ import pytest
 import torch
 from structures import braced, shuffled
 
+from pinn_cli.system import build_chain
 from pinn_cli.system.building import chain_of
-from pinn_cli.system.connection import Linear
+from pinn_cli.system.connection import Duffing, Linear, PowerDamping, VanDerPol
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.incidence import Incidence
-from pinn_cli.system.parameters import Parameter, ParameterVector
+from pinn_cli.system.parameters import ParameterVector
 
-STRUCTURES = {"braced": braced, "shuffled": shuffled}
+
+def chain(law, **coefficients):
+    spread = {name: [value * (1.0 + 0.1 * i) for i in range(4)] for name, value in coefficients.items()}
+    return build_chain(4, law, m=[10.0, 9.0, 8.0, 7.0], c=[1.0, 2.0, 3.0, 4.0], k=15.0, **spread)
+
+
+STRUCTURES = {
+    "linear": chain(Linear()),
+    "duffing": chain(Duffing(), kappa=100.0),
+    "van_der_pol": chain(VanDerPol(), mu=0.75),
+    "power_damping": chain(PowerDamping(1.5), mu=0.75),
+    "one": build_chain(1, Duffing(), m=2.0, c=3.0, k=5.0, kappa=7.0),
+    "braced": braced(),
+    "shuffled": shuffled(),
+}
+# Nonlinear forces written out, of a coefficient, an elongation and its rate.
+LAWS = {
+    "linear": lambda _, e, de: 0.0 * e,
+    "duffing": lambda kappa, e, de: kappa * e**3,
+    "van_der_pol": lambda mu, e, de: mu * (e**2 - 1.0) * de,
+    "power_damping": lambda mu, e, de: mu * de.sign() * de.abs() ** 1.5,
+}
 
 
 @pytest.fixture(params=STRUCTURES)
 def structure(request):
-    return STRUCTURES[request.param]()
+    return STRUCTURES[request.param]
 
 
-def random_states(structure, count: int = 3, shape: tuple[int, ...] = (5,)) -> list[torch.Tensor]:
+def random_states(structure, count: int = 3, shape: tuple[int, ...] = (5,), dtype=torch.float64) -> list[torch.Tensor]:
     generator = torch.Generator().manual_seed(1)
-    return [torch.randn((*shape, structure.ndof), generator=generator, dtype=torch.float64) for _ in range(count)]
+    return [torch.randn((*shape, structure.ndof), generator=generator, dtype=dtype) for _ in range(count)]
 
 
 def force_written_out(structure, u, v, a):
-    """Connection by connection, by the weights of its coordinates."""
-    p, matrix = structure.parameters, structure.incidence.matrix.toarray()
-    force = p["m"] * a
-    special = {kind: list(members) for kind, members in structure.members.items() if kind in ("kappa", "mu")}
-    for c, row in enumerate(torch.as_tensor(matrix)):
+    """Connection by connection, by the weights of its coordinates, as free-body diagrams have it."""
+    p = structure.parameters
+    force, used = p["m"] * a, dict.fromkeys(p, 0)
+    for c, row in enumerate(torch.as_tensor(structure.incidence.matrix.toarray())):
+        law = structure.laws[c]
         e, de = (u * row).sum(-1), (v * row).sum(-1)
-        r = p["c"][c] * de + p["k"][c] * e
-        if c in special.get("kappa", ()):
-            r = r + p["kappa"][special["kappa"].index(c)] * e**3
-        if c in special.get("mu", ()):
-            r = r + p["mu"][special["mu"].index(c)] * (e**2 - 1.0) * de
+        own = [p[kind][used[kind]] for kind in law.parameters]
+        used |= {kind: used[kind] + 1 for kind in law.parameters}
+        r = p["c"][c] * de + p["k"][c] * e + LAWS[law.name](own[0] if own else None, e, de)
         force = force + r[..., None] * row
     return force
 
@@ -46,8 +66,7 @@ def test_the_equation_of_motion_written_out(structure):
     u, v, a = random_states(structure)
     expected = force_written_out(structure, u, v, a)
     torch.testing.assert_close(structure.external_force(u, v, a), expected)
-    arrays = (x.numpy() for x in (u, v, a))
-    np.testing.assert_allclose(structure.external_force(*arrays), expected)
+    np.testing.assert_allclose(structure.external_force(*(x.numpy() for x in (u, v, a))), expected)
     torch.testing.assert_close(structure.acceleration(u, v, expected), a)
 
 
@@ -66,6 +85,65 @@ def test_the_linearisation_is_the_slope_of_the_force(structure):
     torch.testing.assert_close(pull @ torch.diag(found.stiffness) @ pull.T, by_u)
     torch.testing.assert_close(pull @ torch.diag(found.damping) @ pull.T, by_v)
     torch.testing.assert_close(structure.by_parameters(found, every, a), by_parameter)
+
+
+def test_derivatives_in_state_and_parameters_are_right(structure):
+    names = tuple(structure.parameters)
+    states = [x.requires_grad_() for x in random_states(structure, shape=(2,))]
+    values = [structure.parameters[name].clone().requires_grad_() for name in names]
+
+    def force(u, v, a, *values):
+        return structure.external_force(u, v, a, dict(zip(names, values, strict=True)))
+
+    assert torch.autograd.gradcheck(force, (*states, *values))
+    assert torch.autograd.gradgradcheck(force, (*states, *values))
+    own = structure.parameters["k"].clone().requires_grad_()
+    structure.with_parameters(k=own).external_force(*(x.detach() for x in states)).pow(2).sum().backward()
+    assert torch.all(own.grad != 0.0)
+
+
+def test_forward_mode_and_vectorised_transforms_pass_through(structure):
+    u, v, f = random_states(structure, shape=())
+    jacobian = torch.func.jacfwd(lambda x: structure.acceleration(x, v, f))(u)
+    torch.testing.assert_close(jacobian, torch.func.jacrev(lambda x: structure.acceleration(x, v, f))(u))
+    (batch,) = random_states(structure, 1, (6,))
+    mapped = torch.func.vmap(lambda x: structure.restoring_force(x, v))(batch)
+    torch.testing.assert_close(mapped, structure.restoring_force(batch, v.expand(6, -1)))
+
+
+def test_parameters_may_vary_in_time(structure):
+    u, v, a = random_states(structure)
+    varying = {name: value * torch.linspace(1.0, 2.0, 5)[:, None] for name, value in structure.parameters.items()}
+    twice = {name: 2.0 * value for name, value in structure.parameters.items()}
+    force = structure.external_force(u, v, a, varying)
+    torch.testing.assert_close(force[-1], structure.external_force(u[-1], v[-1], a[-1], twice))
+
+
+def test_dtype_and_device_are_those_of_the_state(structure):
+    u, v, f = random_states(structure, dtype=torch.float32)
+    assert structure.acceleration(u, v, f).dtype == torch.float32
+    assert structure.acceleration(u.numpy(), v.numpy(), f.numpy()).dtype == np.float32
+    # The meta device stands in for a GPU: a parameter left on the CPU would raise.
+    meta = structure.acceleration(*(x.to("meta") for x in (u, v, f)))
+    assert (meta.device.type, meta.shape) == ("meta", u.shape)
+
+
+def test_linearised_drops_the_nonlinearity_and_keeps_the_rest(structure):
+    linear, (u, v, a) = structure.linearised(), random_states(structure)
+    assert set(linear.parameters) == {"m", "c", "k"}
+    torch.testing.assert_close(linear.external_force(2.0 * u, v, a) - linear.external_force(u, v, a),
+                               linear.restoring_force(u, torch.zeros_like(v)))  # fmt: skip
+    torch.testing.assert_close(structure.restoring_force(1e-9 * u, 0.0 * v), linear.restoring_force(1e-9 * u, 0.0 * v))
+
+
+def test_whose_equations_contain_a_parameter(structure):
+    u, v, a = random_states(structure, shape=())
+    for parameter in structure.every_parameter():
+        values = structure.parameters[parameter.kind].clone()
+        values[parameter.index] *= 1.5
+        other = structure.with_parameters(**{parameter.kind: values})
+        moved = other.external_force(u, v, a) - structure.external_force(u, v, a)
+        assert set(np.flatnonzero(moved.numpy())) == set(structure.ends(parameter))
 
 
 def test_many_connections_are_looked_up_and_few_multiplied():
@@ -92,50 +170,14 @@ def test_what_is_coupled_stands_near_each_other():
     assert Dynamics(braced()).coupling.reach == 2  # every mass is coupled with every other
 
 
-def test_whose_equations_contain_a_parameter(structure):
-    u, v, a = random_states(structure, shape=())
-    for parameter in structure.every_parameter():
-        values = structure.parameters[parameter.kind].clone()
-        values[parameter.index] *= 1.5
-        other = structure.with_parameters(**{parameter.kind: values})
-        moved = other.external_force(u, v, a) - structure.external_force(u, v, a)
-        assert set(np.flatnonzero(moved.numpy())) == set(structure.ends(parameter))
-
-
-def test_without_its_nonlinearities(structure):
-    u, v, a = random_states(structure)
-    linear = structure.linearised()
-    assert set(linear.parameters) == {"m", "c", "k"}
-    torch.testing.assert_close(linear.external_force(2.0 * u, v, a) - linear.external_force(u, v, a),
-                               linear.restoring_force(u, torch.zeros_like(v)))  # fmt: skip
-
-
-def test_connections_need_ends():
+def test_what_is_no_structure_is_refused():
     for wrong in ([{}], [{3: 1.0}], [{-1: 1.0}]):
         with pytest.raises(ValueError, match="a connection has weights"):
             Incidence.between(wrong, 3)
-
-
-def test_a_parameter_is_the_same_whatever_is_believed_of_it():
-    believed, bare = Parameter("kappa", 3, 100.0, 7.5, unit="N/m^3"), Parameter("kappa", 3)
-    assert believed == bare
-    assert {believed: 1}[bare] == 1
-    assert believed != Parameter("kappa", 2)
-    assert (bare.name, bare.owner, bare.symbol) == ("kappa_4", "connection 4", r"$\kappa_{4}$")
-    assert (Parameter("m", 0).owner, Parameter("k", 0, label="brace").name) == ("DOF 1", "k_brace")
-
-
-@pytest.mark.parametrize("as_is", [torch.as_tensor, np.asarray], ids=["tensors", "arrays"])
-def test_a_vector_of_parameters_by_name(as_is):
-    structure = braced()
-    moving = [Parameter("mu", 0), Parameter("k", 4), Parameter("m", 1)]
-    nominal = {kind: as_is(values.numpy()) for kind, values in structure.parameters.items()}
-    vector = ParameterVector(nominal, moving)
-    assert (vector.kinds, vector.places) == (("m", "k", "mu"), 3 + 6 + 1)
-    values = vector.values(as_is(np.array([0.1, 2.0, -1.0])))
-    expected = {kind: given.numpy().copy() for kind, given in structure.parameters.items()}
-    expected["mu"][0] += 0.1
-    expected["k"][4] += 2.0
-    expected["m"][1] -= 1.0
-    for kind, given in expected.items():
-        np.testing.assert_array_equal(values[kind], given)
+    one = torch.ones(3, dtype=torch.float64)
+    with pytest.raises(ValueError, match="kappa"):
+        chain_of({"m": one, "c": one, "k": one}, Duffing())
+    with pytest.raises(ValueError, match="numbers, not"):
+        chain_of({"m": one, "c": one, "k": torch.ones(2, dtype=torch.float64)}, Linear())
+    with pytest.raises(ValueError, match="mu"):
+        chain_of({"m": one, "c": one, "k": one}, Linear()).with_parameters(mu=one)

@@ -12,9 +12,7 @@ from scipy.linalg import eigh
 from pinn_cli.scheme.unknowns import all_names
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.finite_elements import build_finite_elements
-from pinn_cli.system.model_error import PerturbedModelError
-from pinn_cli.system.modes import Modes
-from pinn_cli.system.natural_modes import NaturalModes
+from pinn_cli.system.modes import Modes, NaturalModes
 
 ELEMENTS = 30
 PARTS = {"base": range(10), "middle": range(10, 20), "top": range(20, 30)}
@@ -51,7 +49,7 @@ def with_factors(structure, factors):
     return structure.with_parameters(factor=torch.tensor(factors, dtype=torch.float64))
 
 
-@pytest.mark.parametrize("factors", [[1.0, 1.0, 1.0], [0.85, 1.0, 1.1], [0.7, 1.3, 0.7], [1.3, 0.7, 1.2]])
+@pytest.mark.parametrize("factors", [[1.0, 1.0, 1.0], [0.85, 1.0, 1.1], [1.3, 0.7, 1.2]])
 def test_frequencies_are_those_of_the_whole_model(folder, factors):
     found = Modes.of(with_factors(built(folder), factors)).natural_frequencies[:6]
     expected = full_frequencies(factors, 6)
@@ -145,14 +143,6 @@ def test_a_factor_is_one_parameter_of_many_connections(folder):
     assert len(structure.ends(names["factor_top"])) == structure.coordinates
 
 
-def test_the_force_is_linear_in_the_factors(folder):
-    structure = built(folder, connections=STOP)
-    u = np.random.default_rng(1).standard_normal((4, structure.coordinates)) * 1e-3
-    forces = [with_factors(structure, f).restoring_force(u, 0.0 * u) for f in ([1, 1, 1], [2, 1, 1], [3, 1, 1])]
-    np.testing.assert_allclose(forces[2] - forces[1], forces[1] - forces[0], rtol=1e-9, atol=1e-9)
-    assert np.abs(forces[1] - forces[0]).max() > 1e-3 * np.abs(forces[0]).max()
-
-
 def test_derivatives_by_factors_are_those_of_the_force(folder):
     structure = with_factors(built(folder, connections=STOP), [0.9, 1.0, 1.1])
     u, v = (torch.as_tensor(np.random.default_rng(s).standard_normal((3, structure.coordinates))) for s in (2, 3))
@@ -187,12 +177,6 @@ def test_a_forgotten_nonlinearity_leaves_the_parts(folder):
     linear = structure.linearised()
     assert "kappa" not in linear.parameters
     np.testing.assert_allclose(linear.restoring_force(u, 0 * u), structure.restoring_force(u, 0 * u), rtol=1e-6)
-
-
-def test_the_true_factors_of_a_perturbed_model_differ(folder):
-    true, prescribed = PerturbedModelError(seed=3).structures(built(folder))
-    off = true.parameters["factor"] / prescribed.parameters["factor"] - 1.0
-    assert ((off.abs() >= 0.05) & (off.abs() <= 0.1)).all()
 
 
 def test_a_value_is_the_factor_and_a_file_of_several_holds_parts(folder):

@@ -19,7 +19,7 @@ def test_every_system_config_builds_its_chain(name):
     structure = construct(
         build_chain, OmegaConf.merge(OmegaConf.load(CONF / "system" / f"{name}.yaml"), values), "system"
     )
-    assert structure.nonlinearity.name == name
+    assert structure.nonlinearity_name == name
     paper = {
         "m": 10.0,
         "c": 1.0,

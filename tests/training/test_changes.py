@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from pinn_cli.model.knowledge import Levels, ParameterKnowledge
-from pinn_cli.scheme.joint_prior import JointPrior
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.problem import JointPrior, Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.changes import IMPROBABLE, found_changes, left_open, released
 

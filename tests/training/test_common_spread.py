@@ -9,8 +9,7 @@ import pytest
 from storeys import C, K, M, record
 
 from pinn_cli.model.knowledge import Levels, ParameterKnowledge
-from pinn_cli.scheme.joint_prior import JointPrior
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.problem import JointPrior, Problem
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.training.common_spread import common_spread, under_spread

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from frame_records import altered, measure
 from small_estimates import other_estimate
+from small_problems import measured
 
 from pinn_cli.model.knowledge import ParameterKnowledge
+from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.topology import build_structure
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.noise_findings import noise_findings
 from pinn_cli.verdict.parameter_findings import baseline_findings, parameter_findings
@@ -221,3 +224,21 @@ def test_a_baseline_that_differs(right_estimate):
     moved = replace(estimate, response=replace(estimate.response, displacement=displacement))
     assert kinds(baseline_findings(estimate, moved, problem.record)) == [("baseline", "displacement of DOF 3")]
     assert baseline_findings(estimate, None, problem.record) == []
+
+
+SPRING = {"between": ["a", "b"], "law": "linear", "c": 1.0, "k": 15.0}
+FREE = build_structure(["a", "b"], 10.0, {"spring": SPRING})
+HELD = build_structure(["a", "b"], 10.0, {"spring": SPRING, "foot": {**SPRING, "between": ["ground", "a"]}})
+
+
+@pytest.mark.parametrize(("structure", "told"), [(FREE, ["held"]), (HELD, [])])
+def test_a_free_body_is_told_by_its_names_and_is_no_fault(right_estimate, structure, told):
+    found = measured(structure, duration=20.0, samples=401)
+    problem = SparseRecovery().pose(structure, [replace(found.record, dofs=("a", "b"))]).alone
+    findings = parameter_findings(problem, replace(right_estimate[1], parameters=[]), structure)
+    assert [(f.kind, f.word) for f in findings] == [(kind, "sound") for kind in told]
+    assert all("not held: DOFs a, b can move as a rigid body" in f.text for f in findings)
+    truth = found.truth.response.displacement
+    response = predicted(structure, found.record).response.displacement
+    if told:
+        np.testing.assert_allclose(response, truth, atol=1e-3 * np.ptp(truth))

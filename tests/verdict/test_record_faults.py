@@ -1,14 +1,20 @@
-"""What a channel says against itself, and what it does not."""
+"""What a channel says against itself, and what it does not; first samples that are far off."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+from calls import PinnRun
 from frame_records import altered, measure
+from storeys import K, record, system, written
 
-from pinn_cli.verdict.record_faults import record_faults
+from pinn_cli.model.knowledge import Misfit
+from pinn_cli.verdict.record_faults import first_sample_findings, record_faults
 
 
 def zeros(x):
@@ -63,3 +69,55 @@ def test_rest_before_the_force_begins_is_no_dropout(frame):
 def test_a_displacement_may_have_a_mean(frame):
     record = measure(frame, quantity="displacement")
     assert record_faults(altered(record, 2, lambda x: x + x.std(), "displacement")) == []
+
+
+def test_a_right_estimate_has_no_first_samples_that_are_off(right_estimate):
+    problem, estimate = right_estimate
+    assert first_sample_findings(problem.record, estimate) == []
+
+
+@pytest.mark.parametrize("quantity", ["acceleration", "force"])
+def test_the_sensor_and_the_samples_are_named(right_estimate, quantity):
+    problem, estimate = right_estimate
+    values = getattr(problem.record, quantity).copy()
+    values[:3, 2] += np.array([8.0, -6.0, 4.0]) * values[:, 2].std()
+    (found,) = first_sample_findings(replace(problem.record, **{quantity: values}), estimate)
+    assert found.text.startswith(
+        f"the first 3 samples are far off: the {quantity} of DOF 3 was measured as {values[0, 2]:.3g}"
+    )
+    assert f"data.start={problem.record.time[3]:.4g})" in found.text
+    unsure = replace(estimate.std, **{quantity: np.where(values == values, 5.0 * values.std(), 0.0)})
+    assert first_sample_findings(replace(problem.record, **{quantity: values}), replace(estimate, std=unsure)) == []
+
+
+def test_a_force_that_the_model_leaves_out_at_the_beginning_alone(right_estimate):
+    problem, estimate = right_estimate
+    acting, rng = float(problem.record.force.std()), np.random.default_rng(0)
+    history = 0.01 * acting * rng.standard_normal(problem.record.force.shape)
+
+    def told(history: np.ndarray) -> int:
+        misfit = Misfit.of(problem.record.step, history, acting, 0.0)
+        return len(first_sample_findings(problem.record, replace(estimate, misfit=misfit)))
+
+    assert told(history) == told(100.0 * history) == 0
+    history[:4, 1] += 20.0 * acting
+    assert told(history) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("channels", [("a3",), ("f",), ("a1", "a2", "a3")])
+def test_a_record_that_begins_with_wrong_samples(pinn_run: PinnRun, tmp_path: Path, channels, seed) -> None:
+    settings = written(record(seed, duration=20.0, snr_db=40.0).record, tmp_path / "rig.csv")
+    table = pd.read_csv(tmp_path / "rig.csv")
+    for name in channels:
+        table.loc[:2, name] += np.array([8.0, 5.0, -4.0]) * table[name].std()
+    table.to_csv(tmp_path / "rig.csv", index=False)
+    command = *system(1.05 * K), *settings, "threads=1", "scheme=state_parameter", "scheme.unknown=[k_*]"
+    done = pinn_run(*command)
+    assert done.status == 0, done.err
+    run = json.loads((done.directory / "run.json").read_text())
+    assert run["verdict"] != "sound"
+    assert "samples are far off" in run["reasons"][0]
+    again = pinn_run(*command, "data.start=" + run["reasons"][0].rpartition("data.start=")[2].rstrip(")"))
+    assert json.loads((again.directory / "run.json").read_text())["verdict"] == "sound"

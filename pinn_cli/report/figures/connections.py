@@ -14,7 +14,7 @@ from pinn_cli.report.connections import drift_peaks
 from pinn_cli.report.estimates import Histories
 from pinn_cli.report.figures import histories, style
 from pinn_cli.report.results import Results
-from pinn_cli.system.natural_modes import NaturalModes
+from pinn_cli.system.modes import NaturalModes
 from pinn_cli.training.estimated_structure import estimated_structure
 
 ROWS_IN_FULL, LOOPS_IN_FULL = 8, 6  # more connections than these: those with the largest drifts, or forces

@@ -11,11 +11,9 @@ import numpy as np
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.inputs import inputs_of
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.modal.band_spectra import BandSpectra
-from pinn_cli.scheme.modal.modal_fit import ModalFit
+from pinn_cli.scheme.modal.modal_fit import BandSpectra, ModalFit
 from pinn_cli.scheme.modal.modal_search import missing_mode, searched
-from pinn_cli.scheme.problem import Problem
-from pinn_cli.scheme.spectral_estimate import SpectralEstimate
+from pinn_cli.scheme.problem import Problem, SpectralEstimate
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.modal import ModesSought, modal_structure
 from pinn_cli.system.parameters import PRIOR_WIDTH, Parameter

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pinn_cli.scheme.modal.band_spectra import BandSpectra
-from pinn_cli.scheme.modal.modal_fit import BEYOND, BandModel, ModalFit, fitted
+from pinn_cli.scheme.modal.modal_fit import BEYOND, BandModel, BandSpectra, ModalFit, fitted
 from pinn_cli.system.frequency_response import real_rows
 
 # Damping ratio of a mode whose frequency somebody gave, and those that are tried.

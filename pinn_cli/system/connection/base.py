@@ -24,6 +24,8 @@ class Nonlinearity(ABC):
         has_memory: Whether it is a :class:`Hysteresis`.
         stiffness_parameter: The one that fills the paper's K_n (its force depends on e alone), if there is one.
         damping_parameter: The one that fills the paper's C_n, if there is one.
+        titles: What a figure calls each of its parameters; one that is left out goes by its symbol.
+        units: Unit of each of its parameters, powers as ``m^3``; one that is left out is printed without.
         nonnegative: Parameters that make no physical sense below zero.
         optional: Parameters that a connection may be without, beyond ``parameters``.
         reversal_speed: Speed of the elongation over which the force turns when the motion does, m/s, 0 where it has a
@@ -36,20 +38,12 @@ class Nonlinearity(ABC):
     has_memory: ClassVar[bool] = False
     stiffness_parameter: ClassVar[str | None] = None
     damping_parameter: ClassVar[str | None] = None
+    titles: Mapping[str, str] = {}
+    units: Mapping[str, str] = {}
     nonnegative: ClassVar[tuple[str, ...]] = ("c", "k")
     optional: ClassVar[tuple[str, ...]] = ()
     reversal_speed: float | None = None
     is_stiff: bool = False
-
-    @property
-    def titles(self) -> Mapping[str, str]:
-        """What a figure calls each of its parameters; one that is left out goes by its symbol."""
-        return {}
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Unit of each of its parameters, powers as ``m^3``; one that is left out is printed without."""
-        return {}
 
     def of_given(self, given: Collection[str]) -> Nonlinearity:
         """The law with those of its optional parameters that a connection has.

@@ -29,17 +29,14 @@ class BoucWen(Hysteresis):
 
     name = "bouc_wen"
     parameters = ("A", "beta", "gamma", "n")
+    titles: Mapping[str, str] = {
+        "A": "Hysteretic stiffness",
+        "beta": "Hysteresis",
+        "gamma": "Hysteresis",
+        "n": "Sharpness",
+    }
+    units: Mapping[str, str] = {"A": "N/m", "beta": "1/m", "gamma": "1/m", "n": "1"}
     nonnegative = ("c", "k", "A", "n")
-
-    @property
-    def titles(self) -> Mapping[str, str]:
-        """See :attr:`Nonlinearity.titles`."""
-        return {"A": "Hysteretic stiffness", "beta": "Hysteresis", "gamma": "Hysteresis", "n": "Sharpness"}
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """See :attr:`Nonlinearity.units`; of beta and gamma for n = 1."""
-        return {"A": "N/m", "beta": "1/m", "gamma": "1/m", "n": "1"}
 
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`: all of it is hidden."""

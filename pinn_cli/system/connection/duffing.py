@@ -18,16 +18,8 @@ class Duffing(Nonlinearity):
     name = "duffing"
     parameters = ("kappa",)
     stiffness_parameter = "kappa"
-
-    @property
-    def titles(self) -> Mapping[str, str]:
-        """See :attr:`Nonlinearity.titles`."""
-        return {"kappa": "Duffing"}
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """See :attr:`Nonlinearity.units`."""
-        return {"kappa": "N/m^3"}
+    titles: Mapping[str, str] = {"kappa": "Duffing"}
+    units: Mapping[str, str] = {"kappa": "N/m^3"}
 
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`."""

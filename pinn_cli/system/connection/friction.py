@@ -33,6 +33,8 @@ class Friction(Nonlinearity):
     name = "friction"
     parameters = ("F_c",)
     damping_parameter = "F_c"
+    titles: Mapping[str, str] = {"F_c": "Friction"}
+    units: Mapping[str, str] = {"F_c": "N"}
     nonnegative = ("c", "k", "F_c")
     reversal_speed: float
 
@@ -40,16 +42,6 @@ class Friction(Nonlinearity):
         self.speed = None if speed is None else positive_number("system.nonlinearity.speed", speed)
         self.reversal_speed = STUCK if self.speed is None else self.speed
         self.is_stiff = self.speed is None
-
-    @property
-    def titles(self) -> Mapping[str, str]:
-        """See :attr:`Nonlinearity.titles`."""
-        return {"F_c": "Friction"}
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """See :attr:`Nonlinearity.units`."""
-        return {"F_c": "N"}
 
     def turning_over(self, speed: float) -> Friction:
         """See :meth:`Nonlinearity.turning_over`."""

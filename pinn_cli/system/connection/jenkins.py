@@ -34,21 +34,13 @@ class Jenkins(Hysteresis):
 
     name = "jenkins"
     parameters = ("k_t", "F_c")
+    titles: Mapping[str, str] = {"k_t": "Contact stiffness", "F_c": "Friction"}
+    units: Mapping[str, str] = {"k_t": "N/m", "F_c": "N"}
     nonnegative = ("c", "k", "k_t", "F_c")
     is_stiff = True
 
     def __init__(self, sharpness: float = 4.0) -> None:
         self.sharpness = positive_number("system.nonlinearity.sharpness", sharpness)
-
-    @property
-    def titles(self) -> Mapping[str, str]:
-        """See :attr:`Nonlinearity.titles`."""
-        return {"k_t": "Contact stiffness", "F_c": "Friction"}
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """See :attr:`Nonlinearity.units`."""
-        return {"k_t": "N/m", "F_c": "N"}
 
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`: all of it is hidden."""

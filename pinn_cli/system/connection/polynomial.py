@@ -35,6 +35,8 @@ class Polynomial(Nonlinearity):
     def __init__(self, orders: Sequence[int] | None = None) -> None:
         self.orders = None if orders is None else _checked_orders(orders)
         self.parameters = tuple(f"k_{order}" for order in self.orders or ())
+        self.titles = {f"k_{order}": _ORDINALS[order - LEAST_ORDER] for order in self.orders or ()}
+        self.units = {f"k_{order}": f"N/m^{order}" for order in self.orders or ()}
 
     def of_given(self, given: Collection[str]) -> Polynomial:
         """See :meth:`Nonlinearity.of_given`; where nothing is known of any order, `LOWEST`."""
@@ -42,16 +44,6 @@ class Polynomial(Nonlinearity):
             return self
         orders = [order for order in range(LEAST_ORDER, MOST_ORDER + 1) if f"k_{order}" in given]
         return Polynomial(orders or LOWEST)
-
-    @property
-    def titles(self) -> Mapping[str, str]:
-        """See :attr:`Nonlinearity.titles`."""
-        return {f"k_{order}": _ORDINALS[order - LEAST_ORDER] for order in self.orders or ()}
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """See :attr:`Nonlinearity.units`."""
-        return {f"k_{order}": f"N/m^{order}" for order in self.orders or ()}
 
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`."""

@@ -26,6 +26,7 @@ class PowerDamping(Nonlinearity):
     name = "power_damping"
     parameters = ("mu",)
     damping_parameter = "mu"
+    titles: Mapping[str, str] = {"mu": "Power-law damping"}
     nonnegative = ("c", "k", "mu")
 
     def __init__(self, exponent: float = 2.0) -> None:
@@ -33,16 +34,7 @@ class PowerDamping(Nonlinearity):
             hint = "below 1 the slope at rest is infinite"
             raise InputError("system.nonlinearity.exponent", exponent, "a finite number >= 1", hint)
         self.exponent = float(exponent)
-
-    @property
-    def titles(self) -> Mapping[str, str]:
-        """See :attr:`Nonlinearity.titles`."""
-        return {"mu": "Power-law damping"}
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """See :attr:`Nonlinearity.units`."""
-        return {"mu": f"N (s/m)^{self.exponent:g}"}
+        self.units = {"mu": f"N (s/m)^{self.exponent:g}"}
 
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`."""

@@ -18,16 +18,8 @@ class VanDerPol(Nonlinearity):
     name = "van_der_pol"
     parameters = ("mu",)
     damping_parameter = "mu"
-
-    @property
-    def titles(self) -> Mapping[str, str]:
-        """See :attr:`Nonlinearity.titles`."""
-        return {"mu": "Van der Pol"}
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """See :attr:`Nonlinearity.units`."""
-        return {"mu": "N s/m"}
+    titles: Mapping[str, str] = {"mu": "Van der Pol"}
+    units: Mapping[str, str] = {"mu": "N s/m"}
 
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`."""

@@ -18,7 +18,7 @@ import torch
 from pinn_cli.record.response import Response
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.left_out import BACKLASH, FRICTION, HYSTERESIS, MODE
-from pinn_cli.system.natural_modes import frequency_with_oscillator
+from pinn_cli.system.modes import frequency_with_oscillator
 from pinn_cli.system.parameters import MASS
 from pinn_cli.training.doubts.force_doubts import ForceTerm, connection_force, force_border, force_terms
 from pinn_cli.training.doubts.left_spectra import Fit, LeftSpectra, left_spectra

@@ -15,7 +15,7 @@ from pinn_cli.record.channels import record_band
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.damping import RATIO
-from pinn_cli.system.natural_modes import NaturalModes
+from pinn_cli.system.modes import NaturalModes
 from pinn_cli.system.parameters import MASS, Parameter
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
 from pinn_cli.system.whole_damping import damped

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
-from pinn_cli.system.linearisation import Linearisation
+from pinn_cli.system.connection_groups import Linearisation
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
 from pinn_cli.system.structure import Structure

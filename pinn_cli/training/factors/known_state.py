@@ -18,8 +18,7 @@ from torch import Tensor
 from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.scheme.initial_motion import RESIDUAL_MOTION
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.problem import RESIDUAL_MOTION, Problem
 from pinn_cli.system.parameters import MASS
 from pinn_cli.training.beginning import TIE, Beginning
 from pinn_cli.training.factors.factor import Factor

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
-from pinn_cli.system.linearisation import Linearisation
+from pinn_cli.system.connection_groups import Linearisation
 from pinn_cli.training.covariance import ReadoutPosterior
 
 

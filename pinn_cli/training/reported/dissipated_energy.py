@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pinn_cli.system.connection_groups import slopes
 from pinn_cli.system.energy import dissipated_power, stored_by_memory, trapezoids
-from pinn_cli.system.linearisation import slopes
 from pinn_cli.training.covariance import ReadoutPosterior
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point

@@ -18,9 +18,8 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Measurements, Record
 from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.scheme.bayesian import Bayesian
-from pinn_cli.scheme.initial_motion import RESIDUAL_MOTION
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.problem import RESIDUAL_MOTION, Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
