@@ -8,17 +8,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from pinn_cli.settings.legal_values import non_negative_number, positive_number, whole_number
 from pinn_cli.training.gradient.adam import AdamSteps
 from pinn_cli.training.gradient.objective import Evaluation, Objective
-from pinn_cli.training.gradient.optimiser import GRADIENT_VANISHED, NOTHING_LOWER, Optimiser
-from pinn_cli.training.gradient.training import GradientTraining
+from pinn_cli.training.gradient.training import GradientTraining, Optimiser
 
 # torch's L-BFGS learns no curvature below an absolute 1e-10. Losses get there; a power of two changes no digit. In
 # float32 the square of a gradient must stay a number.
 UNITS = {torch.float32: 2.0**30, torch.float64: 2.0**100}
+# Reasons to stop, for run.json.
+NOTHING_LOWER = "line search found nothing lower"
+GRADIENT_VANISHED = "gradient vanished"
 # Values in one line search, and the one that is known already.
 MOST_VALUES = 26
 
@@ -116,37 +117,25 @@ class LbfgsSteps(Optimiser):
 
     def step(self, objective: Objective, evaluation: Evaluation) -> str:
         """See :meth:`Optimiser.step`."""
-        start = objective.vector
-        if float(objective.projected_gradient(start, evaluation).abs().amax()) <= self.tolerance:
+        if float(objective.projected_gradient(evaluation).abs().amax()) <= self.tolerance:
             return GRADIENT_VANISHED
         if evaluation.weights != self.weights:
             # Gradients of two losses say nothing about the curvature of either.
             self.lbfgs, self.weights = self._fresh(), dict(evaluation.weights)
         fresh = not self.lbfgs.state
-        seen = [(start, evaluation)]
-        self.lbfgs.step(lambda: self._closure(seen))
+        self.lbfgs.step(self._closure)
         objective.parameters.respect_bounds()
-        end = objective.vector
-        known = [there for point, there in reversed(seen) if torch.equal(point, end)]
-        if known and known[0].loss < evaluation.loss:
-            objective.remember(known[0])
+        if objective().loss < evaluation.loss:
             return ""
-        objective.put(start)
-        objective.remember(evaluation)
+        objective.put(evaluation.at)
         self.lbfgs = self._fresh()
         return NOTHING_LOWER if fresh else ""
 
-    def _closure(self, seen: list[tuple[Tensor, Evaluation]]) -> float:
-        """The loss where the variables are, with their gradients; the start is known already."""
-        objective, point = self.objective, self.objective.vector
-        inside = torch.maximum(point, objective.lower)
-        start, here = seen[0]
-        there = here if torch.equal(point, start) else objective.move(inside)
-        seen.append((inside, there))
-        gradient = self.unit * objective.projected_gradient(point, there)
-        for variable, part in zip(objective.variables, objective.split(gradient), strict=True):
-            variable.grad = part.clone()
-        return self.unit * there.loss.item()
+    def _closure(self) -> float:
+        """The loss where the variables are, with their gradients."""
+        evaluation = self.objective()
+        self.objective.give(self.unit * self.objective.projected_gradient(evaluation))
+        return self.unit * evaluation.loss.item()
 
     def state_dict(self) -> dict[str, Any]:
         """See :meth:`Optimiser.state_dict`."""
