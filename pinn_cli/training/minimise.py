@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -41,13 +41,16 @@ class Equations(Protocol):
         """What adds up to the loss."""
 
     def assemble(self, point: Point, noise: NoiseLevels) -> Any:
-        """The system of a step: it has ``factor(damping)`` with ``step``, ``decrease`` and ``readout_step``."""
+        """The system of a step: it has ``factor(damping)`` with ``step``, and ``decrease``."""
 
     def room_below(self, point: Point) -> np.ndarray:
         """(p,), the most negative step of every parameter that respects its bound."""
 
     def moved(self, point: Point, step: Any) -> Point:
         """The point after a step."""
+
+    def retries(self, start: Point, refused: Point, noise: NoiseLevels) -> Iterator[Point]:
+        """Where a step from ``start`` may end instead, whose loss rises where it ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +218,7 @@ class Descent:
                     self.chord = factor
                     return self.ended(True, factor)
                 if math.isfinite(trial.gain) and (self.damping > 0.0 or not self.cautious):
-                    trial = self._followed(trial)
+                    trial = self._retried(trial)
                     if self._falls(trial):
                         break
             self.cautious = self.cautious or self.damping == 0.0
@@ -251,12 +254,15 @@ class Descent:
         terms = self.equations.losses(moved, self.noise)
         return _Trial(step, moved, terms, system.decrease(step), self.loss - sum(terms.values()))
 
-    def _followed(self, trial: _Trial) -> _Trial:
-        """The trial after the motion has followed the parameters."""
-        self.factorisations += 1
-        moved = followed(self.equations, trial.moved, self.noise)
-        terms = self.equations.losses(moved, self.noise)
-        return replace(trial, moved=moved, terms=terms, gain=self.loss - sum(terms.values()))
+    def _retried(self, trial: _Trial) -> _Trial:
+        """The first retry that lowers the loss, or the last one."""
+        for moved in self.equations.retries(self.point, trial.moved, self.noise):
+            self.factorisations += 1
+            terms = self.equations.losses(moved, self.noise)
+            trial = replace(trial, moved=moved, terms=terms, gain=self.loss - sum(terms.values()))
+            if self._falls(trial):
+                break
+        return trial
 
     def _falls(self, trial: _Trial) -> bool:
         """Whether the loss does not rise, but for rounding."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +27,8 @@ from pinn_cli.training.point import Point
 
 # Share of the unknowns that the linear model of the units may miss for its bands to be taken.
 MISSED_UNKNOWNS = 0.03
+# Shares of a step that are tried before the damping is raised: a step costs a factor, a share next to nothing.
+SHARES = (0.5, 0.25)
 # What the loss of a factor counts as in the history; those of sensors as observation.
 TERMS = {"physics": "forces", "continuity": "continuity", "initial": "prior"}
 
@@ -63,6 +65,12 @@ class NetworkEquations:
         lower = torch.as_tensor(self.frame.lower).to(point.parameters)
         after = point.moved((step[0], torch.as_tensor(step[1]).to(lower)))
         return Point(after.unknowns, torch.maximum(after.parameters, lower))
+
+    def retries(self, start: Point, refused: Point, noise: NoiseLevels) -> Iterator[Point]:
+        """See :meth:`pinn_cli.training.minimise.Equations.retries`: shares of the step, which cost next to nothing."""
+        for share in SHARES:
+            unknowns = torch.lerp(start.unknowns, refused.unknowns, share)
+            yield Point(unknowns, torch.lerp(start.parameters, refused.parameters, share))
 
     def deviation(self, noise: NoiseLevels) -> Tensor:
         """(p,), standard deviations of the parameters over those that were prescribed: believed ones share a spread."""
@@ -213,6 +221,3 @@ class NetworkSystem:
         gradient += self.equations.precision * self.from_origin
         slope = (linear.by_parameter.T @ linear.residual + self.parameters) / self.unit
         return -float(gradient @ step[0] + slope @ torch.as_tensor(step[1]).to(slope))
-
-    def readout_step(self) -> None:
-        """There is none: the motion is not linear in the weights of the network."""

@@ -49,7 +49,8 @@ class NetworkFrame(Frame):
         self.prescribed = {name: value.to(target.force) for name, value in problem.structure.parameters.items()}
         self._place_parameters()
         self.pattern = RowPattern(self.dynamics, self.vector, target.force)
-        self._time: dict[int, Tensor] = {}
+        # The segments as well: what is known by the identity of an object has to outlive it.
+        self._time: dict[int, tuple[Segments, Tensor]] = {}
         self._weights: Tensor | None = None
         self.observation, self.physics = self.at(target.observation_time), self.at(target.physics_time)
         masks = observation_masks(target, problem.acceleration_through)
@@ -70,7 +71,7 @@ class NetworkFrame(Frame):
         sample, feature = torch.arange(len(time), device=time.device)[None], torch.zeros(1, 0, dtype=torch.long)
         of_motion = (none, none, none, continuity)
         segments = Segments(sample, torch.ones_like(time)[None], feature.to(time.device), *of_motion, 0, len(time))
-        self._time[id(segments)] = time
+        self._time[id(segments)] = segments, time
         return segments
 
     def states(self, segments: Segments, point: Point, part: slice = EVERY) -> States:
@@ -80,7 +81,7 @@ class NetworkFrame(Frame):
             vector_to_parameters(point.unknowns, self.perceptron.parameters())
         key = (id(segments), None, None)
         if key not in self._kept_states:
-            self._kept_states[key] = as_group(self.perceptron(self._time[id(segments)]))
+            self._kept_states[key] = as_group(self.perceptron(self._time[id(segments)][1]))
         return self._kept_states[key]
 
     def linearised(self, segments: Segments, point: Point, residuals: Residual) -> tuple[Block, Tensor, Tensor]:
@@ -91,7 +92,7 @@ class NetworkFrame(Frame):
         """
         key = (id(segments), None, None)
         self.states(segments, point)
-        inputs, outputs, states = forward(self.perceptron, self._time[id(segments)])
+        inputs, outputs, states = forward(self.perceptron, self._time[id(segments)][1])
         self._kept_states[key] = as_group(states)
         values = residuals(Point(point.unknowns, point.parameters))
         block = block_of(inputs, outputs, values)

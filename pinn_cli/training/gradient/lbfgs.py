@@ -55,39 +55,7 @@ class Lbfgs(GradientTraining):
 
     def optimiser(self, objective: Objective) -> Optimiser:
         """See :meth:`GradientTraining.optimiser`."""
-        then = LbfgsSteps(objective, self.memory, self.tolerance)
-        return AdamFirst(AdamSteps(objective.variables, lr=self.learning_rate), self.warm_up, then)
-
-
-class AdamFirst(Optimiser):
-    """Curvature is not worth learning while a random start still falls apart: first Adam, then another optimiser.
-
-    Args:
-        adam: For so many iterations.
-        iterations: How many.
-        then: For the rest.
-    """
-
-    def __init__(self, adam: AdamSteps, iterations: int, then: Optimiser) -> None:
-        self.adam, self.iterations, self.then = adam, iterations, then
-        self.done = 0
-
-    def step(self, objective: Objective, evaluation: Evaluation) -> str:
-        """See :meth:`Optimiser.step`."""
-        if self.done >= self.iterations:
-            return self.then.step(objective, evaluation)
-        self.done += 1
-        return self.adam.step(objective, evaluation)
-
-    def state_dict(self) -> dict[str, Any]:
-        """See :meth:`Optimiser.state_dict`."""
-        return {"done": self.done, "adam": self.adam.state_dict(), "then": self.then.state_dict()}
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """See :meth:`Optimiser.load_state_dict`."""
-        self.done = state["done"]
-        self.adam.load_state_dict(state["adam"])
-        self.then.load_state_dict(state["then"])
+        return LbfgsSteps(objective, self.memory, self.tolerance, self.warm_up, self.learning_rate)
 
 
 class LbfgsSteps(Optimiser):
@@ -100,10 +68,15 @@ class LbfgsSteps(Optimiser):
         objective: Whose variables are moved.
         memory: Steps that the curvature is learned from.
         tolerance: Largest entry of the gradient at which the training ends.
+        warm_up: Iterations of Adam before: curvature is not worth learning while a random start still falls apart.
+        learning_rate: Of this Adam.
     """
 
-    def __init__(self, objective: Objective, memory: int, tolerance: float) -> None:
-        self.objective, self.memory, self.tolerance = objective, memory, tolerance
+    def __init__(
+        self, objective: Objective, memory: int, tolerance: float, warm_up: int = 0, learning_rate: float = 1e-3
+    ) -> None:
+        self.objective, self.memory, self.tolerance, self.warm_up = objective, memory, tolerance, warm_up
+        self.adam = AdamSteps(objective.variables, lr=learning_rate)
         self.weights: dict[str, float] = {}
         self.unit = UNITS[objective.variables[0].dtype]
         self.lbfgs = self._fresh()
@@ -117,6 +90,9 @@ class LbfgsSteps(Optimiser):
 
     def step(self, objective: Objective, evaluation: Evaluation) -> str:
         """See :meth:`Optimiser.step`."""
+        if self.warm_up > 0:
+            self.warm_up -= 1
+            return self.adam.step(objective, evaluation)
         if float(objective.projected_gradient(evaluation).abs().amax()) <= self.tolerance:
             return GRADIENT_VANISHED
         if evaluation.weights != self.weights:
@@ -139,9 +115,15 @@ class LbfgsSteps(Optimiser):
 
     def state_dict(self) -> dict[str, Any]:
         """See :meth:`Optimiser.state_dict`."""
-        return {"optimiser": self.lbfgs.state_dict(), "weights": dict(self.weights)}
+        return {
+            "warm_up": self.warm_up,
+            "adam": self.adam.state_dict(),
+            "optimiser": self.lbfgs.state_dict(),
+            "weights": dict(self.weights),
+        }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """See :meth:`Optimiser.load_state_dict`."""
-        self.weights = dict(state["weights"])
+        self.warm_up, self.weights = state["warm_up"], dict(state["weights"])
+        self.adam.load_state_dict(state["adam"])
         self.lbfgs.load_state_dict(deepcopy(state["optimiser"]))
