@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import torch
 from torch import Tensor, nn
 
-from pinn_cli.training.gradient.objective import Evaluation, Objective
-from pinn_cli.training.gradient.optimiser import Optimiser
+from pinn_cli.training.gradient.objective import Objective
+from pinn_cli.training.gradient.training import Optimiser
 
 
 class PlainObjective(Objective):
@@ -25,19 +25,19 @@ class PlainObjective(Objective):
 
     def respect_bounds(self) -> None:
         with torch.no_grad():
-            inside = torch.full_like(self.x, -math.inf)
-            if self.parameters.count:
-                inside[-self.parameters.count :] = self.parameters.lower
-            self.x.copy_(torch.maximum(self.x, inside))
+            self.x.copy_(self.inside)
+
+    @property
+    def inside(self) -> Tensor:
+        return torch.maximum(self.x, self.lower)
 
     @property
     def variables(self) -> list[nn.Parameter]:
         return [self.x]
 
-    def evaluate(self) -> Evaluation:
-        self.visited.append(self.x.detach().clone())
-        loss = self.function(self.x)
-        return Evaluation(loss, {"loss": loss}, {"loss": 1.0})
+    def terms(self) -> dict[str, Tensor]:
+        self.visited.append(self.inside.detach().clone())
+        return {"loss": self.function(self.inside)}
 
 
 def minimise(optimiser: Optimiser, objective: PlainObjective, most: int) -> tuple[int, str]:

@@ -18,17 +18,15 @@ class LearnedParameters(nn.Module):
     Attributes:
         moved: (p,), distance of each uncertain parameter from its prescribed value, over its order of magnitude: a step
             of 0.01 is about one per cent, whatever the unit.
-        spread: Prior standard deviation of the believed ones, in common, over the one that was prescribed.
     """
 
     unit: Tensor
     prior_std: Tensor
     lower: Tensor
-    unknown: Tensor
 
     def __init__(self, problem: Problem, dtype: torch.dtype) -> None:
         super().__init__()
-        self.uncertain, self.spread = problem.uncertain, 1.0
+        self.uncertain = problem.uncertain
         self.vector = ParameterVector(problem.structure.parameters, self.uncertain)
         for name, values in self.vector.nominal.items():
             self.register_buffer(f"nominal_{name}", values.detach().to(dtype))
@@ -39,7 +37,6 @@ class LearnedParameters(nn.Module):
         self.register_buffer("unit", unit.to(dtype))
         self.register_buffer("prior_std", spread.to(dtype))
         self.register_buffer("lower", (lower / unit).to(dtype))
-        self.register_buffer("unknown", torch.tensor([p.unknown for p in self.uncertain], dtype=torch.bool))
         self.moved = nn.Parameter(torch.zeros(self.count, dtype=dtype))
 
     @property
@@ -48,23 +45,23 @@ class LearnedParameters(nn.Module):
         return len(self.uncertain)
 
     def forward(self) -> dict[str, Tensor]:
-        """Every parameter by kind."""
+        """Every parameter by kind, at the nearest point within the bounds."""
         nominal = {name: self.get_buffer(f"nominal_{name}") for name in self.vector.nominal}
-        return self.vector.values(self.unit * self.moved, nominal)
+        return self.vector.values(self.unit * self._inside, nominal)
+
+    @property
+    def _inside(self) -> Tensor:
+        """(p,), without a gradient beyond a bound."""
+        return self.moved.clamp(min=self.lower)
 
     @torch.no_grad()
     def respect_bounds(self) -> None:
         """Put parameters that a step has taken below their least value back onto it."""
         self.moved.clamp_(min=self.lower)
 
-    @property
-    def prior_deviation(self) -> Tensor:
-        """(p,) prior standard deviations; those of believed parameters times their common spread."""
-        return torch.where(self.unknown, self.prior_std, self.spread * self.prior_std)
-
     def prior(self) -> Tensor:
         """Sum of squared distances from the prescribed values, in prior standard deviations."""
-        return (self.unit / self.prior_std * self.moved).square().sum()
+        return (self.unit / self.prior_std * self._inside).square().sum()
 
     def estimates(self) -> list[ParameterEstimate]:
         """Where the parameters are now; a gradient method knows no standard deviations."""

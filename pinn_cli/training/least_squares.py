@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from torch import Tensor
 from pinn_cli.runs.side_by_side import side_by_side
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS
+from pinn_cli.training.minimise import followed
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_matrix.bordered import BorderedSystem
 from pinn_cli.training.normal_matrix.shared_border import SharedSystem
@@ -115,6 +116,10 @@ class LeastSquares:
         held = torch.as_tensor(step[1] <= self.room_below(point), device=lower.device)
         after = point.moved((unknowns, parameters))
         return Point(after.unknowns, torch.where(held, lower, torch.maximum(after.parameters, lower)))
+
+    def retries(self, start: Point, refused: Point, noise: NoiseLevels) -> Iterator[Point]:
+        """See :meth:`pinn_cli.training.minimise.Equations.retries`: the motion follows the parameters."""
+        yield followed(self, refused, noise)
 
     def losses(self, point: Point, noise: NoiseLevels) -> dict[str, float]:
         """Weighted sum of squares of every residual and of the ridge, over all records, and of the prior once."""

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 
 from pinn_cli.settings.errors import DivergenceError
-from pinn_cli.training.least_squares import LeastSquares
 from pinn_cli.training.noise_model import NoiseLevels
-from pinn_cli.training.normal_matrix.shared_border import SharedFactor, SharedSystem
+from pinn_cli.training.normal_matrix.shared_border import SharedFactor
 from pinn_cli.training.point import Point
 
 # Damping of the scaled matrix (unit diagonal): where it starts once a step has failed, and where trying is given up.
@@ -24,6 +24,33 @@ NEGLIGIBLE = 0.1
 QUICK, KEPT = 0.1, 0.5
 # Relative rise of the loss that may be rounding.
 ROUNDING = 1e-12
+
+
+class Equations(Protocol):
+    """A weighted least-squares problem: :class:`pinn_cli.training.least_squares.LeastSquares`, or that of a network."""
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the motion is all that is unknown beside the parameters."""
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether one step solves it."""
+
+    def losses(self, point: Point, noise: NoiseLevels) -> dict[str, float]:
+        """What adds up to the loss."""
+
+    def assemble(self, point: Point, noise: NoiseLevels) -> Any:
+        """The system of a step: it has ``factor(damping)`` with ``step``, and ``decrease``."""
+
+    def room_below(self, point: Point) -> np.ndarray:
+        """(p,), the most negative step of every parameter that respects its bound."""
+
+    def moved(self, point: Point, step: Any) -> Point:
+        """The point after a step."""
+
+    def retries(self, start: Point, refused: Point, noise: NoiseLevels) -> Iterator[Point]:
+        """Where a step from ``start`` may end instead, whose loss rises where it ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +80,7 @@ class Solution:
 
 
 def minimise(
-    equations: LeastSquares,
+    equations: Equations,
     noise: NoiseLevels,
     start: Point,
     iterations: int,
@@ -90,7 +117,7 @@ def minimise(
     Raises:
         DivergenceError: The loss is not finite at the start.
     """
-    descent = _Descent(equations, noise, start, tolerance, watch, cautious, near)
+    descent = Descent(equations, noise, start, tolerance, watch, cautious, near)
     for _ in range(iterations):
         solution = descent.advance(iterations)
         if solution is not None:
@@ -98,23 +125,31 @@ def minimise(
     return descent.ended(False)
 
 
-class _Descent:
-    """A solution on its way, see :func:`minimise`."""
+class Descent:
+    """A solution on its way, see :func:`minimise`.
+
+    Attributes:
+        point, loss, steps: Where it is, and how many steps were accepted.
+        damping: Of the next step.
+        chord: The factor that the last step was made with.
+        promised: What that step promised to take off the loss.
+    """
 
     def __init__(
         self,
-        equations: LeastSquares,
+        equations: Equations,
         noise: NoiseLevels,
         start: Point,
         tolerance: float,
         watch: Callable[[dict[str, float]], None],
-        cautious: bool,
-        near: SharedFactor | None,
+        cautious: bool = False,
+        near: SharedFactor | None = None,
     ) -> None:
         self.equations, self.noise, self.tolerance, self.watch = equations, noise, tolerance, watch
         self.point, self.cautious, self.damping = start, cautious, FIRST_DAMPING if cautious else 0.0
         self.steps = self.factorisations = 0
-        self.chord, self.promised = near, math.inf  # what the last step was made with, and what that promised
+        self.chord: Any = near
+        self.promised = math.inf
         self.refused = 0.0  # what a step with the last factor promised where another one was made
         self.creeps = False  # whether that other one promised as little: no factor makes the rest of the way quick
         self.loss = sum(equations.losses(start, noise).values())
@@ -151,7 +186,7 @@ class _Descent:
             system, room = self._assembled()
         return self._factored(system, room)
 
-    def _settled(self, system: SharedSystem, room: np.ndarray) -> Solution | None:
+    def _settled(self, system: Any, room: np.ndarray) -> Solution | None:
         """The end, with the Hessian there; None where its own whole step gains more after all."""
         factor = self._factor(system, 0.0)
         if factor is None:
@@ -167,7 +202,7 @@ class _Descent:
         self.chord, self.damping = None, 0.0  # whole steps are refused here: with care from here on
         return None
 
-    def _factored(self, system: SharedSystem, room: np.ndarray) -> Solution | None:
+    def _factored(self, system: Any, room: np.ndarray) -> Solution | None:
         """A step with a factor of its own, as little damped as can be; the end, if it is."""
         undamped, tried = None, False
         while True:
@@ -183,7 +218,7 @@ class _Descent:
                     self.chord = factor
                     return self.ended(True, factor)
                 if math.isfinite(trial.gain) and (self.damping > 0.0 or not self.cautious):
-                    trial = self._followed(trial)
+                    trial = self._retried(trial)
                     if self._falls(trial):
                         break
             self.cautious = self.cautious or self.damping == 0.0
@@ -206,25 +241,28 @@ class _Descent:
         self.damping = self.damping / 10.0 if self.damping > FIRST_DAMPING else FIRST_DAMPING
         return None
 
-    def _assembled(self) -> tuple[SharedSystem, np.ndarray]:
+    def _assembled(self) -> tuple[Any, np.ndarray]:
         return self.equations.assemble(self.point, self.noise), self.equations.room_below(self.point)
 
-    def _factor(self, system: SharedSystem, damping: float) -> SharedFactor | None:
+    def _factor(self, system: Any, damping: float) -> Any:
         self.factorisations += 1
         return system.factor(damping)
 
-    def _trial(self, system: SharedSystem, factor: SharedFactor, room: np.ndarray) -> _Trial:
+    def _trial(self, system: Any, factor: Any, room: np.ndarray) -> _Trial:
         step = factor.step(system, room)
         moved = self.equations.moved(self.point, step)
         terms = self.equations.losses(moved, self.noise)
         return _Trial(step, moved, terms, system.decrease(step), self.loss - sum(terms.values()))
 
-    def _followed(self, trial: _Trial) -> _Trial:
-        """The trial after the motion has followed the parameters."""
-        self.factorisations += 1
-        moved = followed(self.equations, trial.moved, self.noise)
-        terms = self.equations.losses(moved, self.noise)
-        return replace(trial, moved=moved, terms=terms, gain=self.loss - sum(terms.values()))
+    def _retried(self, trial: _Trial) -> _Trial:
+        """The first retry that lowers the loss, or the last one."""
+        for moved in self.equations.retries(self.point, trial.moved, self.noise):
+            self.factorisations += 1
+            terms = self.equations.losses(moved, self.noise)
+            trial = replace(trial, moved=moved, terms=terms, gain=self.loss - sum(terms.values()))
+            if self._falls(trial):
+                break
+        return trial
 
     def _falls(self, trial: _Trial) -> bool:
         """Whether the loss does not rise, but for rounding."""
@@ -249,14 +287,14 @@ class _Trial:
         gain: Decrease of the loss.
     """
 
-    step: tuple[np.ndarray, np.ndarray]
+    step: tuple[Any, np.ndarray]
     moved: Point
     terms: dict[str, float]
     promised: float
     gain: float
 
 
-def followed(equations: LeastSquares, point: Point, noise: NoiseLevels) -> Point:
+def followed(equations: Equations, point: Point, noise: NoiseLevels) -> Point:
     """The point whose motion has made a step of its own, parameters held.
 
     Where physics is stiff, a step of motion and parameters together leaves the narrow valley of what solves it by the

@@ -20,7 +20,7 @@ from pinn_cli.report import netcdf
 from pinn_cli.runs import identity
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.evidence import Evidence
-from pinn_cli.training.function_space.linearisation import Linearisation
+from pinn_cli.training.function_space.equations import NetworkSystem
 
 HYDRAS = {".hydra", "pinn-run.log"}
 CHECKPOINTS = {"checkpoint.pt", "checkpoint.previous.pt"}
@@ -285,17 +285,17 @@ def test_a_long_step_is_broken_off_and_taken_anew(
 ) -> None:
     undisturbed = pinn_run(*MLP, "hydra.run.dir=whole")
     assert undisturbed.status == 0, undisturbed.err
-    step, taken, survived = Linearisation.step, [], []
+    factor, taken, survived = NetworkSystem.factor, [], []
 
     def stopped_in_the_third(*arguments: object) -> object:
         taken.append(1)
         if len(taken) == 3:
             os.kill(os.getpid(), signal.SIGTERM)
             survived.append(1)
-        return step(*arguments)  # type: ignore[arg-type]
+        return factor(*arguments)  # type: ignore[arg-type]
 
     with monkeypatch.context() as patch:
-        patch.setattr(Linearisation, "step", stopped_in_the_third)
+        patch.setattr(NetworkSystem, "factor", stopped_in_the_third)
         stopped = pinn_run(*MLP, "hydra.run.dir=run")
     assert stopped.status == 143
     assert stopped.err == "pinn-run: interrupted; to go on: pinn-run resume=run\n"

@@ -1,4 +1,4 @@
-"""Cholesky factor of a symmetric matrix of few equally large blocks, of which most may be zero."""
+"""Cholesky factor of a symmetric matrix of few large blocks, of which most may be zero."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from torch import Tensor
 
 Blocks = dict[tuple[int, int], Tensor]
-"""Those on and below the diagonal that are not zero, (F, F) each, by row and column in the order of elimination."""
+"""Those of the lower triangle that are not zero, by row and column; every row of blocks has a height of its own."""
 
 
 class BlockPattern:
@@ -22,14 +22,12 @@ class BlockPattern:
 
     Attributes:
         order: (n,), which block row is eliminated when: reverse Cuthill-McKee.
-        rank: (n,), its inverse.
         below: By step of the elimination, the later steps whose block in that column of the factor is not zero.
     """
 
     def __init__(self, coupled: np.ndarray) -> None:
         count = len(coupled)
-        self.order = reverse_cuthill_mckee(csr_matrix(coupled.astype(np.int8)), symmetric_mode=True).astype(int)
-        self.rank = np.argsort(self.order)
+        self.order = reverse_cuthill_mckee(csr_matrix(coupled.astype(np.int8)), symmetric_mode=True).tolist()
         filled = coupled[np.ix_(self.order, self.order)].copy()
         self.below: list[list[int]] = []
         for step in range(count):
@@ -39,7 +37,7 @@ class BlockPattern:
 
     @property
     def places(self) -> list[tuple[int, int]]:
-        """Of the factor's blocks."""
+        """Of the factor's blocks, in the order of elimination."""
         return [(row, step) for step, later in enumerate(self.below) for row in (step, *later)]
 
     @property
@@ -49,41 +47,50 @@ class BlockPattern:
 
 
 class BlockCholesky:
-    """The factor L of a positive definite matrix.
+    """The factor L of a positive definite matrix. Between two blocks Python looks at signals.
 
     Args:
         pattern: Of the matrix.
-        blocks: The matrix, one block for each of the pattern's places; overwritten by the factor.
+        blocks: The matrix; overwritten by the factor.
 
     Raises:
         FloatingPointError: It is not positive definite in its precision.
     """
 
     def __init__(self, pattern: BlockPattern, blocks: Blocks) -> None:
-        self.pattern, self.blocks = pattern, blocks
+        self.pattern, self.blocks = pattern, {}
+        for row, step in pattern.places:
+            i, j = pattern.order[row], pattern.order[step]
+            is_zero = (max(i, j), min(i, j)) not in blocks
+            own = blocks[i, i]
+            self.blocks[row, step] = own.new_zeros(len(own), len(blocks[j, j])) if is_zero else entry(blocks, i, j)
         for step, later in enumerate(pattern.below):
-            top, failed = torch.linalg.cholesky_ex(blocks[step, step])
+            top, failed = torch.linalg.cholesky_ex(self.blocks[step, step])
             if int(failed):
                 raise FloatingPointError("not positive definite")
-            blocks[step, step] = top
+            self.blocks[step, step] = top
             for row in later:
-                blocks[row, step] = torch.linalg.solve_triangular(top, blocks[row, step].mT, upper=False).mT
+                beneath = self.blocks[row, step]
+                self.blocks[row, step] = torch.linalg.solve_triangular(top, beneath.mT, upper=False).mT
             for i, row in enumerate(later):
                 for column in later[: i + 1]:
-                    blocks[row, column].addmm_(blocks[row, step], blocks[column, step].mT, alpha=-1)
+                    self.blocks[row, column].addmm_(self.blocks[row, step], self.blocks[column, step].mT, alpha=-1)
 
-    def solved(self, right: Tensor) -> Tensor:
-        """The inverse times (n, F, k), in the order of elimination."""
-        out = self.forward(right)
-        for step in reversed(range(len(out))):
+    def solved(self, right: list[Tensor]) -> list[Tensor]:
+        """The inverse times a matrix, row by row of blocks."""
+        half = self.forward(right)
+        for step in reversed(range(len(half))):
             for row in self.pattern.below[step]:
-                out[step].addmm_(self.blocks[row, step].mT, out[row], alpha=-1)
-            out[step] = torch.linalg.solve_triangular(self.blocks[step, step].mT, out[step], upper=True)
+                half[step].addmm_(self.blocks[row, step].mT, half[row], alpha=-1)
+            half[step] = torch.linalg.solve_triangular(self.blocks[step, step].mT, half[step], upper=True)
+        out = list(half)
+        for step, row in enumerate(self.pattern.order):
+            out[row] = half[step]
         return out
 
-    def forward(self, right: Tensor) -> Tensor:
-        """L^-1 times (n, F, k)."""
-        out = right.clone()
+    def forward(self, right: list[Tensor]) -> list[Tensor]:
+        """L^-1 times a matrix, row by row of blocks, in the order of elimination."""
+        out = [right[row].clone() for row in self.pattern.order]
         for step, later in enumerate(self.pattern.below):
             out[step] = torch.linalg.solve_triangular(self.blocks[step, step], out[step], upper=False)
             for row in later:
@@ -103,12 +110,14 @@ class BlockCholesky:
                 known = torch.cat([torch.cat([entry(found, row, column) for column in later], 1) for row in later])
                 across = known @ ratio
                 own += ratio.mT @ across
-                for row, block in zip(later, across.split(len(top)), strict=True):
+                heights = [len(self.blocks[row, row]) for row in later]
+                for row, block in zip(later, across.split(heights), strict=True):
                     found[row, step] = -block
             found[step, step] = own
-        return found
+        order = self.pattern.order
+        return {(order[row], order[step]): block for (row, step), block in found.items()}
 
 
 def entry(blocks: Blocks, row: int, column: int) -> Tensor:
-    """A block above the diagonal too."""
-    return blocks[row, column] if row >= column else blocks[column, row].mT
+    """A block of either triangle."""
+    return blocks[row, column] if (row, column) in blocks else blocks[column, row].mT

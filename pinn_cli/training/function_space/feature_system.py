@@ -10,20 +10,27 @@ from the factor: the linear model of the units, which is the better the smaller 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from pinn_cli.network.mlp import MlpNetwork
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.function_space.block_cholesky import BlockCholesky, BlockPattern, Blocks, entry
-from pinn_cli.training.function_space.kernel import Block
-from pinn_cli.training.function_space.products import Products, sum_of, with_constant
-from pinn_cli.training.function_space.system import System, probes
+from pinn_cli.training.function_space.kernel import Block, pull, push, sum_of
+from pinn_cli.training.function_space.system import PROBES, Linearised, System, probes
 
 Operator = Callable[[Tensor], Tensor]
 """From (M, k) to (M, k), symmetric and positive definite."""
+# Of the residual in conjugate gradients, over the right-hand side, in the preconditioner's norm. A step's: with 1e-5
+# the motion that is left bends the units and trainings take twice as many steps; rounding may keep it above that, and
+# beyond the second it is no solution. That of probes, whose own scatter is larger.
+STEP_TOLERANCE, LEAST_TOLERANCE, PROBE_TOLERANCE = 1e-8, 1e-5, 1e-2
+MOST_ITERATIONS = 150
+# Iterations that conjugate gradients take, as counted on chains of 6 to 50 DOFs: of a step, and of its probes.
+USUAL_ITERATIONS, USUAL_PROBE_ITERATIONS = 12, 3
 
 
 def conjugate_gradients(
@@ -65,13 +72,6 @@ def conjugate_gradients(
     return out, iterations, float(reached.nan_to_num(torch.inf).max())
 
 
-# Of the residual in conjugate gradients, over the right-hand side, in the preconditioner's norm. A step's: with 1e-5
-# the motion that is left bends the units and trainings take twice as many steps; rounding may keep it above that, and
-# beyond the second it is no solution. That of probes, whose own scatter is larger.
-STEP_TOLERANCE, LEAST_TOLERANCE, PROBE_TOLERANCE = 1e-8, 1e-5, 1e-2
-MOST_ITERATIONS = 150
-
-
 class NotNearlyLinearError(DivergenceError):
     """Conjugate gradients did not converge: the hidden units bend what their weights do."""
 
@@ -80,8 +80,7 @@ class FeatureSystem(System):
     """Of an embedded network with as many hidden units as outputs, or more.
 
     Args:
-        products: Of the linearisation.
-        by_parameter, total: See :class:`System`.
+        linear, total: See :class:`System`.
         prior: (outputs, F), variance of the coefficients under weights of unit variance, the constant last.
         further: Linearisations of quantities about which :meth:`explained` will be asked.
 
@@ -89,20 +88,15 @@ class FeatureSystem(System):
         NotNearlyLinearError: The low-rank matrix is singular in double precision.
     """
 
-    def __init__(
-        self, products: Products, by_parameter: Tensor, total: float, prior: Tensor, further: list[Block]
-    ) -> None:
-        super().__init__(products.blocks, by_parameter, total)
-        self.products = products
-        self.pattern = pattern_of([*products.blocks, *further])
-        self.order, self.rank = (
-            torch.as_tensor(x, device=prior.device) for x in (self.pattern.order, self.pattern.rank)
-        )
-        blocks = normal_blocks(self.pattern, products)
-        for step, output in enumerate(self.pattern.order):
-            blocks[step, step].diagonal().add_(total / prior[output])
+    def __init__(self, linear: Linearised, total: float, prior: Tensor, further: Sequence[Block] = ()) -> None:
+        super().__init__(linear, total)
+        self.features = [block.linear for block in self.blocks]
+        pattern = pattern_of([*self.blocks, *further])
+        blocks = normal_blocks(self.features)
+        for output, variance in enumerate(prior):
+            blocks[output, output].diagonal().add_(total / variance)
         try:
-            self.factor = BlockCholesky(self.pattern, blocks)
+            self.factor = BlockCholesky(pattern, blocks)
         except FloatingPointError as error:
             raise NotNearlyLinearError(
                 "gauss_newton diverged: the normal matrix of its features is singular"
@@ -111,7 +105,7 @@ class FeatureSystem(System):
 
     def without_parameters(self, right: Tensor) -> Tensor:
         """See :meth:`System.without_parameters`; of the linear model (Woodbury)."""
-        return right - self.products.from_features(self._solved_features(right))
+        return right - push(self.features, [self._coefficients(right)])
 
     def solved(self, right: Tensor) -> Tensor:
         """See :meth:`System.solved`.
@@ -120,7 +114,7 @@ class FeatureSystem(System):
             NotNearlyLinearError: Too many iterations.
         """
         out, self.iterations, reached = conjugate_gradients(
-            self._applied, self._preconditioned, right, STEP_TOLERANCE, MOST_ITERATIONS
+            self._applied, self.with_parameters, right, STEP_TOLERANCE, MOST_ITERATIONS
         )
         if reached > LEAST_TOLERANCE:
             raise NotNearlyLinearError(
@@ -129,81 +123,101 @@ class FeatureSystem(System):
             )
         return out
 
-    def kept(self, seed: int) -> Tensor:
-        """See :meth:`System.kept`."""
-        signs = probes(self.by_parameter, seed)
-        return (signs * self._probed(signs)).mean(1)
+    def probed(self, signs: Tensor) -> Tensor:
+        """See :meth:`System.probed`."""
+        return conjugate_gradients(self._applied, self.with_parameters, signs, PROBE_TOLERANCE, MOST_ITERATIONS)[0]
 
     def explained(self, block: Block) -> tuple[Tensor, Tensor]:
         """See :meth:`System.explained`; of the linear model."""
-        follows = self._solved_features(self.by_parameter)
-        inverse = self.factor.inverse
-        inputs, sensitivity = with_constant(block.inputs[0]), block.sensitivity[-1]
+        follows, inverse = self._coefficients(self.by_parameter), self.factor.inverse
         variance, coupling = [], []
-        for row, outputs in enumerate(active_outputs(block)):
-            part = {self.pattern.rank[o]: _row_features(inputs, sensitivity[:, row, :, o]) for o in outputs}
-            total = sum_of([((c @ entry(inverse, i, j)) * d).sum(1) for i, c in part.items() for j, d in part.items()])
-            variance.append(total)
-            coupling.append(sum_of([c @ follows[self.pattern.order[i]] for i, c in part.items()]))
+        for part in row_features(block.linear):
+            pairs = ((i, one, j, other) for i, one in part.items() for j, other in part.items())
+            variance.append(sum_of([((one @ entry(inverse, i, j)) * other).sum(1) for i, one, j, other in pairs]))
+            coupling.append(sum_of([c @ follows[i] for i, c in part.items()]))
         return torch.cat(variance), torch.cat(coupling)
 
     def missed_unknowns(self) -> float:
         """Unknowns that the residuals determine and the linear model has not, as a share of those that it has."""
         signs = probes(self.by_parameter, 0)
-        linear = signs - self._preconditioned(signs)
-        whole = signs - self._probed(signs)
+        linear, whole = signs - self.with_parameters(signs), signs - self.probed(signs)
         return float(((whole - linear) * signs).sum() / (linear * signs).sum())
 
-    def _probed(self, signs: Tensor) -> Tensor:
-        return conjugate_gradients(self._applied, self._preconditioned, signs, PROBE_TOLERANCE, MOST_ITERATIONS)[0]
-
     def _applied(self, values: Tensor) -> Tensor:
-        out = self.products.kernel(values).div_(self.total).add_(values)
+        out = push(self.blocks, pull(self.blocks, values)).div_(self.total).add_(values)
         return out.addmm_(self.by_parameter, self.by_parameter.T @ values)
 
-    def _preconditioned(self, values: Tensor) -> Tensor:
-        return self._with_parameters(values, self.without_parameters(values))
-
-    def _solved_features(self, values: Tensor) -> Tensor:
-        pulled = self.products.to_features(values)[self.order]
-        return self.factor.solved(pulled)[self.rank]
+    def _coefficients(self, values: Tensor) -> Tensor:
+        """(outputs, F, k), what values (M, k) of the residuals ask of the features."""
+        return torch.stack(self.factor.solved(list(pull(self.features, values)[0])))
 
 
-def normal_blocks(pattern: BlockPattern, products: Products) -> Blocks:
+def follows_features(network: MlpNetwork) -> bool:
+    """Whether outputs can follow the embedding's features, each for itself."""
+    narrowest = min(weight.shape[1] for weight in network.weights[1:])
+    return network.inputs.count > 1 and network.channels * network.ndof <= narrowest
+
+
+@torch.no_grad()
+def coefficient_prior(network: MlpNetwork, time: Tensor) -> Tensor:
+    """(outputs, F): variance of the outputs' coefficients of the features under weights of unit variance.
+
+    Args:
+        network: Embedded.
+        time: (P,), s, over which slopes of the hidden units are averaged.
+    """
+    slopes, means = network.mean_slopes(time)
+    own = slopes[0].square().sum(1)
+    constant = own + sum(
+        slope.square().sum(1) * (1.0 + float(mean.square().sum()))
+        for slope, mean in zip(slopes[1:], means[1:], strict=True)
+    )
+    return torch.cat((own[:, None].expand(-1, network.inputs.count), constant[:, None]), 1)
+
+
+def normal_blocks(features: Sequence[Block]) -> Blocks:
     """J' J of the linear model of the units, block by block of two outputs."""
-    like = products.linear[0].inputs
-    size = like.shape[2]
-    out = {place: like.new_zeros(size, size) for place in pattern.places}
-    for block, linear in zip(products.blocks, products.linear, strict=True):
-        sensitivity = block.sensitivity[-1]
-        for row, outputs in enumerate(active_outputs(block)):
-            part = {pattern.rank[o]: _row_features(linear.inputs, sensitivity[:, row, :, o]) for o in outputs}
+    layer = features[0].layers[0]
+    size, outputs = layer.inputs.shape[2], layer.sensitivity.shape[3]
+    out: Blocks = {(i, i): layer.inputs.new_zeros(size, size) for i in range(outputs)}
+    for block in features:
+        for part in row_features(block):
             for i, left in part.items():
                 for j, right in part.items():
                     if i >= j:
-                        out[i, j].addmm_(left.T, right)
+                        out.setdefault((i, j), left.new_zeros(size, size)).addmm_(left.T, right)
     return out
 
 
-def pattern_of(blocks: list[Block]) -> BlockPattern:
+def row_features(block: Block) -> Iterator[dict[int, Tensor]]:
+    """By row of a block of the linear model and output, (P, F): derivative of the row by the output's coefficients."""
+    layer = block.layers[0]
+    for row, outputs in enumerate(block.outputs):
+        part = {}
+        for output in outputs:
+            by = layer.sensitivity[:, row, :, output]
+            there = [q for q in range(by.shape[1]) if output in layer.active[row][q]]
+            part[output] = sum_of([layer.inputs[q] * by[:, q, None] for q in there])
+        yield part
+
+
+def pattern_of(blocks: Sequence[Block]) -> BlockPattern:
     """Which outputs some residual looks at together."""
-    count = blocks[0].sensitivity[-1].shape[3]
-    coupled = np.eye(count, dtype=bool)
+    coupled = np.eye(blocks[0].layers[-1].sensitivity.shape[3], dtype=bool)
     for block in blocks:
-        for outputs in active_outputs(block):
+        for outputs in block.outputs:
             coupled[np.ix_(outputs, outputs)] = True
     return BlockPattern(coupled)
 
 
-def active_outputs(block: Block) -> list[list[int]]:
-    """By row, the outputs that it depends on anywhere."""
-    return [row.nonzero()[:, 0].tolist() for row in block.sensitivity[-1].ne(0).any(2).any(0).cpu()]
-
-
-def _row_features(inputs: Tensor, sensitivity: Tensor) -> Tensor:
-    """(P, F), derivative of a row (P,) by one output's coefficients, from its sensitivity (Q, P)."""
-    out = inputs[0] * sensitivity[0, :, None]
-    for order in range(1, len(inputs)):
-        if bool(sensitivity[order].any()):
-            out.addcmul_(inputs[order], sensitivity[order, :, None])
-    return out
+def feature_operations(blocks: Sequence[Block]) -> float:
+    """Multiplications and additions of a step from the low-rank factor."""
+    pattern, features = pattern_of(blocks), blocks[0].layers[0].inputs.shape[2]
+    outputs = [(len(active), block.points) for block in blocks for active in block.outputs]
+    together = sum(count * (count + 1) * points for count, points in outputs)
+    weights = sum(layer.inputs.shape[2] * layer.sensitivity.shape[3] for layer in blocks[0].layers)
+    weights += features * len(pattern.order)
+    points = sum(4.0 * len(block.layers[0].inputs) * block.points for block in blocks)
+    each = points * weights + 4.0 * features**2 * len(pattern.places)
+    columns = USUAL_ITERATIONS + USUAL_PROBE_ITERATIONS * PROBES
+    return together * features**2 + pattern.operations * features**3 + columns * each

@@ -1,18 +1,19 @@
 """The residuals of a multilayer perceptron linearised in all its weights, without their Jacobian.
 
-Residual r depends on the weights W_l of layer l through z_l^q = W_l a_l^q (+ bias), where q counts value, first and
-second time derivative, and a_l^q is what the layer gets. So dr/dW_l is the sum over q of d_l^q (x) a_l^q, with
-d_l^q = dr/dz_l^q, and
+Residual r depends on the weights W_l of layer l through z_l^q = W_l a_l^q, where q counts value, first and second time
+derivative, and a_l^q is what the layer gets, with a constant for the bias. So dr/dW_l is the sum over q of
+d_l^q (x) a_l^q, with d_l^q = dr/dz_l^q, and
 
-    J J' = sum over l, q, p of (d_l^q . d_l^p) (a_l^q . a_l^p + [q = p = 0, the bias])
+    J J' = sum over l, q, p of (d_l^q . d_l^p) (a_l^q . a_l^p)
 
 elementwise in pairs of residuals: products of narrow matrices, however many weights there are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -21,188 +22,166 @@ from torch.nn import functional
 from pinn_cli.network.activation import ACTIVATIONS, propagate
 from pinn_cli.network.base import States
 from pinn_cli.network.mlp import MlpNetwork
+from pinn_cli.training.function_space.block_cholesky import Blocks
 
-Layers = list[tuple[Tensor, Tensor]]
-"""A direction or position in the space of weights: weight and bias of every layer."""
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """Residuals of R rows at P times by the weights between what a layer gets and what it, or a later one, gives.
+
+    Attributes:
+        inputs: (Q, P, I), what it gets and its time derivatives; last the constant that a bias stands on.
+        sensitivity: (P, R, Q, O), derivative of residual (row, point) by what is given.
+    """
+
+    inputs: Tensor
+    sensitivity: Tensor
+
+    def forward(self, weights: Tensor) -> Tensor:
+        """(R P, k), by a change (O, I, k) of the weights."""
+        points, _, derivatives, outputs = self.sensitivity.shape
+        count = weights.shape[2]
+        flat = weights.movedim(1, 0).reshape(-1, outputs * count)
+        given = (self.inputs @ flat).movedim(1, 0).reshape(points, derivatives * outputs, count)
+        return (self.sensitivity.flatten(2) @ given).movedim(1, 0).reshape(-1, count)
+
+    def backward(self, values: Tensor) -> Tensor:
+        """(O, I, k), the transposed times (R P, k)."""
+        points, rows, derivatives, outputs = self.sensitivity.shape
+        count = values.shape[1]
+        by_point = values.view(rows, points, count).movedim(1, 0)
+        given = (self.sensitivity.flatten(2).mT @ by_point).view(points, derivatives, outputs * count).movedim(1, 0)
+        flat = self.inputs.flatten(0, 1).T @ given.reshape(derivatives * points, outputs * count)
+        return flat.view(-1, outputs, count).movedim(1, 0)
+
+    @cached_property
+    def active(self) -> list[list[set[int]]]:
+        """By row and derivative, the units that it depends on anywhere: of the outputs an equation looks at three."""
+        there = self.sensitivity.ne(0).any(0).cpu()
+        return [[set(units.nonzero()[:, 0].tolist()) for units in row] for row in there]
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """The residuals that look at the motion at the same P times.
+    """The residuals that look at the motion at the same P times, by the weights of every layer."""
 
-    Attributes:
-        inputs: By layer, (Q, P, fan in), what it gets and its time derivatives.
-        sensitivity: By layer, (Q, R, P, fan out): derivative of residual (row, point) by what the layer gives.
-    """
+    layers: list[Layer]
 
-    inputs: list[Tensor]
-    sensitivity: list[Tensor]
+    @property
+    def points(self) -> int:
+        """P."""
+        return self.layers[0].sensitivity.shape[0]
 
     @property
     def rows(self) -> int:
         """R."""
-        return self.sensitivity[0].shape[1]
+        return self.layers[0].sensitivity.shape[1]
 
     @property
     def size(self) -> int:
         """R P."""
-        return self.rows * self.sensitivity[0].shape[2]
+        return self.points * self.rows
+
+    @property
+    def linear(self) -> Block:
+        """By the combinations of the features that outputs are where hidden units are linear."""
+        return Block([Layer(self.layers[0].inputs, self.layers[-1].sensitivity)])
+
+    @property
+    def outputs(self) -> list[list[int]]:
+        """By row, those that it depends on anywhere."""
+        return [sorted(set().union(*row)) for row in self.layers[-1].active]
+
+    @property
+    def variance(self) -> Tensor:
+        """(R, P), the diagonal of the kernel of the block with itself."""
+        return sum_of(
+            [
+                torch.einsum("prqo,prso,qsp->rp", d, d, torch.einsum("qpi,spi->qsp", a, a))
+                for a, d in ((layer.inputs, layer.sensitivity) for layer in self.layers)
+            ]
+        )
 
 
-def layers(network: MlpNetwork) -> Layers:
-    """The network's own, detached."""
-    return [(w.detach(), b.detach()) for w, b in zip(network.weights, network.biases, strict=True)]
+def pull(blocks: Sequence[Block], values: Tensor) -> list[Tensor]:
+    """J' times (M, k): by layer (O, I, k)."""
+    pieces = values.split([block.size for block in blocks])
+    by_block = [[layer.backward(piece) for layer in block.layers] for block, piece in zip(blocks, pieces, strict=True)]
+    return [sum_of(list(layer)) for layer in zip(*by_block, strict=True)]
 
 
-def linearised(
-    network: MlpNetwork, time: Tensor, residuals: Callable[[States], Tensor]
-) -> tuple[Block, Tensor, States]:
-    """Linearise residuals at the given times.
-
-    Args:
-        network: At which weights.
-        time: (P,), s.
-        residuals: From the motion at these times to (R, P), each of which depends on the motion at its own time only.
-
-    Returns:
-        The linearisation, the residuals (R, P) and the motion, both detached.
-    """
-    inputs, outputs = _forward(network, time)
-    states = _states(network, outputs[-1])
-    values = residuals(states)
-    gradients = [torch.autograd.grad(row.sum(), outputs, retain_graph=True) for row in values]
-    sensitivity = [torch.stack(by_row, 1) for by_row in zip(*gradients, strict=True)]
-    continuity = None if states.continuity is None else states.continuity.detach()
-    motion = States(states[0].detach(), states[1].detach(), states[2].detach(), continuity)
-    return Block([a.detach() for a in inputs], sensitivity), values.detach(), motion
+def push(blocks: Sequence[Block], weights: Sequence[Tensor]) -> Tensor:
+    """J times changes of the weights of every layer, (O, I, k): (M, k)."""
+    return torch.cat(
+        [sum_of([layer.forward(w) for layer, w in zip(block.layers, weights, strict=True)]) for block in blocks]
+    )
 
 
-def _forward(network: MlpNetwork, time: Tensor) -> tuple[list[Tensor], list[Tensor]]:
-    """What every layer gets, and what it gives before its activation, (Q, P, width) each, with a graph."""
+def sum_of(tensors: Sequence[Tensor]) -> Tensor:
+    """Their sum."""
+    total = tensors[0]
+    for tensor in tensors[1:]:
+        total = total + tensor
+    return total
+
+
+def forward(network: MlpNetwork, time: Tensor) -> tuple[list[Tensor], list[Tensor], States]:
+    """What every layer gets, with a constant, what it gives, (Q, P, width) each and with a graph, and the motion."""
     order = 2 if network.continuity == "exact" else 1
     activation = ACTIVATIONS[network.activation]
     arriving = torch.stack(network.input_jet(time, order))
+    constant = functional.pad(torch.ones_like(arriving[:1, :, :1]), (0, 0, 0, 0, 0, order))
     inputs, outputs = [], []
     for weight, bias in zip(network.weights, network.biases, strict=True):
-        inputs.append(arriving)
+        inputs.append(torch.cat((arriving.detach(), constant), 2))
         given = functional.linear(arriving, weight.detach().requires_grad_())
         outputs.append(given + functional.pad(bias.detach()[None, None], (0, 0, 0, 0, 0, order)))
         arriving = torch.stack(propagate(activation, tuple(outputs[-1].unbind())))
-    return inputs, outputs
-
-
-def _states(network: MlpNetwork, output: Tensor) -> States:
-    """The motion from the last layer's outputs, (Q, P, channels n)."""
-    jet = [network.amplitude / network.span**q * x for q, x in enumerate(output.unbind())]
+    jet = [network.amplitude / network.span**q * x for q, x in enumerate(outputs[-1].unbind())]
     if network.continuity == "exact":
-        return States(jet[0], jet[1], jet[2], None)
+        return inputs, outputs, States(jet[0], jet[1], jet[2], None)
     (u, v), (du, dv) = (x.tensor_split(2, -1) for x in jet)
-    return States(u, v, dv, du - v)
+    return inputs, outputs, States(u, v, dv, du - v)
 
 
-def kernel(blocks: list[Block]) -> Tensor:
-    """J J' over all blocks' residuals, in their order, (M, M): its lower triangle; above it there may be zeros."""
-    sizes = [block.size for block in blocks]
-    out = blocks[0].inputs[0].new_zeros(sum(sizes), sum(sizes))
-    places = [slice(sum(sizes[:i]), sum(sizes[: i + 1])) for i in range(len(sizes))]
-    for i, (here, rows) in enumerate(zip(blocks, places, strict=True)):
-        for there, columns in zip(blocks[:i], places[:i], strict=True):
-            _fill(out[rows, columns], here, there, lower=False)
-        _fill(out[rows, rows], here, here, lower=True)
+def block_of(inputs: Sequence[Tensor], outputs: Sequence[Tensor], residuals: Tensor) -> Block:
+    """The linearisation of residuals (P, R), each of which depends on the outputs at its own time only."""
+    gradients = [torch.autograd.grad(row.sum(), list(outputs), retain_graph=True) for row in residuals.unbind(1)]
+    sensitivity = (torch.stack([g.movedim(1, 0) for g in layer], 1) for layer in zip(*gradients, strict=True))
+    return Block([Layer(a, d) for a, d in zip(inputs, sensitivity, strict=True)])
+
+
+def kernel(blocks: Sequence[Block]) -> Blocks:
+    """J J' over all blocks' residuals: its lower triangle, a block for every pair of rows."""
+    out: Blocks = {}
+    starts = [sum(block.rows for block in blocks[:i]) for i in range(len(blocks))]
+    for i, here in enumerate(blocks):
+        for j, there in enumerate(blocks[: i + 1]):
+            pairs = RowPairs(here, there)
+            for row in range(here.rows):
+                for other in range(row + 1 if i == j else there.rows):
+                    out[starts[i] + row, starts[j] + other] = pairs(row, other)
     return out
 
 
-def cross_kernel(here: Block, there: Block) -> Tensor:
-    """J_here J_there', (M_here, M_there)."""
-    out = here.inputs[0].new_empty(here.size, there.size)
-    _fill(out, here, there, lower=False)
-    return out
+class RowPairs:
+    """The kernel of the rows of two blocks, one pair after the other, which fits a cache."""
 
+    def __init__(self, here: Block, there: Block) -> None:
+        self.layers = list(zip(here.layers, there.layers, strict=True))
+        self.products = [[[a @ b.T for b in right.inputs] for a in left.inputs] for left, right in self.layers]
+        self.shape = (here.points, there.points)
 
-def _fill(out: Tensor, here: Block, there: Block, lower: bool) -> None:
-    """Write the kernel of two blocks, (M_here, M_there), one pair of rows after the other, which fits a cache.
-
-    Args:
-        out: Where to.
-        here: The block of the rows.
-        there: That of the columns.
-        lower: Whether the pairs in which the second row comes after the first are left as they are.
-    """
-    terms = _terms(here, there)
-    points, others = here.inputs[0].shape[1], there.inputs[0].shape[1]
-    total, product = (out.new_empty(points, others) for _ in range(2))
-    for row in range(here.rows):
-        for other in range(row + 1 if lower else there.rows):
-            total.zero_()
-            for term in terms:
-                units = term.units(row, other)
-                if units is not None:
-                    torch.mm(term.left[row][:, units], term.right[other][:, units].T, out=product)
-                    total.addcmul_(product, term.gram)
-            out[row * points : (row + 1) * points, other * others : (other + 1) * others] = total
-
-
-@dataclass(frozen=True, eq=False)
-class _Term:
-    """One layer and pair of derivatives in the kernel of two blocks.
-
-    Attributes:
-        left, right: (R, P, fan out), their sensitivities.
-        gram: (P_left, P_right), products of what the layer gets.
-        active: Of both, by row, the units that it depends on.
-    """
-
-    left: Tensor
-    right: Tensor
-    gram: Tensor
-    active: tuple[list[set[int]], list[set[int]]]
-
-    def units(self, row: int, other: int) -> slice | list[int] | None:
-        """The units that both rows depend on: an equation of motion looks at three outputs; None: there are none."""
-        both = self.active[0][row] & self.active[1][other]
-        return slice(None) if len(both) == self.left.shape[2] else sorted(both) or None
-
-
-def _terms(here: Block, there: Block) -> list[_Term]:
-    terms = []
-    for a, b, left, right in zip(here.inputs, there.inputs, here.sensitivity, there.sensitivity, strict=True):
-        active = [[_active(d) for d in side] for side in (left, right)]
-        for q in range(len(left)):
-            for p in range(len(right)):
-                gram = a[q] @ b[p].T + float(q == p == 0)
-                terms.append(_Term(left[q], right[p], gram, (active[0][q], active[1][p])))
-    return terms
-
-
-def _active(sensitivity: Tensor) -> list[set[int]]:
-    """By row of (R, P, fan out), which units it depends on anywhere."""
-    return [set(units.nonzero()[:, 0].tolist()) for units in sensitivity.ne(0).any(1)]
-
-
-def prior_variance(block: Block) -> Tensor:
-    """The diagonal of the kernel of a block with itself, (R, P)."""
-    total = block.sensitivity[0].new_zeros(block.sensitivity[0].shape[1:3])
-    for a, d in zip(block.inputs, block.sensitivity, strict=True):
-        gram = torch.einsum("qpi,spi->qsp", a, a)
-        gram[0, 0] += 1.0
-        total += torch.einsum("qrpo,srpo,qsp->rp", d, d, gram)
-    return total
-
-
-def pulled_back(block: Block, values: Tensor) -> Layers:
-    """J' times values (R, P) of the residuals."""
-    out = []
-    for a, d in zip(block.inputs, block.sensitivity, strict=True):
-        weighted = torch.einsum("qrpo,rp->qpo", d, values)
-        out.append((torch.einsum("qpo,qpi->oi", weighted, a), weighted[0].sum(0)))
-    return out
-
-
-def pushed_forward(block: Block, direction: Layers) -> Tensor:
-    """J times a direction of the weights, (R, P)."""
-    total = block.sensitivity[0].new_zeros(block.sensitivity[0].shape[1:3])
-    for a, d, (weight, bias) in zip(block.inputs, block.sensitivity, direction, strict=True):
-        given = functional.linear(a, weight)
-        given[0] += bias
-        total += torch.einsum("qrpo,qpo->rp", d, given)
-    return total
+    def __call__(self, row: int, other: int) -> Tensor:
+        """(P_here, P_there)."""
+        total = self.products[0][0][0].new_zeros(self.shape)
+        for (left, right), products in zip(self.layers, self.products, strict=True):
+            for q, by_derivative in enumerate(products):
+                for p, product in enumerate(by_derivative):
+                    both = left.active[row][q] & right.active[other][p]
+                    if both:
+                        every = len(both) == left.sensitivity.shape[3]
+                        units = slice(None) if every else sorted(both)
+                        one, two = left.sensitivity[:, row, q, units], right.sensitivity[:, other, p, units]
+                        total.addcmul_(one @ two.T, product)
+        return total

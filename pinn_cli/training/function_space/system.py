@@ -3,55 +3,54 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from pinn_cli.settings.errors import DivergenceError
-from pinn_cli.training.function_space.kernel import Block, cross_kernel, kernel, prior_variance
-
-# Rows of a panel: between two panels Python looks at signals, three seconds of one core apart for 30 000 rows.
-PANEL = 1024
-
-
-def cholesky(matrix: Tensor) -> Tensor | None:
-    """Lower Cholesky factor of a symmetric matrix (M, M), whose lower triangle is read; None where there is none.
-
-    From four panels on the matrix is overwritten, panel after panel (right-looking; Golub and Van Loan 2013, section
-    4.2.9): as many operations as in one call, and a tenth more time for 6000 rows.
-    """
-    if len(matrix) < 4 * PANEL:
-        factor, failed = torch.linalg.cholesky_ex(matrix)
-        return None if int(failed) else factor
-    panels = [slice(first, min(first + PANEL, len(matrix))) for first in range(0, len(matrix), PANEL)]
-    for number, panel in enumerate(panels):
-        top, failed = torch.linalg.cholesky_ex(matrix[panel, panel])
-        if int(failed):
-            return None
-        matrix[panel, panel] = top
-        below = matrix[panel.stop :, panel]
-        below.copy_(torch.linalg.solve_triangular(top, below.mT, upper=False).mT)
-        for columns in panels[number + 1 :]:
-            matrix[columns.start :, columns].addmm_(matrix[columns.start :, panel], matrix[columns, panel].mT, alpha=-1)
-    return matrix.tril_()
-
+from pinn_cli.training.function_space.block_cholesky import BlockCholesky, BlockPattern, Blocks
+from pinn_cli.training.function_space.kernel import Block, RowPairs, kernel
 
 # Random signs that estimate how many residuals each group keeps; their scatter is a few in a thousand residuals.
 PROBES = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Residuals r + J dw + J_p dx about the present weights and parameters, each over its noise.
+
+    Attributes:
+        blocks: J.
+        residual: r, (M,).
+        by_parameter: J_p, (M, p), by the parameters in prior standard deviations.
+        time: (P,), s, of the equations of motion.
+    """
+
+    blocks: list[Block]
+    residual: Tensor
+    by_parameter: Tensor
+    time: Tensor
+
+    @cached_property
+    def kernel(self) -> Blocks:
+        """J J', its lower triangle."""
+        return kernel(self.blocks)
 
 
 class System(ABC):
     """I + J J' / total + J_p J_p': M residuals by weights of precision ``total`` and by parameters of unit variance.
 
     Args:
-        blocks: The residuals' linearisation.
-        by_parameter: J_p, (M, p).
+        linear: The residuals.
         total: Precision of the weights, damping included.
     """
 
-    def __init__(self, blocks: list[Block], by_parameter: Tensor, total: float) -> None:
-        self.blocks, self.by_parameter, self.total = blocks, by_parameter, total
+    def __init__(self, linear: Linearised, total: float) -> None:
+        self.blocks, self.by_parameter, self.total = linear.blocks, linear.by_parameter, total
 
     @abstractmethod
     def solved(self, right: Tensor) -> Tensor:
@@ -73,6 +72,10 @@ class System(ABC):
             network follows the parameters as it follows the residuals.
         """
 
+    def probed(self, signs: Tensor) -> Tensor:
+        """The inverse times random signs (M, k), as exactly as their own scatter asks for."""
+        return self.solved(signs)
+
     def kept(self, seed: int) -> Tensor:
         """(M,) diagonal of the inverse: how much of each residual the fit leaves free, from 0 to 1.
 
@@ -80,7 +83,7 @@ class System(ABC):
         Hutchinson's probes, so single values scatter; sums over hundreds do not.
         """
         signs = probes(self.by_parameter, seed)
-        return (signs * self.solved(signs)).mean(1)
+        return (signs * self.probed(signs)).mean(1)
 
     @cached_property
     def parameter_covariance(self) -> Tensor:
@@ -92,8 +95,9 @@ class System(ABC):
     def _by_parameter_solved(self) -> Tensor:
         return self.without_parameters(self.by_parameter)
 
-    def _with_parameters(self, right: Tensor, solved: Tensor) -> Tensor:
-        """The whole system's solution from that of the system without its parameters (Woodbury)."""
+    def with_parameters(self, right: Tensor) -> Tensor:
+        """The inverse times (M, k) from that of the system without its parameters (Woodbury)."""
+        solved = self.without_parameters(right)
         return solved - self._by_parameter_solved @ (self.parameter_covariance @ (self.by_parameter.T @ solved))
 
 
@@ -107,38 +111,51 @@ class DenseSystem(System):
     """Of any network, by the Cholesky factor of the whole matrix.
 
     Args:
-        blocks, by_parameter, total: See :class:`System`.
-        kernel_of_all: J J', (M, M), its lower triangle; None: it is computed.
+        linear, total: See :class:`System`.
 
     Raises:
         DivergenceError: The system is singular in double precision.
     """
 
-    def __init__(
-        self, blocks: list[Block], by_parameter: Tensor, total: float, kernel_of_all: Tensor | None = None
-    ) -> None:
-        super().__init__(blocks, by_parameter, total)
-        system = (kernel(blocks) if kernel_of_all is None else kernel_of_all) / total
-        system.diagonal().add_(1.0)
-        factor = cholesky(system)
-        if factor is None:
+    def __init__(self, linear: Linearised, total: float) -> None:
+        super().__init__(linear, total)
+        self.heights = [block.points for block in self.blocks for _ in range(block.rows)]
+        blocks = {place: block / total for place, block in linear.kernel.items()}
+        for row in range(len(self.heights)):
+            blocks[row, row].diagonal().add_(1.0)
+        try:
+            self.factor = BlockCholesky(BlockPattern(np.ones((len(self.heights),) * 2, dtype=bool)), blocks)
+        except FloatingPointError as error:
             raise DivergenceError(
                 "gauss_newton diverged: its normal matrix is singular; try network.width or training.collocation_points"
                 " of half the size"
-            )
-        self.factor = factor
+            ) from error
 
     def solved(self, right: Tensor) -> Tensor:
         """See :meth:`System.solved`."""
-        return self._with_parameters(right, self.without_parameters(right))
+        return self.with_parameters(right)
 
     def without_parameters(self, right: Tensor) -> Tensor:
         """See :meth:`System.without_parameters`."""
-        return torch.cholesky_solve(right, self.factor)
+        return torch.cat(self.factor.solved(list(right.split(self.heights))))
 
     def explained(self, block: Block) -> tuple[Tensor, Tensor]:
         """See :meth:`System.explained`."""
-        across = torch.cat([cross_kernel(block, known) for known in self.blocks], 1) / self.total
-        half = torch.linalg.solve_triangular(self.factor, across.T, upper=False)
-        by_parameter = torch.linalg.solve_triangular(self.factor, self.by_parameter, upper=False)
-        return prior_variance(block).flatten() / self.total - half.square().sum(0), half.T @ by_parameter
+        across = torch.cat([cross_kernel(known, block) for known in self.blocks]) / self.total
+        half = torch.cat(self.factor.forward(list(across.split(self.heights))))
+        by_parameter = torch.cat(self.factor.forward(list(self.by_parameter.split(self.heights))))
+        return block.variance.flatten() / self.total - half.square().sum(0), half.T @ by_parameter
+
+
+def cross_kernel(here: Block, there: Block) -> Tensor:
+    """J_here J_there', (M_here, M_there)."""
+    pairs = RowPairs(here, there)
+    return torch.cat([torch.cat([pairs(i, j) for j in range(there.rows)], 1) for i in range(here.rows)])
+
+
+def dense_operations(blocks: Sequence[Block]) -> float:
+    """Multiplications and additions of a step with the whole matrix."""
+    residuals = sum(block.size for block in blocks)
+    units = sum(layer.sensitivity.shape[3] for layer in blocks[0].layers[:-1])
+    derivatives = len(blocks[0].layers[0].inputs)
+    return float(residuals) ** 2 * (derivatives**2 * units + residuals / 3.0 + 2.0 * PROBES)

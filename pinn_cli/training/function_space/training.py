@@ -7,7 +7,7 @@ linearisation at the solution says how far parameters and motion are known.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,10 +16,11 @@ import torch
 from torch import Tensor
 
 from pinn_cli.model.truncated_gaussian import TruncatedGaussian
-from pinn_cli.network.base import NetworkDesign, States
+from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.embedding import BAND_MARGIN
+from pinn_cli.network.linear_readout import Segments
 from pinn_cli.network.mlp import Mlp
-from pinn_cli.physics import physics_residual, targets
+from pinn_cli.physics import Targets, estimated_response, targets
 from pinn_cli.record.evenly_spaced import evenly_spaced
 from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.record.spectrum import occupied_band
@@ -29,14 +30,13 @@ from pinn_cli.training.acting_force import acting_force
 from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
 from pinn_cli.training.function_space.collocation import collocate
-from pinn_cli.training.function_space.kernel import Block, linearised
-from pinn_cli.training.function_space.linearisation import Linearisation
-from pinn_cli.training.function_space.residuals import ResidualRows
+from pinn_cli.training.function_space.equations import NetworkEquations
+from pinn_cli.training.function_space.feature_system import follows_features
+from pinn_cli.training.function_space.network_frame import NetworkFrame, each_of
 from pinn_cli.training.function_space.search import FunctionSpaceSearch
-from pinn_cli.training.function_space.solution import Solution, follows_features
 from pinn_cli.training.history import History
-from pinn_cli.training.learned_parameters import LearnedParameters
-from pinn_cli.training.network_response import network_response
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+from pinn_cli.training.point import Point
 from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE, force_and_velocity_scale
 from pinn_cli.training.stepwise import train
 
@@ -54,49 +54,46 @@ class FunctionSpacePosterior:
         DivergenceError: The normal matrix there is singular.
 
     Attributes:
-        noise: That of the search, its discrepancy widened for its colour: a model error that fills a part of the band
-            has fewer independent values, and larger ones, than there are points.
         covariance: (p, p), of the uncertain parameters, in prior standard deviations: the motion integrated out, and
             what misfit may have added to each (:func:`pinn_cli.training.reported.parameter_posterior.coherent_misfit`).
     """
 
     def __init__(self, search: FunctionSpaceSearch) -> None:
-        self.search, self.precision = search, search.precision
-        self.columns = search.parameters.uncertain
-        self.unit = search.parameters.prior_deviation
-        self.noise = search.noise.widened(self._occupied())
-        self.linear = Linearisation(search.network, search.parameters, search.rows, self.noise)
-        self.system = search.solution.for_bands(self.linear, self.precision, [self._acting()])
-        self.covariance = self.system.parameter_covariance + self._coherent_misfit().square().diag()
+        self.frame, self.point = search.equations.frame, search.point
+        # A model error that fills a part of the band has fewer independent values, and larger ones, than points.
+        widened = search.model.widened(self._occupied())
+        levels = NoiseLevels((widened,), search.noise.spread)
+        linear, self.unit = search.equations.assemble(self.point, levels).linear, search.equations.deviation(levels)
+        acting = self.frame.linearised(self.frame.physics, self.point, self._force(self.frame.physics))[0]
+        self.system = search.equations.for_bands(linear, [acting])
+        self.covariance = self.system.parameter_covariance + self._coherent_misfit(widened).square().diag()
 
-    def _acting(self) -> Block:
-        """The force that the motion takes, on all DOFs, at the points where physics is enforced."""
-        return linearised(self.search.network, self.linear.time, self._force)[0]
-
-    def _force(self, states: States) -> Tensor:
-        structure = self.search.rows.structure
-        return structure.external_force(states.displacement, states.velocity, states.acceleration, self._values()).T
+    def _coherent_misfit(self, noise: NoiseModel) -> Tensor:
+        """(p,), in prior standard deviations, what the model leaves out and each parameter may have taken in."""
+        if not self.frame.uncertain:
+            return self.unit
+        own = self.frame.motion.own_by_parameter(self.frame.physics, self.point)[0][:, self.frame.vector.column]
+        rms = own.square().mean(0).sqrt() * self.unit
+        hidden = noise.misfit(1, 1) / rms.clamp(min=torch.finfo(rms.dtype).tiny)
+        return hidden / torch.hypot(torch.ones_like(hidden), hidden)
 
     @torch.no_grad()
     def _occupied(self) -> float:
         """Share of the band that the forces out of balance fill."""
-        search, target = self.search, self.search.rows.target
-        states = search.network(target.physics_time)
-        residual = physics_residual(states, target, search.rows.dynamics, self._values())
-        enforced = target.unforced if bool(target.unforced.any()) else target.equation
-        step = float(target.physics_time[1] - target.physics_time[0])
-        top = min(0.5 / step, BAND_MARGIN * search.network.cycles / search.network.span)
+        frame, network = self.frame, self.frame.perceptron
+        residual = frame.motion.residual(Point(self.point.unknowns, self.point.parameters))[0]
+        enforced = frame.target.unforced if bool(frame.target.unforced.any()) else frame.target.equation
+        step = float(frame.target.physics_time[1] - frame.target.physics_time[0])
+        top = min(0.5 / step, BAND_MARGIN * network.cycles / network.span)
         return occupied_band(residual[:, enforced].cpu().numpy(), step, top)
 
-    @torch.no_grad()
-    def _coherent_misfit(self) -> Tensor:
-        """(p,), in prior standard deviations, what the model leaves out and each parameter may have taken in."""
-        search, target = self.search, self.search.rows.target
-        states = search.network(target.physics_time)
-        force = search.rows.own_by_parameter(self.columns, states, self._values()) * self.unit
-        own = force.square().mean(0).sqrt()
-        hidden = self.noise.misfit(1, 1) / own.clamp(min=torch.finfo(own.dtype).tiny)
-        return hidden / torch.hypot(torch.ones_like(hidden), hidden)
+    def _force(self, segments: Segments) -> Callable[[Point], Tensor]:
+        """(P, n), the force that the motion takes, on all DOFs."""
+        frame = self.frame
+        return lambda point: frame.dynamics.external_force(frame.jet(segments, point), frame.parameters(point))[0]
+
+    def _motion(self, segments: Segments) -> Callable[[Point], Tensor]:
+        return lambda point: torch.cat(self.frame.jet(segments, point), -1)[0]
 
     def std(self, observation_time: Tensor, physics_time: Tensor, time: np.ndarray) -> Response:
         """Standard deviations of every quantity, (N, n).
@@ -107,29 +104,19 @@ class FunctionSpacePosterior:
             time: (N,), the record's.
         """
         samples = evenly_spaced(len(time), min(TIMES, len(time)))
-
-        def motion(states: States) -> Tensor:
-            return torch.cat((states.displacement.T, states.velocity.T, states.acceleration.T))
-
-        network = self.search.network
-        moved, _, _ = linearised(network, observation_time[samples], motion)
-        acting, _, states = linearised(network, physics_time[samples], self._force)
-        by_parameter = self.search.rows.force_by_parameter(self.columns, states, self._values()) * self.unit
-        of_motion = self._variance(moved, torch.zeros(moved.size, len(self.columns)).to(by_parameter))
-        of_force = self._variance(acting, by_parameter.transpose(0, 1).flatten(0, 1))
-        rows = torch.cat((of_motion, of_force)).clamp(min=0.0).sqrt().cpu().numpy()
+        moves, acts = self.frame.at(observation_time[samples]), self.frame.at(physics_time[samples])
+        variance = torch.cat([self._variance(moves, self._motion(moves)), self._variance(acts, self._force(acts))])
+        rows = variance.clamp(min=0.0).sqrt().cpu().numpy()
         every = np.array([np.interp(time, time[samples], row) for row in rows]).reshape(len(QUANTITIES), -1, len(time))
         return Response(time, *(quantity.T for quantity in every))
 
-    def _variance(self, block: Block, by_parameter: Tensor) -> Tensor:
+    def _variance(self, segments: Segments, quantities: Callable[[Point], Tensor]) -> Tensor:
         """(R, P): with the parameters known, and what not knowing them adds."""
+        block, _, by_parameter = self.frame.linearised(segments, self.point, quantities)
         known, following = self.system.explained(block)
-        sensitivity = by_parameter - following
+        sensitivity = by_parameter.flatten(0, 1) * self.unit - following
         unknown = ((sensitivity @ self.covariance) * sensitivity).sum(1)
         return (known + unknown).view(block.rows, -1)
-
-    def _values(self) -> Mapping[str, Tensor]:
-        return {name: value.detach() for name, value in self.search.parameters().items()}
 
 
 # Fraction of the force that acts at which the physics begins: soft, so that the first steps are nearly linear.
@@ -178,54 +165,54 @@ class FunctionSpaceGaussNewton:
         network = design.build(own.record, torch.float64, points=len(collocation.target.physics_time))
         network.reset(run.seed)
         gain = network.make_nearly_linear()
-        network.to(run.device)
-        parameters = LearnedParameters(own, torch.float64).to(run.device)
-        rows = ResidualRows(
-            own.dynamics, collocation.target, own.acceleration_through, network.continuity == "penalised",
-            own.initial_deviation,
-        )  # fmt: skip
+        frame = NetworkFrame(network.to(run.device), own, collocation.target)
         force, velocity = force_and_velocity_scale(own)
         noise = collocation.noise_model(SOFT * force, CONTINUITY_TOLERANCE * velocity)
+        equations = NetworkEquations(frame, FIRST_PRECISION * gain**2, self.most_residuals)
         with History(run.progress, run.watch, iterations=self.iterations) as history:
-            search = FunctionSpaceSearch(
-                network, parameters, rows, noise, FIRST_PRECISION * gain**2, force, self.iterations, self.tolerance,
-                self.learn_spread, history, Solution(network, self.most_residuals),
-            )  # fmt: skip
+            limits = self.iterations, self.tolerance
+            search = FunctionSpaceSearch(equations, noise, force, *limits, self.learn_spread, history)
             train(search, run)
-        response = network_response(own, every, network, parameters)
-        response = acting_force(response, collocation.filtered_force, search.noise)
+        response = acting_force(_response(search, every), collocation.filtered_force, search.model)
         posterior = FunctionSpacePosterior(search)
         std = posterior.std(every.observation_time, every.physics_time, own.record.time)
         estimates, correlation = _parameters(search, posterior)
         return Estimate(response, std, estimates, history.table(), _summary(search), correlation)
 
 
+@torch.no_grad()
+def _response(search: FunctionSpaceSearch, every: Targets) -> Response:
+    """Motion and force at all the record's samples."""
+    frame, point = search.equations.frame, search.point
+    states = (frame.states(frame.at(time), point) for time in (every.observation_time, every.physics_time))
+    seen, felt = (each_of(group, lambda history: history[0]) for group in states)
+    return estimated_response(frame.problem.record, frame.dynamics, frame.parameters(point), seen, felt)
+
+
 def _parameters(
     search: FunctionSpaceSearch, posterior: FunctionSpacePosterior
 ) -> tuple[list[ParameterEstimate], np.ndarray | None]:
     """Estimates with what bounds leave of the Gaussian at the solution, weights integrated out."""
-    parameters = search.parameters
-    if not parameters.uncertain:
+    frame = search.equations.frame
+    if not frame.uncertain:
         return [], None
-    unit = parameters.unit.cpu().numpy()
-    deviation = (parameters.prior_deviation / parameters.unit).cpu().numpy()
-    mode, lower = parameters.moved.detach().cpu().numpy(), parameters.lower.cpu().numpy()
-    covariance = posterior.covariance.cpu().numpy()
-    cut_off = TruncatedGaussian(mode, covariance * np.outer(deviation, deviation), lower)
+    unit, deviation = frame.scale.cpu().numpy(), posterior.unit.cpu().numpy()
+    mode, covariance = search.point.parameters.cpu().numpy(), posterior.covariance.cpu().numpy()
+    cut_off = TruncatedGaussian(mode, covariance * np.outer(deviation, deviation), frame.lower)
     std = np.sqrt(covariance.diagonal())
-    return bounded_estimates(parameters.uncertain, unit, mode, cut_off), covariance / np.outer(std, std)
+    return bounded_estimates(frame.uncertain, unit, mode, cut_off), covariance / np.outer(std, std)
 
 
 def _summary(search: FunctionSpaceSearch) -> dict[str, Any]:
-    noise = search.noise
+    equations = search.equations
     return {
         "iterations": search.iteration,
         "stop_reason": search.stop_reason,
-        "loss": search.loss().total,
-        "network_weights": sum(weight.numel() for weight in search.network.parameters()),
-        "collocation_points": search.rows.points,
-        "solution": "dense" if search.solution.dense else "features",
-        "sigma_discrepancy": noise.discrepancy,
-        "parameter_spread": search.parameters.spread,
-        "weight_precision": search.precision,
+        "loss": sum(search.losses().values()),
+        "network_weights": len(search.point.unknowns),
+        "collocation_points": len(equations.frame.target.physics_time),
+        "solution": "dense" if equations.dense else "features",
+        "sigma_discrepancy": search.noise.discrepancy,
+        "parameter_spread": search.noise.spread,
+        "weight_precision": equations.precision,
     }

@@ -12,8 +12,7 @@ import torch
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_finite_number, non_negative_number, positive_number
 from pinn_cli.training.gradient.objective import Evaluation, Objective
-from pinn_cli.training.gradient.optimiser import Optimiser
-from pinn_cli.training.gradient.training import GradientTraining
+from pinn_cli.training.gradient.training import GradientTraining, Optimiser
 
 
 @dataclass
@@ -76,8 +75,7 @@ class AdamSteps(Optimiser):
 
     def step(self, objective: Objective, evaluation: Evaluation) -> str:
         """See :meth:`Optimiser.step`."""
-        self.adam.zero_grad(set_to_none=True)
-        evaluation.loss.backward()
+        objective.give(objective.gradient(evaluation))
         self.adam.step()
         objective.parameters.respect_bounds()
         return ""

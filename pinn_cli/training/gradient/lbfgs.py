@@ -8,17 +8,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from pinn_cli.settings.legal_values import non_negative_number, positive_number, whole_number
 from pinn_cli.training.gradient.adam import AdamSteps
 from pinn_cli.training.gradient.objective import Evaluation, Objective
-from pinn_cli.training.gradient.optimiser import GRADIENT_VANISHED, NOTHING_LOWER, Optimiser
-from pinn_cli.training.gradient.training import GradientTraining
+from pinn_cli.training.gradient.training import GradientTraining, Optimiser
 
 # torch's L-BFGS learns no curvature below an absolute 1e-10. Losses get there; a power of two changes no digit. In
 # float32 the square of a gradient must stay a number.
 UNITS = {torch.float32: 2.0**30, torch.float64: 2.0**100}
+# Reasons to stop, for run.json.
+NOTHING_LOWER = "line search found nothing lower"
+GRADIENT_VANISHED = "gradient vanished"
 # Values in one line search, and the one that is known already.
 MOST_VALUES = 26
 
@@ -54,39 +55,7 @@ class Lbfgs(GradientTraining):
 
     def optimiser(self, objective: Objective) -> Optimiser:
         """See :meth:`GradientTraining.optimiser`."""
-        then = LbfgsSteps(objective, self.memory, self.tolerance)
-        return AdamFirst(AdamSteps(objective.variables, lr=self.learning_rate), self.warm_up, then)
-
-
-class AdamFirst(Optimiser):
-    """Curvature is not worth learning while a random start still falls apart: first Adam, then another optimiser.
-
-    Args:
-        adam: For so many iterations.
-        iterations: How many.
-        then: For the rest.
-    """
-
-    def __init__(self, adam: AdamSteps, iterations: int, then: Optimiser) -> None:
-        self.adam, self.iterations, self.then = adam, iterations, then
-        self.done = 0
-
-    def step(self, objective: Objective, evaluation: Evaluation) -> str:
-        """See :meth:`Optimiser.step`."""
-        if self.done >= self.iterations:
-            return self.then.step(objective, evaluation)
-        self.done += 1
-        return self.adam.step(objective, evaluation)
-
-    def state_dict(self) -> dict[str, Any]:
-        """See :meth:`Optimiser.state_dict`."""
-        return {"done": self.done, "adam": self.adam.state_dict(), "then": self.then.state_dict()}
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """See :meth:`Optimiser.load_state_dict`."""
-        self.done = state["done"]
-        self.adam.load_state_dict(state["adam"])
-        self.then.load_state_dict(state["then"])
+        return LbfgsSteps(objective, self.memory, self.tolerance, self.warm_up, self.learning_rate)
 
 
 class LbfgsSteps(Optimiser):
@@ -99,10 +68,15 @@ class LbfgsSteps(Optimiser):
         objective: Whose variables are moved.
         memory: Steps that the curvature is learned from.
         tolerance: Largest entry of the gradient at which the training ends.
+        warm_up: Iterations of Adam before: curvature is not worth learning while a random start still falls apart.
+        learning_rate: Of this Adam.
     """
 
-    def __init__(self, objective: Objective, memory: int, tolerance: float) -> None:
-        self.objective, self.memory, self.tolerance = objective, memory, tolerance
+    def __init__(
+        self, objective: Objective, memory: int, tolerance: float, warm_up: int = 0, learning_rate: float = 1e-3
+    ) -> None:
+        self.objective, self.memory, self.tolerance, self.warm_up = objective, memory, tolerance, warm_up
+        self.adam = AdamSteps(objective.variables, lr=learning_rate)
         self.weights: dict[str, float] = {}
         self.unit = UNITS[objective.variables[0].dtype]
         self.lbfgs = self._fresh()
@@ -116,43 +90,40 @@ class LbfgsSteps(Optimiser):
 
     def step(self, objective: Objective, evaluation: Evaluation) -> str:
         """See :meth:`Optimiser.step`."""
-        start = objective.vector
-        if float(objective.projected_gradient(start, evaluation).abs().amax()) <= self.tolerance:
+        if self.warm_up > 0:
+            self.warm_up -= 1
+            return self.adam.step(objective, evaluation)
+        if float(objective.projected_gradient(evaluation).abs().amax()) <= self.tolerance:
             return GRADIENT_VANISHED
         if evaluation.weights != self.weights:
             # Gradients of two losses say nothing about the curvature of either.
             self.lbfgs, self.weights = self._fresh(), dict(evaluation.weights)
         fresh = not self.lbfgs.state
-        seen = [(start, evaluation)]
-        self.lbfgs.step(lambda: self._closure(seen))
+        self.lbfgs.step(self._closure)
         objective.parameters.respect_bounds()
-        end = objective.vector
-        known = [there for point, there in reversed(seen) if torch.equal(point, end)]
-        if known and known[0].loss < evaluation.loss:
-            objective.remember(known[0])
+        if objective().loss < evaluation.loss:
             return ""
-        objective.put(start)
-        objective.remember(evaluation)
+        objective.put(evaluation.at)
         self.lbfgs = self._fresh()
         return NOTHING_LOWER if fresh else ""
 
-    def _closure(self, seen: list[tuple[Tensor, Evaluation]]) -> float:
-        """The loss where the variables are, with their gradients; the start is known already."""
-        objective, point = self.objective, self.objective.vector
-        inside = torch.maximum(point, objective.lower)
-        start, here = seen[0]
-        there = here if torch.equal(point, start) else objective.move(inside)
-        seen.append((inside, there))
-        gradient = self.unit * objective.projected_gradient(point, there)
-        for variable, part in zip(objective.variables, objective.split(gradient), strict=True):
-            variable.grad = part.clone()
-        return self.unit * there.loss.item()
+    def _closure(self) -> float:
+        """The loss where the variables are, with their gradients."""
+        evaluation = self.objective()
+        self.objective.give(self.unit * self.objective.projected_gradient(evaluation))
+        return self.unit * evaluation.loss.item()
 
     def state_dict(self) -> dict[str, Any]:
         """See :meth:`Optimiser.state_dict`."""
-        return {"optimiser": self.lbfgs.state_dict(), "weights": dict(self.weights)}
+        return {
+            "warm_up": self.warm_up,
+            "adam": self.adam.state_dict(),
+            "optimiser": self.lbfgs.state_dict(),
+            "weights": dict(self.weights),
+        }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """See :meth:`Optimiser.load_state_dict`."""
-        self.weights = dict(state["weights"])
+        self.warm_up, self.weights = state["warm_up"], dict(state["weights"])
+        self.adam.load_state_dict(state["adam"])
         self.lbfgs.load_state_dict(deepcopy(state["optimiser"]))

@@ -28,12 +28,14 @@ class Evaluation:
         loss: The sum of the weighted terms, a scalar; with a graph behind it until the gradient is known.
         terms: Weighted loss terms by name.
         weights: By name of term.
+        at: (variables,), where.
         known_gradient: (variables,), as one vector; None where nobody has asked for it yet.
     """
 
     loss: Tensor
     terms: dict[str, Tensor]
     weights: dict[str, float]
+    at: Tensor
     known_gradient: Tensor | None = None
 
 
@@ -80,21 +82,17 @@ class Objective:
         return [*self.network.parameters(), *(self.parameters.parameters() if self.parameters.count else ())]
 
     def __call__(self) -> Evaluation:
-        """The loss where network and parameters are now; it need not be finite."""
-        known, self._known = self._known, None
-        if known is not None and known.weights == self.term_weights():
-            return known
-        return self.evaluate()
+        """The loss at the nearest point within the bounds; it need not be finite. With its gradient it is kept."""
+        known, at, weights = self._known, self.vector, self.term_weights()
+        is_known = known is not None and known.known_gradient is not None
+        if known is None or not is_known or known.weights != weights or not torch.equal(known.at, at):
+            terms = {name: weights[name] * term for name, term in self.terms().items()}
+            known = self._known = Evaluation(torch.stack(list(terms.values())).sum(), terms, weights, at)
+        return known
 
-    def remember(self, evaluation: Evaluation) -> None:
-        """Spare the next call its work: who has just been where the variables are left knows the loss there."""
-        self._known = evaluation
-
-    def evaluate(self) -> Evaluation:
-        """The loss, worked out."""
-        weights = self.term_weights()
-        terms = {name: weights[name] * term for name, term in self.losses.terms(self.network, self.parameters).items()}
-        return Evaluation(torch.stack(list(terms.values())).sum(), terms, weights)
+    def terms(self) -> dict[str, Tensor]:
+        """Unweighted ones by name."""
+        return self.losses.terms(self.network, self.parameters)
 
     def gradient(self, evaluation: Evaluation) -> Tensor:
         """(variables,), of an evaluation made where the variables are now, or asked before; its graph is let go."""
@@ -105,10 +103,15 @@ class Objective:
             evaluation.known_gradient = torch.cat([part.reshape(-1) for part in parts])
         return evaluation.known_gradient
 
-    def projected_gradient(self, point: Tensor, evaluation: Evaluation) -> Tensor:
-        """That gradient, 0 where a step downhill from the point (variables,) would leave the bounds at once."""
-        lower, gradient = self.lower, self.gradient(evaluation)
-        return gradient.masked_fill((point < lower) | ((point == lower) & (gradient > 0)), 0.0)
+    def projected_gradient(self, evaluation: Evaluation) -> Tensor:
+        """That gradient, 0 where a step downhill from there would leave the bounds at once."""
+        gradient = self.gradient(evaluation)
+        return gradient.masked_fill((evaluation.at == self.lower) & (gradient > 0), 0.0)
+
+    def give(self, gradient: Tensor) -> None:
+        """Have an optimiser of torch find a gradient (variables,) at the variables."""
+        for variable, part in zip(self.variables, self.split(gradient), strict=True):
+            variable.grad = part
 
     @property
     def vector(self) -> Tensor:
@@ -121,13 +124,6 @@ class Objective:
         held = self.parameters.lower if self.parameters.count else self.parameters.lower.new_zeros(0)
         count = sum(variable.numel() for variable in self.variables)
         return torch.cat((held.new_full((count - len(held),), -math.inf), held))
-
-    def move(self, vector: Tensor) -> Evaluation:
-        """Put the variables there; the loss there, with its gradient."""
-        self.put(vector)
-        evaluation = self.evaluate()
-        self.gradient(evaluation)
-        return evaluation
 
     @torch.no_grad()
     def put(self, vector: Tensor) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -11,7 +11,7 @@ import torch
 
 from pinn_cli.network.base import Network, NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
-from pinn_cli.physics import targets
+from pinn_cli.physics import estimated_response, targets
 from pinn_cli.record.response import Response
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
@@ -21,15 +21,37 @@ from pinn_cli.training.base import Training
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gradient.loss_weights import checked_weights
 from pinn_cli.training.gradient.losses import Losses
-from pinn_cli.training.gradient.objective import Objective, check_finite
-from pinn_cli.training.gradient.optimiser import Optimiser
+from pinn_cli.training.gradient.objective import Evaluation, Objective, check_finite
 from pinn_cli.training.gradient.readout_scaling import scale_readout
 from pinn_cli.training.history import History
 from pinn_cli.training.learned_parameters import LearnedParameters
-from pinn_cli.training.network_response import network_response
 from pinn_cli.training.stepwise import Stepwise, train
 
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
+
+
+class Optimiser(ABC):
+    """Moves the variables of an objective downhill, one iteration at a time."""
+
+    @abstractmethod
+    def step(self, objective: Objective, evaluation: Evaluation) -> str:
+        """One iteration.
+
+        Args:
+            objective: Its variables are moved.
+            evaluation: The objective where the variables are now.
+
+        Returns:
+            Why no further iteration would help; empty where one may.
+        """
+
+    @abstractmethod
+    def state_dict(self) -> dict[str, Any]:
+        """All that the next iteration depends on but the variables, which stand at the start of it."""
+
+    @abstractmethod
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from there."""
 
 
 @dataclass
@@ -89,9 +111,12 @@ class GradientTraining(Training):
         descent = self.descent(own, design, run)
         with descent.history:
             train(descent, run)
-        objective, parameters = descent.objective, descent.objective.parameters
+        network, parameters = descent.objective.network, descent.objective.parameters
         every = targets(own.record, own.dynamics, run.device, DTYPES[self.dtype])
-        response = replace(network_response(own, every, objective.network, parameters), time=time)
+        with torch.no_grad():
+            seen, felt = network(every.observation_time), network(every.physics_time)
+            response = estimated_response(own.record, own.dynamics, parameters(), seen, felt)
+        response = replace(response, time=time)
         unknown = Response.unknown(time, own.record.ndof)
         summary = {**descent.summary(), "dtype": self.dtype}
         return Estimate(response, unknown, parameters.estimates(), descent.history.table(), summary)

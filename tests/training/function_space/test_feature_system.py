@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import pytest
 import torch
 from small_problems import accelerations, measured, small_chain
 
-from pinn_cli.network.base import States
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.physics import targets
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import RunContext
-from pinn_cli.training.function_space import solution as solutions
+from pinn_cli.training.function_space import equations
 from pinn_cli.training.function_space.collocation import collocate
-from pinn_cli.training.function_space.feature_system import FeatureSystem, NotNearlyLinearError
-from pinn_cli.training.function_space.kernel import Block, linearised
-from pinn_cli.training.function_space.linearisation import Linearisation
-from pinn_cli.training.function_space.residuals import ResidualRows
-from pinn_cli.training.function_space.solution import Solution, coefficient_prior, follows_features
+from pinn_cli.training.function_space.equations import NetworkEquations
+from pinn_cli.training.function_space.feature_system import (
+    FeatureSystem,
+    NotNearlyLinearError,
+    coefficient_prior,
+    follows_features,
+)
+from pinn_cli.training.function_space.kernel import Block
+from pinn_cli.training.function_space.network_frame import NetworkFrame
 from pinn_cli.training.function_space.system import DenseSystem
 from pinn_cli.training.gauss_newton import GaussNewton
-from pinn_cli.training.learned_parameters import LearnedParameters
+from pinn_cli.training.noise_model import NoiseLevels
+from pinn_cli.training.point import Point
 
 DESIGNS = {
     "sine": Mlp(1, 12, "sine", "exact", "fourier"),
@@ -52,25 +57,25 @@ class Small:
         self.network = self.design.build(record, points=60)
         self.network.reset(0)
         self.network.make_nearly_linear()
-        parameters = LearnedParameters(self.problem, torch.float64)
-        separate = self.network.continuity == "penalised"
-        self.rows = ResidualRows(self.problem.dynamics, collocation.target, "derivative", separate)
-        self.linear = Linearisation(self.network, parameters, self.rows, collocation.noise_model(0.05, 0.01))
-        self.values = {name: value.detach() for name, value in parameters().items()}
+        self.frame = NetworkFrame(self.network, self.problem, collocation.target)
+        self.equations, noise = NetworkEquations(self.frame, PRECISION, 8000), collocation.noise_model(0.05, 0.01)
+        self.point = self.equations.start()
+        self.linear = self.equations.assemble(self.point, NoiseLevels((noise,))).linear
 
     def dense(self) -> DenseSystem:
-        return DenseSystem(self.linear.blocks, self.linear.by_parameter, PRECISION)
+        return DenseSystem(self.linear, PRECISION)
 
-    def features(self, further: list[Block] | None = None) -> FeatureSystem:
-        prior = coefficient_prior(self.network, self.linear.time)
-        return FeatureSystem(self.linear.products, self.linear.by_parameter, PRECISION, prior, further or [])
+    def features(self, further: Sequence[Block] = ()) -> FeatureSystem:
+        return FeatureSystem(self.linear, PRECISION, coefficient_prior(self.network, self.linear.time), further)
 
     def forces(self) -> Block:
-        def force(states: States) -> torch.Tensor:
-            motion = (states.displacement, states.velocity, states.acceleration)
-            return torch.cat((states.displacement.T, self.rows.structure.external_force(*motion, self.values).T))
+        frame, some = self.frame, self.frame.at(self.linear.time[::7])
 
-        return linearised(self.network, self.linear.time[::7], force)[0]
+        def force(point: Point) -> torch.Tensor:
+            jet = frame.jet(some, point)
+            return torch.cat((jet.value, frame.dynamics.external_force(jet, frame.parameters(point))), -1)[0]
+
+        return frame.linearised(some, self.point, force)[0]
 
 
 @pytest.mark.parametrize("name", DESIGNS)
@@ -80,14 +85,6 @@ def test_a_step_is_that_of_the_whole_matrix(name):
     expected = small.dense().solved(right)
     torch.testing.assert_close(features.solved(right), expected, rtol=1e-5, atol=1e-7 * float(expected.abs().max()))
     assert features.iterations < 40
-
-
-@pytest.mark.parametrize("name", DESIGNS)
-def test_products_with_the_kernel_are_those_of_the_matrix(name):
-    linear = Small(DESIGNS[name]).linear
-    kernel = linear.kernel.tril() + linear.kernel.tril(-1).T
-    values = torch.randn(len(kernel), 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    torch.testing.assert_close(linear.products.kernel(values), kernel @ values)
 
 
 def test_what_is_kept_is_what_the_whole_matrix_keeps():
@@ -110,7 +107,7 @@ def test_bands_are_those_of_the_whole_matrix(name):
 
 
 def test_units_that_bend_are_solved_with_the_whole_matrix(monkeypatch):
-    monkeypatch.setattr(solutions, "dense_operations", lambda blocks: float("inf"))
+    monkeypatch.setattr(equations, "dense_operations", lambda blocks: float("inf"))
     monkeypatch.setattr("pinn_cli.training.function_space.feature_system.MOST_ITERATIONS", 1)
     small = Small(DESIGNS["sine"])
     estimate = GaussNewton().solve(JointProblem.of(small.problem), small.design, RunContext())
@@ -121,8 +118,8 @@ def test_units_that_bend_are_solved_with_the_whole_matrix(monkeypatch):
 
 
 def test_there_may_be_more_residuals_than_a_whole_matrix_has_room_for(monkeypatch):
-    monkeypatch.setattr(solutions, "dense_operations", lambda blocks: float("inf"))
-    monkeypatch.setattr(solutions, "DenseSystem", None)
+    monkeypatch.setattr(equations, "dense_operations", lambda blocks: float("inf"))
+    monkeypatch.setattr(equations, "DenseSystem", None)
     small = Small(DESIGNS["sine"])
     summary = (
         GaussNewton(most_residuals=100, iterations=2)
@@ -136,7 +133,7 @@ def test_there_may_be_more_residuals_than_a_whole_matrix_has_room_for(monkeypatc
 def test_both_ways_find_the_same_motion(monkeypatch):
     small, found = Small(DESIGNS["sine"]), {}
     for way, dense in (("features", float("inf")), ("dense", 0.0)):
-        monkeypatch.setattr(solutions, "dense_operations", lambda blocks, value=dense: value)
+        monkeypatch.setattr(equations, "dense_operations", lambda blocks, value=dense: value)
         found[way] = GaussNewton().solve(JointProblem.of(small.problem), small.design, RunContext())
         assert found[way].summary["solution"] == way
     first, second = found.values()
@@ -152,9 +149,10 @@ def test_both_ways_find_the_same_motion(monkeypatch):
 def test_counted_operations_choose(monkeypatch):
     small = Small(DESIGNS["sine"])
     for dense, features, kind in ((1.0, 2.0, DenseSystem), (2.0, 1.0, FeatureSystem)):
-        monkeypatch.setattr(solutions, "dense_operations", lambda blocks, value=dense: value)
-        monkeypatch.setattr(solutions, "feature_operations", lambda blocks, value=features: value)
-        assert isinstance(Solution(small.network, 8000).system(small.linear, PRECISION), kind)
+        monkeypatch.setattr(equations, "dense_operations", lambda blocks, value=dense: value)
+        monkeypatch.setattr(equations, "feature_operations", lambda blocks, value=features: value)
+        small.equations.dense = None
+        assert isinstance(small.equations.system(small.linear, PRECISION), kind)
 
 
 @pytest.mark.parametrize(

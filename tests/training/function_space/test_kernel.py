@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
+import numpy as np
 import pytest
 import torch
 from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.network.mlp import Mlp
-from pinn_cli.physics import targets
+from pinn_cli.physics import observation_residuals, physics_residual, targets
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.function_space.collocation import collocate
-from pinn_cli.training.function_space.kernel import prior_variance, pulled_back, pushed_forward
-from pinn_cli.training.function_space.linearisation import Linearisation
-from pinn_cli.training.function_space.residuals import ResidualRows
+from pinn_cli.training.function_space.equations import NetworkEquations
+from pinn_cli.training.function_space.kernel import pull, push
+from pinn_cli.training.function_space.network_frame import NetworkFrame
 from pinn_cli.training.function_space.system import DenseSystem
-from pinn_cli.training.learned_parameters import LearnedParameters
+from pinn_cli.training.minimise import FIRST_DAMPING
+from pinn_cli.training.noise_model import NoiseLevels
+from pinn_cli.training.point import Point
 
+PRECISION = 3.0
 DESIGNS = {
     "fourier-sine": Mlp(1, 5, "sine", "exact", "fourier"),
     "time-tanh": Mlp(2, 6, "tanh", "penalised"),
@@ -25,9 +31,9 @@ DESIGNS = {
     "time-silu": Mlp(3, 5, "silu", "exact"),
 }
 CASES = [
-    (name, through, hold)
-    for name in DESIGNS
-    for through, hold in (("derivative", "exact"), ("observer", "zero_order"), ("both", "exact"))
+    *((name, "both", "exact") for name in DESIGNS),
+    ("fourier-sine", "derivative", "exact"),
+    ("fourier-sine", "observer", "zero_order"),
 ]
 
 
@@ -42,119 +48,127 @@ class Dense:
             for kind, dof in (("m", 1), ("c", 0), ("k", 2), ("kappa", 1))
         )
         problem = Problem(structure, record, uncertain, through)
-        self.network = DESIGNS[design].build(record)
+        network = DESIGNS[design].build(record)
         with torch.no_grad():
-            for weight in self.network.weights:
+            for weight in network.weights:
                 weight.mul_(1.5)
             # Dense least squares squares the condition of the Jacobian: keep readouts near one.
-            last = self.network.weights[-1]
+            last = network.weights[-1]
             last.mul_(1.0 / max(1.0, float(last.abs().max())))
-        self.parameters = LearnedParameters(problem, torch.float64)
-        self.parameters.moved.data += 0.05
-        self.parameters.spread = 0.8
         collocation = collocate(problem, targets(problem.record, Dynamics(problem.structure)), 48, 10000)
-        self.noise = collocation.noise_model(0.05, 0.01)
-        self.rows = ResidualRows(problem.dynamics, collocation.target, through, self.network.continuity == "penalised")
-        self.linear = Linearisation(self.network, self.parameters, self.rows, self.noise)
+        self.noise = NoiseLevels((collocation.noise_model(0.05, 0.01),), 0.8)
+        self.frame = NetworkFrame(network, problem, collocation.target)
+        self.equations = NetworkEquations(self.frame, PRECISION, 10000)
+        generator = torch.Generator().manual_seed(1)
+        apart = 0.01 * torch.randn(len(self.frame.weights), generator=generator, dtype=torch.float64)
+        self.point = Point(self.frame.weights + apart, torch.linspace(-0.5, 0.5, 4, dtype=torch.float64))
+        self.system = self.equations.assemble(self.point, self.noise)
+        self.linear = self.system.linear
+        size = [block.points for block in self.linear.blocks for _ in range(block.rows)]
+        self.kernel = torch.zeros(sum(size), sum(size), dtype=torch.float64)
+        ends = np.cumsum([0, *size])
+        for (i, j), product in self.linear.kernel.items():
+            self.kernel[ends[i] : ends[i + 1], ends[j] : ends[j + 1]] = product
+            self.kernel[ends[j] : ends[j + 1], ends[i] : ends[i + 1]] = product.T
 
-    def system(self, total: float) -> DenseSystem:
-        return DenseSystem(self.linear.blocks, self.linear.by_parameter, total)
-
-    def residuals(self) -> torch.Tensor:
-        values, target = self.parameters(), self.rows.target
-        observed = self.rows.observed(self.network(target.observation_time), values, self.noise)
-        enforced = self.rows.enforced(self.network(target.physics_time), values, self.noise)
-        return torch.cat((observed.flatten(), enforced.flatten()))
-
-    def variables(self) -> list[torch.Tensor]:
-        pairs = zip(self.network.weights, self.network.biases, strict=True)
-        return [tensor for pair in pairs for tensor in pair]
-
-    def jacobian(self) -> torch.Tensor:
+    def residuals(self, weights: torch.Tensor, parameters: torch.Tensor) -> torch.Tensor:
+        """Of the factors over their noise, from the network's own motion."""
+        frame, network = self.frame, self.frame.perceptron
+        names = [name for name, _ in network.named_parameters()]
+        shaped = weights.split([p.numel() for p in network.parameters()])
+        given = {n: x.view(p.shape) for n, x, p in zip(names, shaped, network.parameters(), strict=True)}
+        values = frame.vector.values(frame.scale * self.system.unit * parameters)
+        seen, felt = (
+            torch.func.functional_call(network, given, (time,))
+            for time in (frame.target.observation_time, frame.target.physics_time)
+        )
+        model, through = self.noise.records[0], frame.problem.acceleration_through
+        mass = frame.prescribed["m"].numpy()
         rows = []
-        for residual in self.residuals():
-            gradients = torch.autograd.grad(residual, self.variables(), retain_graph=True)
-            rows.append(torch.cat([g.flatten() for g in gradients]))
-        return torch.stack(rows)
+        for name, residual in observation_residuals(seen, frame.target, frame.dynamics, values, through).items():
+            weight = torch.as_tensor(model.observation_weight(name, mass))
+            rows.append((residual * weight.sqrt())[:, weight > 0].T.flatten())
+        force = physics_residual(felt, frame.target, frame.dynamics, values)
+        rows.append((force / torch.as_tensor(model.physics_variance).sqrt()).T.flatten())
+        if felt.continuity is not None:
+            rows.append(felt.continuity.T.flatten() / model.continuity)
+        return torch.cat(rows)
 
-    def flat(self, layers) -> torch.Tensor:
-        return torch.cat([tensor.flatten() for layer in layers for tensor in layer])
-
-    def layers(self, flat: torch.Tensor) -> list[tuple[torch.Tensor, torch.Tensor]]:
-        pieces = flat.double().split([v.numel() for v in self.variables()])
-        shaped = [piece.view(v.shape) for piece, v in zip(pieces, self.variables(), strict=True)]
-        return list(zip(shaped[::2], shaped[1::2], strict=True))
+    @cached_property
+    def jacobians(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """By the weights, and by the parameters in their deviations."""
+        at = self.point.unknowns, self.point.parameters / self.system.unit
+        by_weights, by_parameters = torch.autograd.functional.jacobian(self.residuals, at)
+        return by_weights, by_parameters
 
 
 @pytest.mark.parametrize(("design", "through", "hold"), CASES)
-def test_the_kernel_is_that_of_the_jacobian(design, through, hold):
+def test_the_linearisation_is_that_of_the_jacobian(design, through, hold):
     dense = Dense(design, through, hold)
-    jacobian = dense.jacobian()
-    torch.testing.assert_close(dense.linear.residual, dense.residuals().detach())
-    expected = jacobian @ jacobian.T
-    limit = 1e-9 * float(expected.abs().max())
-    torch.testing.assert_close(dense.linear.kernel.tril(), expected.tril(), rtol=1e-9, atol=limit)
-
-
-@pytest.mark.parametrize("design", DESIGNS)
-def test_products_with_the_jacobian_and_its_transpose(design):
-    dense = Dense(design, "both")
-    jacobian = dense.jacobian()
+    by_weights, by_parameters = dense.jacobians
+    torch.testing.assert_close(dense.linear.residual, dense.residuals(dense.point.unknowns, dense.system.parameters))
+    torch.testing.assert_close(dense.linear.by_parameter, by_parameters, rtol=1e-8, atol=1e-8)
+    expected = by_weights @ by_weights.T
+    torch.testing.assert_close(dense.kernel, expected, rtol=1e-9, atol=1e-9 * float(expected.abs().max()))
+    diagonal = torch.cat([block.variance.flatten() for block in dense.linear.blocks])
+    torch.testing.assert_close(diagonal, dense.kernel.diagonal())
     generator = torch.Generator().manual_seed(0)
-    values = torch.randn(len(jacobian), generator=generator, dtype=torch.float64)
-    direction = torch.randn(jacobian.shape[1], generator=generator, dtype=torch.float64)
-    pieces = dense.linear._split(values)
-    pulled = sum(dense.flat(pulled_back(b, v)) for b, v in zip(dense.linear.blocks, pieces, strict=True))
-    torch.testing.assert_close(pulled, jacobian.T @ values)
-    pushed = [pushed_forward(block, dense.layers(direction)).flatten() for block in dense.linear.blocks]
-    torch.testing.assert_close(torch.cat(pushed), jacobian @ direction)
-
-
-@pytest.mark.parametrize(("through", "hold"), [("derivative", "exact"), ("observer", "zero_order"), ("both", "exact")])
-def test_derivatives_by_parameters(through, hold):
-    dense = Dense("fourier-sine", through, hold)
-    parameters = dense.parameters
-    rows = [
-        torch.autograd.grad(r, parameters.moved, retain_graph=True, allow_unused=True)[0] for r in dense.residuals()
-    ]
-    by_moved = torch.stack([torch.zeros_like(parameters.moved) if row is None else row for row in rows])
-    expected = by_moved / parameters.unit * parameters.prior_deviation
-    torch.testing.assert_close(dense.linear.by_parameter, expected.detach(), rtol=1e-8, atol=1e-8)
+    values = torch.randn(len(by_weights), generator=generator, dtype=torch.float64)
+    direction = torch.randn(by_weights.shape[1], generator=generator, dtype=torch.float64)
+    pulled = dense.frame.flat(pull(dense.linear.blocks, values[:, None]))
+    torch.testing.assert_close(pulled, by_weights.T @ values)
+    pushed = push(dense.linear.blocks, dense.frame.layers(direction))[:, 0]
+    torch.testing.assert_close(pushed, by_weights @ direction)
 
 
 def test_a_step_solves_the_damped_least_squares():
     dense = Dense()
-    jacobian, by_parameter = dense.jacobian(), dense.linear.by_parameter
-    generator = torch.Generator().manual_seed(1)
-    to_start = torch.randn(jacobian.shape[1], generator=generator, dtype=torch.float64)
-    x = torch.randn(4, generator=generator, dtype=torch.float64)
-    precision, damping = 3.0, 7.0
-    step = dense.linear.step(dense.system(precision + damping), dense.layers(to_start), x, precision)
+    jacobian, by_parameter = dense.jacobians
+    to_start, x = dense.equations.origin - dense.point.unknowns, dense.system.parameters
+    damping = 7.0
+    solved = dense.system.factor(damping / PRECISION * FIRST_DAMPING)
+    assert solved is not None
     # Least squares in (dw, x'), stacked: residuals, weights' prior, damping, parameters' prior.
     w, p = jacobian.shape[1], 4
     eye, none = torch.eye(w).double(), lambda *size: torch.zeros(*size).double()
     matrix = torch.cat(
         (
             torch.cat((jacobian, by_parameter), 1),
-            torch.cat((precision**0.5 * eye, none(w, p)), 1),
+            torch.cat((PRECISION**0.5 * eye, none(w, p)), 1),
             torch.cat((damping**0.5 * eye, none(w, p)), 1),
             torch.cat((none(p, w), torch.eye(p, dtype=torch.float64)), 1),
         )
     )
-    target = torch.cat((by_parameter @ x - dense.linear.residual, precision**0.5 * to_start, none(w), none(p)))
+    target = torch.cat((by_parameter @ x - dense.linear.residual, PRECISION**0.5 * to_start, none(w), none(p)))
     expected = torch.linalg.lstsq(matrix, target[:, None]).solution[:, 0]
-    found = torch.cat((dense.flat(step.weights), step.parameters))
+    weights, parameters = solved.way
+    found = torch.cat((weights, x + torch.as_tensor(parameters) / dense.system.unit))
     # Directions that hardly matter are known to few digits; the sum of squares is known to many.
     least, reached = ((matrix @ x - target).square().sum() for x in (expected, found))
     torch.testing.assert_close(reached, least, rtol=1e-9, atol=0.0)
     torch.testing.assert_close(found, expected, rtol=1e-2, atol=1e-4)
 
 
+def test_a_whole_step_promises_what_the_linearised_loss_loses():
+    dense = Dense()
+    solved = dense.system.factor(0.0)
+    assert solved is not None
+    weights, parameters = solved.way
+    jacobian, by_parameter = dense.jacobians
+    moved = torch.as_tensor(parameters) / dense.system.unit
+    residual = dense.linear.residual + jacobian @ weights + by_parameter @ moved
+    torch.testing.assert_close(residual, solved.residual, rtol=0.0, atol=1e-2 * float(residual.abs().max()))
+    loss = residual.square().sum() + (dense.system.parameters + moved).square().sum()
+    loss += PRECISION * (dense.point.unknowns + weights - dense.equations.origin).square().sum()
+    before = sum(dense.equations.losses(dense.point, dense.noise).values())
+    assert dense.system.decrease(solved.way) == pytest.approx(before - float(loss), rel=1e-6)
+
+
 def test_what_is_kept_of_the_residuals_is_the_inverses_diagonal():
     dense = Dense()
-    system = dense.system(2.0)
-    whole = dense.linear.kernel.tril() + dense.linear.kernel.tril(-1).T
-    whole = torch.eye(len(whole)).double() + whole / 2.0 + dense.linear.by_parameter @ dense.linear.by_parameter.T
+    system = DenseSystem(dense.linear, 2.0)
+    by_parameter = dense.linear.by_parameter
+    whole = torch.eye(len(dense.kernel)).double() + dense.kernel / 2.0 + by_parameter @ by_parameter.T
     inverse = torch.linalg.inv(whole).diagonal()
     kept = system.kept(seed=0)
     assert float(kept.sum()) == pytest.approx(float(inverse.sum()), rel=0.1)
@@ -163,18 +177,9 @@ def test_what_is_kept_of_the_residuals_is_the_inverses_diagonal():
 
 def test_the_variance_of_parameters_integrates_the_weights_out():
     dense = Dense()
-    jacobian, by_parameter = dense.jacobian(), dense.linear.by_parameter
-    precision = 2.0
-    full = torch.cat((jacobian, by_parameter), 1)
-    prior = torch.cat((precision * torch.ones(jacobian.shape[1]), torch.ones(4))).double()
+    full = torch.cat(dense.jacobians, 1)
+    prior = torch.cat((PRECISION * torch.ones(full.shape[1] - 4), torch.ones(4))).double()
     covariance = torch.linalg.inv(full.T @ full + torch.diag(prior))[-4:, -4:]
-    found = dense.system(precision).parameter_covariance
+    found = DenseSystem(dense.linear, PRECISION).parameter_covariance
     torch.testing.assert_close(found.diagonal(), covariance.diagonal(), rtol=1e-4, atol=1e-8)
     torch.testing.assert_close(found, covariance, rtol=1e-3, atol=1e-6)
-
-
-@pytest.mark.parametrize("design", DESIGNS)
-def test_the_diagonal_of_the_kernel(design):
-    dense = Dense(design, "both")
-    diagonal = torch.cat([prior_variance(block).flatten() for block in dense.linear.blocks])
-    torch.testing.assert_close(diagonal, dense.linear.kernel.diagonal())

@@ -9,8 +9,7 @@ import scipy.optimize
 import torch
 from plain_objectives import PlainObjective, minimise, quadratic, rosenbrock
 
-from pinn_cli.training.gradient.lbfgs import LbfgsSteps
-from pinn_cli.training.gradient.optimiser import GRADIENT_VANISHED, NOTHING_LOWER
+from pinn_cli.training.gradient.lbfgs import GRADIENT_VANISHED, NOTHING_LOWER, LbfgsSteps
 
 
 def test_rosenbrocks_valley_is_walked_as_fast_as_by_scipy():
