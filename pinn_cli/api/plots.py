@@ -34,6 +34,9 @@ from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import ConnectionHistories, Estimate, ParameterEstimate
 
+# Those that figures are drawn from; others may lie in the directory, a user's own among them.
+TABLES = ("history", "parameters", "identifiability", "correlation")
+
 
 class Plots:
     """``result.plot``: each method returns a matplotlib figure, which a notebook shows.
@@ -129,7 +132,8 @@ def stored_results(directory: Path) -> Results:
     """
     true, prescribed, simulated = _structures(directory)
     data, run = xr.load_dataset(directory / "response.nc", engine="h5netcdf"), read_record(directory)
-    tables = {file.stem: pd.read_csv(file) for file in directory.glob("*.csv")}
+    files = {name: directory / f"{name}.csv" for name in TABLES}
+    tables = {name: pd.read_csv(file) for name, file in files.items() if file.is_file()}
     history, parameters = tables["history"], _parameters(tables, prescribed)
     correlation = None
     if "correlation" in tables:
