@@ -331,3 +331,9 @@ def test_rounds_of_nearly_the_same_noise_share_a_factor(monkeypatch):
         assert trained.solution.converged
         assert trained.solution.chord is None
     assert taken[1:] == [1, 1, 1]
+
+
+def test_prior_precisions_have_all_their_digits():
+    equations, noise = posed("duffing", uncertain=True)
+    precision = problem_of(equations).precision(levels_of(noise, spread=3.3))
+    assert precision.tolist() == [3.3**-2] * 3
