@@ -42,6 +42,12 @@ from pinn_cli.training.stepwise import train
 
 # Times at which standard deviations are computed; between them they change slowly.
 TIMES = 96
+# Fraction of the force that acts at which the physics begins: soft, so that the first steps are nearly linear.
+SOFT = 0.1
+# Precision of the weights at which training begins, over the square of the readout's gain; it follows the weights by
+# factors of ten at most.
+FIRST_PRECISION = 100.0
+MOST_RESIDUALS = 8000
 
 
 class FunctionSpacePosterior:
@@ -119,16 +125,6 @@ class FunctionSpacePosterior:
         return (known + unknown).view(block.rows, -1)
 
 
-# Fraction of the force that acts at which the physics begins: soft, so that the first steps are nearly linear.
-SOFT = 0.1
-# Precision of the weights at which training begins, over the square of the readout's gain; it follows the weights by
-# factors of ten at most.
-FIRST_PRECISION = 100.0
-
-
-MOST_RESIDUALS = 8000
-
-
 @dataclass(frozen=True)
 class FunctionSpaceGaussNewton:
     """Levenberg-Marquardt over all weights and physical parameters, with noise levels inferred from the record.
@@ -144,7 +140,7 @@ class FunctionSpaceGaussNewton:
             has independent values.
         most_residuals: For which the whole matrix of a step is made: its square is the memory, its cube the time. It
             bounds the points of networks that need it, see
-            :func:`pinn_cli.training.function_space.solution.follows_features`.
+            :func:`pinn_cli.training.function_space.feature_system.follows_features`.
     """
 
     iterations: int = 40
