@@ -71,7 +71,8 @@ class FunctionSpaceSearch(Stepwise):
         losses = self.losses()
         if self.iteration == 0:
             self._note(losses)
-        descent = Descent(self.equations, self.noise, self.point, self.tolerance, losses.update)
+        # Any gain will do: when the steps have gained enough is judged below, once the levels have followed.
+        descent = Descent(self.equations, self.noise, self.point, 0.0, losses.update)
         before, descent.damping = descent.loss, self.damping
         descent.advance(0)
         # A small damping is a whole step's again: levels and linearisation have changed.

@@ -127,7 +127,7 @@ class FunctionSpacePosterior:
 
 @dataclass(frozen=True)
 class FunctionSpaceGaussNewton:
-    """Levenberg-Marquardt over all weights and physical parameters, with noise levels inferred from the record.
+    """Damped Gauss-Newton over all weights and physical parameters, with noise levels inferred from the record.
 
     The curvature is the Gauss-Newton matrix of all residuals, solved in the space of the residuals (see
     :mod:`pinn_cli.training.function_space`), so that its cost hardly depends on the number of weights.

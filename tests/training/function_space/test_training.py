@@ -148,6 +148,12 @@ def test_a_training_that_was_stopped_goes_on_with_the_same_numbers(monkeypatch):
     np.testing.assert_array_equal(estimate.history[columns], whole.history[columns])
 
 
+def test_a_step_that_gains_little_is_taken_all_the_same():
+    """Whole steps are refused on the way; what shares of them gain is less than the tolerance."""
+    estimate = solved(problem(snr_db=30.0), Mlp(2, 24, "sine", "exact"), tolerance=0.3)
+    assert estimate.summary["stop_reason"] == "converged"
+
+
 def test_the_iteration_limit_is_kept():
     estimate = solved(problem(), iterations=2)
     assert estimate.summary["stop_reason"] == "iteration limit"
