@@ -13,7 +13,6 @@ from torch import Tensor
 from pinn_cli.runs.side_by_side import side_by_side
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS
-from pinn_cli.training.minimise import followed
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_matrix.bordered import BorderedSystem
 from pinn_cli.training.normal_matrix.shared_border import SharedSystem
@@ -118,8 +117,20 @@ class LeastSquares:
         return Point(after.unknowns, torch.where(held, lower, torch.maximum(after.parameters, lower)))
 
     def retries(self, start: Point, refused: Point, noise: NoiseLevels) -> Iterator[Point]:
-        """See :meth:`pinn_cli.training.minimise.Equations.retries`: the motion follows the parameters."""
-        yield followed(self, refused, noise)
+        """See :meth:`pinn_cli.training.minimise.Equations.retries`."""
+        yield self.followed(refused, noise)
+
+    def followed(self, point: Point, noise: NoiseLevels) -> Point:
+        """The point whose motion has made a step of its own, parameters held.
+
+        Where physics is stiff, a step of motion and parameters together leaves the narrow valley of what solves it by
+        the product of both changes. The motion is (nearly) linear given the parameters: one step brings it back
+        (variable projection; Golub and Pereyra 1973).
+        """
+        if not len(point.parameters):
+            return point
+        step = self.assemble(point, noise).readout_step()
+        return point if step is None else self.moved(point, (step, np.zeros(len(point.parameters))))
 
     def losses(self, point: Point, noise: NoiseLevels) -> dict[str, float]:
         """Weighted sum of squares of every residual and of the ridge, over all records, and of the prior once."""

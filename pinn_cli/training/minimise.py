@@ -26,6 +26,16 @@ QUICK, KEPT = 0.1, 0.5
 ROUNDING = 1e-12
 
 
+class System(Protocol):
+    """A least-squares problem linearised at a point."""
+
+    def factor(self, damping: float) -> Any:
+        """What has the ``step`` of a system, with so much damping; None where it is not positive definite."""
+
+    def decrease(self, step: Any) -> float:
+        """What the system's own step takes off its loss."""
+
+
 class Equations(Protocol):
     """A weighted least-squares problem: :class:`pinn_cli.training.least_squares.LeastSquares`, or that of a network."""
 
@@ -40,8 +50,8 @@ class Equations(Protocol):
     def losses(self, point: Point, noise: NoiseLevels) -> dict[str, float]:
         """What adds up to the loss."""
 
-    def assemble(self, point: Point, noise: NoiseLevels) -> Any:
-        """The system of a step: it has ``factor(damping)`` with ``step``, and ``decrease``."""
+    def assemble(self, point: Point, noise: NoiseLevels) -> System:
+        """The system of a step."""
 
     def room_below(self, point: Point) -> np.ndarray:
         """(p,), the most negative step of every parameter that respects its bound."""
@@ -92,8 +102,8 @@ def minimise(
     """Levenberg-Marquardt from a starting point.
 
     A step is taken when the loss does not rise, if need be after the motion has followed the parameters
-    (:func:`followed`); otherwise the damping grows tenfold. After an accepted step it falls tenfold, and to zero once
-    it is negligible, which gives back Gauss-Newton's quadratic convergence.
+    (:meth:`Equations.retries`); otherwise the damping grows tenfold. After an accepted step it falls tenfold, and to
+    zero once it is negligible, which gives back Gauss-Newton's quadratic convergence.
 
     A factor serves further steps for as long as each promises a tenth of the one before and keeps half of its promise
     (the chord method; Kelley 1995, section 5.4): near a solution, that is until it is reached. Damped steps that creep
@@ -186,7 +196,7 @@ class Descent:
             system, room = self._assembled()
         return self._factored(system, room)
 
-    def _settled(self, system: Any, room: np.ndarray) -> Solution | None:
+    def _settled(self, system: System, room: np.ndarray) -> Solution | None:
         """The end, with the Hessian there; None where its own whole step gains more after all."""
         factor = self._factor(system, 0.0)
         if factor is None:
@@ -202,7 +212,7 @@ class Descent:
         self.chord, self.damping = None, 0.0  # whole steps are refused here: with care from here on
         return None
 
-    def _factored(self, system: Any, room: np.ndarray) -> Solution | None:
+    def _factored(self, system: System, room: np.ndarray) -> Solution | None:
         """A step with a factor of its own, as little damped as can be; the end, if it is."""
         undamped, tried = None, False
         while True:
@@ -241,14 +251,14 @@ class Descent:
         self.damping = self.damping / 10.0 if self.damping > FIRST_DAMPING else FIRST_DAMPING
         return None
 
-    def _assembled(self) -> tuple[Any, np.ndarray]:
+    def _assembled(self) -> tuple[System, np.ndarray]:
         return self.equations.assemble(self.point, self.noise), self.equations.room_below(self.point)
 
-    def _factor(self, system: Any, damping: float) -> Any:
+    def _factor(self, system: System, damping: float) -> Any:
         self.factorisations += 1
         return system.factor(damping)
 
-    def _trial(self, system: Any, factor: Any, room: np.ndarray) -> _Trial:
+    def _trial(self, system: System, factor: Any, room: np.ndarray) -> _Trial:
         step = factor.step(system, room)
         moved = self.equations.moved(self.point, step)
         terms = self.equations.losses(moved, self.noise)
@@ -292,16 +302,3 @@ class _Trial:
     terms: dict[str, float]
     promised: float
     gain: float
-
-
-def followed(equations: Equations, point: Point, noise: NoiseLevels) -> Point:
-    """The point whose motion has made a step of its own, parameters held.
-
-    Where physics is stiff, a step of motion and parameters together leaves the narrow valley of what solves it by the
-    product of both changes. The motion is (nearly) linear given the parameters: one step brings it back (variable
-    projection; Golub and Pereyra 1973).
-    """
-    if not len(point.parameters):
-        return point
-    step = equations.assemble(point, noise).readout_step()
-    return point if step is None else equations.moved(point, (step, np.zeros(len(point.parameters))))

@@ -18,7 +18,6 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.factors.frame import collocation_refinement
 from pinn_cli.training.factors.ridge import carried_ridge
-from pinn_cli.training.minimise import followed
 from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.point import Point
 from pinn_cli.training.steps.discrepancy_search import (
@@ -107,7 +106,7 @@ def whole_from(
     # A scan of the whole would take one step, then two at a time: from an odd one on both try the same discrepancies.
     begin = noise.with_discrepancy(largest_of_whole / SCAN_FACTOR ** max(steps - 1 + steps % 2, 0))
     point = Point(equations.start().unknowns, part.solution.point.parameters)
-    point = followed(equations, point, begin)
+    point = equations.followed(point, begin)
     found = scanned(evidence, noise, begin.discrepancy, point)
     return found if found.solution.converged and _are_near(begin, found.noise) else None
 

@@ -22,7 +22,6 @@ from pinn_cli.system.structure import Structure
 from pinn_cli.system.twins import Seen, twins
 from pinn_cli.training.estimate import Rival
 from pinn_cli.training.evidence import Evidence, Trained
-from pinn_cli.training.minimise import followed
 from pinn_cli.training.point import Point
 from pinn_cli.training.solver import Inference
 
@@ -106,7 +105,7 @@ def _solved(evidence: Evidence, trained: Trained, values: dict[Parameter, float]
         if p in values:
             moved[i] = (values[p] - p.prescribed) / scale[i]
     try:
-        again = evidence.train(trained.noise, followed(equations, Point(point.unknowns, moved), trained.noise))
+        again = evidence.train(trained.noise, equations.followed(Point(point.unknowns, moved), trained.noise))
     except DivergenceError:
         return None
     return again if again is not None and again.solution.converged else None
