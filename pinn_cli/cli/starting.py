@@ -121,9 +121,9 @@ def _configuration(config: DictConfig, options: Namespace) -> str:
     """What `--cfg` prints, as YAML: the job's settings, Hydra's, or all; a package of them, resolved or as written."""
     HydraConfig.instance().set_config(config)  # which ${hydra:...} is resolved by
     OmegaConf.set_readonly(config.hydra, False)
-    left_out = {"job": ["hydra"], "hydra": [name for name in config if name != "hydra"], "all": []}[options.cfg]
+    left_out: dict[str, list[Any]] = {"job": ["hydra"], "hydra": [name for name in config if name != "hydra"]}
     with flag_override(config, "struct", False):
-        for name in left_out:
+        for name in left_out.get(options.cfg, ()):
             del config[name]
     if options.cfg == "hydra":
         with flag_override(config.hydra, "struct", False):
