@@ -27,6 +27,7 @@ from pinn_cli.cli.override_errors import explain
 from pinn_cli.cli.terminal import Terminal
 from pinn_cli.runs.interruption import Interruption, watched
 from pinn_cli.runs.ownership import discard
+from pinn_cli.runs.reading import printable
 from pinn_cli.runs.resume import StoredRun, check_sound, how_to_go_on
 from pinn_cli.runs.writing import OUTPUT, WriteError, refused_by_disk
 from pinn_cli.settings.errors import InputError
@@ -190,7 +191,7 @@ def _collect(jobs: Jobs, cut_off: bool = False) -> None:
     begun = before.begun(found)
     if jobs.full_error:
         for kept in filter(None, (failure.Failure.read(job.directory) for job in begun)):
-            print(kept.traceback, file=sys.stderr)
+            print(printable(kept.traceback), file=sys.stderr)
     jobs.refused = before.is_refused(sweep, found) or (cut_off and not begun)
     if jobs.refused:
         jobs.reasons = list(dict.fromkeys(job.reason for job in begun))

@@ -12,23 +12,27 @@ from pathlib import Path
 from typing import Any
 
 import hydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.plugins import Plugins
 from hydra.core.utils import configure_log, run_job
 from hydra.experimental.callback import Callback
 from hydra.types import HydraContext, RunMode, TaskFunction
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, flag_override
 
 from pinn_cli.cli.composing import CONFIG, CheckedLoader, as_hydra_reads, checked_hydra, in_folders
 from pinn_cli.runs.ownership import note_new
+from pinn_cli.runs.reading import printable
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build
 from pinn_cli.settings.registry import CALLBACKS
-from pinn_cli.sweep.callback import SweepCallback
+from pinn_cli.sweep.callback import note_sweep
 
 
 class Callbacks(Callback):
-    """Those that a configuration names, called one after the other; what one raises is a warning.
+    """Those that a configuration names, called in turn, the last first where something ends, as Hydra calls them.
+
+    What one raises is a warning.
 
     Args:
         nodes: Of the configuration.
@@ -38,7 +42,7 @@ class Callbacks(Callback):
         self.callbacks = [build(node, f"{CALLBACKS}.{name!s}") for name, node in nodes.items()]
 
     def _call(self, moment: str, **given: Any) -> None:
-        for callback in self.callbacks:
+        for callback in reversed(self.callbacks) if moment.endswith("_end") else self.callbacks:
             try:
                 getattr(callback, moment)(**given)
             except Exception as error:
@@ -71,7 +75,7 @@ def start(task: TaskFunction, overrides: Sequence[str], config_dir: str | None, 
         context, said = HydraContext(loader, callbacks), {"config": config, "config_name": CONFIG}
         if config.hydra.mode == RunMode.MULTIRUN:
             note_new(Path(str(config.hydra.sweep.dir)))
-            SweepCallback().on_multirun_start(config)
+            note_sweep(config)
             callbacks.on_multirun_start(**said)
             sweeper = Plugins.instance().instantiate_sweeper(hydra_context=context, task_function=task, config=config)
             task_overrides: Any = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
@@ -86,19 +90,21 @@ def start(task: TaskFunction, overrides: Sequence[str], config_dir: str | None, 
 
 
 def show(options: Namespace, overrides: Sequence[str], config_dir: str | None) -> None:
-    """Have Hydra print what `--cfg`, `--info`, `--hydra-help` or `--shell-completion` asks for.
+    """Print what `--cfg`, `--info`, `--hydra-help` or `--shell-completion` asks for; Hydra itself does but the first.
 
     Raises:
-        InputError: The configuration is one that would be refused if it were run.
+        InputError: The configuration is one that would be refused if it were run, or has no such package.
     """
     overrides = [as_hydra_reads(override) for override in in_folders(overrides, config_dir)]
     if options.hydra_help and overrides:
         raise InputError("--hydra-help", " ".join(overrides), "given alone")
     if options.cfg or options.info:
         with checked_hydra() as loader:
-            _composed(loader, overrides, multirun=False)
-    given = {"--cfg": options.cfg, "--info": options.info, "--package": options.package}
-    flags = [part for flag, value in given.items() if value for part in (flag, value)]
+            config = _composed(loader, overrides, multirun=False)
+            if options.cfg:
+                print(printable(_configuration(config, options)))
+                return
+    flags = ["--info", options.info] if options.info else []
     flags += [f"--{name.replace('_', '-')}" for name in ("resolve", "hydra_help", "shell_completion")
               if getattr(options, name)]  # fmt: skip
     sys.argv[1:] = [*flags, *overrides]
@@ -109,6 +115,28 @@ def show(options: Namespace, overrides: Sequence[str], config_dir: str | None) -
     finally:
         del os.environ["HYDRA_FULL_ERROR"]
         os.environ.update({} if full is None else {"HYDRA_FULL_ERROR": full})
+
+
+def _configuration(config: DictConfig, options: Namespace) -> str:
+    """What `--cfg` prints, as YAML: the job's settings, Hydra's, or all; a package of them, resolved or as written."""
+    HydraConfig.instance().set_config(config)  # which ${hydra:...} is resolved by
+    OmegaConf.set_readonly(config.hydra, False)
+    left_out: dict[str, list[Any]] = {"job": ["hydra"], "hydra": [name for name in config if name != "hydra"]}
+    with flag_override(config, "struct", False):
+        for name in left_out.get(options.cfg, ()):
+            del config[name]
+    if options.cfg == "hydra":
+        with flag_override(config.hydra, "struct", False):
+            del config.hydra["help"], config.hydra["hydra_help"]
+    package = None if options.package in (None, "_global_") else options.package
+    chosen = config if package is None else OmegaConf.select(config, package)
+    if chosen is None:
+        raise InputError("--package", package, "a part of the configuration", f"--cfg {options.cfg} prints all of it")
+    if not OmegaConf.is_config(chosen):
+        return str(chosen)
+    if options.resolve:
+        OmegaConf.resolve(chosen)
+    return ("" if package is None else f"# @package {package}\n") + OmegaConf.to_yaml(chosen).rstrip("\n")
 
 
 def _composed(loader: CheckedLoader, overrides: list[str], multirun: bool) -> DictConfig:

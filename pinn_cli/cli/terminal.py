@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-import unicodedata
+
+from pinn_cli.runs.reading import printable
 
 
 class Terminal:
@@ -26,13 +27,3 @@ class Silence(Terminal):
 
     def complain(self, text: str) -> None:
         """Print nothing."""
-
-
-def printable(text: str) -> str:
-    r"""A text whose control characters are written out, as ``\x1b``: files of others may hold some for a terminal."""
-    return "".join(
-        character.encode("unicode_escape").decode()
-        if character not in "\n\t" and unicodedata.category(character).startswith("C")
-        else character
-        for character in text
-    )

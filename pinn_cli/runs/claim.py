@@ -18,6 +18,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from pinn_cli.runs.lock import held
 from pinn_cli.runs.ownership import SETTINGS, check_destination
+from pinn_cli.runs.reading import printable
 from pinn_cli.runs.writing import WriteError, replacing, tidy
 from pinn_cli.settings.errors import InputError
 
@@ -33,8 +34,10 @@ class RunLog(MemoryHandler):
         super().__init__(sys.maxsize, logging.CRITICAL + 1)
 
     def attach(self) -> None:
-        """Have everything that this process logs come here too."""
+        """Have everything that this process logs come here too, and control characters in it be written out."""
         logging.getLogger().addHandler(self)
+        for handler in logging.getLogger().handlers:
+            handler.addFilter(_write_out)
 
     def open(self, path: Path) -> None:
         """Append what waits, and from now on every line.
@@ -50,12 +53,20 @@ class RunLog(MemoryHandler):
 
     def close(self) -> None:
         """Close the file and hear no more."""
+        for handler in logging.getLogger().handlers:
+            handler.removeFilter(_write_out)
         logging.getLogger().removeHandler(self)
         file = self.target
         super().close()
         if file is not None:
             with suppress(OSError):
                 file.close()
+
+
+def _write_out(record: logging.LogRecord) -> bool:
+    with suppress(Exception):  # a text that its arguments do not fit: each handler says so
+        record.msg, record.args = printable(record.getMessage()), None
+    return True
 
 
 class _LogFile(logging.FileHandler):

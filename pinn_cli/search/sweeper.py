@@ -26,6 +26,7 @@ from optuna.study import Study
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from pinn_cli.runs.identity import is_left_out
+from pinn_cli.runs.reading import printable
 from pinn_cli.search.report import report_search
 from pinn_cli.search.space import read_space, within
 from pinn_cli.search.trials import OVERRIDES, create_study, load_study, overrides_of
@@ -132,7 +133,7 @@ class Search:
         if self.n_trials and not scored:
             allowed = "given settings under which a trial ends with a score"
             raise InputError("hydra/sweeper", "search", allowed, "every trial failed")
-        print(report_search(self.directory))
+        print(printable(report_search(self.directory)))
 
     def _check_comparable(self, space: Mapping[str, BaseDistribution]) -> None:
         for name in space if self.validation == EVIDENCE else ():

@@ -12,6 +12,7 @@ import optuna
 import pandas as pd
 from optuna.study import Study
 from optuna.trial import FrozenTrial
+from sqlalchemy.exc import DatabaseError
 
 from pinn_cli.runs.identity import is_left_out
 from pinn_cli.runs.resume import read_record
@@ -48,7 +49,7 @@ def load_study(directory: Path) -> Study | None:
         return optuna.load_study(study_name=NAME, storage=f"sqlite:///{directory / FILE}")
     except KeyError:  # cut off before it was made
         return None
-    except RuntimeError as error:
+    except (RuntimeError, DatabaseError) as error:  # of another release; damaged
         allowed = f"a directory whose {FILE} was written by this release of Optuna"
         raise InputError("hydra.sweep.dir", directory, allowed, str(error).partition("\n")[0]) from error
 

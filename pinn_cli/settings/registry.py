@@ -54,13 +54,15 @@ def check_registered(setting: str, target: object) -> None:
         return
     name = f"{setting}._target_" if setting else "_target_"
     known = sorted(registered(place))
-    if not known:
+    if not known and place != CALLBACKS:
         raise InputError(name, target, "left out", "no class belongs here: the settings are numbers and words")
     hint = suggestion(str(target), known) or (
         f"a configuration runs no other code; an installed package registers a class by the entry point"
         f" {place}.NAME of {PLUGINS} (docs/extending.md)"
     )
-    raise InputError(name, target, f"a class that is registered for {place}: {', '.join(known)}", hint)
+    raise InputError(
+        name, target, f"a class that is registered for {place}: {', '.join(known) or 'there is none'}", hint
+    )
 
 
 @cache

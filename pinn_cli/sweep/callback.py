@@ -1,4 +1,4 @@
-"""What Hydra tells of a sweep: where it lies, so that it is shown, collected, and taken back if all is refused."""
+"""The sweep that runs in this process: noted, so that it is shown, collected, and taken back if all is refused."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
@@ -113,25 +111,22 @@ def _remove(directory: Path) -> None:
         shutil.rmtree(directory, ignore_errors=True)
 
 
-# The sweep that Hydra runs in this process, what its directory held before, and what shows how far it is.
+# The sweep that runs in this process, what its directory held before, and what shows how far it is.
 _running: tuple[Sweep, Before, Progress] | None = None
 
 
-class SweepCallback(Callback):
-    """Hydra builds it at every start, so nothing slow is imported above."""
-
-    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Note the sweep and show its progress."""
-        global _running  # noqa: PLW0603
-        with suppress(OmegaConfBaseException):  # where it is made of what only a job has, such as ${hydra.job.num}
-            str(config.hydra.sweep.subdir)  # keeps the names of the swept settings for the jobs
-        try:
-            sweep = Sweep.of(config, Path(str(config.hydra.sweep.dir)))
-        except (OmegaConfBaseException, InputError):  # Hydra, or the sweeper, meets it next and reports it
-            return
-        progress = Progress(sweep)
-        _running = sweep, Before.of(sweep), progress
-        progress.start()
+def note_sweep(config: DictConfig) -> None:
+    """Note a sweep that is about to run, from its configuration with the `hydra` node, and show its progress."""
+    global _running  # noqa: PLW0603
+    with suppress(OmegaConfBaseException):  # where it is made of what only a job has, such as ${hydra.job.num}
+        str(config.hydra.sweep.subdir)  # keeps the names of the swept settings for the jobs
+    try:
+        sweep = Sweep.of(config, Path(str(config.hydra.sweep.dir)))
+    except (OmegaConfBaseException, InputError):  # Hydra, or the sweeper, meets it next and reports it
+        return
+    progress = Progress(sweep)
+    _running = sweep, Before.of(sweep), progress
+    progress.start()
 
 
 def ended_sweep() -> tuple[Sweep, Before] | None:

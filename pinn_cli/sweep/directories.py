@@ -122,7 +122,7 @@ def register() -> None:
     """Make the resolvers `sweep_name`, `swept_settings` and `job_name` known to OmegaConf.
 
     The first two are cached, as Hydra's `${now:}` is: the jobs have overrides of their own and get them from the sweep,
-    where :class:`pinn_cli.sweep.callback.SweepCallback` has them resolved.
+    where :func:`pinn_cli.sweep.callback.note_sweep` has them resolved.
     """
 
     def of_sweep(overrides: ListConfig, params: DictConfig | None) -> str:

@@ -38,14 +38,14 @@ def run_grid(
         What the jobs returned, by what the launcher got at a time.
 
     Raises:
-        InputError: There are more jobs than that.
+        InputError: There are more jobs than that, or a number is none.
         Exception: Whatever Hydra says of overrides that cannot be composed.
     """
     jobs = combinations(overrides, whole_number("hydra.sweeper.max_jobs", most, least=1))
+    step = whole_number("hydra.sweeper.max_batch_size", at_once or len(jobs))
     launcher = Plugins.instance().instantiate_launcher(
         hydra_context=hydra_context, task_function=task_function, config=config
     )
-    step = at_once or len(jobs)
     batches = {first: jobs[first : first + step] for first in range(0, len(jobs), step)}
     for job in representatives(jobs):
         compose_job(hydra_context.config_loader, config, job)

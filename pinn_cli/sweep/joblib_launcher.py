@@ -21,6 +21,8 @@ from joblib import Parallel, delayed, effective_n_jobs
 from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from pinn_cli.runs.cores import usable_cores
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.sweep.launching import PendingJob, Work, WorkLauncher, jobs_at_once, take_over
 
 _REASON = "its worker was killed, again when it ran alone: by the system for want of memory, perhaps"
@@ -44,6 +46,8 @@ class JoblibLauncher(WorkLauncher):
 
     def __init__(self, work: Work, n_jobs: int = -1, **settings: Any) -> None:
         super().__init__(work)
+        if not is_whole_number(n_jobs) or not n_jobs:
+            raise InputError("hydra.launcher.n_jobs", n_jobs, "a whole number, -1: as many as the cores can run")
         self.processes = jobs_at_once(work.threads) if n_jobs == -1 else effective_n_jobs(n_jobs)
         self.settings = settings
 

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from pinn_cli.runs.reading import printable
 from pinn_cli.runs.resume import RESULT
 from pinn_cli.sweep.failure import FILE, Failure
 from pinn_cli.sweep.jobs import Sweep
@@ -79,7 +80,7 @@ class Progress:
     def _tell(self, name: str, place: Path) -> None:
         failure = Failure.read(place)
         self._failed += failure is not None
-        ended = "finished" if failure is None else f"failed: {failure.reason}"
+        ended = "finished" if failure is None else f"failed: {printable(failure.reason)}"
         if self._bar is None:
             print(f"{self._total - len(self._waiting)} of {self._total}  {name}  {ended}", file=sys.stderr)
             return

@@ -7,7 +7,7 @@ comes back once the step under way is done and its checkpoint written. Which tas
 
 from __future__ import annotations
 
-import getpass
+import os
 import signal
 import subprocess
 import sys
@@ -244,12 +244,12 @@ class LocalLauncher(SubmititLauncher):
 
 def _queue() -> dict[str, tuple[str, Path]] | None:
     """State and script of this user's tasks by name (`17_3`), ended ones for some minutes; None if nobody answers."""
-    options = ("--noheader", "--array", "--states=all", f"--user={getpass.getuser()}", "--format=%i|%T|%o")
+    options = ("--noheader", "--array", "--states=all", f"--user={os.getuid()}", "--format=%i|%T|%o")
     try:
         listed = subprocess.run(["squeue", *options], capture_output=True, text=True, timeout=60, check=True).stdout
     except (OSError, subprocess.SubprocessError):
         return None
-    rows = (line.split("|", 2) for line in listed.splitlines())
+    rows = (line.split("|", 2) for line in listed.splitlines() if line.count("|") >= 2)  # no remarks of the cluster's
     return {name: (state, Path(script)) for name, state, script in rows}
 
 

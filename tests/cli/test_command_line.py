@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 from calls import PinnRun
 from omegaconf import DictConfig
 
@@ -154,6 +155,10 @@ COMPOSITION_ERRORS = {
     "no such folder": (["--config-dir", "nowhere"], ["--config-dir=nowhere:", "folder"]),
     "no folder's name": (["--config-dir", ""], ["--config-dir='':", "folder"]),
     "no such logger": (["hydra.verbose=maybe"], ["hydra.verbose=maybe:", "true, false"]),
+    "no such package": (["--cfg", "job", "--package", "nothing"], ["--package=nothing:", "--cfg job"]),
+    "jobs at a time": (["-m", "seed=1,2", "hydra.sweeper.max_batch_size=x"], ["hydra.sweeper.max_batch_size=x:"]),
+    "processes": (["-m", "seed=1,2", "hydra/launcher=joblib", "hydra.launcher.n_jobs=0"], ["hydra.launcher.n_jobs=0:"]),
+    "unknown callback": (["+hydra.callbacks.x={_target_: a.B}"], ["hydra.callbacks.x._target_=a.B:", "extending.md"]),
     "wrong type for Hydra": (["hydra.callbacks=5"], ["hydra.callbacks=5:"]),
 }
 
@@ -172,6 +177,16 @@ def test_composition_errors(pinn_run: PinnRun, tmp_path: Path, arguments: list[s
 def test_options_and_overrides_mix(pinn_run: PinnRun) -> None:
     outcome = pinn_run("seed=1", "--cfg", "job", "case=mixed", "--package", "case", task=judge)
     assert (outcome.status, outcome.out.strip()) == (0, "mixed")
+
+
+@pytest.mark.parametrize(("chosen", "of_job"), [("job", True), ("hydra", False), ("all", True)])
+def test_settings_are_printed_as_yaml(pinn_run: PinnRun, chosen: str, of_job: bool) -> None:
+    shown = yaml.safe_load(pinn_run("--cfg", chosen, "case=mine", task=judge).out)
+    assert shown.get("case") == ("mine" if of_job else None)
+    assert ("hydra" in shown) == (chosen != "job")
+    assert chosen == "job" or shown["hydra"]["run"]["dir"].startswith("outputs/${case}/")
+    resolved = pinn_run("--cfg", "all", "--resolve", "--package", "hydra.run", "case=mine", task=judge).out
+    assert resolved.startswith("# @package hydra.run\ndir: outputs/mine/")
 
 
 def test_a_mapping_may_have_keys_of_its_own(pinn_run: PinnRun) -> None:
@@ -250,8 +265,11 @@ CALLBACK = """
 from hydra.experimental.callback import Callback
 
 class Mine(Callback):
+    def __init__(self, name=""):
+        self.name = name
+
     def _note(self, **given):
-        print("run" if "job_return" not in given else "ended", given["config"].seed)
+        print("run" if "job_return" not in given else "ended", given["config"].seed, *filter(None, [self.name]))
 
     on_run_start = on_job_start = on_job_end = _note
 
@@ -273,3 +291,5 @@ def test_callbacks_of_an_installed_package_are_called(
     assert pinn_run(given, "seed=1", task=judge).out.splitlines() == ["run 1", "run 1", "done", "ended 1"]
     with pytest.warns(UserWarning, match=r"Mine.on_multirun_end: ValueError\('odd'\)"):
         assert "run 7\ndone\nended 7\nrun 6\n" in pinn_run(given, "--multirun", "seed=7,6", task=judge).out
+    two = "+hydra.callbacks={a: {_target_: of_callbacks.Mine, name: a}, b: {_target_: of_callbacks.Mine, name: b}}"
+    assert pinn_run(two, task=judge).out.splitlines()[-2:] == ["ended 0 b", "ended 0 a"]

@@ -107,7 +107,7 @@ def test_a_directory_that_is_resumed(pinn_run: PinnRun, marker: Path) -> None:
 HYDRA_NODES = {
     "callback": ("callbacks: {x: {_target_: acting_when_imported.Anything}}", "hydra.callbacks.x._target_"),
     "callback within": (
-        "callbacks: {sweep: {_target_: pinn_cli.sweep.callback.SweepCallback, x: {_target_: os.system}}}",
+        "callbacks: {sweep: {_target_: acting_when_imported.Anything, x: {_target_: os.system}}}",
         "hydra.callbacks.sweep",
     ),
     "callback put together": ("callbacks: {x: '${network}'}", "hydra.callbacks.x"),

@@ -154,6 +154,17 @@ def test_nor_one_with_another_space_in_a_file(search: Callable[..., int], pinn_r
     assert "they differ in seed=choice(3,4)" in outcome.err
 
 
+def test_a_damaged_search_is_left_alone(search: Callable[..., int], pinn_run: PinnRun, tmp_path: Path) -> None:
+    search(trials=1)
+    (file,) = tmp_path.rglob("search.db")
+    file.write_bytes(b"damaged")
+    outcome = pinn_run(*SEARCH, "hydra.sweeper.n_trials=2", task=score)
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
+    assert outcome.err.startswith("pinn-run: hydra.sweep.dir=")
+    assert "search.db" in outcome.err
+    assert file.read_bytes() == b"damaged"
+
+
 def test_where_and_how_trials_run_may_change(search: Callable[..., int], tmp_path: Path) -> None:
     search("threads=2", task=StopsAt(4))
     assert search("figures=false", "tracking=none") == 0

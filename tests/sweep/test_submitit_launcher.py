@@ -128,7 +128,7 @@ def squeue(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyP
 
 
 def test_jobs_that_never_began_are_failed_rows(pinn_run: PinnRun, squeue, monkeypatch) -> None:
-    squeue("17_0|CANCELLED|x\n17_1|COMPLETING|x\n", "17_0|CANCELLED|x\n")
+    squeue("a remark of the cluster's\n17_0|CANCELLED|x\n17_1|COMPLETING|x\n", "17_0|CANCELLED|x\n")
     monkeypatch.setattr(SlurmLauncher, "_submit", lambda _, batches: [Task(f"17_{n}") for n in range(len(batches))])
     done = pinn_run("--multirun", "hydra/launcher=slurm", *SMALL, "seed=0,1", "hydra.sweep.dir=sweep")
     assert done.status == 1
