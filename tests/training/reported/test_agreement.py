@@ -19,7 +19,7 @@ from pinn_cli.verdict.records import APART, contradictions
 def solved(second_k: float) -> Estimate:
     """Two records with sensors on every DOF, the second of a chain with other springs."""
     every = [
-        measured(small_chain("linear", 2, k=k), snr_db=30.0, duration=12.0, samples=193, seed=seed).record
+        measured(small_chain("linear", 2, k=k), snr_db=30.0, duration=24.0, samples=385, seed=seed).record
         for seed, k in enumerate((15.0, second_k))
     ]
     scheme = StateParameter(unknown=["k_*"], parameter_uncertainty=0.0)
