@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 from scipy.signal import fftconvolve, firwin
+from storeys import chain_matrix
 
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
@@ -26,15 +27,10 @@ class AmbientRecord:
     noise: float
 
 
-def storeys(values: np.ndarray) -> np.ndarray:
-    """The matrix of springs or dampers between floors, the first one on the ground."""
-    return np.diag(values + np.append(values[1:], 0.0)) - np.diag(values[1:], 1) - np.diag(values[1:], -1)
-
-
 def frame(floors: int, first_frequency: float, damping: float = 0.02) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Masses kg, dampers N s/m and springs N/m of a frame with a first frequency, Hz."""
     m, k = np.full(floors, 1000.0), np.linspace(1.3, 1.0, floors)
-    rate = np.sqrt(np.linalg.eigvalsh(storeys(k) / 1000.0)[0])
+    rate = np.sqrt(np.linalg.eigvalsh(chain_matrix(k) / 1000.0)[0])
     k = k * (2.0 * np.pi * first_frequency / rate) ** 2
     return m, 2.0 * damping / (2.0 * np.pi * first_frequency) * k, k
 
@@ -84,7 +80,9 @@ def ambient_record(
         force = np.fft.irfft(spectrum / np.sqrt(1.0 + (frequency / corner) ** 2)[:, None], times, axis=0)
         force /= force.std()
     force *= 100.0
-    system = np.block([[np.zeros((floors, floors)), np.eye(floors)], [-storeys(k) / 1000.0, -storeys(c) / 1000.0]])
+    system = np.block(
+        [[np.zeros((floors, floors)), np.eye(floors)], [-chain_matrix(k) / 1000.0, -chain_matrix(c) / 1000.0]]
+    )
     both = np.zeros((3 * floors, 3 * floors))
     both[: 2 * floors, : 2 * floors], both[floors : 2 * floors, 2 * floors :] = system, np.eye(floors) / 1000.0
     moved = expm(both * step)

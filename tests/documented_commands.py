@@ -7,6 +7,9 @@ import json
 import math
 import re
 import shlex
+import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -75,8 +78,11 @@ def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 
 
-def write_configuration(folder: Path) -> None:
-    """my_configs/experiment/my_rig.yaml of own-record.md, and the record of modes-in-a-band.md."""
+def write_files(folder: Path) -> None:
+    """The records, matrices and configurations that the pages speak of, made by what they show."""
+    for script in blocks(MY_STRUCTURE, "python"):
+        subprocess.run([sys.executable, "-c", script], cwd=folder, check=True)
+    shutil.copy(RIG, folder)
     write_wing(wing_record(wing(5, 2, (5.19, 7.3, 9.2)), 5, 12.0), folder / "wing.csv")
     (experiment,) = (block for block in blocks(OWN_RECORD, "yaml") if "case: my_rig" in block)
     (folder / "my_configs" / "experiment").mkdir(parents=True)

@@ -18,6 +18,48 @@ C = 2e-3 * K
 RATE, DURATION = 50.0, 12.0
 
 
+def chain_matrix(values: np.ndarray) -> np.ndarray:
+    """Of springs or dampers between storeys, the first one on the ground."""
+    return np.diag(values + np.append(values[1:], 0.0)) - np.diag(values[1:], 1) - np.diag(values[1:], -1)
+
+
+def under_waves(
+    m: np.ndarray,
+    damping_and_stiffness: tuple[np.ndarray, np.ndarray],
+    acting: np.ndarray,
+    waves: tuple[np.ndarray, np.ndarray],
+    time: np.ndarray,
+    rate: float,
+    start: np.ndarray | None = None,
+) -> tuple[np.ndarray, ...]:
+    """Displacement, velocity and acceleration (N, n) under a sum of cosines, and that sum (N,).
+
+    Args:
+        m: Masses (n,), kg.
+        damping_and_stiffness: Matrices (n, n), N s/m and N/m.
+        acting: Forces (n,) where the sum is one, N.
+        waves: Angular frequencies, rad/s, and phases of the cosines; each is a state of the exact transition matrix.
+        time: Of the samples (N,), s.
+        rate: Of the samples, Hz.
+        start: Displacement and velocity (2 n,) at the first sample; None: at rest.
+    """
+    (omega, phase), (c, k), n = waves, damping_and_stiffness, len(m)
+    cosine = 2 * n + 2 * np.arange(len(omega))
+    generator = np.zeros((2 * (n + len(omega)),) * 2)
+    generator[:n, n : 2 * n] = np.eye(n)
+    generator[n : 2 * n, :n], generator[n : 2 * n, n : 2 * n] = -k / m[:, None], -c / m[:, None]
+    generator[n : 2 * n, cosine] = (acting / m)[:, None]
+    generator[cosine, cosine + 1], generator[cosine + 1, cosine] = -omega, omega
+    state = np.zeros(len(generator))
+    state[: 2 * n] = 0.0 if start is None else start
+    state[cosine], state[cosine + 1] = np.cos(omega * time[0] + phase), np.sin(omega * time[0] + phase)
+    step, states = expm(generator / rate), [state]
+    while len(states) < len(time):
+        states.append(step @ states[-1])
+    found = np.array(states)
+    return found[:, :n], found[:, n : 2 * n], (found @ generator.T)[:, n : 2 * n], found[:, cosine].sum(axis=1)
+
+
 def response(
     seed: int,
     k: np.ndarray = K,
@@ -26,7 +68,7 @@ def response(
     first: float = 0.0,
     most: float = 9.0,
 ) -> Response:
-    """Motion under sinusoids on the roof, each of which is a state of the exact transition matrix.
+    """Motion under sinusoids on the roof.
 
     Args:
         seed: Of the force.
@@ -37,28 +79,11 @@ def response(
         most: Greatest frequency of the force, Hz.
     """
     rng = np.random.default_rng([seed, 7])
-    omega, phase = 2.0 * np.pi * rng.uniform(0.5, most, 40), rng.uniform(0.0, 2.0 * np.pi, 40)
-    n, waves = len(M), len(omega)
-    generator = np.zeros((2 * n + 2 * waves,) * 2)
-    generator[:n, n : 2 * n] = np.eye(n)
-    for values, columns in ((k, slice(0, n)), (C, slice(n, 2 * n))):
-        matrix = np.diag(values + np.append(values[1:], 0.0)) - np.diag(values[1:], 1) - np.diag(values[1:], -1)
-        generator[n : 2 * n, columns] = -matrix / M[:, None]
-    size, cosine = 2000.0 * np.sqrt(2.0 / waves), 2 * n + 2 * np.arange(waves)
-    generator[2 * n - 1, cosine] = size / M[-1]
-    generator[cosine, cosine + 1], generator[cosine + 1, cosine] = -omega, omega
+    waves = 2.0 * np.pi * rng.uniform(0.5, most, 40), rng.uniform(0.0, 2.0 * np.pi, 40)
+    acting = np.array([0.0, 0.0, 2000.0 * np.sqrt(2.0 / 40)])
     time = first + np.arange(round(duration * RATE)) / RATE
-    state = np.zeros(2 * n + 2 * waves)
-    state[: 2 * n] = 0.0 if start is None else start
-    state[cosine], state[cosine + 1] = np.cos(omega * first + phase), np.sin(omega * first + phase)
-    step, states = expm(generator / RATE), []
-    for _ in time:
-        states.append(state)
-        state = step @ state
-    found = np.array(states)
-    force = np.zeros((len(time), n))
-    force[:, -1] = size * found[:, cosine].sum(axis=1)
-    return Response(time, found[:, :n], found[:, n : 2 * n], (found @ generator.T)[:, n : 2 * n], force)
+    *motion, sum_of_waves = under_waves(M, (chain_matrix(C), chain_matrix(k)), acting, waves, time, RATE, start)
+    return Response(time, *motion, np.outer(sum_of_waves, acting))
 
 
 @cache

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import shutil
 from pathlib import Path
 
 import pytest
@@ -12,13 +11,10 @@ from documented_commands import (
     EVERY,
     FOLLOWED,
     LOOKS,
-    MY_STRUCTURE,
-    RIG,
     RUNS,
-    blocks,
     first_job,
     missing_package,
-    write_configuration,
+    write_files,
     write_model_run,
 )
 from hydra import compose, initialize_config_module
@@ -34,21 +30,27 @@ from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.function_space import training as over_all_weights
 from pinn_cli.training.gradient import training as gradient_training
 
+# A second of processor time and more: test_documented_runs.py runs them too.
+SIMULATED_LONG = re.compile(r"examples/(beam_with_stop|frame_with_hysteretic_brace|shear_building_earthquake)$")
+
 
 class TrainingBeginsError(Exception):
     """Nothing has refused the command."""
 
 
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the files and the configuration that the pages speak of."""
+    folder = tmp_path_factory.mktemp("files")
+    write_files(folder)
+    write_model_run(folder)
+    return folder
+
+
 @pytest.fixture
-def rig(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """A folder with the files and the configuration that own-record.md and my-structure.md speak of."""
-    shutil.copy(RIG, tmp_path)
-    write_configuration(tmp_path)
-    write_model_run(tmp_path)
-    monkeypatch.chdir(tmp_path)
-    (script,) = blocks(MY_STRUCTURE, "python")
-    exec(script, {})
-    return tmp_path
+def rig(monkeypatch: pytest.MonkeyPatch, files: Path) -> Path:
+    monkeypatch.chdir(files)
+    return files
 
 
 @pytest.fixture(autouse=True)
@@ -61,7 +63,9 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Evidence, "train", begins)
 
 
-@pytest.mark.parametrize("line", RUNS)
+@pytest.mark.parametrize(
+    "line", [pytest.param(line, marks=pytest.mark.slow if SIMULATED_LONG.search(line) else ()) for line in RUNS]
+)
 def test_a_documented_run_gets_as_far_as_training(line: str, rig: Path) -> None:
     if package := missing_package(line):
         pytest.skip(f"{package} is not installed")

@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -14,13 +12,11 @@ from calls import PinnRun
 from documented_commands import (
     FOLLOWED,
     LOOKS,
-    MY_STRUCTURE,
     RIG,
     RUNS,
-    blocks,
     first_job,
     missing_package,
-    write_configuration,
+    write_files,
     write_model_run,
 )
 
@@ -32,15 +28,11 @@ OF_SWEEPS = re.compile(r"hydra/launcher|hydra/sweeper|hydra\.launcher\.|hydra\.s
 
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the records, matrices and configurations that the pages speak of, made by what they show."""
     folder = tmp_path_factory.mktemp("measured")
-    for script in blocks(MY_STRUCTURE, "python"):
-        subprocess.run([sys.executable, "-c", script], cwd=folder, check=True)
-    shutil.copy(RIG, folder / "rig.csv")
+    write_files(folder)
     shutil.copy(RIG, folder / "second.csv")
     (folder / "arriving").mkdir()
     shutil.copy(RIG, folder / "arriving" / "rig.csv")
-    write_configuration(folder)
     return folder
 
 

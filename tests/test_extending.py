@@ -175,6 +175,7 @@ def test_a_sensor_of_one_s_own_says_by_itself_what_it_feels(installed, pinn_run,
     assert "data.channels.tilt.dof" in outcome.err
 
 
+@pytest.mark.slow  # a file format as well
 def test_a_force_that_moves(example, monkeypatch, tmp_path):
     made("make_bridge.py", "A force that moves", monkeypatch, tmp_path)
     directory = example("A force that moves")

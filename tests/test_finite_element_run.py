@@ -213,6 +213,7 @@ def test_sensors_bend_as_those_of_the_whole_model(tmp_path, monkeypatch):
     np.testing.assert_allclose(found, np.linalg.inv(K.toarray())[np.ix_(at, at)], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_shaken_model_with_an_unknown_force(in_folder_with_a_beam: PinnRun):
     structure = build_finite_elements(DOFS, "beam.npz", modes=3, damping_ratio=0.03, ground="1::2")
     time, random = np.linspace(0.0, 2.0, 257), np.random.default_rng(4)

@@ -69,16 +69,11 @@ def test_unknown_springs_from_the_default_start(pinn_run: PinnRun, made: Indepen
     assert run_json(done)["verdict"] == "sound", run_json(done)["reasons"]
 
 
-def test_starts_a_hundred_times_too_low_and_too_high_end_at_the_same_place(
-    pinn_run: PinnRun, made: IndependentRecord, tmp_path: Path
-) -> None:
-    found = []
-    for factor in (0.01, 100.0):
-        start = ", ".join(f"k_{i + 1}: {factor * k:.0f}" for i, k in enumerate(made.structure.k))
-        done = pinn_run(*written(made, tmp_path), "scheme=state_parameter", "scheme.unknown=[k_*]",
-                        f"scheme.initial={{{start}}}")  # fmt: skip
-        assert done.status == 0, done.err
-        table = parameters(done)
-        found.append([table.loc[f"k_{i}", "estimate"] for i in (1, 2, 3)])
-    np.testing.assert_allclose(found[0], found[1], rtol=1e-3)
-    np.testing.assert_allclose(found[0], made.structure.k, rtol=0.01)
+@pytest.mark.parametrize("factor", [0.01, pytest.param(100.0, marks=pytest.mark.slow)])
+def test_a_start_a_hundred_times_off_ends_at_the_truth(pinn_run: PinnRun, tmp_path: Path, factor: float) -> None:
+    made = frame_record(rate=100.0, duration=8.0)
+    start = ", ".join(f"k_{i + 1}: {factor * k:.0f}" for i, k in enumerate(made.structure.k))
+    unknown = ("scheme=state_parameter", "scheme.unknown=[k_*]", f"scheme.initial={{{start}}}")
+    done = pinn_run(*written(made, tmp_path), *unknown)
+    assert done.status == 0, done.err
+    np.testing.assert_allclose(parameters(done).loc[["k_1", "k_2", "k_3"], "estimate"], made.structure.k, rtol=0.01)

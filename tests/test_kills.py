@@ -20,7 +20,7 @@ from pathlib import Path
 import psutil
 import pytest
 import torch
-from interrupted_runs import ADAM, assert_same_numbers
+from interrupted_runs import ADAM, assert_same_numbers, run_in_a_child
 from sweeps import start as start_process
 
 from pinn_cli.cli.command_line import execute
@@ -32,6 +32,8 @@ pytestmark = pytest.mark.slow
 AT_ANY_MOMENT, IN_CHECKPOINTS, IN_REPORTS = 50, 25, 25
 SWEEPS, SWEEPS_OF_WORKERS, FULL_DISKS = 22, 8, 10
 COMMAND = (*ADAM, "training.iterations=60", "training.checkpoint_every_s=0.02", "hydra.run.dir=run", "resume=auto")
+# Long enough for another process to see it train.
+LONG = (*ADAM, "training.iterations=120", "training.checkpoint_every_s=0.03")
 SWEEP = ("--multirun", *ADAM, "training.iterations=20", "training.checkpoint_every_s=0.02", "seed=0,1,2")
 REPORT = ("free_run.csv", "fitness.csv", "parameters.csv", "residuals.csv", "history.csv", "response.nc", "run.json")
 
@@ -217,3 +219,36 @@ def test_full_disks(whole: tuple[Path, float], tmp_path: Path) -> None:
             subprocess.run(["umount", "-l", str(disk)], check=True)
     print(f"full disks by exit status: {dict(told)}")
     assert sum(told.values()) == FULL_DISKS
+
+
+def test_killed_in_a_process_of_its_own(tmp_path: Path) -> None:
+    """As a user's machine does it: another process takes over, which shares no memory with the first."""
+    program = [sys.executable, "-m", "pinn_cli.main"]
+    killed = subprocess.Popen([*program, *LONG, "hydra.run.dir=run"], cwd=tmp_path)
+    while killed.poll() is None and not (tmp_path / "run" / "checkpoint.previous.pt").exists():
+        time.sleep(0.01)
+    killed.kill()
+    assert killed.wait() == -signal.SIGKILL
+    done = subprocess.run([*program, "resume=run"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "going on from the checkpoint" in (tmp_path / "run" / "pinn-run.log").read_text()
+    assert_same_numbers(run_in_a_child(tmp_path / "whole", *LONG), tmp_path / "run")
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_signals_to_a_process_of_its_own(number: int, status: int, tmp_path: Path) -> None:
+    # Started from a shell's background job, a process ignores SIGINT: here it must not.
+    code = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); import pinn_cli.main as m; m.main()"
+    )
+    endless = ("training.iterations=1000000", "training.checkpoint_every_s=null")
+    program = [sys.executable, "-c", code, *LONG, "hydra.run.dir=run", *endless]
+    process = subprocess.Popen(program, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    log = tmp_path / "run" / "pinn-run.log"
+    while process.poll() is None and "problem:" not in (log.read_text() if log.exists() else ""):
+        time.sleep(0.01)
+    time.sleep(4.0)  # torch's optimisers take seconds to import, and before the first step there is nothing to keep
+    process.send_signal(number)
+    _, err = process.communicate()
+    assert process.returncode == status
+    assert err == "pinn-run: interrupted; to go on: pinn-run resume=run\n"

@@ -99,6 +99,19 @@ def test_the_response_is_labelled(small_run: FinishedRun) -> None:
                 assert response[quantity + suffix].attrs["units"]
 
 
+def test_the_free_run(small_run: FinishedRun) -> None:
+    table, fitness = (pd.read_csv(small_run.directory / f"{name}.csv") for name in ("free_run", "fitness"))
+    assert list(table) == [*LABELS, "against", *fitness.columns[len(LABELS) :]]
+    assert set(table["estimator"]) == {"free_run"}
+    scores = table.set_index(["against", "group", "quantity"])["fitness_percent"]
+    assert scores["estimate", "all", "displacement"] > 99.0
+    assert scores["truth", "all", "displacement"] > 98.0
+    assert "\nfree run: " in small_run.out
+    with xr.open_dataset(small_run.directory / "response.nc") as response:
+        difference = response["displacement_free_run"] - response["displacement"]
+        assert 0.0 < float(abs(difference).max()) < 0.01 * float(abs(response["displacement"]).max())
+
+
 def test_the_same_seed_gives_the_same_bytes(small_run: FinishedRun, pinn_run: PinnRun) -> None:
     again = pinn_run(*SMALL, "case=small", "seed=0", "figures=false").directory
     for name in TABLES:
@@ -117,21 +130,6 @@ def test_a_sweep_joins_its_tables(pinn_run: PinnRun) -> None:
         jobs = [next(outcome.directory.glob(f"noise.snr_db={snr}_*")) for snr in (40, 30)]
         single = [pd.read_csv(job / name) for job in jobs]
         pd.testing.assert_frame_equal(joined.drop(columns="noise.snr_db"), pd.concat(single, ignore_index=True))
-
-
-def test_a_measured_record(small_run: FinishedRun, pinn_run: PinnRun, tmp_path: Path) -> None:
-    with xr.open_dataset(small_run.directory / "response.nc") as response:
-        columns = {f"a{dof}": response["acceleration_true"].sel(dof=dof).values for dof in (1, 2, 3)}
-        columns = {"t": response["time"].values, "f": response["force_true"].sel(dof=1).values, **columns}
-    pd.DataFrame(columns).to_csv(tmp_path / "rig.csv", index=False)
-    settings = ["data.time=t", "data.force={1: f}", "data.acceleration={1: a1, 2: a2, 3: a3}", "data.holdout=[3]"]
-    structure = ["system.m=10", "system.c=1", "system.k=15", "system.kappa=100"]
-    outcome = pinn_run(*MEASURED, "data=csv", "data.path=rig.csv", *settings, *structure)
-    assert outcome.status == 0, outcome.err
-    fitness = pd.read_csv(outcome.directory / "fitness.csv").set_index(["group", "quantity"])["fitness_percent"]
-    assert fitness["dof_3", "acceleration"] > 80
-    assert pd.isna(fitness["dof_3", "displacement"])
-    assert pd.isna(fitness["dof_1", "acceleration"])
 
 
 def test_a_baseline_is_compared_with(pinn_run: PinnRun) -> None:
@@ -156,6 +154,10 @@ def test_a_record_whose_forces_are_all_unknown(small_run: FinishedRun, pinn_run:
         pd.DataFrame({"t": response["time"].values, **columns}).to_csv(tmp_path / "rig.csv", index=False)
     settings = ["data.force={1: null, 2: null, 3: null}", "data.acceleration={1: a1, 2: a2, 3: a3}"]
     structure = ["system.m=10", "system.c=1", "system.k=15", "system.kappa=100"]
-    outcome = pinn_run(*MEASURED, "data=csv", "data.path=rig.csv", *settings, *structure)
+    outcome = pinn_run(*MEASURED, "data=csv", "data.path=rig.csv", "figures=false", *settings, *structure)
     assert outcome.status == 0, outcome.err
-    assert "the force on DOFs 1, 2, 3 is unknown" in outcome.out
+    assert "the force on DOFs 1, 2, 3 is unknown, and a free run needs every force" in outcome.out
+    table = pd.read_csv(outcome.directory / "free_run.csv")
+    assert table[["fitness_percent", "range_fitness_percent"]].isna().all(axis=None)
+    with xr.open_dataset(outcome.directory / "response.nc") as response:
+        assert "displacement_free_run" not in response

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 from calls import PinnRun
-from scipy.linalg import expm
+from storeys import chain_matrix, under_waves
 
 M = np.array([1e4, 1e4, 1e4, 8e3])
 K = np.array([9e6, 8e6, 7e6, 6e6])
@@ -17,31 +17,16 @@ C = 1.2e-3 * K
 RATE, DURATION = 100.0, 20.0
 
 
-def chain(x: np.ndarray) -> np.ndarray:
-    return np.diag(x + np.append(x[1:], 0.0)) - np.diag(x[1:], 1) - np.diag(x[1:], -1)
-
-
 def shaken(seed: int, highest: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times (N,), ground acceleration (N,), and (N, 3, 4) displacement, velocity, acceleration relative to the ground.
 
-    From rest under sinusoids, which are states of the exact transition matrix.
+    From rest under sinusoids.
     """
-    rng, n, waves = np.random.default_rng([seed, 3]), len(M), 120
-    omega, phase = 2.0 * np.pi * rng.uniform(0.3, highest, waves), rng.uniform(0.0, 2.0 * np.pi, waves)
-    cosine = 2 * n + 2 * np.arange(waves)
-    generator = np.zeros((2 * n + 2 * waves,) * 2)
-    generator[:n, n : 2 * n] = np.eye(n)
-    generator[n : 2 * n, :n], generator[n : 2 * n, n : 2 * n] = -chain(K) / M[:, None], -chain(C) / M[:, None]
-    generator[n : 2 * n, cosine] = -1.5 * np.sqrt(2.0 / waves)
-    generator[cosine, cosine + 1], generator[cosine + 1, cosine] = -omega, omega
-    state = np.zeros(2 * n + 2 * waves)
-    state[cosine], state[cosine + 1] = np.cos(phase), np.sin(phase)
-    step, time = expm(generator / RATE), np.arange(round(DURATION * RATE)) / RATE
-    states = [state := step @ state if i else state for i in range(len(time))]
-    found = np.array(states)
-    rates = found @ generator.T
-    motion = np.stack((found[:, :n], found[:, n : 2 * n], rates[:, n : 2 * n]), 1)
-    return time, 1.5 * np.sqrt(2.0 / waves) * found[:, cosine].sum(1), motion
+    rng, size = np.random.default_rng([seed, 3]), 1.5 * np.sqrt(2.0 / 120)
+    waves = 2.0 * np.pi * rng.uniform(0.3, highest, 120), rng.uniform(0.0, 2.0 * np.pi, 120)
+    time = np.arange(round(DURATION * RATE)) / RATE
+    *motion, ground = under_waves(M, (chain_matrix(C), chain_matrix(K)), -size * M, waves, time, RATE)
+    return time, size * ground, np.stack(motion, 1)
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ STATE_PARAMETER = (*SMALL, "scheme=state_parameter", "scheme.unobserved=[2]")
 
 
 def test_a_run_leaves_what_was_unknown_and_what_was_found(pinn_run: PinnRun) -> None:
-    outcome = pinn_run(*STATE_PARAMETER, "scheme.initial={k_2: 5}")
+    outcome = pinn_run(*STATE_PARAMETER, "scheme.initial={k_2: 5}", "figures=false")
     assert outcome.status == 0, outcome.err
     table = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
     assert set(table["scheme"]) == {"state_parameter"}

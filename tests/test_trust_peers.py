@@ -12,7 +12,7 @@ from benchmarks.trust.told import Input, Sensor, Told
 
 
 # 27: three storeys, 55 dB, all springs a factor of two too soft; 43: three storeys, 51 dB.
-@pytest.mark.parametrize("seed", [27, 43])
+@pytest.mark.parametrize("seed", [27, pytest.param(43, marks=pytest.mark.slow)])
 def test_both_peers_find_the_springs_of_a_chain(seed):
     case = drawn("chain", seed)
     found = compared(case)
@@ -57,7 +57,7 @@ def test_both_peers_find_springs_and_dampers_on_a_moving_ground():
 
 
 # 11: two storeys, 15: four with three accelerometers; 10 % is known of their parameters.
-@pytest.mark.parametrize("seed", [11, 15])
+@pytest.mark.parametrize("seed", [11, pytest.param(15, marks=pytest.mark.slow)])
 def test_a_model_updated_to_subspace_modes_is_nearer_than_what_was_believed(seed):
     case = drawn("unmeasured", seed)
     found = compared(case).set_index("parameter")["estimate"]

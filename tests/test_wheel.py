@@ -67,7 +67,7 @@ def test_the_installed_command_helps_and_runs_elsewhere(pinn_run: Path, tmp_path
     helped = call("--help")
     assert helped.returncode == 0, helped.stderr
     assert "experiment=paper/sr_6dof_perturbed" in helped.stdout
-    done = call(*SMALL, "case=installed")
+    done = call(*SMALL, "case=installed", "figures=false")
     assert done.returncode == 0, done.stderr
     directory = Path(done.stdout.splitlines()[-1])
     assert directory.is_relative_to(tmp_path / "outputs" / "installed")

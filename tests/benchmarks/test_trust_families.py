@@ -42,9 +42,9 @@ FRAME = Structure(
         ("ground", 5),
         ("damping", 4),
         ("sensors", 2),
-        ("records", 0),
         ("posterior", 0),
-        ("spoilt", 0),
+        pytest.param("records", 0, marks=pytest.mark.slow),
+        pytest.param("spoilt", 0, marks=pytest.mark.slow),
     ],
 )
 def test_a_seed_draws_the_same_case_again(family: str, seed: int) -> None:

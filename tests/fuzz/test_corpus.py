@@ -11,7 +11,7 @@ from fuzz.trial import Trial
 
 CORPUS = sorted((Path(__file__).parent / "corpus").glob("*.json"))
 # Inputs that are not refused, and families of such: a whole estimate each.
-ESTIMATED = {"numbers", "physics", "csv-7e425c516b", "csv-12f0fd67e6"}
+ESTIMATED = {"numbers", "physics", "csv-7e425c516b", "csv-12f0fd67e6", "disk-30f3f179cc", "disk-7f4eeaf21d"}
 
 
 def _kept(file: Path) -> pytest.param:

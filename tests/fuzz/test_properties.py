@@ -59,7 +59,7 @@ def check_line(refused: Exception) -> None:
     assert len(str(refused)) < 1500
 
 
-@settings(FIXED, max_examples=30)
+@settings(FIXED, max_examples=15)
 @given(overrides.options() | overrides.numbers() | overrides.physics())
 def test_a_configuration_is_built_or_refused(trial: Trial) -> None:
     given_ = [argument for argument in trial.arguments if not argument.startswith(("-", "@", "hydra", "+hydra", "++h"))]

@@ -42,7 +42,9 @@ def moved(structure, load, start=START):
 
 
 @pytest.mark.parametrize("hold", ["exact", "zero_order"])
-@pytest.mark.parametrize("name", CHAINS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "stiff" else name for name in CHAINS]
+)
 def test_it_is_that_of_a_method_of_order_eight(name, hold):
     structure = build_chain(3, Linear(), **CHAINS[name])
     load = force if hold == "exact" else Held(TIME, force(TIME))

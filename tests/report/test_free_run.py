@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-import xarray as xr
-from calls import SMALL, PinnRun
 from small_estimates import parameter_estimate
 from small_problems import accelerations, excitation, measured, small_chain
 
@@ -19,7 +17,6 @@ from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.record.simulation import simulate
 from pinn_cli.report.fitness import FORMULAS, fitness_table
 from pinn_cli.report.free_run import REFERENCES, free_run, free_run_table
-from pinn_cli.report.results import LABELS
 from pinn_cli.report.terminal.tables import free_run_text
 from pinn_cli.system import Structure, build_chain
 from pinn_cli.system.connection import Duffing
@@ -173,38 +170,6 @@ def test_the_table_scores_against_truth_sensors_and_estimate():
     both = [sensors["dof_1", "acceleration"], sensors["dof_3", "acceleration"]]
     assert sensors["all", "acceleration"] == sensors["observed", "acceleration"] == pytest.approx(np.mean(both))
     assert all(np.isnan(sensors[place]) for place in (("dof_2", "acceleration"), ("all", "displacement")))
-
-
-def test_a_run_writes_its_free_run(pinn_run: PinnRun) -> None:
-    outcome = pinn_run(*SMALL, "case=small", "seed=4", "figures=false")
-    assert outcome.status == 0, outcome.err
-    table = pd.read_csv(outcome.directory / "free_run.csv")
-    fitness = pd.read_csv(outcome.directory / "fitness.csv")
-    assert list(table) == [*LABELS, "against", *fitness.columns[len(LABELS) :]]
-    assert set(table["estimator"]) == {"free_run"}
-    assert set(table["seed"]) == {4}
-    scores = table.set_index(["against", "group", "quantity"])["fitness_percent"]
-    assert scores["estimate", "all", "displacement"] > 99.0
-    assert scores["truth", "all", "displacement"] > 98.0
-    assert "\nfree run: " in outcome.out
-    with xr.open_dataset(outcome.directory / "response.nc") as response:
-        difference = response["displacement_free_run"] - response["displacement"]
-        assert 0.0 < float(abs(difference).max()) < 0.01 * float(abs(response["displacement"]).max())
-
-
-def test_a_record_without_its_force_says_so(pinn_run: PinnRun, tmp_path: Path) -> None:
-    measurements = measured(small_chain(), snr_db=50.0)
-    record = measurements.record
-    columns = {f"a{dof}": record.acceleration[:, dof - 1] for dof in (1, 2, 3)}
-    pd.DataFrame({"t": record.time, **columns}).to_csv(tmp_path / "rig.csv", index=False)
-    settings = ["data.path=rig.csv", "data.time=t", "data.force={1: null}", "data.acceleration={1: a1, 2: a2, 3: a3}"]
-    structure = ["system.m=10", "system.c=1", "system.k=15", "system.kappa=100"]
-    outcome = pinn_run("system.ndof=3", "figures=false", "data=csv", *settings, *structure)
-    assert outcome.status == 0, outcome.err
-    assert "the force on DOF 1 is unknown, and a free run needs every force" in outcome.out
-    assert pd.read_csv(outcome.directory / "free_run.csv")[list(FORMULAS)].isna().all(axis=None)
-    with xr.open_dataset(outcome.directory / "response.nc") as response:
-        assert "displacement_free_run" not in response
 
 
 def test_an_absurdly_stiff_estimate_does_not_hold_up_the_report():

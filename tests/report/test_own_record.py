@@ -54,4 +54,8 @@ def test_a_held_out_sensor_is_scored_by_itself(pinn_run: PinnRun) -> None:
     (fitness,) = [part for part in outcome.out.split("\n\n") if "\nDOFs " in part]
     assert [line.split()[0] for line in fitness.splitlines()[3:]] == ["all", "unobserved", "dof_2", "*"]
     assert "displ." not in fitness
-    assert len(pd.read_csv(outcome.directory / "fitness.csv")) == 4 * (5 + 3)
+    table = pd.read_csv(outcome.directory / "fitness.csv")
+    assert len(table) == 4 * (5 + 3)
+    scores = table.set_index(["group", "quantity"])["fitness_percent"]
+    assert scores["dof_2", "acceleration"] > 80
+    assert pd.isna([scores["dof_2", "displacement"], scores["dof_1", "acceleration"]]).all()

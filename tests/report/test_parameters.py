@@ -185,8 +185,3 @@ def test_what_is_printed_of_the_sampling():
     text = diagnostics_text(pd.DataFrame(diagnostics.assign(**unknown)))
     assert text.splitlines()[2].split()[-4:] == ["-"] * 4
     assert "passed" not in text
-
-
-def test_correlated_parameters_that_are_known_anyway_are_well_determined():
-    parameters = [parameter("k_2", std=0.01), parameter("kappa_2", 100.0, 20.0, 900.0)]
-    assert identifiability_warnings(parameters, correlated(-0.99)) == []

@@ -73,15 +73,27 @@ def _drawn(figure: Figure) -> Figure:
     return figure
 
 
+def check_pairs(figure: Figure, size: int) -> None:
+    """As many panels as there are pairs; labels of ticks do not overlap."""
+    assert len(figure.axes) == size**2
+    panels = {_place(panel): panel for panel in figure.axes}
+    lowest = [label for i in range(size) for label in panels[size - 1, i].get_xticklabels()]
+    leftmost = [label for i in range(1, size) for label in panels[i, 0].get_yticklabels()]
+    for labels in (lowest, leftmost):
+        boxes = [label.get_window_extent() for label in labels if label.get_text()]
+        assert len(boxes) >= size - 1
+        assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+
+
 @pytest.mark.parametrize(("names", "chains"), [(("k_1",), 1), (DUFFING, 4), (TWELVE, 2)])
 def test_every_figure_is_drawn(names, chains):
     before = dict(mpl.rcParams)
     draws, statistics, parameters = _groups(names=names, chains=chains, draws=60)
-    panels = min(len(names), IN_PAIRS) ** 2
-    assert len(_drawn(posterior_pairs_figure(draws, parameters, TRUE)).axes) == panels
+    pairs = _drawn(posterior_pairs_figure(draws, parameters, TRUE))
     assert len(_drawn(trace_figure(draws, statistics, parameters, len(names))).axes) == 2 * len(names)
     assert len(_drawn(rank_figure(draws, parameters, len(names))).axes) == len(names)
     assert dict(mpl.rcParams) == before
+    check_pairs(pairs, min(len(names), IN_PAIRS))
 
 
 def test_pairs_show_truth_correlation_and_units():
@@ -107,22 +119,8 @@ def test_a_correlation_is_written_1_only_where_it_is(value, text):
     assert correlation_text(value) == text
 
 
-def test_tick_labels_do_not_overlap():
-    for names in (DUFFING, TWELVE):
-        figure = _drawn(_pairs(names=names))
-        renderer = figure._get_renderer()
-        size = min(len(names), IN_PAIRS)
-        panels = {_place(panel): panel for panel in figure.axes}
-        lowest = [label for i in range(size) for label in panels[size - 1, i].get_xticklabels()]
-        leftmost = [label for i in range(1, size) for label in panels[i, 0].get_yticklabels()]
-        for labels in (lowest, leftmost):
-            boxes = [label.get_window_extent(renderer) for label in labels if label.get_text()]
-            assert len(boxes) >= size - 1
-            assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
-
-
 def test_many_parameters_show_the_most_correlated():
-    figure = _pairs(names=TWELVE)
+    figure = _pairs(names=TWELVE, draws=60)
     assert f"the {IN_PAIRS} of 12 parameters that are most correlated with another" in _notes(figure)
     correlation = np.eye(12)
     correlation[1, 7] = correlation[7, 1] = -0.9

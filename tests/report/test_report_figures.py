@@ -68,8 +68,9 @@ def test_the_same_figure_gives_the_same_bytes(make_case, tmp_path):
     assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
 
 
-def test_pyplot_is_never_imported():
-    code = "import sys, pinn_cli.report.figures; sys.exit('matplotlib.pyplot' in sys.modules)"
+def test_what_is_never_imported():
+    code = "import sys, pinn_cli.report.run_report; early = set(sys.modules); import pinn_cli.report.figures; "
+    code += "sys.exit(bool(early & {'arviz', 'xarray'}) or 'matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

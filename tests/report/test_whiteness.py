@@ -16,7 +16,7 @@ from pinn_cli.report.residuals import (
 )
 
 
-@pytest.mark.parametrize("samples", [16, 257, 1024])
+@pytest.mark.parametrize("samples", [16, 1024])
 def test_of_white_noise_every_probability_is_as_likely_as_any_other(samples):
     rng = np.random.default_rng(samples)
     found = np.sort([white_probability(rng.normal(size=samples)) for _ in range(2000)])

@@ -102,7 +102,7 @@ def test_places_that_are_none(pinn_run: PinnRun, tmp_path: Path, make, given: tu
     assert sorted(tmp_path.rglob("*")) == before
 
 
-@pytest.mark.parametrize("name", ["checkpoint.pt", "run.json", "pinn-run.log", "fitness.csv"])
+@pytest.mark.parametrize("name", ["checkpoint.pt", "run.json"])
 def test_something_else_in_the_place_of_a_file(pinn_run: PinnRun, tmp_path: Path, monkeypatch, name: str) -> None:
     without_figures(monkeypatch)
     assert pinn_run(*ADAM, "training.iterations=1", "hydra.run.dir=run").status == 0

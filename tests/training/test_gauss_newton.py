@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from calls import Compose
-from small_problems import QUANTITIES, measured, small_chain, sped_up
+from small_problems import QUANTITIES, measured, small_chain
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.fourier import Fourier
@@ -20,8 +19,6 @@ from pinn_cli.record.record import Measurements
 from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system.building import build_chain
-from pinn_cli.system.connection import Duffing
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
@@ -40,6 +37,11 @@ def recovered(prescribed: Structure | None = None, record=None, design=None, **s
     return GaussNewton(**settings).solve(problem, design or Spline(), RunContext())
 
 
+@cache
+def found() -> Estimate:
+    return recovered()
+
+
 def off_by(relative: float, seed: int) -> Structure:
     """The chain with every c, k and kappa off by as much, up or down."""
     structure, rng = small_chain(), np.random.default_rng(seed)
@@ -52,8 +54,7 @@ def covered(estimate: Estimate, truth, quantity: str) -> np.ndarray:
     return (np.abs(error) < WITHIN_95 * getattr(estimate.std, quantity)).mean(axis=0)
 
 
-@pytest.mark.parametrize("design", [Spline(), Fourier()], ids=["spline", "fourier"])
-@pytest.mark.parametrize("hold", ["exact", "zero_order"])
+@pytest.mark.parametrize(("hold", "design"), [("exact", Fourier()), ("zero_order", Spline())])
 def test_an_unobserved_dof_is_recovered(hold, design):
     estimate, truth = recovered(record=example(hold).record, design=design), example(hold).truth.response
     for quantity in QUANTITIES:
@@ -62,41 +63,18 @@ def test_an_unobserved_dof_is_recovered(hold, design):
 
 
 def test_the_95_percent_band_covers_the_truth():
-    estimate = recovered()
+    estimate = found()
+    truth = example().truth.response
     for quantity in QUANTITIES:
-        assert 0.85 <= covered(estimate, example().truth.response, quantity).mean() <= 1.0, quantity
+        assert 0.85 <= covered(estimate, truth, quantity).mean() <= 1.0, quantity
+        assert fitness_percent(getattr(estimate.response, quantity), getattr(truth, quantity))[2] > 95.0, quantity
     assert estimate.summary["stop_reason"] == "converged"
+    assert estimate.summary["parameter_spread"] < 0.5  # right parameters sharpen each other
     assert estimate.std.displacement.mean() < 0.05 * example().truth.response.displacement.std()
 
 
-def test_there_is_no_time_scale_anywhere():
-    speed, slow, truth = 30.0, recovered(), example().truth.response
-    record = sped_up(example().record, speed)
-    structure = build_chain(3, Duffing(), m=10.0, c=speed, k=15.0 * speed**2, kappa=100.0 * speed**2)
-    fast = recovered(structure, replace(record, force=record.force * speed**2))
-    for order, quantity in enumerate(QUANTITIES):
-        wanted = fitness_percent(getattr(slow.response, quantity), getattr(truth, quantity))
-        given = fitness_percent(getattr(fast.response, quantity), speed**order * getattr(truth, quantity))
-        np.testing.assert_allclose(given, wanted, atol=0.01)
-
-
-def test_twice_is_the_same_to_the_last_bit():
-    first, second = recovered(), recovered()
-    for quantity in (*QUANTITIES, "force"):
-        for kind in ("response", "std"):
-            np.testing.assert_array_equal(*(getattr(getattr(e, kind), quantity) for e in (first, second)))
-    assert [vars(p) for p in first.parameters] == [vars(p) for p in second.parameters]
-    assert first.summary == second.summary
-
-
-def test_right_parameters_sharpen_each_other():
-    estimate = recovered()
-    assert estimate.summary["parameter_spread"] < 0.5
-
-
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_wrong_parameters_free_each_other(seed):
-    estimate = recovered(off_by(0.07, seed))
+def test_wrong_parameters_free_each_other():
+    estimate = recovered(off_by(0.07, seed=0))
     assert 0.5 < estimate.summary["parameter_spread"] < 2.0
     for p in estimate.parameters:
         if p.name.startswith("k_"):
@@ -108,7 +86,7 @@ def test_a_spread_that_is_not_learned_stays():
 
 
 def test_intervals_are_centred_and_named():
-    parameters = recovered().parameters
+    parameters = found().parameters
     assert [p.name for p in parameters] == [f"{kind}_{i}" for kind in ("c", "k", "kappa") for i in (1, 2, 3)]
     for p in parameters:
         assert p.lower_90 < p.estimate < p.upper_90
@@ -116,7 +94,7 @@ def test_intervals_are_centred_and_named():
 
 
 def test_history_has_a_row_per_step():
-    estimate = recovered()
+    estimate = found()
     table = estimate.history
     assert list(table["iteration"]) == list(range(1, estimate.summary["iterations"] + 1))
     assert table["seconds"].is_monotonic_increasing
@@ -140,31 +118,10 @@ def test_fixed_weights():
     assert fitness_percent(estimate.response.acceleration, truth.acceleration)[0] > 80.0
 
 
-def test_a_network_without_linear_readout_is_trained_over_all_its_weights():
-    design = Mlp(1, 12, "sine", "exact", "fourier")
-    estimate = recovered(design=design)
-    assert estimate.summary["network_weights"] > 100
-    assert fitness_percent(estimate.response.displacement, example().truth.response.displacement)[0] > 90.0
-
-
 def test_fixed_weights_of_a_network_without_linear_readout_are_an_input_error():
     weights = {"observation": 1.0, "continuity": 10.0, "physics": 100.0}
     with pytest.raises(InputError, match=r"training.weights=.*network=mlp has no linear readout"):
         recovered(design=Mlp(2, 8, "sine"), weights=weights)
-
-
-@pytest.mark.parametrize(
-    ("settings", "named"),
-    [
-        ({"iterations": 0}, "training.iterations=0"),
-        ({"tolerance": 0.0}, "training.tolerance=0.0"),
-        ({"tolerance": 1.0}, "training.tolerance=1.0"),
-    ],
-)
-def test_impossible_settings_are_named(settings, named):
-    with pytest.raises(InputError) as error:
-        GaussNewton(**settings)
-    assert str(error.value).startswith(named)
 
 
 @pytest.mark.slow

@@ -36,7 +36,7 @@ def ratios(made: IndependentRecord, estimate: Estimate, quantity: str) -> np.nda
     return found[there] / made.noise[quantity][there]
 
 
-@pytest.mark.parametrize("per_period", [2.6, 5.0, pytest.param(20.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("per_period", [2.6, *(pytest.param(rate, marks=pytest.mark.slow) for rate in (5.0, 20.0))])
 def test_the_noise_of_every_sensor_is_found(per_period):
     made = frame_record(rate=per_period * HIGHEST, duration=15.0)
     estimate = estimated(made)

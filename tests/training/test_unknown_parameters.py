@@ -75,7 +75,7 @@ def assert_found(estimate: Estimate, structure: Structure, relative: float, devi
 
 @pytest.mark.parametrize(
     ("nonlinearity", "hold"),
-    [("linear", "exact"), ("duffing", "exact"), ("van_der_pol", "exact"), ("duffing", "zero_order")],
+    [("duffing", "exact"), ("van_der_pol", "exact"), ("duffing", "zero_order")],
 )
 def test_stiffness_and_nonlinearity_at_a_hidden_dof_are_found(nonlinearity, hold):
     estimate, structure = found(nonlinearity, hold), small_chain(nonlinearity)
@@ -91,8 +91,7 @@ def test_stiffness_and_nonlinearity_at_a_hidden_dof_are_found(nonlinearity, hold
         assert fitness[1] > 98.0, quantity
 
 
-@pytest.mark.parametrize("factor", [0.1, 10.0])
-@pytest.mark.parametrize("nonlinearity", ["duffing", "van_der_pol"])
+@pytest.mark.parametrize(("nonlinearity", "factor"), [("duffing", 0.1), ("van_der_pol", 10.0)])
 def test_a_start_ten_times_off_ends_at_the_same_place(nonlinearity, factor):
     structure = small_chain(nonlinearity)
     start = {name: factor * truth_of(structure, name) for name in unknowns(found(nonlinearity))}
@@ -160,9 +159,8 @@ def test_twice_is_the_same_to_the_last_bit():
     assert found().summary == again.summary
 
 
-@pytest.mark.parametrize("names", [None, ["m_2", "c_3", "k_1"]], ids=["default", "one of each kind"])
-def test_there_is_no_time_scale_anywhere(names):
-    speed, settings = 30.0, {} if names is None else {"unknown": names, **EVERY_SENSOR}
+def test_there_is_no_time_scale_anywhere():
+    speed, settings = 30.0, {"unknown": ["m_2", "c_3", "k_1"], **EVERY_SENSOR}
     slow = identified(example(), small_chain(), **settings)
     record = sped_up(example().record, speed)
     record = replace(record, force=record.force * speed**2)

@@ -152,16 +152,11 @@ def assert_moves(rows: Linearised, step: Point) -> None:
             assert_close(change.flatten(), moved[rows.rows[f"{factor.name} {i} {j}"]])
 
 
-@settings(FIXED, max_examples=35)
-@given(equations(plain=True), generators(), st.booleans(), SPREADS)
-def test_rows_of_motion_alone(each, rng, in_pieces, spread) -> None:
-    check_rows(each, rng, in_pieces, spread)
-
-
-@settings(FIXED, max_examples=40)
-@given(equations(plain=False), generators(), st.booleans(), SPREADS)
-def test_rows_of_motion_memory_and_inputs(each, rng, in_pieces, spread) -> None:
-    check_rows(each, rng, in_pieces, spread)
+@pytest.mark.parametrize("examples", [18, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("plain", [True, False], ids=["motion alone", "motion, memory and inputs"])
+def test_rows(plain: bool, examples: int) -> None:
+    drawn = given(equations(plain), generators(), st.booleans(), SPREADS)(check_rows)
+    settings(FIXED, max_examples=examples)(drawn)()
 
 
 def check_rows(each: list[NormalEquations], rng: np.random.Generator, in_pieces: bool, spread: float) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 import torch
@@ -138,16 +136,6 @@ def test_the_defaults_of_the_class_are_those_of_the_configuration(composed: Comp
     configured = RunConfig.read(composed("network=mlp", f"training={name}", *SMALL))
     assert vars(configured.training) == vars(TRAININGS[name]())
     assert vars(configured.network) == vars(Mlp(1, None, "sine", "exact", "fourier"))
-
-
-def test_a_run_of_the_program(pinn_run: PinnRun):
-    network = ("network=mlp", "network.width=8", "network.depth=1", "network.activation=sine")
-    few = ("training.iterations=8", "training.warm_up=4", "training.weights=equalised")
-    outcome = pinn_run(*SMALL, *network, "training=lbfgs", *few)
-    assert outcome.status == 0, outcome.err
-    record = json.loads((outcome.directory / "run.json").read_text())
-    assert record["training"]["iterations"] == 8
-    assert record["training"]["stop_reason"] == "iteration limit"
 
 
 def test_a_training_that_there_is_not_is_told_with_those_that_there_are(pinn_run: PinnRun):

@@ -61,70 +61,21 @@ def test_step(half_width, size, border):
     step = solved(system)
     assert [x.shape for x in step] == [(size,), (border,)]
     np.testing.assert_allclose(np.concatenate(step), expected, rtol=1e-8)
+    held = -np.linalg.solve(whole[:size, :size], system.gradient)
+    np.testing.assert_allclose(system.readout_step(), held, rtol=1e-8)
 
 
 @pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
-def test_step_with_the_parameters_held(half_width, size, border):
+def test_determinant_covariance_and_draws(half_width, size, border):
     system, whole = random_system(half_width, size, border)
-    expected = -np.linalg.solve(whole[:size, :size], system.gradient)
-    np.testing.assert_allclose(system.readout_step(), expected, rtol=1e-8)
-
-
-def test_there_is_no_step_of_an_indefinite_band():
-    system, _ = random_system(2, 10, 2)
-    system.band.values[1] = 10.0 * np.sqrt(system.band.main)[0] * np.abs(system.band.values[1]).max()
-    assert system.readout_step() is None
-
-
-@pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
-def test_draws_have_the_inverse_as_covariance(half_width, size, border):
-    system, whole = random_system(half_width, size, border)
-    root = np.vstack(factored(system).draws(np.eye(size + border)))
-    expected = np.linalg.inv(whole)
-    unit = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(root @ root.T / unit / unit[:, None], expected / unit / unit[:, None], atol=1e-8)
-
-
-@pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
-def test_log_determinant(half_width, size, border):
-    system, whole = random_system(half_width, size, border)
-    factor = shared(system).factor()
+    factor, covariance = shared(system).factor(), np.linalg.inv(whole)
     found = factor.parameter_log_determinant + factor.determinants[0]
     assert found == pytest.approx(np.linalg.slogdet(whole)[1], abs=1e-8)
-
-
-@pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
-def test_corner_covariance_is_the_inverse_of_the_whole(half_width, size, border):
-    system, whole = random_system(half_width, size, border)
-    expected = np.linalg.inv(whole)[size:, size:]
-    given, scale = shared(system).factor().corner_covariance, np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(given / scale / scale[:, None], expected / scale / scale[:, None], atol=1e-8)
-
-
-@pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
-def test_inverse_band_is_the_inverse_of_the_band_alone(half_width, size, border):
-    system, whole = random_system(half_width, size, border)
-    expected, given = np.linalg.inv(whole[:size, :size]), system.eliminated().readout.inverse()
-    scale = np.sqrt(np.diag(expected))
-    row, column = np.nonzero(np.abs(np.subtract.outer(np.arange(size), np.arange(size))) <= half_width)
-    off = scale[row] * scale[column]
-    np.testing.assert_allclose(given.at(row, column) / off, expected[row, column] / off, atol=1e-8)
-    if half_width + 1 < size:
-        with pytest.raises(IndexError):
-            given.at(np.array([half_width + 1]), np.array([0]))
-
-
-def test_some_systems_have_several_fronts():
-    assert len(random_system(2, 23, 0)[0].tree.fronts) > 4
-
-
-@pytest.mark.parametrize("damping", [1e-3, 10.0])
-def test_damping_shortens_the_step_and_does_not_turn_it(damping):
-    system, whole = random_system(5, 31, 4)
-    free, damped = (np.concatenate(solved(system, damping=x)) for x in (0.0, damping))
-    gradient, scale = np.concatenate((system.gradient, system.corner_gradient)), np.sqrt(np.diag(whole))
-    assert np.linalg.norm(damped * scale) < np.linalg.norm(free * scale)
-    assert gradient @ damped < 0
+    unit = np.sqrt(np.diag(covariance))
+    correlation, own = covariance / unit / unit[:, None], unit[size:]
+    np.testing.assert_allclose(factor.corner_covariance / own / own[:, None], correlation[size:, size:], atol=1e-8)
+    root = np.vstack(factored(system).draws(np.eye(size + border)))
+    np.testing.assert_allclose(root @ root.T / unit / unit[:, None], correlation, atol=1e-8)
 
 
 def test_damping_scales_the_diagonal():
@@ -144,6 +95,7 @@ def test_what_is_not_positive_definite_has_no_factor(spoil):
     else:
         system.band.main[3] = 0.0 if spoil == "zero" else np.nan
     assert shared(system).factor() is None
+    assert spoil == "indefinite corner" or system.readout_step() is None
 
 
 def coupled_system(border: int, seed: int, push: float) -> tuple[BorderedSystem, np.ndarray, np.ndarray]:
@@ -234,19 +186,6 @@ def test_a_damped_bounded_step_goes_downhill():
     assert np.all(x >= lower)
     assert np.any(x == lower)
     assert system.gradient @ w + system.corner_gradient @ x < 0
-
-
-@pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
-def test_functions_of_the_last_weights(half_width, size, border):
-    """What stands before them is not touched."""
-    system, whole = random_system(half_width, size, border)
-    rows = np.zeros((size, 3))
-    rows[-max(1, size // 3) :] = np.random.default_rng(1).standard_normal((max(1, size // 3), 3))
-    half, taken = system.eliminated().readout.half_solved(rows)
-    solved = np.linalg.solve(whole[:size, :size], rows)
-    gram, expected = rows.T @ solved, whole[size:, :size] @ solved
-    np.testing.assert_allclose(half.T @ half, gram, rtol=1e-7, atol=1e-9 * np.abs(gram).max())
-    np.testing.assert_allclose(taken, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max(initial=0.0))
 
 
 def test_parameters_that_are_held_stay_and_their_covariance_counts():

@@ -164,18 +164,6 @@ def test_the_same_tree_serves_another_border_at_the_same_places():
     np.testing.assert_allclose(Elimination.of(tree, band, zeros).border_gram, expected, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("spoil", ["indefinite", "zero", "nan"])
-def test_what_is_not_positive_definite_has_no_factor(spoil):
-    grid = GRIDS["features"]
-    band, border = matrices(grid)
-    if spoil == "indefinite":
-        band.values[1] *= 100.0
-    else:
-        band.main[7] = 0.0 if spoil == "zero" else np.nan
-    tree = FrontTree(grid, Dissection(grid, largest=40).tree(), border)
-    assert Elimination.of(tree, band, border) is None
-
-
 def test_rows_that_reach_further_than_the_coupling_says_are_refused():
     band, border = matrices(Grid(60, 12, 3, 3, 24))
     grid = GRIDS["features"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from functools import cache
 
@@ -33,6 +34,11 @@ RECORDS = {
     "force on both, three repeats": {"forced": (1, 2), "repeats": 3},
     "held force": {"forced": (1,), "hold": "zero_order"},
 }
+# Each law with another record, and the linear chain with all.
+EXAMPLES = [
+    *(("linear", record) for record in RECORDS),
+    *zip([name for name in NONLINEARITIES if name != "linear"], itertools.cycle(reversed(RECORDS)), strict=False),
+]
 
 
 @cache
@@ -56,8 +62,7 @@ def directions(size: int, length: float, count: int = 6) -> np.ndarray:
     return length * q / np.linalg.norm(q, axis=1, keepdims=True)
 
 
-@pytest.mark.parametrize("record", RECORDS)
-@pytest.mark.parametrize("nonlinearity", NONLINEARITIES)
+@pytest.mark.parametrize(("nonlinearity", "record"), EXAMPLES)
 def test_the_conditional_is_the_sum_over_all_residuals_at_the_trained_motion(nonlinearity, record):
     """-1/2 sum_r sum_t sum_i (residual / sigma)^2 - count log sigma, over repeats, samples and DOFs."""
     equations, conditional = example(nonlinearity, record).equations, found(nonlinearity, record).conditional
@@ -140,8 +145,7 @@ def test_and_so_it_is_at_other_levels_of_the_forces_noise(record):
     assert np.sqrt(odds @ (scales - mean) ** 2 / odds.sum()) == pytest.approx(marginal.s_std, rel=0.1)
 
 
-@pytest.mark.parametrize("record", RECORDS)
-@pytest.mark.parametrize("nonlinearity", NONLINEARITIES)
+@pytest.mark.parametrize(("nonlinearity", "record"), EXAMPLES)
 def test_gradients_are_those_of_the_values(nonlinearity, record):
     likelihoods = found(nonlinearity, record)
     std = np.sqrt(np.diag(np.linalg.inv(likelihoods.marginal.curvature)))
