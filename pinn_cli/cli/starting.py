@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import warnings
 from argparse import Namespace
@@ -21,8 +20,9 @@ from hydra.types import HydraContext, RunMode, TaskFunction
 from omegaconf import DictConfig, OmegaConf, flag_override
 
 from pinn_cli.cli.composing import CONFIG, CheckedLoader, as_hydra_reads, checked_hydra, in_folders
+from pinn_cli.cli.terminal import Terminal
 from pinn_cli.runs.ownership import note_new
-from pinn_cli.runs.reading import printable
+from pinn_cli.runs.process import environment
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build
 from pinn_cli.settings.registry import CALLBACKS
@@ -102,19 +102,14 @@ def show(options: Namespace, overrides: Sequence[str], config_dir: str | None) -
         with checked_hydra() as loader:
             config = _composed(loader, overrides, multirun=False)
             if options.cfg:
-                print(printable(_configuration(config, options)))
+                Terminal().say(_configuration(config, options))
                 return
     flags = ["--info", options.info] if options.info else []
     flags += [f"--{name.replace('_', '-')}" for name in ("resolve", "hydra_help", "shell_completion")
               if getattr(options, name)]  # fmt: skip
     sys.argv[1:] = [*flags, *overrides]
-    full = os.environ.get("HYDRA_FULL_ERROR")
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # so that Hydra raises, rather than prints and exits with status 1
-    try:
+    with environment({"HYDRA_FULL_ERROR": "1"}):  # so that Hydra raises, rather than prints and exits with status 1
         hydra.main(version_base="1.3", config_path="pkg://pinn_cli.conf", config_name=CONFIG)(lambda config: None)()
-    finally:
-        del os.environ["HYDRA_FULL_ERROR"]
-        os.environ.update({} if full is None else {"HYDRA_FULL_ERROR": full})
 
 
 def _configuration(config: DictConfig, options: Namespace) -> str:

@@ -19,7 +19,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from pinn_cli.runs.lock import held
 from pinn_cli.runs.ownership import SETTINGS, check_destination
 from pinn_cli.runs.reading import printable
-from pinn_cli.runs.writing import WriteError, replacing, tidy
+from pinn_cli.runs.writing import WriteError, content_of, put_back, replacing, tidy
 from pinn_cli.settings.errors import InputError
 
 LOG, FORMAT = "pinn-run.log", "[%(asctime)s][%(name)s][%(levelname)s] %(message)s"
@@ -143,10 +143,7 @@ class Claim:
     def refuse(self) -> None:
         """Put everything back as it was before the directory was taken, if it was."""
         for place, content in self._replaced.items():
-            if content is None:
-                place.unlink(missing_ok=True)
-            else:
-                place.write_bytes(content)
+            put_back(place, content)
         self._replaced.clear()
         for place, aside in self._aside.items():
             os.replace(aside, place)
@@ -173,7 +170,7 @@ class Claim:
     def _write_settings(self) -> None:
         """All of its files, or none; the mark of the directory is among them, and is there at any moment."""
         places = {self.directory / SETTINGS / name: content for name, content in self.settings.items()}
-        before = {place: place.read_bytes() if place.is_file() else None for place in places}
+        before = {place: content_of(place) for place in places}
         with ExitStack() as files:
             for place, content in places.items():
                 files.enter_context(replacing(place)).write_text(OmegaConf.to_yaml(content), encoding="utf-8")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 
 from hydra.core.global_hydra import GlobalHydra
@@ -69,13 +69,23 @@ def _threads(threads: int) -> Iterator[None]:
     import torch
     from threadpoolctl import threadpool_limits
 
-    environment, before = {name: os.environ.get(name) for name in THREAD_VARIABLES}, torch.get_num_threads()
+    before = torch.get_num_threads()
     try:
-        with threadpool_limits(threads, "blas"):
+        with environment(dict.fromkeys(THREAD_VARIABLES, str(threads))), threadpool_limits(threads, "blas"):
             yield
     finally:
         torch.set_num_threads(before)
-        for name, value in environment.items():
+
+
+@contextmanager
+def environment(variables: Mapping[str, str]) -> Iterator[None]:
+    """Have the process's environment say so within the block."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
             os.environ.pop(name, None)
             os.environ.update({} if value is None else {name: value})
 

@@ -119,6 +119,19 @@ def write_bytes(content: bytes | memoryview, path: Path | str) -> Path:
     return Path(path)
 
 
+def content_of(file: Path) -> bytes | None:
+    """Of a file; None where there is none."""
+    return file.read_bytes() if file.is_file() else None
+
+
+def put_back(file: Path, content: bytes | None) -> None:
+    """Have a file be as it was when :func:`content_of` said this."""
+    if content is None:
+        file.unlink(missing_ok=True)
+    elif content_of(file) != content:
+        file.write_bytes(content)
+
+
 def write_table(table: pandas.DataFrame, path: Path | str) -> Path:
     """Write a table as CSV without an index; cells that are NaN or None are empty; ten significant digits."""
     with replacing(path) as beside:

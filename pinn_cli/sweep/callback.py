@@ -14,6 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from pinn_cli.runs.ownership import is_prepared
 from pinn_cli.runs.resume import RESULT
+from pinn_cli.runs.writing import content_of, put_back
 from pinn_cli.settings.errors import InputError
 from pinn_cli.sweep.failure import FILE, INPUT
 from pinn_cli.sweep.jobs import FINISHED, OVERRIDES, STORED, Job, Sweep
@@ -65,10 +66,7 @@ class Before:
         """Have the directory be as it was, but for jobs that had begun."""
         for file, content in self.contents.items():
             with suppress(OSError):  # a place that is none has nothing
-                if content is None:
-                    file.unlink(missing_ok=True)
-                elif _content(file) != content:
-                    file.write_bytes(content)
+                put_back(file, content)
         for entry in _entries(self.directory):
             if entry not in self.entries and entry.is_dir():
                 _remove(entry)
@@ -99,7 +97,7 @@ def _names(directory: Path) -> list[str]:
 
 def _content(file: Path) -> bytes | None:
     try:
-        return file.read_bytes() if file.is_file() else None
+        return content_of(file)
     except OSError:
         return None
 

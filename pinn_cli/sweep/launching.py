@@ -6,10 +6,9 @@ here note the loss in the job's directory and go on: the same command runs that 
 
 from __future__ import annotations
 
-import os
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +22,7 @@ from omegaconf import DictConfig, open_dict
 
 from pinn_cli.runs.cores import usable_cores
 from pinn_cli.runs.lock import FILE as LOCK
+from pinn_cli.runs.process import environment
 from pinn_cli.runs.resume import asked_to_resume, going_on, is_finished, stored_score
 from pinn_cli.runs.tracking_state import is_tracked
 from pinn_cli.sweep.composing import compose_job
@@ -184,16 +184,21 @@ class WorkLauncher(ABC):
         returns = {job.number: job.returned(finished=True) for job in self._finished(jobs)}
         left = [job for job in jobs if job.number not in returns]
         if left:
-            with _safe_path():
+            # A Python that is started imports nothing from the current folder then, where a `numpy.py` may lie.
+            with environment({SAFE_PATH: "1"}):
                 returns |= self.run(left)
         return [returns[number] for number in sorted(returns)]
 
     def _finished(self, jobs: Sequence[PendingJob]) -> list[PendingJob]:
         """Those that need not be run; with `strict=true` a job tells its verdict again."""
-        sweep = Sweep.of(self.work.config, Path(str(self.work.config.hydra.sweep.dir)))
-        found = {job.overrides for job in sweep.jobs() if job.status == FINISHED}
-        candidates = (job for job in jobs if tuple(job.overrides) in found)
+        candidates = (job for job in jobs if tuple(job.overrides) in self._finished_before)
         return [job for job in candidates if job.task.get("strict") is not True and job.finished()]
+
+    @cached_property
+    def _finished_before(self) -> set[tuple[str, ...]]:
+        """Overrides of the jobs that had finished when the sweep began: a search launches, and finishes, ever more."""
+        sweep = Sweep.of(self.work.config, Path(str(self.work.config.hydra.sweep.dir)))
+        return {job.overrides for job in sweep.jobs() if job.status == FINISHED}
 
 
 class SerialLauncher(WorkLauncher):
@@ -203,15 +208,3 @@ class SerialLauncher(WorkLauncher):
         """See :meth:`WorkLauncher.run`."""
         setup_globals()
         return {job.number: self.work.run(job.overrides, job.number) for job in jobs}
-
-
-@contextmanager
-def _safe_path() -> Iterator[None]:
-    """Have a Python that is started meanwhile import nothing from the current folder, where a `numpy.py` may lie."""
-    given = os.environ.get(SAFE_PATH)
-    os.environ[SAFE_PATH] = "1"
-    try:
-        yield
-    finally:
-        del os.environ[SAFE_PATH]
-        os.environ.update({} if given is None else {SAFE_PATH: given})

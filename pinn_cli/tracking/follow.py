@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pinn_cli.runs.tracking_state import FILE, NONE, TrackingState
+from pinn_cli.runs.writing import content_of, put_back
 from pinn_cli.settings.errors import InputError
 from pinn_cli.tracking.base import FAILED, FINISHED, INTERRUPTED, TrackedRun, Tracker, Tracking
 from pinn_cli.tracking.outcome import Outcome, history
@@ -110,13 +111,10 @@ def _opened(tracking: Tracking, run: TrackedRun, key: str, before: str) -> Follo
     state, file = TrackingState(tracking.name, run.configuration, key), run.directory / FILE
     if tracking.name == NONE:
         return Followed(None, run.directory, state)
-    content = file.read_bytes() if file.is_file() else None
+    content = content_of(file)
     state.write(run.directory)
     try:
         return Followed(tracking.open(run, key, before), run.directory, state)
     except InputError:
-        if content is None:
-            file.unlink(missing_ok=True)
-        else:
-            file.write_bytes(content)
+        put_back(file, content)
         raise
