@@ -27,32 +27,21 @@ def dataset(case):
     return response_dataset(results_of(case))
 
 
-def own_table(reader):
-    """How a format reads a file of one clock within this process."""
-
-    def read(path, wanted):
-        (table,) = reader.tables(path, wanted)
-        return table
-
-    return read
-
-
+@pytest.mark.usefixtures("in_this_process")
 def test_every_format_has_every_quantity_of_every_dof(case, dataset, tmp_path):
     pytest.importorskip("pyuff")
     for export in exports_of(list(EXPORTS)):
         export.write(dataset, tmp_path / f"response.{export.name}")
     assert sorted(file.name for file in tmp_path.iterdir()) == ["response.csv", "response.mat", "response.uff"]
     names = {"csv": "{quantity}_{dof}{_std}", "mat": "{quantity}{_std}.{dof}", "uff": "{quantity} {dof}{ std}"}
-    # MatFormat and UffFormat read in a process of their own, which is tested with them.
-    readers = {CsvFormat(): CsvFormat().read, MatFormat(): own_table(MatFormat()), UffFormat(): own_table(UffFormat())}
-    for reader, read in readers.items():
+    for reader in (CsvFormat(), MatFormat(), UffFormat()):
         expected = {}
         for quantity, dof, (word, source) in product(
             QUANTITIES, (1, 2, 3), (("", case.estimate.response), ("std", case.estimate.std))
         ):
             name = names[reader.name].replace("{_std}", word and "_std").replace("{ std}", word and " std")
             expected[name.format(quantity=quantity, dof=dof)] = quantity, getattr(source, quantity)[:, dof - 1]
-        table = read(tmp_path / f"response.{reader.name}", {name: name for name in expected})
+        table = reader.read(tmp_path / f"response.{reader.name}", {name: name for name in expected})
         for name, (quantity, values) in expected.items():
             np.testing.assert_allclose(table.columns[name], values, rtol=1e-9, atol=1e-11)
             if table.time is not None:
