@@ -48,7 +48,7 @@ def short(**settings) -> Adam:
     return Adam(**{"iterations": 20, "collocation_points": 128, "history_every": 10, **settings})
 
 
-@pytest.mark.parametrize(("name", "hold"), zip(DESIGNS, itertools.cycle(("exact", "zero_order")), strict=False))
+@pytest.mark.parametrize(("name", "hold"), [*zip(DESIGNS, itertools.cycle(("exact", "zero_order")), strict=False)])
 def test_the_loss_falls(name, hold):
     training = short(iterations=150, stages=1, learning_rate=5e-3)
     estimate = training.solve(JointProblem.of(small_problem(hold)), DESIGNS[name], RunContext())

@@ -7,7 +7,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from ambient_records import ambient_record, frame, storeys
+from ambient_records import ambient_record, frame
+from storeys import chain_matrix
 
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.joint_problem import JointProblem
@@ -50,7 +51,7 @@ def shaken(first_frequency, duration, seed, together=0.0, measured=(), sensors=(
     own = random.standard_normal((len(frequency), FLOORS, 2)) @ [1.0, 1j]
     common = random.standard_normal((len(frequency), 1, 2)) @ [1.0, 1j]
     spectrum = (own + together**0.5 * common) * inside[:, None]
-    dynamic = -(omega**2) * np.diag(m) + 1j * omega * storeys(c) + storeys(k)
+    dynamic = -(omega**2) * np.diag(m) + 1j * omega * chain_matrix(c) + chain_matrix(k)
     motion = np.linalg.solve(dynamic, spectrum[..., None])[..., 0]
     acceleration = np.fft.irfft(-(omega[:, 0] ** 2) * motion, samples, axis=0)
     force = np.fft.irfft(spectrum, samples, axis=0)
