@@ -61,8 +61,8 @@ kills: venv ## kill 100 runs and 30 sweeps and fill 10 disks: the same command e
 trust: venv ## how often is it right? random structures by other code, by the real command (hours; ARGS=--quick: 20 minutes; ARGS=--help)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.trust $(ARGS)
 
-calibration: venv ## how well posteriors cover and are sampled over 40 noise seeds (long)
-	$(BIN)/python -m benchmarks.calibration $(ARGS)
+calibration: venv ## how well posteriors cover over 40 noise seeds, and are sampled over 10 (half an hour; ARGS=--write: docs/method.md)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration $(ARGS)
 
 bench: venv ## processor time, memory and GFlop/s over DOFs, durations and topologies, and a figure (ARGS=--full: an hour)
 	$(BIN)/python -m benchmarks $(ARGS)

@@ -1,22 +1,28 @@
-"""How well posteriors are calibrated, and how well they are sampled: ``python -m benchmarks.calibration --seeds 40``.
+"""How well posteriors are calibrated, and how well they are sampled: ``make calibration``.
 
 The paper's two 2-DOF chains (240 s, 20 dB, 5 repeats), with the force on the first DOF or on both, over many noise
-seeds. Every network is trained as `pinn-run scheme=bayesian` trains it, and its posterior found in several ways:
-`marginal` and `conditional` by NUTS, `laplace` and `conditional_laplace` by the Gaussian at the peak of these, in
-milliseconds. Printed: mean relative error of the posterior means, share of the 90 % intervals that hold the truth, and
-the worst of the sampler's diagnostics.
+seeds. Every network is trained as `pinn-run scheme=bayesian` trains it, and its posterior found in several ways: with
+the motion integrated out (marginal) and held (conditional), by the Gaussian at the peak, in milliseconds, of every seed
+and by NUTS of the first ones. Two tables: mean relative errors of the posterior means with the share of the 90 %
+intervals that hold the truth, and the worst of the sampler's diagnostics.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
+import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
 
 import numpy as np
 import pandas as pd
 from hydra import compose, initialize_config_module
 
+from benchmarks.written import ROOT, markdown, write
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.posterior.base import PosteriorSamples
 from pinn_cli.posterior.conditional import Conditional
@@ -30,41 +36,50 @@ from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihoods
 
-CASES = ("pe_2dof_duffing", "pe_2dof_van_der_pol")
-FORCED = ("[1]", "[1,2]")
-METHODS = ("laplace", "conditional_laplace", "marginal", "conditional")
+CASES = {"duffing": "Duffing", "van_der_pol": "Van der Pol"}
+FORCED = {"[1]": "force on DOF 1", "[1,2]": "force on both"}
+GAUSSIAN, SAMPLED = ("laplace", "conditional_laplace"), ("marginal", "conditional")
+PAGE = ROOT / "docs" / "method.md"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One noise seed of a case, its posterior found by some methods."""
+
+    case: str
+    forced: str
+    seed: int
+    methods: tuple[str, ...]
+    overrides: tuple[str, ...]
+
+    def __call__(self) -> pd.DataFrame:
+        """``parameter, error_percent, holds, r_hat, ess_bulk, seconds``, ...: a row for each method and parameter."""
+        settings = [f"experiment=paper/pe_2dof_{self.case}", f"excitation.dofs={self.forced}", "noise.seeds=null"]
+        with initialize_config_module("pinn_cli.conf", version_base="1.3"):
+            config = RunConfig.read(compose("config", overrides=[*settings, f"seed={self.seed}", *self.overrides]))
+        true, prescribed = config.model_error.structures(config.structure)
+        measurements = config.source.measure(true)
+        problem = config.scheme.pose(prescribed, [config.observe(measurements.record)])
+        run = RunContext(seed=self.seed)
+        estimate = config.estimator.solve(problem, run)
+        assert estimate.likelihoods is not None
+        tables = []
+        for method in self.methods:
+            start = time.process_time()
+            samples = draws(method, estimate.likelihoods, problem, run)
+            seconds = time.process_time() - start
+            table = scored(samples, problem.alone.uncertain, measurements.truth)
+            tables.append(table.assign(method=method, seconds=seconds))
+        return pd.concat(tables).assign(case=f"{CASES[self.case]}, {FORCED[self.forced]}", seed=self.seed)
 
 
 def draws(method: str, found: ParameterLikelihoods, problem: JointProblem, run: RunContext) -> PosteriorSamples:
-    """A posterior found in one of the `METHODS`."""
+    """A posterior found in one of the ways."""
     assert problem.priors
     ways = {"marginal": Marginal, "conditional": Conditional}
     way = ways.get(method, Laplace)()
     first = found.conditional if method == "conditional_laplace" else found.marginal
     return way.sample(first, found.conditional, problem.priors, run)
-
-
-def posteriors(
-    case: str, forced: str, methods: Sequence[str], seeds: int, overrides: list[str]
-) -> Iterator[pd.DataFrame]:
-    """One table per seed and method: ``parameter, error_percent, holds, r_hat, ess_bulk, divergent, seconds``, ..."""
-    settings = [f"experiment=paper/{case}", f"excitation.dofs={forced}", "noise.seeds=null"]
-    for seed in range(seeds):
-        with initialize_config_module("pinn_cli.conf", version_base="1.3"):
-            config = RunConfig.read(compose("config", overrides=[*settings, f"seed={seed}", *overrides]))
-        true, prescribed = config.model_error.structures(config.structure)
-        measurements = config.source.measure(true)
-        problem = config.scheme.pose(prescribed, [config.observe(measurements.record)])
-        run = RunContext(seed=seed)
-        estimate = config.estimator.solve(problem, run)
-        assert estimate.likelihoods is not None
-        for method in methods:
-            start = time.perf_counter()
-            samples = draws(method, estimate.likelihoods, problem, run)
-            seconds = time.perf_counter() - start
-            yield scored(samples, problem.alone.uncertain, measurements.truth).assign(
-                seed=seed, method=method, seconds=seconds
-            )
 
 
 def scored(samples: PosteriorSamples, parameters: Sequence[Parameter], truth: Truth) -> pd.DataFrame:
@@ -78,36 +93,62 @@ def scored(samples: PosteriorSamples, parameters: Sequence[Parameter], truth: Tr
     return table
 
 
-def summary(tables: pd.DataFrame) -> str:
-    """Errors by parameter, coverage of all, and the worst diagnostics, in one line."""
-    errors = tables.groupby("parameter", sort=False)["error_percent"].mean()
-    line = " ".join(f"{name} {value:.2f}" for name, value in errors.items())
-    line += f" | cover {100.0 * tables['holds'].mean():.1f} %"
-    if tables["r_hat"].notna().any():
-        passed = tables.groupby("seed").agg({"r_hat": "max", "ess_bulk": "min", "ess_tail": "min", "divergent": "max"})
-        good = (passed["r_hat"] <= 1.01) & (passed[["ess_bulk", "ess_tail"]].min(axis=1) >= 400)
-        good &= passed["divergent"] == 0
-        line += (
-            f" | R-hat {passed['r_hat'].max():.4f}, bulk ESS {passed['ess_bulk'].min():.0f},"
-            f" divergences {passed['divergent'].sum()}: {int(good.sum())} of {len(good)} pass"
-        )
-    return f"{line} | {tables['seconds'].mean():.1f} s"
+def coverage(found: pd.DataFrame) -> str:
+    """By case: errors of damping, stiffness and the law, and the share of intervals that hold; Markdown."""
+    rows = []
+    for case, own in found.groupby("case", sort=False):
+        marginal, conditional = (own[own["method"] == method] for method in GAUSSIAN)
+        errors = marginal.groupby("parameter", sort=False)["error_percent"].mean()
+        cells = [" ".join(f"{errors[f'{name}_{dof}']:.2g}" for dof in (1, 2)) for name in ("c", "k")]
+        law = "kappa" if "kappa_1" in errors.index else "mu"
+        cells.append(" ".join(f"{errors[f'{law}_{dof}']:.2g}" for dof in (1, 2)))
+        cells += [f"{100.0 * part['holds'].mean():.1f} %" for part in (marginal, conditional)]
+        rows.append([case, *cells])
+    columns = ["case", "c_1 c_2", "k_1 k_2", "κ_1 κ_2 or μ_1 μ_2", "marginal", "conditional"]
+    return markdown(pd.DataFrame(rows, columns=columns))
+
+
+def sampling(found: pd.DataFrame) -> str:
+    """By case and method: intervals that hold, and the worst diagnostics of the chains; Markdown."""
+    rows = []
+    for (case, method), own in found[found["method"].isin(SAMPLED)].groupby(["case", "method"], sort=False):
+        each = own.groupby("seed").agg({"r_hat": "max", "ess_bulk": "min", "ess_tail": "min", "divergent": "max"})
+        least = each[["ess_bulk", "ess_tail"]].min(axis=1)
+        passed = (each["r_hat"] <= 1.01) & (least >= 400) & (each["divergent"] == 0)
+        cells = [f"{100.0 * own['holds'].mean():.1f} %", f"{each['r_hat'].max():.4f}", f"{least.min():.0f}"]
+        cells += [str(each["divergent"].sum()), f"{passed.sum()} of {len(each)}", f"{own['seconds'].mean():.1f}"]
+        rows.append([case, method, *cells])
+    columns = ["case", "posterior", "intervals hold", "R-hat", "draws", "divergences", "runs that pass", "seconds"]
+    return markdown(pd.DataFrame(rows, columns=columns))
 
 
 def main() -> None:
-    """Run all cases and print a line for each."""
+    """Run all cases on all cores, print both tables and write them into the page on request."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.calibration", description=__doc__.partition("\n")[0])
-    parser.add_argument("--seeds", type=int, default=40)
-    parser.add_argument("--cases", nargs="*", default=CASES, choices=CASES)
-    parser.add_argument("--forced", nargs="*", default=FORCED, choices=FORCED)
-    parser.add_argument("--methods", nargs="*", default=METHODS, choices=METHODS)
+    parser.add_argument("--seeds", type=int, default=40, help="of every case")
+    parser.add_argument("--sampled", type=int, default=10, help="of these, so many by NUTS, too")
+    parser.add_argument("--cases", nargs="*", default=[*CASES], choices=[*CASES])
+    parser.add_argument("--forced", nargs="*", default=[*FORCED], choices=[*FORCED])
+    parser.add_argument("--write", action="store_true", help="write both tables into docs/method.md")
     parser.add_argument("overrides", nargs="*", help="further settings, as pinn-run takes them (after --)")
     given = parser.parse_args()
-    for case in given.cases:
-        for forced in given.forced:
-            tables = pd.concat(posteriors(case, forced, given.methods, given.seeds, given.overrides))
-            for method, part in tables.groupby("method", sort=False):
-                print(f"{method}, {case}, force on {forced}: {summary(part)}", flush=True)
+    trials = [
+        Trial(case, forced, seed, GAUSSIAN + (SAMPLED if seed < given.sampled else ()), tuple(given.overrides))
+        for case in given.cases
+        for forced in given.forced
+        for seed in range(given.seeds)
+    ]
+    with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
+        found = pd.concat(pool.map(_called, trials))
+    command = " ".join(["make calibration", *[f'ARGS="{" ".join(sys.argv[1:])}"'] * (len(sys.argv) > 1)])
+    for name, text in (("calibration", coverage(found)), ("calibration-sampled", sampling(found))):
+        print(f"{text}\n", flush=True)
+        if given.write:
+            write(PAGE, name, text, command)
+
+
+def _called(trial: Trial) -> pd.DataFrame:
+    return trial()
 
 
 if __name__ == "__main__":
