@@ -19,7 +19,7 @@ from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.force_residuals import ForceResiduals
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
-from pinn_cli.training.steps.discrepancy_search import FINEST_OF_NOISE, NEGLIGIBLE_GAIN
+from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN, negligible
 from pinn_cli.training.steps.force_spectrum import DRAWS, drive_below
 
 # Rounds at most, and the relative change of a level below which nothing that is reported would change.
@@ -259,8 +259,8 @@ def floor(evidence: RecordEvidence, solution: RecordSolution) -> NoiseModel:
     for dof, cell in evidence.load_cells.items():
         of_force[dof] = max(cell.finest, cell.shown)
     force = max((cell.rms for cell in evidence.load_cells.values()), default=noise.discrepancy)
-    of_noise = FINEST_OF_NOISE * noise.least_of_inputs
-    discrepancy = max(min(FINEST_DISCREPANCY * force, noise.discrepancy), of_noise)
+    finest_of_inputs = negligible(evidence.equations, noise)
+    discrepancy = max(min(FINEST_DISCREPANCY * force, noise.discrepancy), finest_of_inputs)
     response = dict(noise.response)
     for channels in evidence.equations.channels:
         # The sensor of an input has at least the noise that its spectrum shows. Where the motion does not tell a load

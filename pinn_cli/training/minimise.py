@@ -162,6 +162,8 @@ class Descent:
         self.promised = math.inf
         self.refused = 0.0  # what a step with the last factor promised where another one was made
         self.creeps = False  # whether that other one promised as little: no factor makes the rest of the way quick
+        # The ridge hangs on the first system, and counts from there on: so the loss comes after it.
+        self.first: tuple[System, np.ndarray] | None = self._assembled()
         self.loss = sum(equations.losses(start, noise).values())
         if not math.isfinite(self.loss):
             raise DivergenceError(
@@ -182,8 +184,8 @@ class Descent:
 
     def advance(self, most: int) -> Solution | None:
         """At most so many steps with the last factor while they are quick, then one with its own; the end, if it is."""
-        system, room = self._assembled()
-        served = 0
+        system, room = self.first or self._assembled()
+        self.first, served = None, 0
         while self.chord is not None and served < most:
             trial = self._trial(system, self.chord, room)
             if max(trial.promised, trial.gain) <= self.enough:

@@ -144,12 +144,6 @@ class NoiseLevels:
         changed = (replace(own, discrepancy=factor * own.discrepancy) for own in others)
         return replace(self, records=(replace(first, discrepancy=discrepancy), *changed))
 
-    @property
-    def least_of_inputs(self) -> float:
-        """N, see :attr:`NoiseModel.least_of_inputs`; 0 where none is measured in any record."""
-        each = (own.least_of_inputs for own in self.records)
-        return min((level for level in each if level > 0.0), default=0.0)
-
 
 def _pooled(sigma: np.ndarray) -> np.ndarray:
     there = np.isfinite(sigma)

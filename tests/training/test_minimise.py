@@ -17,6 +17,7 @@ from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.energy import dissipated_power
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.covariance import ReadoutPosterior
+from pinn_cli.training.factors import ridge
 from pinn_cli.training.least_squares import LeastSquares
 from pinn_cli.training.minimise import FIRST_DAMPING, minimise
 from pinn_cli.training.noise_model import NoiseModel
@@ -337,3 +338,16 @@ def test_prior_precisions_have_all_their_digits():
     equations, noise = posed("duffing", uncertain=True)
     precision = problem_of(equations).precision(levels_of(noise, spread=3.3))
     assert precision.tolist() == [3.3**-2] * 3
+
+
+def test_a_start_far_from_rest_counts_the_ridge_that_hangs_on_its_own_first_matrix(monkeypatch):
+    monkeypatch.setattr(ridge, "RELATIVE_RIDGE", 1e-6)
+    equations, noise = posed("linear")
+    before = solved(equations, noise)
+    again, _ = posed("linear")  # has no ridge yet
+    options = {"iterations": 30, "tolerance": 1e-12, "watch": lambda terms: None}
+    found = minimised(again, replace(noise, discrepancy=0.029), before.point, **options)
+    assert found.converged
+    assert found.loss == pytest.approx(
+        sum(problem_of(again).losses(found.point, levels_of(replace(noise, discrepancy=0.029))).values())
+    )

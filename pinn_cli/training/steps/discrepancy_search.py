@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.evidence import Evidence, Trained
-from pinn_cli.training.noise_model import NoiseLevels
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
 
 # The scan over the discrepancy goes down by this factor, half a decade; all levels settle together afterwards.
@@ -22,6 +25,9 @@ PATIENCE, FINEST_DISCREPANCY = 3, 1e-8
 # A discrepancy below this part of the noise of every measured input makes no motion better known: one step without a
 # gain ends the scan there.
 FINEST_OF_NOISE = 1e-2
+# Nor does one below this part of what drives a force that nobody measured. Far below it rounding is all that the normal
+# matrix has left of slow motion, whose bands were then several times too narrow.
+FINEST_OF_DRIVE = 3e-4
 # A model error above this part of the force is either a model that is far off or a search that went astray: it is worth
 # a second search from another start.
 SUSPICIOUS_DISCREPANCY = 0.01
@@ -74,7 +80,7 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
     """
     point, discrepancy, idle, stride = start, largest, 0, SCAN_FACTOR
     best: Trained | None = None
-    indifferent = FINEST_OF_NOISE * noise.least_of_inputs
+    indifferent = min(filter(None, map(negligible, evidence.equations.each, noise.records)), default=0.0)
     while discrepancy > FINEST_DISCREPANCY * largest and idle < PATIENCE:
         trained = evidence.train(noise.with_discrepancy(discrepancy), point)
         followed = best is not None and best.solution.converged
@@ -98,6 +104,14 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
             "the softest physics already has a singular normal matrix; use fewer knots or more sensors"
         )
     return best
+
+
+def negligible(equations: NormalEquations, noise: NoiseModel) -> float:
+    """The discrepancy of one record, N, below which no motion is better known; 0 where inputs do not tell."""
+    driven = np.zeros(0) if noise.innovation is None else noise.innovation[equations.dynamics.forces]
+    drive = float(np.min(driven, initial=np.inf)) * equations.dynamics.structure.shapes.scale
+    of_drive = FINEST_OF_DRIVE * drive if len(driven) else 0.0
+    return max(FINEST_OF_NOISE * noise.least_of_inputs, of_drive)
 
 
 def _is_easy(before: Trained, after: Trained | None) -> bool:

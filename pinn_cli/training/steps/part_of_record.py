@@ -20,12 +20,7 @@ from pinn_cli.training.factors.frame import collocation_refinement
 from pinn_cli.training.factors.ridge import carried_ridge
 from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.point import Point
-from pinn_cli.training.steps.discrepancy_search import (
-    FINEST_OF_NOISE,
-    SCAN_FACTOR,
-    SUSPICIOUS_DISCREPANCY,
-    scanned,
-)
+from pinn_cli.training.steps.discrepancy_search import SCAN_FACTOR, SUSPICIOUS_DISCREPANCY, negligible, scanned
 
 # Samples of a part, at least; a share of the record, at least. Levels of 20 000 samples are right to half a percent.
 FEWEST_SAMPLES, SHARE = 20_000, 1 / 16
@@ -102,7 +97,9 @@ def whole_from(
     equations, own, before = evidence.equations, evidence.equations.each[0], of_part.equations.each[0]
     own.ridge.value = carried_ridge(before.ridge.value, before.layout, own.layout)
     noise, largest_of_whole = replace(noise, spread=part.noise.spread), noise.discrepancy
-    steps = min(_steps(largest, part.noise.discrepancy), _steps_to_indifference(noise))
+    steps = min(
+        _steps(largest, part.noise.discrepancy), _steps_to_indifference(noise, negligible(own, noise.records[0]))
+    )
     # A scan of the whole would take one step, then two at a time: from an odd one on both try the same discrepancies.
     begin = noise.with_discrepancy(largest_of_whole / SCAN_FACTOR ** max(steps - 1 + steps % 2, 0))
     point = Point(equations.start().unknowns, part.solution.point.parameters)
@@ -116,9 +113,8 @@ def _steps(largest: float, discrepancy: float) -> int:
     return round(float(np.log(largest / discrepancy) / np.log(SCAN_FACTOR)))
 
 
-def _steps_to_indifference(noise: NoiseLevels) -> int:
+def _steps_to_indifference(noise: NoiseLevels, least: float) -> int:
     """Of a scan to the first discrepancy that makes no motion better known: how far beyond it goes is chance."""
-    least = FINEST_OF_NOISE * noise.least_of_inputs
     return int(np.ceil(np.log(noise.discrepancy / least) / np.log(SCAN_FACTOR))) if least > 0 else MOST_STEPS
 
 
