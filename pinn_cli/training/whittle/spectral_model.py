@@ -10,7 +10,8 @@ where Q_f is the noise of the load cells (Brillinger, Time Series, 1981, chapter
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -58,18 +59,23 @@ def is_spectral(problem: Problem) -> bool:
     return bool(inputs.forces) and linear and alone and plain
 
 
-def spectra_in_band(record: Record) -> CrossSpectra[Channel] | None:
-    """Of all pairs of sensors and load cells, over the record's own band; None where that holds too little."""
+def band_lines(record: Record) -> list[int] | None:
+    """Edges of the groups of lines of a record's own band, see `CrossSpectra.of_bands`; None: it holds too little."""
     sensors, frequency = channels(record), np.fft.rfftfreq(len(record.time), record.step)
     edges = np.array([signal_edges(sensor.measured, record.step)[0] for sensor in sensors])
     lowest = np.min(edges, initial=np.inf, where=np.isfinite(edges))
     first = max(LOWEST_LINES, int(np.searchsorted(frequency, lowest)))
     stop = int(np.searchsorted(frequency, BELOW_EDGE * record_band(record), side="right"))
-    if stop - first < FEWEST_LINES:
+    return band_edges(first, stop) if stop - first >= FEWEST_LINES else None
+
+
+def spectra_in_band(record: Record) -> CrossSpectra[Channel] | None:
+    """Of all pairs of sensors and load cells; None where the band holds too little."""
+    edges = band_lines(record)
+    if edges is None:
         return None
-    loads = channels(record, (FORCE,))
-    every = len(sensors) + len(loads)
-    return CrossSpectra.of_bands(record, sensors, loads, band_edges(first, stop), every, TAPERED)
+    sensors, loads = channels(record), channels(record, (FORCE,))
+    return CrossSpectra.of_bands(record, sensors, loads, edges, len(sensors) + len(loads), TAPERED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,14 +108,13 @@ class SpectralModel:
     """
 
     def __init__(self, problem: Problem, spectrum: CrossSpectra[Channel]) -> None:
-        self.problem, self.spectrum, dynamics = problem, spectrum, problem.dynamics
+        self.problem, dynamics = problem, problem.dynamics
         self.dynamics, self.structure = dynamics, problem.structure
         nominal = {kind: values.double() for kind, values in problem.structure.parameters.items()}
         self.vector = ParameterVector(nominal, problem.uncertain)
         self.spread = self.vector.each("prior_std")
         n, sensors, loads = dynamics.ndof, spectrum.sensors, [load.dof for load in spectrum.acting]
-        sensed = np.array([dynamics.sensing(c.quantity)[0][1].toarray()[c.dof, :n] for c in sensors])
-        self.sensing = spectrum.differentiation[:, :, None] * sensed
+        self.sensed = np.array([dynamics.sensing(c.quantity)[0][1].toarray()[c.dof, :n] for c in sensors])
         self.stretch = problem.structure.incidence.matrix.toarray()
         acting = [*problem.inputs.forces, *loads]
         self.acting = Acting.forces(problem.structure.shapes.matrix[acting].T)
@@ -117,7 +122,18 @@ class SpectralModel:
         samples = [SensorSamples.of_column(problem.record, *sensor.place) for sensor in sensors]
         self.first_noise = np.array([sample.first for sample in samples])
         self.load_noise = starting_levels(problem.record, FORCE)[loads]
-        self.shape = _hats(spectrum.omega)
+        self.knots = _knots(spectrum.omega)
+        self._look_at(spectrum)
+
+    def _look_at(self, spectrum: CrossSpectra[Channel]) -> None:
+        self.spectrum, self.shape = spectrum, _hats(spectrum.omega, self.knots)
+        self.sensing = spectrum.differentiation[:, :, None] * self.sensed
+
+    def at(self, frequency: np.ndarray) -> SpectralModel:
+        """The same model at other frequencies (G,), Hz; beyond the band's forces are as they are at its edges."""
+        other = copy(self)
+        other._look_at(replace(self.spectrum, frequency=frequency))
+        return other
 
     @property
     def places(self) -> dict[str, slice]:
@@ -176,9 +192,13 @@ class SpectralModel:
             for unit in np.eye(len(self.spread))
         ]
 
-    def covariance(self, x: np.ndarray) -> Covariance:
-        """At the unknowns (q,)."""
-        response = self._response(x)
+    def power(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(G, S, S) covariance of the sensors' spectra at the unknowns (q,), (G, S, L) from measured forces to them."""
+        value, at_sensors, *_ = self._value(x, self._response(x))
+        return value, at_sensors[:, :, self.unknown_forces :]
+
+    def _value(self, x: np.ndarray, response: FrequencyResponse) -> tuple[np.ndarray, ...]:
+        """(G, S, S) covariance; (G, S, F) the sensors' response to forces; those times levels; the common part."""
         at_sensors, places, omega = response.value, self.places, self.spectrum.omega[:, None]
         unknown = self.shape @ x[places["shape"]][:, None] + x[places["forces"]]
         loads = np.broadcast_to(self.load_noise, (len(omega), len(self.load_noise)))
@@ -188,8 +208,14 @@ class SpectralModel:
         common = scaled[:, own_too].sum(1, keepdims=True)
         mixed = scaled + x[places["together"]] * own_too[:, None] * common
         weighed = level[:, :, None] * mixed
+        value = at_sensors @ weighed + np.diag(np.exp(2.0 * x[places["noise"]]))
+        return value, at_sensors, weighed, common
+
+    def covariance(self, x: np.ndarray) -> Covariance:
+        """At the unknowns (q,)."""
+        response, places, omega = self._response(x), self.places, self.spectrum.omega[:, None]
+        value, at_sensors, weighed, common = self._value(x, response)
         noise = np.exp(2.0 * x[places["noise"]])
-        value = at_sensors @ weighed + np.diag(noise)
         slopes = np.empty((self.size, *value.shape), dtype=complex)
         seen = slice(self.unknown_forces, None)
         seen_slopes = np.empty((len(self.spread), *at_sensors[:, :, seen].shape), dtype=complex)
@@ -208,8 +234,12 @@ class SpectralModel:
         return Covariance(value, slopes, at_sensors[:, :, seen], seen_slopes)
 
 
-def _hats(omega: np.ndarray) -> np.ndarray:
-    """(G, J), functions of frequency that are 1 at one knot and 0 at all others, linear in the logarithm between."""
+def _knots(omega: np.ndarray) -> np.ndarray:
+    """(J,), logarithms of frequencies, between which the logarithm of the forces' power is linear."""
     octaves = np.log(omega[-1] / omega[0])
-    knots = np.linspace(np.log(omega[0]), np.log(omega[-1]), max(2, 1 + round(octaves / np.log(KNOT_RATIO))))
+    return np.linspace(np.log(omega[0]), np.log(omega[-1]), max(2, 1 + round(octaves / np.log(KNOT_RATIO))))
+
+
+def _hats(omega: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """(G, J), functions of frequency that are 1 at one knot and 0 at all others, linear in the logarithm between."""
     return np.stack([np.interp(np.log(omega), knots, unit) for unit in np.eye(len(knots))], axis=1)

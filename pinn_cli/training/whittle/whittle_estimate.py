@@ -24,6 +24,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.doubts.other_damping import DampingDoubt, damping_doubt, with_other_damping
 from pinn_cli.training.parameter_spread import updated_spread
+from pinn_cli.training.whittle.expected_spectra import expected
 from pinn_cli.training.whittle.spectral_model import SpectralModel, is_spectral, spectra_in_band
 
 # Steps of Fisher scoring at most, and the decrease of -log p below which nothing is gained.
@@ -108,7 +109,7 @@ class Whittle:
         self.lower = np.full(model.size, -np.inf)
         self.lower[model.places["parameters"]] = lower
         self.lower[model.places["together"]] = 0.0
-        self.centre = model.start()
+        self.centre, self.leaked = model.start(), np.zeros((1, 1, 1))
         knots = model.shape.shape[1]
         self.bends = np.zeros((max(knots - 2, 0), model.size))
         self.bends[:, model.places["shape"]] = np.diff(np.eye(knots), 2, axis=0)
@@ -163,20 +164,35 @@ class Whittle:
         """At unknowns (q,); None where the covariance is not positive definite."""
         model = self.model.covariance(x)
         try:
-            root = np.linalg.cholesky(model.value)
+            root = np.linalg.cholesky(model.value + self.leaked)
         except np.linalg.LinAlgError:
             return None
         unit = np.linalg.inv(root)
-        sensors = model.value.shape[-1]
-        own, loads = self.spectrum.cross[:, :sensors, :sensors], self.spectrum.of_acting
-        cross = self.spectrum.cross[:, sensors:, :sensors]
-        seen, back = model.seen, model.seen.conj().transpose(0, 2, 1)
-        left = own - seen @ cross - cross.conj().transpose(0, 2, 1) @ back + seen @ loads @ back
+        left, crossed = self._left(model.seen)
         logs = 2.0 * np.log(np.einsum("gss->gs", root).real).sum(1)
         hermitian = unit.conj().transpose(0, 2, 1)
-        crossed = (loads @ back - cross) @ hermitian
+        crossed = crossed @ hermitian
         slopes = unit @ model.slopes @ hermitian
         return Whitened(logs, unit @ left @ hermitian, slopes, unit @ model.seen_slopes, crossed)
+
+    def allow_for_leakage(self, x: np.ndarray) -> None:
+        """From here on lines hold what resonances leak into them at the unknowns (q,): else it passes for noise.
+
+        What a resonance loses is as it would be in a longer record: it hangs on the damping that is looked for.
+        """
+        more = expected(self.model, x) - self.model.power(x)[0]
+        size = np.sqrt(np.einsum("gss->gs", self.spectrum.cross[:, : more.shape[1], : more.shape[1]]).real)
+        unit = size[:, :, None] * size[:, None]
+        values, vectors = np.linalg.eigh(more / unit)
+        self.leaked = unit * ((vectors * np.maximum(values, 0.0)[:, None]) @ vectors.conj().transpose(0, 2, 1))
+
+    def _left(self, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(G, S, S), what measured forces leave of the responses, which see so much (G, S, L) of them; (G, L, S)."""
+        sensors = seen.shape[1]
+        own, loads = self.spectrum.cross[:, :sensors, :sensors], self.spectrum.of_acting
+        cross, back = self.spectrum.cross[:, sensors:, :sensors], seen.conj().transpose(0, 2, 1)
+        left = own - seen @ cross - cross.conj().transpose(0, 2, 1) @ back + seen @ loads @ back
+        return left, loads @ back - cross
 
     def _of_measured(self, seen: np.ndarray) -> np.ndarray:
         loads = self.spectrum.of_acting * self.spectrum.count[:, None, None]
@@ -220,9 +236,9 @@ class Whittle:
 
     def misfit(self, x: np.ndarray) -> float:
         """See :attr:`KnownParameters.misfit`: where the sensors' whitened spectra are no unit matrix beyond chance."""
-        whitened = self._whitened(x)
-        assert whitened is not None
-        power, count = whitened.power, self.spectrum.count
+        left, _ = self._left(self.model.power(x)[1])
+        unit = np.linalg.inv(np.linalg.cholesky(expected(self.model, x)))
+        power, count = unit @ left @ unit.conj().transpose(0, 2, 1), self.spectrum.count
         part = np.floor(np.log(self.spectrum.omega / self.spectrum.omega[0]) / np.log(PART_RATIO)).astype(int)
         worst, parts, size = 0.0, part[-1] + 1, power.shape[-1]
         for number in range(parts):
@@ -230,10 +246,10 @@ class Whittle:
             values = count[own].sum()
             if values < FEWEST_IN_PART:
                 continue
-            left = np.einsum("g,gst->st", count[own], power[own]) / values - np.eye(size)
-            by_chance = chdtrc(size**2, values * np.sum(np.abs(left) ** 2)) * parts
+            off = np.einsum("g,gst->st", count[own], power[own]) / values - np.eye(size)
+            by_chance = chdtrc(size**2, values * np.sum(np.abs(off) ** 2)) * parts
             if by_chance < IMPROBABLE:
-                worst = max(worst, float(np.linalg.norm(left, 2)))
+                worst = max(worst, float(np.linalg.norm(off, 2)))
         return worst
 
 
@@ -258,7 +274,9 @@ def known_parameters(whole: JointProblem, learn_spread: bool = True) -> KnownPar
     model = SpectralModel(problem, spectrum)
     whittle = Whittle(model, learn_spread)
     x, spreads = whittle.centre, np.array([FIRST_SPREAD, FIRST_SPREAD, 1.0])
-    for _ in range(ROUNDS):
+    for round_ in range(ROUNDS):
+        if round_:
+            whittle.allow_for_leakage(x)
         found = whittle.maximised(x, whittle.precision(spreads))
         if found is None:
             return None
@@ -266,7 +284,7 @@ def known_parameters(whole: JointProblem, learn_spread: bool = True) -> KnownPar
         model.follow_modes(x)
         covariance, before = np.linalg.inv(scored.information), spreads
         spreads = whittle.updated(spreads, x, covariance)
-        if np.abs(np.log(spreads / before)).max() < SETTLED:
+        if round_ and np.abs(np.log(spreads / before)).max() < SETTLED:
             break
     own = model.places["parameters"]
     misfit, doubt = whittle.misfit(x), _scored_damping(whittle, x, before)
@@ -292,6 +310,7 @@ def _scored_damping(whittle: Whittle, x: np.ndarray, spreads: np.ndarray) -> Dam
     more = Whittle(SpectralModel(extended.alone, model.spectrum), whittle.learn_spread)
     new = len(more.model.spread) - p
     start = np.concatenate((x[:p], np.zeros(new), x[p:]))
+    more.leaked = whittle.leaked
     more.centre = np.concatenate((whittle.centre[:p], np.zeros(new), whittle.centre[p:]))
     found, without = more.maximised(start, more.precision(spreads)), whittle.scored(x, whittle.precision(spreads))
     if found is None or without is None:
