@@ -14,6 +14,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from pinn_cli.cli.terminal import Terminal
 from pinn_cli.runs.claim import Claim, entered
+from pinn_cli.runs.interruption import stop_if_asked
 from pinn_cli.runs.memory import is_out_of_memory, of_this_machine
 from pinn_cli.runs.resume import StoredRun, going_on, how_to_go_on
 from pinn_cli.runs.writing import WriteError, refused_by_disk
@@ -77,6 +78,7 @@ class Jobs:
                     raise InputError(setting, HydraConfig.get().run.dir, "a directory")
                 return self._run(config, claim, in_sweep)
             except Exception as raised:
+                stop_if_asked()
                 error = _explained(raised)
                 _conclude(claim, error)
                 if in_sweep and claim.locked:  # else it is no directory of ours to write into
