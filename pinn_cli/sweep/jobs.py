@@ -22,7 +22,7 @@ from pinn_cli.settings.legal_values import whole_number
 from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.settings.yaml_file import read_yaml
 from pinn_cli.sweep.directories import MOST_JOBS, combinations, job_name, parse, swept_settings
-from pinn_cli.sweep.failure import Failure
+from pinn_cli.sweep.failure import INPUT, Failure
 
 STATUSES = FINISHED, FAILED, UNFINISHED, NOT_STARTED = "finished", "failed", "unfinished", "not started"
 # The sweep's configuration with its `hydra` node, in its directory.
@@ -62,9 +62,11 @@ class Job:
             return cls(directory, tuple(overrides), FAILED, failure.reason, failure.status)
         if not (directory / RESULT).is_file():
             return cls(directory, tuple(overrides), UNFINISHED)
-        return cls(
-            directory, tuple(overrides), FINISHED, seconds=read_record(directory).get("seconds", {}).get("total")
-        )
+        try:
+            record = read_record(directory)
+        except InputError as error:  # of a later release
+            return cls(directory, tuple(overrides), FAILED, str(error), INPUT)
+        return cls(directory, tuple(overrides), FINISHED, seconds=record.get("seconds", {}).get("total"))
 
     @property
     def ended(self) -> bool:
