@@ -10,7 +10,7 @@ RAY := $(VENV)/.installed-ray
 # Overrides for the run, as pinn-run takes them: make run ARGS="system.ndof=20 noise.snr_db=20"
 ARGS ?=
 
-.PHONY: help venv run test test-all trust kills lint format fuzz audit bench bench-epochs bench-models bench-nearly-right bench-sweeps calibration table1 table2 table3 table4 table5 table6 paper figures tables seeds nonlinearity paper-all \
+.PHONY: help venv run test test-all trust kills lint format fuzz stored audit bench bench-epochs bench-models bench-nearly-right bench-sweeps calibration table1 table2 table3 table4 table5 table6 paper figures tables seeds nonlinearity paper-all \
 	against-smoother bench-peers docs gallery clean
 
 help: ## list the targets
@@ -51,6 +51,9 @@ test-all: lint $(RAY) ## lint, then every test
 
 fuzz: venv ## bad inputs of every family, 90 each, counted: each is told in one line or has a sound result (20 minutes)
 	PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python -m fuzz $(ARGS)
+
+stored: venv ## tests/stored/VERSION.zip: small runs as this release leaves them, which later ones must read; once for each release
+	PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python -m stored
 
 audit: ## known holes of the versions in constraints.txt; needs a network
 	VENV=$(VENV) PYTHON=$(PYTHON) .ci/audit

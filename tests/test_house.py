@@ -4,11 +4,11 @@ import ast
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "pinn_cli"
-# From the ground up. A room may import those before it, and itself. The two pages that lie in no room stand among them.
+# From the ground up. A room may import those before it, and itself. Three pages that lie in no room stand among them.
 ROOMS = (
     "settings", "runs", "system", "record", "model", "network", "scheme", "physics", "training", "baseline",
     "posterior", "validation", "verdict", "report", "windows", "inspection", "tracking", "sweep", "search",
-    "cli", "paper", "main", "api",
+    "cli", "paper", "main", "__main__", "api",
 )  # fmt: skip
 
 

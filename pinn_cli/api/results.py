@@ -36,10 +36,11 @@ def load(directory: str | os.PathLike[str]) -> Result | SweepResult:
         The result; of a sweep those of its runs, with their tables joined.
 
     Raises:
-        InputError: It is neither, or the run has not finished.
+        InputError: It is neither, the run has not finished, or a later release made it.
     """
     place = Path(directory).expanduser().absolute()
     if (place / RESULT).is_file():
+        read_record(place)  # that of a later release is refused at once
         return Result(place)
     if (place / STORED).is_file():
         return SweepResult(place)

@@ -32,7 +32,7 @@ from pinn_cli.runs.resume import StoredRun, check_sound, how_to_go_on
 from pinn_cli.runs.writing import OUTPUT, WriteError, refused_by_disk
 from pinn_cli.settings.errors import InputError
 from pinn_cli.sweep import collect, failure
-from pinn_cli.sweep.callback import ended_sweep
+from pinn_cli.sweep.callback import ended_sweep, leave_sweep
 from pinn_cli.sweep.collect import Collection, collect_command
 from pinn_cli.sweep.jobs import NOT_STARTED, Sweep
 
@@ -58,6 +58,9 @@ def execute(task: Task, look: Task | None = None, follow: Task | None = None) ->
     except KeyboardInterrupt as stop:
         jobs.terminal.complain(f"interrupted{f'; {jobs.hint}' if jobs.hint else ''}")
         return stop.status if isinstance(stop, Interruption) else STATUS_INTERRUPTED
+    except failure.UnansweredError as error:
+        jobs.terminal.complain(f"{error}; {jobs.hint}")
+        return STATUS_DEFECT
     except BrokenPipeError:  # the reader has left, as in `pinn-run --help | head -1`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return STATUS_PIPE
@@ -107,7 +110,7 @@ def perform(jobs: Jobs, look: Task | None, watch: AbstractContextManager[None], 
                 _start(jobs, options)
                 _collect(jobs)
             sys.stdout.flush()
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, failure.UnansweredError):
         _note_how_to_go_on(jobs)
         raise
     except BrokenPipeError:
@@ -122,6 +125,7 @@ def perform(jobs: Jobs, look: Task | None, watch: AbstractContextManager[None], 
             raise
         raise told.with_traceback(error.__traceback__) from None
     finally:
+        leave_sweep()
         if jobs.refused:
             discard()
     if jobs.error is not None:
@@ -129,7 +133,7 @@ def perform(jobs: Jobs, look: Task | None, watch: AbstractContextManager[None], 
 
 
 def _note_how_to_go_on(jobs: Jobs) -> None:
-    """What is to be said of an interruption."""
+    """What is to be said where a run or the wait for a sweep was broken off."""
     ended = ended_sweep()
     if ended is not None:
         jobs.hint = f"to go on: the same command again; for what there is: {collect_command(ended[0].directory)}"

@@ -14,8 +14,10 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from pinn_cli.cli.terminal import Terminal
 from pinn_cli.runs.claim import Claim, entered
+from pinn_cli.runs.interruption import stop_if_asked
+from pinn_cli.runs.layout import stamp
 from pinn_cli.runs.memory import is_out_of_memory, of_this_machine
-from pinn_cli.runs.resume import StoredRun, going_on, how_to_go_on
+from pinn_cli.runs.resume import FORMAT, StoredRun, going_on, how_to_go_on
 from pinn_cli.runs.writing import WriteError, refused_by_disk
 from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
 from pinn_cli.sweep import failure
@@ -77,6 +79,7 @@ class Jobs:
                     raise InputError(setting, HydraConfig.get().run.dir, "a directory")
                 return self._run(config, claim, in_sweep)
             except Exception as raised:
+                stop_if_asked()
                 error = _explained(raised)
                 _conclude(claim, error)
                 if in_sweep and claim.locked:  # else it is no directory of ours to write into
@@ -110,7 +113,7 @@ def _settings(config: DictConfig) -> dict[str, DictConfig | ListConfig]:
     """What `.hydra/` holds, by file: as Hydra itself would have written it, but for when."""
     hydra = HydraConfig.get()
     return {
-        "hydra.yaml": OmegaConf.create({"hydra": hydra}),
+        "hydra.yaml": OmegaConf.create({**stamp(FORMAT), "hydra": hydra}),
         "config.yaml": config,
         "overrides.yaml": OmegaConf.create(hydra.overrides.task),
     }

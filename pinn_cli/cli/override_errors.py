@@ -68,11 +68,17 @@ def _unknown_option(error: MissingConfigException, config_dir: str | None) -> In
         return InputError("--config-name", option, "the name of a config file", _first_line(error))
     # experiment=paper/x is told as group experiment/paper; a user types and reads it from the first folder on.
     root, _, folder = group.partition("/")
+    if root == "hydra":  # no group of its own, but a folder of groups, whose options Hydra's plug-ins have
+        return _no_option(group, option, sorted(error.options or ()))
     options = sorted(option_names(root, config_dir))
     given = f"{folder}/{option}" if folder else option
     if given in options:
         return InputError(root, given, "such that a configuration follows", _first_line(error))
-    return InputError(root, given, f"one of {', '.join(options)}", suggestion(given, options))
+    return _no_option(root, given, options)
+
+
+def _no_option(group: str, given: str, options: Sequence[str]) -> InputError:
+    return InputError(group, given, f"one of {', '.join(options)}", suggestion(given, options))
 
 
 def _bad_syntax(error: OverrideParseException, overrides: Sequence[str]) -> InputError:

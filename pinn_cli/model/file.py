@@ -15,6 +15,7 @@ import numpy as np
 from pinn_cli.model.knowledge import DiscrepancyEvidence, EndState, Levels, Misfit, ParameterKnowledge
 from pinn_cli.model.model import Model
 from pinn_cli.model.structure_content import structure_content, structure_of
+from pinn_cli.runs.layout import NUMBER, check_layout, stamp
 from pinn_cli.runs.reading import MOST_BYTES
 from pinn_cli.runs.resume import RESULT, read_record
 from pinn_cli.runs.writing import write_bytes
@@ -25,8 +26,8 @@ from pinn_cli.system.structure import Structure
 
 NAME, SETTING = "model.npz", "model"
 ALLOWED = "null, or the directory of a finished run"
-# Of the file's layout.
-VERSION = 2
+# Of the file's layout; those before had less.
+FORMAT = 2
 # Of the arrays when unpacked: a file that somebody made to be far larger than it looks is not read.
 MOST_UNPACKED = 16 * MOST_BYTES
 # Of a parameter, what the structure itself does not say.
@@ -39,7 +40,7 @@ def write_model(model: Model, directory: Path) -> Path:
     """Write ``model.npz`` into a run's directory, whole or not at all."""
     words, arrays = structure_content(model.structure)
     words |= {
-        "version": VERSION,
+        **stamp(FORMAT),
         "parameters": [[p.kind, p.index, *(bool(getattr(p, name)) for name in _OWN)] for p in model.parameters],
         "verdict": model.verdict,
         "reason": model.reason,
@@ -83,6 +84,8 @@ def read_model(given: Any, base: Path | None = None) -> Model:
         raise InputError(SETTING, given, ALLOWED, f"it has no {NAME}: it is a prediction, or of an earlier release")
     try:
         model = stored_model(directory)
+    except InputError:
+        raise
     except (OSError, KeyError, ValueError, TypeError, IndexError, AttributeError, zipfile.BadZipFile) as error:
         raise InputError(SETTING, given, ALLOWED, f"{NAME} in it cannot be read: {error}") from error
     if model.verdict == "failed":
@@ -95,6 +98,7 @@ def stored_model(directory: Path) -> Model:
     """What lies in a directory as ``model.npz``, whatever else does.
 
     Raises:
+        InputError: Another release wrote it, in a layout that is not known here.
         OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, zipfile.BadZipFile: It is damaged.
     """
     file = directory / NAME
@@ -104,8 +108,7 @@ def stored_model(directory: Path) -> Model:
     with np.load(file, allow_pickle=False) as content:
         arrays = {name: content[name] for name in content.files}
     words = json.loads(bytes(arrays.pop("content")).decode())
-    if words["version"] != VERSION:
-        raise ValueError(f"its layout is number {words['version']}, and {VERSION} is known here")
+    check_layout({NUMBER: words.get("version", 1)} | words, FORMAT, file, oldest=FORMAT)
     structure = structure_of(words, _of("structure_", arrays))
     known = ParameterKnowledge(**_fields("parameters_", arrays))
     _check(known, len(words["parameters"]))

@@ -18,14 +18,15 @@ from torch import Tensor
 
 from pinn_cli.posterior.target import Target
 from pinn_cli.runs.identity import package_version
+from pinn_cli.runs.layout import NUMBER, WRITER, check_layout, stamp
 from pinn_cli.runs.writing import replacing
-from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.settings.errors import DivergenceError, InputError
 
 SITE, SITES = "q", ("q",)
 MAX_TREE_DEPTH = 10
 # Width of the starts over that of the posterior: R-hat compares chains, which tells something if they began apart.
 OVERDISPERSION = 2.0
-FOLDER = "chains"
+FOLDER, FORMAT = "chains", 1
 # Whose versions decide which numbers are drawn.
 PACKAGES = ("pinn-cli", "pyro-ppl", "torch", "numpy")
 # Places at which a likelihood is asked what it says, to know it again.
@@ -234,23 +235,30 @@ class ChainStore:
 
     def write(self, chain: int, draws: ChainDraws) -> None:
         """Put a finished chain on the disk."""
-        identity = {"digest": np.array(self.digest), "chain": np.array(chain)}
+        identity = {"digest": self.digest, "chain": chain, **stamp(FORMAT)}
         with replacing(self.place(chain)) as beside, beside.open("wb") as file:
             np.savez(
                 file, allow_pickle=False, q=draws.q, seconds=np.array(draws.seconds), **identity, **draws.statistics
             )
 
     def read(self, chain: int) -> ChainDraws | None:
-        """A chain that was finished before; None, and a line in the log, where its file is not what it should be."""
+        """A chain that was finished before; None, and a line in the log, where its file is not what it should be.
+
+        Raises:
+            InputError: A later release wrote it.
+        """
         place = self.place(chain)
         if not place.exists():
             return None
         chain_draws = None
         try:
             with np.load(place, allow_pickle=False) as file:
+                check_layout({name: file[name].item() for name in (NUMBER, WRITER) if name in file}, FORMAT, place)
                 if (str(file["digest"]), int(file["chain"])) == (self.digest, chain):
                     statistics = {name: file[name] for name in STATISTICS}
                     chain_draws = ChainDraws(file["q"], statistics, float(file["seconds"]))
+        except InputError:
+            raise
         except Exception:  # of all that may be wrong with a file, nothing matters but that the chain is sampled again
             chain_draws = None
         if chain_draws is None:

@@ -17,6 +17,8 @@ import numpy as np
 
 from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.runs.identity import package_version
+from pinn_cli.runs.layout import stamp
+from pinn_cli.runs.resume import FORMAT
 
 if TYPE_CHECKING:
     from pinn_cli.posterior.result import PosteriorResult
@@ -51,6 +53,7 @@ def run_facts(
 ) -> dict[str, Any]:
     """What is said of every run: its training's summary, the digest of what it observed, seconds by stage."""
     return {
+        **stamp(FORMAT),
         "case": run.case,
         "seconds": {name: round(value, 4) for name, value in seconds.items()},
         "training": {"dtype": "float64", **summary},

@@ -16,6 +16,7 @@ import torch
 from pinn_cli.runs.checkpoint_files import LAST, PREVIOUS, CheckpointFiles, sealed
 from pinn_cli.runs.identity import Identity
 from pinn_cli.runs.interruption import warned
+from pinn_cli.runs.layout import check_layout, stamp
 from pinn_cli.runs.resume import AUTO
 from pinn_cli.settings.errors import InputError
 
@@ -84,12 +85,12 @@ class Checkpoints:
 
         Raises:
             OtherRunError: It is another run's; nothing has been changed.
+            InputError: A later release wrote it.
         """
         content = self.files.read()
         if content is None:
             return False
-        if content.get("format") != FORMAT:
-            raise OtherRunError([f"checkpoint format={FORMAT} (was {content.get('format')})"])
+        check_layout(content, FORMAT, self.directory / LAST)
         try:
             identity, kept, states = Identity.read(content["identity"]), list(content["trainings"]), content["random"]
         except FORGED as error:
@@ -134,7 +135,7 @@ class Checkpoints:
         now = {"ended": ended, "state": training.state_dict()}
         before = [{"ended": True, "state": state} for state in self._ended]
         content = {
-            "format": FORMAT,
+            **stamp(FORMAT),
             "identity": self.identity.content,
             "trainings": [*before, now],
             "random": random_states(),
@@ -165,7 +166,8 @@ def open_checkpoints(
         device: Of the run.
 
     Raises:
-        InputError: The run was to be resumed by its directory's name, and the checkpoint there is another run's.
+        InputError: The run was to be resumed by its directory's name, and the checkpoint there is another run's; or a
+            later release wrote it.
     """
     checkpoints = Checkpoints(directory, identity, every_s, device)
     found = any((directory / name).is_file() for name in (LAST, PREVIOUS))

@@ -17,7 +17,7 @@ from pathlib import Path
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from pinn_cli.runs.lock import held
-from pinn_cli.runs.ownership import SETTINGS, check_destination
+from pinn_cli.runs.ownership import SETTINGS, check_destination, made
 from pinn_cli.runs.reading import printable
 from pinn_cli.runs.writing import WriteError, content_of, put_back, replacing, tidy
 from pinn_cli.settings.errors import InputError
@@ -100,7 +100,7 @@ class Claim:
         """
         if self.locked:
             return
-        check_destination(self.directory, self.setting)
+        check_destination(made(self.directory, self.setting), self.setting)
         with self._one_line():
             self._held.enter_context(held(self.directory))
         self.locked = True

@@ -58,6 +58,9 @@ def watched(signals: Sequence[int] = SIGNALS, in_time: bool = False, ends: bool 
     try:
         with _ended_in_time(heeded) if in_time else nullcontext():
             yield
+    except Exception:
+        stop_if_asked()
+        raise
     finally:
         _asked, _ends_at_second = None, True
         for number, handler in before.items():
@@ -116,8 +119,7 @@ def deferred() -> Iterator[None]:
         yield
     finally:
         _deferring -= 1
-    if _asked is not None and not _deferring:
-        raise Interruption(_asked)
+    stop_if_asked()
 
 
 @contextmanager
@@ -130,11 +132,20 @@ def heeded() -> Iterator[None]:
     global _deferring  # noqa: PLW0603
     _deferring -= 1
     try:
-        if _asked is not None and not _deferring:
-            raise Interruption(_asked)
+        stop_if_asked()
         yield
     finally:
         _deferring += 1
+
+
+def stop_if_asked() -> None:
+    """Also where an error came up: a library whose import was broken off by a signal raises anything.
+
+    Raises:
+        Interruption: A signal came that was not put off, or is not any more.
+    """
+    if _asked is not None and not _deferring:
+        raise Interruption(_asked)
 
 
 def asked() -> bool:

@@ -1,4 +1,4 @@
-"""One process at a time in a run's directory, or wherever else: a second one waits until the first has ended.
+"""One process at a time in a run's or a sweep's directory, or wherever else: a second one waits until the first ends.
 
 The operating system holds the lock for an open file and gives it back when the process ends, however it ends, so that
 nothing is left over from a kill. Between machines it holds where the file system's locks do: NFS, GPFS, Lustre mounted
@@ -13,7 +13,7 @@ import logging
 import os
 import socket
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,21 +24,40 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-FILE = "run.lock"
+# Of a run and of a sweep, whose directory a job may have for its own.
+FILE, SWEEP_FILE = "run.lock", "sweep.lock"
 EVERY_S = 1.0
 # What a file system without locks answers.
 _NONE = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)
 
 
 @contextmanager
-def held(directory: Path) -> Iterator[None]:
-    """Keep other processes out of a run's directory during the block, once those before have left it.
+def held(directory: Path, name: str = FILE) -> Iterator[None]:
+    """Keep other processes out of a run's or a sweep's directory during the block, once those before have left it.
 
     Args:
-        directory: Exists. While the block runs, its `run.lock` says who is in there.
+        directory: Exists.
+        name: Of the file in it that says who is in there while the block runs.
     """
-    with locked(directory / FILE, f"waiting for another process to leave {directory}", EVERY_S):
+    with locked(directory / name, f"waiting for another process to leave {directory}", EVERY_S):
         yield
+
+
+@contextmanager
+def if_free(directory: Path) -> Iterator[bool]:
+    """Whether no other process is in a run's or a sweep's directory, or comes in meanwhile: see :func:`held`."""
+    from filelock import FileLock, Timeout
+
+    with ExitStack() as locks:
+        try:
+            for name in (FILE, SWEEP_FILE):
+                locks.enter_context(FileLock(directory / name, blocking=False, fallback_to_soft=False))
+            free = True
+        except Timeout:
+            free = False
+        except OSError:  # a file system without locks
+            free = True
+        yield free
 
 
 @contextmanager
@@ -81,7 +100,9 @@ def _acquire(lock: BaseFileLock, waiting: str, every_s: float) -> None:
     except Timeout:
         if waiting:
             log.warning("%s: %s", waiting, _owner(Path(lock.lock_file)))
-        lock.acquire(poll_interval=every_s)
+        while not lock.is_locked:
+            with suppress(FileNotFoundError):  # who was in there took the folder along: it is made anew
+                lock.acquire(poll_interval=every_s)
 
 
 def _owner(file: Path) -> str:

@@ -11,8 +11,10 @@ import re
 import shutil
 import stat
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
+from pinn_cli.runs.lock import if_free
 from pinn_cli.runs.reading import small_text
 from pinn_cli.settings.errors import InputError
 
@@ -21,13 +23,13 @@ SETTINGS = ".hydra"
 MARKED = (f"{SETTINGS}/hydra.yaml", "multirun.yaml")
 MARK = "pinn_cli"
 # What may lie in a directory that was prepared and never begun: by pattern, with files that were being written.
-_PREPARED = re.compile(r"run\.lock|failure\.json|\.submitit|\.(failure|multirun)\.\d+\.partial\.(json|yaml)")
+_PREPARED = re.compile(r"(run|sweep)\.lock|failure\.json|\.submitit|\.(failure|multirun)\.\d+\.partial\.(json|yaml)")
 _PREPARED_SETTINGS = re.compile(r"overrides\.yaml|\.(hydra|config|overrides)\.\d+\.partial\.yaml")
 _FILES = re.compile(r".*\.(csv|json|pt|nc|log|lock|yaml)")
 _FOLDERS = (SETTINGS, "figures", "chains", "tensorboard")
 ALLOWED = "a new or empty directory, or one that pinn-run made"
 
-# Directories that did not exist before the run or sweep that was started last, outermost first.
+# Directories that did not exist before the run or sweep that was started last, its own first.
 _new: list[Path] = []
 
 
@@ -104,7 +106,16 @@ def note_new(directory: Path) -> None:
 
 
 def discard() -> None:
-    """Remove what unusable input left: directories that are new and in which no run was begun."""
-    for directory in _new:
-        if os.path.isdir(directory) and all(map(is_prepared, directory.iterdir())):
-            shutil.rmtree(directory)
+    """Remove what unusable input left: directories that are new, and in which nobody is nor any run was begun."""
+    for directory in _new[:1]:
+        if _is_unused(directory):
+            with if_free(directory) as free:
+                if free and _is_unused(directory):
+                    shutil.rmtree(directory)
+    for directory in _new[1:]:
+        with suppress(OSError):  # it holds something, or was not made
+            directory.rmdir()
+
+
+def _is_unused(directory: Path) -> bool:
+    return directory.is_dir() and all(map(is_prepared, directory.iterdir()))

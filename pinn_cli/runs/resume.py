@@ -21,6 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from pinn_cli.runs.identity import LEFT_OUT, Identity, is_left_out
+from pinn_cli.runs.layout import check_layout
 from pinn_cli.runs.reading import small_text
 from pinn_cli.runs.tracking_state import is_tracked
 from pinn_cli.settings.errors import InputError, NotSoundError
@@ -28,6 +29,8 @@ from pinn_cli.settings.override_syntax import quoted, setting_of
 from pinn_cli.settings.yaml_file import read_yaml
 
 AUTO, NEVER, RESULT = "auto", "never", "run.json"
+# Of the layouts of that file and of `.hydra/`.
+FORMAT = 1
 ALLOWED = "null, auto, never, or the directory of a run"
 # What a run that goes on takes up, in its directory: checkpoints of a training in steps, finished chains of NUTS, and
 # windows of a record.
@@ -90,6 +93,7 @@ class StoredRun:
         except (InputError, OmegaConfBaseException) as error:
             hint = f"its .hydra/ cannot be read: {error}"
             raise InputError("resume", given, ALLOWED, hint) from error
+        check_layout(runtime or {}, FORMAT, hydra)
         return cls(directory, stored, Path(str(cwd)) if cwd else Path.cwd(), others)
 
     @property
@@ -142,12 +146,19 @@ def is_finished(directory: Path, config: DictConfig, base: Path) -> bool:
 
 
 def read_record(directory: Path) -> dict[str, Any]:
-    """What `run.json` says of the run in a directory; empty where there is none, or it is damaged."""
+    """What `run.json` says of the run in a directory; empty where there is none, or it is damaged.
+
+    Raises:
+        InputError: A later release wrote it.
+    """
     try:
         content = json.loads(small_text(directory / RESULT))
     except (OSError, ValueError):
         return {}
-    return content if isinstance(content, dict) else {}
+    if not isinstance(content, dict):
+        return {}
+    check_layout(content, FORMAT, directory / RESULT)
+    return content
 
 
 def stored_score(directory: Path) -> float | None:

@@ -11,10 +11,11 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
+from pinn_cli.runs.layout import check_layout, stamp
 from pinn_cli.runs.reading import small_text
 from pinn_cli.runs.writing import write_json
 
-FILE = "tracking.json"
+FILE, FORMAT = "tracking.json", 1
 # The choice of the config group under which nothing is tracked.
 NONE = "none"
 
@@ -37,18 +38,23 @@ class TrackingState:
 
     @classmethod
     def read(cls, directory: Path) -> TrackingState | None:
-        """Of the run in a directory; None where nothing was tracked, or the file is damaged."""
+        """Of the run in a directory; None where nothing was tracked, or the file is damaged.
+
+        Raises:
+            InputError: A later release wrote it.
+        """
         try:
             content = json.loads(small_text(directory / FILE))
             tracking, configuration, key = (str(content[name]) for name in ("tracking", "configuration", "key"))
             found = cls(tracking, configuration, key, content["ended"] is True)
         except (OSError, ValueError, KeyError, TypeError):
             return None
+        check_layout(content, FORMAT, directory / FILE)
         return found if key.isalnum() else None
 
     def write(self, directory: Path) -> None:
         """Put it into the run's directory."""
-        write_json(asdict(self), directory / FILE)
+        write_json(stamp(FORMAT) | asdict(self), directory / FILE)
 
 
 def is_tracked(directory: Path, config: DictConfig) -> bool:

@@ -69,8 +69,8 @@ def replacing(path: Path | str) -> Iterator[Path]:
         WriteError: The disk does not take it; what was there before stays.
     """
     place = Path(path)
-    # The suffix is kept: some writers choose their format by it. The process id keeps two jobs of a sweep apart.
-    beside = place.with_name(f".{place.stem}.{os.getpid()}.partial{place.suffix}")
+    # The suffix is kept: some writers choose their format by it. The number keeps processes apart, on any machine.
+    beside = place.with_name(f".{place.stem}.{int.from_bytes(os.urandom(6))}.partial{place.suffix}")
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         yield beside

@@ -33,7 +33,7 @@ from pinn_cli.search.trials import OVERRIDES, create_study, load_study, override
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, whole_number
 from pinn_cli.settings.override_syntax import setting_of
-from pinn_cli.sweep.jobs import begin_sweep
+from pinn_cli.sweep.callback import begin_sweep
 
 METHODS = ("tpe", "random")
 NO_VALIDATION, EVIDENCE = "NoValidation", "EvidenceScore"
@@ -88,12 +88,6 @@ class Search:
             )
         typed = [str(override) for override in config.hydra.overrides.task]
         self.overrides = sorted([*(o for o in typed if not is_left_out(setting_of(o))), *self.params])
-        study = load_study(self.directory)
-        known = self.overrides if study is None else study.user_attrs.get(OVERRIDES, self.overrides)
-        if known != self.overrides:
-            changed = ", ".join(sorted(set(known) ^ set(self.overrides)))
-            allowed = "another directory: there is a search with other settings in this one"
-            raise InputError("hydra.sweep.dir", "(as given)", allowed, f"they differ in {changed}")
         elsewhere = not str(config.hydra.launcher.get("_target_")).endswith("SerialLauncher")
         if elsewhere and self.n_jobs == 1:
             print("one trial at a time: hydra.sweeper.n_jobs=2 has two at once", file=sys.stderr)
@@ -113,6 +107,7 @@ class Search:
         space, fixed = read_space([*self.params, *arguments])
         self._check_comparable(space)
         begin_sweep(self.config)
+        self._check_study()
         study = create_study(self.directory)
         study.set_user_attr(OVERRIDES, self.overrides)
         while (ended := len(study.get_trials(deepcopy=False))) < self.n_trials:
@@ -134,6 +129,14 @@ class Search:
             allowed = "given settings under which a trial ends with a score"
             raise InputError("hydra/sweeper", "search", allowed, "every trial failed")
         print(printable(report_search(self.directory)))
+
+    def _check_study(self) -> None:
+        study = load_study(self.directory)
+        known = self.overrides if study is None else study.user_attrs.get(OVERRIDES, self.overrides)
+        if known != self.overrides:
+            changed = ", ".join(sorted(set(known) ^ set(self.overrides)))
+            allowed = "another directory: there is a search with other settings in this one"
+            raise InputError("hydra.sweep.dir", "(as given)", allowed, f"they differ in {changed}")
 
     def _check_comparable(self, space: Mapping[str, BaseDistribution]) -> None:
         for name in space if self.validation == EVIDENCE else ():

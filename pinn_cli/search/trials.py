@@ -15,6 +15,7 @@ from optuna.trial import FrozenTrial
 from sqlalchemy.exc import DatabaseError
 
 from pinn_cli.runs.identity import is_left_out
+from pinn_cli.runs.layout import check_layout, stamp
 from pinn_cli.runs.resume import read_record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import setting_of
@@ -22,7 +23,7 @@ from pinn_cli.sweep.failure import Failure
 from pinn_cli.sweep.jobs import job_directories, stored_overrides
 
 # In the sweep's directory; the trials in it have ended.
-FILE, NAME = "search.db", "search"
+FILE, NAME, FORMAT = "search.db", "search", 1
 # Attribute of the study: the overrides that it was started with.
 OVERRIDES = "overrides"
 LEADING = ("trial", "state", "score", "seconds", "directory", "reason")
@@ -32,26 +33,31 @@ FEWEST = 5
 
 def create_study(directory: Path) -> Study:
     """The study in a sweep's directory, a new one where there is none."""
-    return optuna.create_study(study_name=NAME, storage=f"sqlite:///{directory / FILE}", load_if_exists=True)
+    study = optuna.create_study(study_name=NAME, storage=f"sqlite:///{directory / FILE}", load_if_exists=True)
+    for name, value in stamp(FORMAT).items():
+        study.set_user_attr(name, value)
+    return study
 
 
 def load_study(directory: Path) -> Study | None:
     """The study in a sweep's directory; None where there is none.
 
     Raises:
-        InputError: The file there is none that this release of Optuna reads.
+        InputError: The file there is none that this release of Optuna reads, or a later one of this package wrote it.
     """
     optuna.logging.set_verbosity(logging.WARNING)
     logging.getLogger("alembic").setLevel(logging.WARNING)  # it tells of every table that Optuna makes
     if not (directory / FILE).is_file():
         return None
     try:
-        return optuna.load_study(study_name=NAME, storage=f"sqlite:///{directory / FILE}")
+        study = optuna.load_study(study_name=NAME, storage=f"sqlite:///{directory / FILE}")
     except KeyError:  # cut off before it was made
         return None
     except (RuntimeError, DatabaseError) as error:  # of another release; damaged
         allowed = f"a directory whose {FILE} was written by this release of Optuna"
         raise InputError("hydra.sweep.dir", directory, allowed, str(error).partition("\n")[0]) from error
+    check_layout(study.user_attrs, FORMAT, directory / FILE)
+    return study
 
 
 def overrides_of(trial: FrozenTrial) -> list[str]:

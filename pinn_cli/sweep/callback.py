@@ -5,16 +5,19 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from pinn_cli.runs.ownership import is_prepared
+from pinn_cli.runs.claim import reason
+from pinn_cli.runs.lock import SWEEP_FILE, held
+from pinn_cli.runs.ownership import check_destination, is_prepared, made
 from pinn_cli.runs.resume import RESULT
-from pinn_cli.runs.writing import content_of, put_back
+from pinn_cli.runs.writing import WriteError, content_of, put_back, write_text
 from pinn_cli.settings.errors import InputError
 from pinn_cli.sweep.failure import FILE, INPUT
 from pinn_cli.sweep.jobs import FINISHED, OVERRIDES, STORED, Job, Sweep
@@ -111,19 +114,38 @@ def _remove(directory: Path) -> None:
 
 # The sweep that runs in this process, what its directory held before, and what shows how far it is.
 _running: tuple[Sweep, Before, Progress] | None = None
+# What keeps other processes out of its directory.
+_held = ExitStack()
 
 
 def note_sweep(config: DictConfig) -> None:
-    """Note a sweep that is about to run, from its configuration with the `hydra` node, and show its progress."""
-    global _running  # noqa: PLW0603
+    """Keep the names of the settings that are swept for the jobs, whose configurations have overrides of their own."""
     with suppress(OmegaConfBaseException):  # where it is made of what only a job has, such as ${hydra.job.num}
-        str(config.hydra.sweep.subdir)  # keeps the names of the swept settings for the jobs
+        str(config.hydra.sweep.subdir)
+
+
+def begin_sweep(config: Any) -> None:
+    """Enter a sweep's directory, once no other process is there, leave the configuration in it and show the progress.
+
+    Args:
+        config: With its `hydra` node; its overrides have been found good.
+
+    Raises:
+        InputError: The directory is none that a sweep may write into.
+    """
+    global _running  # noqa: PLW0603
+    setting, directory = "hydra.sweep.dir", Path(str(config.hydra.sweep.dir))
+    if not config.hydra.sweep.dir:
+        raise InputError(setting, config.hydra.sweep.dir, "a directory")
+    sweep = Sweep.of(config, directory)
+    check_destination(made(directory, setting), setting)
     try:
-        sweep = Sweep.of(config, Path(str(config.hydra.sweep.dir)))
-    except (OmegaConfBaseException, InputError):  # Hydra, or the sweeper, meets it next and reports it
-        return
-    progress = Progress(sweep)
-    _running = sweep, Before.of(sweep), progress
+        _held.enter_context(held(directory, SWEEP_FILE))
+        progress = Progress(sweep)
+        _running = sweep, Before.of(sweep), progress
+        write_text(OmegaConf.to_yaml(config), directory / STORED)
+    except (OSError, WriteError) as error:
+        raise InputError(setting, directory, "a directory that can be written to", reason(error)) from error
     progress.start()
 
 
@@ -136,3 +158,8 @@ def ended_sweep() -> tuple[Sweep, Before] | None:
     _running = None
     progress.stop()
     return sweep, before
+
+
+def leave_sweep() -> None:
+    """Let others into its directory."""
+    _held.close()

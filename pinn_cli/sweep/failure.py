@@ -17,6 +17,10 @@ DEFECT, INPUT, STOPPED, NOT_SOUND = 1, 2, 3, 4
 _STATUS = {InputError: INPUT, DivergenceError: STOPPED, WriteError: STOPPED, NotSoundError: NOT_SOUND}
 
 
+class UnansweredError(RuntimeError):
+    """What runs the jobs of a sweep elsewhere is not heard of any more, and they may go on."""
+
+
 @dataclass(frozen=True)
 class Failure:
     """Why a job ended without results.

@@ -11,9 +11,9 @@ from omegaconf import DictConfig
 
 from pinn_cli.settings.legal_values import whole_number
 from pinn_cli.settings.override_syntax import setting_of
+from pinn_cli.sweep.callback import begin_sweep
 from pinn_cli.sweep.composing import compose_job, is_number
 from pinn_cli.sweep.directories import combinations
-from pinn_cli.sweep.jobs import begin_sweep
 
 
 def run_grid(

@@ -14,16 +14,15 @@ import yaml
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from pinn_cli.runs.ownership import check_destination, made
 from pinn_cli.runs.reading import small_text
 from pinn_cli.runs.resume import RESULT, read_record
-from pinn_cli.runs.writing import WriteError, write_text
+from pinn_cli.runs.writing import write_text
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import whole_number
 from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.settings.yaml_file import read_yaml
 from pinn_cli.sweep.directories import MOST_JOBS, combinations, job_name, parse, swept_settings
-from pinn_cli.sweep.failure import Failure
+from pinn_cli.sweep.failure import INPUT, Failure
 
 STATUSES = FINISHED, FAILED, UNFINISHED, NOT_STARTED = "finished", "failed", "unfinished", "not started"
 # The sweep's configuration with its `hydra` node, in its directory.
@@ -63,9 +62,11 @@ class Job:
             return cls(directory, tuple(overrides), FAILED, failure.reason, failure.status)
         if not (directory / RESULT).is_file():
             return cls(directory, tuple(overrides), UNFINISHED)
-        return cls(
-            directory, tuple(overrides), FINISHED, seconds=read_record(directory).get("seconds", {}).get("total")
-        )
+        try:
+            record = read_record(directory)
+        except InputError as error:  # of a later release
+            return cls(directory, tuple(overrides), FAILED, str(error), INPUT)
+        return cls(directory, tuple(overrides), FINISHED, seconds=record.get("seconds", {}).get("total"))
 
     @property
     def ended(self) -> bool:
@@ -144,22 +145,6 @@ class Sweep:
         """The job's swept settings and their values, as text."""
         swept = [override for override in job.overrides if setting_of(override) not in self.fixed]
         return {setting_of(override): parse(override).get_value_element_as_str() for override in swept}
-
-
-def begin_sweep(config: Any) -> None:
-    """Make a sweep's directory and leave its configuration, with its `hydra` node, in it.
-
-    Raises:
-        InputError: The directory is none that a sweep may write into.
-    """
-    if not config.hydra.sweep.dir:
-        raise InputError("hydra.sweep.dir", config.hydra.sweep.dir, "a directory")
-    directory = Path(str(config.hydra.sweep.dir))
-    check_destination(made(directory, "hydra.sweep.dir"), "hydra.sweep.dir")
-    try:
-        write_text(OmegaConf.to_yaml(config), directory / STORED)
-    except WriteError as error:
-        raise InputError("hydra.sweep.dir", directory, "a directory that can be written to", error.reason) from error
 
 
 def is_search(config: Any) -> bool:

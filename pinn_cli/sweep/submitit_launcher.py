@@ -27,6 +27,7 @@ from submitit.core.utils import JobPaths
 
 from pinn_cli.runs.interruption import Interruption, warning, watched
 from pinn_cli.settings.errors import InputError
+from pinn_cli.sweep.failure import UnansweredError
 from pinn_cli.sweep.launching import PendingJob, Work, WorkLauncher, jobs_at_once, take_over
 
 # Of the executor itself, rather than of its jobs.
@@ -44,6 +45,8 @@ _ON_PURPOSE = ("CANCELLED", FORGOTTEN)
 # Seconds from one look for results to the next, from one `squeue` to the next, and that a slow file system has to show
 # the result of a task that has ended.
 _LOOK_EVERY_S, _ASK_EVERY_S, _SHOWN_S = 1.0, 10.0, 15.0
+# How many times in a row `squeue` may fail, as where its daemon starts anew: a minute, or several if it waits itself.
+_UNANSWERED = 6
 
 # A task and its jobs, in the order in which it runs them.
 Sent = tuple[Any, list[PendingJob]]
@@ -180,14 +183,17 @@ class SlurmLauncher(SubmititLauncher):
     """On a SLURM cluster; see the module."""
 
     _EXECUTOR, _TASK = "slurm", "SLURM job"
+    _failures = 0
 
     def _sent_before(self, jobs: list[PendingJob]) -> list[Sent]:
-        if not jobs[0].goes_on():
-            return []
         folder, left = self.params["submitit_folder"], {job.number for job in jobs}
         scripts = JobPaths.get_first_id_independent_folder(folder)
+        if not jobs[0].goes_on() or not scripts.is_dir():
+            return []
+        while (queue := self._queue()) is None:
+            time.sleep(_ASK_EVERY_S)
         sent: list[Sent] = []
-        for name, (state, script) in (_queue() or {}).items():
+        for name, (state, script) in queue.items():
             if script.parent == scripts and not state.startswith((*_ENDED, *_ON_PURPOSE, "COMPLETING")):
                 task: Any = submitit.SlurmJob(folder, name)
                 batch = [self.jobs.get(overrides) for overrides in _overrides_of(task)]
@@ -205,7 +211,7 @@ class SlurmLauncher(SubmititLauncher):
             time.sleep(_LOOK_EVERY_S)
             if time.monotonic() - asked < _ASK_EVERY_S:
                 continue
-            queue, asked = _queue(), time.monotonic()
+            queue, asked = self._queue(), time.monotonic()
             now = {} if queue is None else {name: queue.get(name, (FORGOTTEN, Path()))[0] for name in left}
             ended = {name for name, state in now.items() if state.startswith((*_ENDED, *_ON_PURPOSE))}
             states |= {name: now[name] for name in ended & seen}
@@ -215,6 +221,30 @@ class SlurmLauncher(SubmititLauncher):
         while time.monotonic() < until and not all(map(_has_result, lost)):
             time.sleep(_LOOK_EVERY_S)
         return states
+
+    def _queue(self) -> dict[str, tuple[str, Path]] | None:
+        """State and script of this user's tasks by name (`17_3`), ended ones for some minutes; None if nobody answers.
+
+        Raises:
+            UnansweredError: Nobody has for some time.
+        """
+        options = ("--noheader", "--array", "--states=all", f"--user={os.getuid()}", "--format=%i|%T|%o")
+        try:
+            listed = subprocess.run(["squeue", *options], capture_output=True, text=True, timeout=60, check=True).stdout
+        except (OSError, subprocess.SubprocessError) as error:
+            self._failures += 1
+            if self._failures < _UNANSWERED:
+                return None
+            said = (getattr(error, "stderr", None) or str(error)).strip().splitlines()
+            told = (
+                f"squeue failed {_UNANSWERED} times in a row ({said[-1]}): what was sent goes on without this command"
+            )
+            raise UnansweredError(told) from error
+        self._failures = 0
+        rows = (
+            line.split("|", 2) for line in listed.splitlines() if line.count("|") >= 2
+        )  # no remarks of the cluster's
+        return {name: (state, Path(script)) for name, state, script in rows}
 
     def _announce(self, jobs: int, tasks: list[Any]) -> None:
         array = _array(tasks[0])
@@ -240,17 +270,6 @@ class LocalLauncher(SubmititLauncher):
         while not all(task.done() for task in tasks):
             time.sleep(_LOOK_EVERY_S)
         return {str(task.job_id): task.state for task in tasks if not _has_result(task)}
-
-
-def _queue() -> dict[str, tuple[str, Path]] | None:
-    """State and script of this user's tasks by name (`17_3`), ended ones for some minutes; None if nobody answers."""
-    options = ("--noheader", "--array", "--states=all", f"--user={os.getuid()}", "--format=%i|%T|%o")
-    try:
-        listed = subprocess.run(["squeue", *options], capture_output=True, text=True, timeout=60, check=True).stdout
-    except (OSError, subprocess.SubprocessError):
-        return None
-    rows = (line.split("|", 2) for line in listed.splitlines() if line.count("|") >= 2)  # no remarks of the cluster's
-    return {name: (state, Path(script)) for name, state, script in rows}
 
 
 def _array(task: Any) -> str:

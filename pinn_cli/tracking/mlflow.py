@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-from sqlite3 import DatabaseError, connect
+from sqlite3 import SQLITE_BUSY, DatabaseError, connect
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 from urllib.request import getproxies
@@ -36,7 +36,8 @@ ALLOWED = "a SQLite file, sqlite:///FILE, or a server, http://HOST:PORT"
 SQLITE_HEADER = b"SQLite format 3\0"
 # Some of the tables that every store of MLflow has.
 TABLES = {"experiments", "runs", "metrics", "params", "tags", "alembic_version"}
-# A server is waited for so long, s, for each of two tries; what the user's environment says of it counts more.
+# A server is waited for so long, s, for each of two tries, and a file that another program has locked; of a server what
+# the user's environment says counts more.
 ANSWER_S = 10
 _LIMITS = {
     "MLFLOW_HTTP_REQUEST_TIMEOUT": str(ANSWER_S),
@@ -145,6 +146,7 @@ class MlflowTracking(Tracking):
         os.environ.update({name: value for name, value in _LIMITS.items() if name not in os.environ})
         logging.getLogger("alembic").setLevel(logging.WARNING)
         logging.getLogger("urllib3").setLevel(logging.ERROR)  # which tells each try
+        logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)  # a traceback of what is raised anyway
         from mlflow.tracking import MlflowClient
 
         return MlflowClient(tracking_uri=uri)
@@ -263,6 +265,9 @@ def _check_database(uri: str, database: Path) -> None:
             if not beginning or (beginning == SQLITE_HEADER and _tables(database) >= TABLES):
                 return
             whose = "is there is the database of another program" if beginning == SQLITE_HEADER else whose
+    except DatabaseError as error:
+        hint = f"another program has had it locked for {ANSWER_S} s: the same command again tries once more"
+        raise InputError("tracking.uri", uri, "a file that can be used", hint) from error
     except OSError as error:
         hint = getattr(error, "strerror", None) or str(error)
         raise InputError("tracking.uri", uri, "a file that can be used", hint) from error
@@ -278,11 +283,17 @@ def _check_folder(uri: str, folder: Path) -> None:
 
 
 def _tables(database: Path) -> set[str]:
-    """Names of its tables; none where it cannot be read."""
+    """Names of its tables; none where it is damaged.
+
+    Raises:
+        DatabaseError: Another program has it locked.
+    """
     try:
-        with closing(connect(f"{database.as_uri()}?mode=ro", uri=True)) as connection:
+        with closing(connect(f"{database.as_uri()}?mode=ro", uri=True, timeout=ANSWER_S)) as connection:
             return {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-    except DatabaseError:
+    except DatabaseError as error:
+        if getattr(error, "sqlite_errorcode", None) == SQLITE_BUSY:
+            raise
         return set()
 
 

@@ -16,10 +16,13 @@ from typing import Any
 from pinn_cli.model.file import stored_model, write_model
 from pinn_cli.model.model import Model
 from pinn_cli.record.windows import Window
+from pinn_cli.runs.layout import check_layout, stamp
 from pinn_cli.runs.writing import tidy, write_json
 from pinn_cli.settings.errors import InputError
 
 FOLDER, DONE, IDENTITY, HANDED_OVER = "windows", "window.json", "windows.json", "handed_over"
+# Of the layout of all that lies there, but for models.
+FORMAT = 1
 
 
 @dataclass(frozen=True)
@@ -37,12 +40,19 @@ class WindowStore:
         return self.directory / FOLDER / f"{number:04d}"
 
     def identity(self) -> str | None:
-        """Which run the windows are of; None where there are none."""
+        """Which run the windows are of; None where there are none.
+
+        Raises:
+            InputError: A later release wrote them.
+        """
+        file = self.directory / FOLDER / IDENTITY
         try:
-            found = json.loads((self.directory / FOLDER / IDENTITY).read_text(encoding="utf-8"))
-            return str(found["configuration"])
+            found = json.loads(file.read_text(encoding="utf-8"))
+            configuration = str(found["configuration"])
         except (OSError, ValueError, KeyError, TypeError):
             return None
+        check_layout(found, FORMAT, file)
+        return configuration
 
     def begin(self, identity: str, goes_on: bool) -> None:
         """Make room for the windows of a run; those of another one go, and what a killed process left half-written.
@@ -54,7 +64,7 @@ class WindowStore:
         place = self.directory / FOLDER
         if not (goes_on and self.identity() == identity):
             shutil.rmtree(place, ignore_errors=True)
-            write_json({"configuration": identity}, place / IDENTITY)
+            write_json(stamp(FORMAT) | {"configuration": identity}, place / IDENTITY)
         for folder in (place, self.folder(self.done + 1)):
             if folder.is_dir():
                 tidy(folder)

@@ -27,6 +27,31 @@ def test_elsewhere_a_signal_stops_at_once_and_handlers_are_put_back():
     assert [signal.getsignal(number) for number in interruption.SIGNALS] == before
 
 
+def test_ctrl_c_while_the_program_imports_is_one_line(tmp_path):
+    (tmp_path / "omegaconf.py").write_text("import time\nprint('importing', flush=True)\ntime.sleep(60)")
+    command, path = [sys.executable, "-m", "pinn_cli"], f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}"
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, env={**os.environ, "PYTHONPATH": path}, **pipes) as process:
+        assert process.stdout.readline() == "importing\n"
+        process.send_signal(signal.SIGINT)
+        assert process.communicate() == ("", "pinn-run: interrupted\n")
+    assert process.returncode == 130
+
+
+def test_an_error_that_a_signal_led_to_is_no_error():
+    """Libraries whose import is broken off raise anything."""
+
+    def broken_off() -> None:
+        with watched():
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+            except Interruption:
+                raise AttributeError("half imported") from None
+
+    with pytest.raises(Interruption, match="SIGINT"):
+        broken_off()
+
+
 def test_an_ignored_signal_stays_ignored():
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:

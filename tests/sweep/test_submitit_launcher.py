@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -203,6 +204,7 @@ def test_a_task_is_waited_for_until_it_is_over(state: str, over: bool, squeue, t
 def test_tasks_of_a_killed_launcher_are_waited_for(resume, sent, pinn_run, squeue, tmp_path, monkeypatch) -> None:
     """17_0 has jobs of this sweep; 17_1 has a result by now, 18 is another sweep's, 19 has a job not asked for."""
     scripts = {"17_0": "sweep", "17_1": "sweep", "18": "other", "19": "sweep"}
+    Path("sweep/.submitit").mkdir(parents=True)
     queued = "".join(f"{t}|RUNNING|{tmp_path}/{place}/.submitit/.submission_file.sh\n" for t, place in scripts.items())
     squeue(queued, "17_0|TIMEOUT|x\n")
     jobs_of = {"17_0": (0, 1), "17_1": (2,), "18": (3,), "19": (3, 4)}
@@ -232,6 +234,34 @@ def test_tasks_of_a_killed_launcher_are_waited_for(resume, sent, pinn_run, squeu
         table = pd.read_csv("sweep/jobs.csv", keep_default_na=False).set_index("seed")
         assert list(table["status"]) == ["failed", "failed", "not started", "not started"]
         assert table["reason"].str.startswith("SLURM job 17_0 ended without a result, state TIMEOUT").sum() == 2
+
+
+@pytest.mark.parametrize("gone", [False, True])
+def test_a_squeue_that_answers_no_more_ends_the_wait(gone: bool, pinn_run, squeue, tmp_path, monkeypatch) -> None:
+    """What was sent stays, so that the same command finds it; nor is it sent once more while nobody says what runs."""
+    squeue("17_0|RUNNING|x\n")
+    arrays: list[int] = []
+
+    def submit(launcher: Any, batches: list[list[Any]]) -> list[Task]:
+        arrays.append(len(batches))
+        Path("sweep/.submitit").mkdir()
+        folder = Path(os.environ["PATH"].partition(":")[0])
+        program(folder, "squeue", "echo 'connect failure' >&2; exit 1")
+        if gone:
+            (folder / "squeue").unlink()
+        return [Task(f"17_{n}") for n in range(len(batches))]
+
+    monkeypatch.setattr(SlurmLauncher, "_submit", submit)
+    for _ in range(2):
+        done = pinn_run("--multirun", "hydra/launcher=slurm", *SMALL, "seed=0,1", "hydra.sweep.dir=sweep")
+        assert (done.status, done.out) == (1, "")
+        assert done.err.count("\n") == 1
+        said = "No such file or directory: 'squeue'" if gone else "connect failure"
+        assert done.err.startswith("pinn-run: squeue failed 6 times in a row (")
+        assert said in done.err
+        assert done.err.endswith("to go on: the same command again; for what there is: pinn-run collect=sweep\n")
+        assert {entry.name for entry in Path("sweep").iterdir()} == {".submitit", "multirun.yaml"}
+    assert arrays == [2]
 
 
 @pytest.mark.parametrize("answer", ["", "echo 'invalid partition specified: nowhere' >&2; exit 1"])

@@ -244,6 +244,42 @@ def test_a_database_of_another_program_is_left_alone(tmp_path: Path, tables: str
     assert list(tmp_path.iterdir()) == [database]
 
 
+def test_a_database_that_another_program_has_locked_is_no_other_program_s(tmp_path: Path, monkeypatch) -> None:
+    database = tmp_path / "here.db"
+    monkeypatch.setattr(mlflow_tracking, "ANSWER_S", 0.1)
+    with contextlib.closing(sqlite3.connect(database, isolation_level=None)) as connection:
+        connection.executescript("CREATE TABLE notes (text); BEGIN EXCLUSIVE")
+        assert "must be a file that can be used; another program has had it locked" in told(
+            f"sqlite:///{database}", tmp_path
+        )
+        connection.execute("ROLLBACK")
+    assert "the database of another program" in told(f"sqlite:///{database}", tmp_path)
+
+
+@pytest.mark.slow
+def test_a_database_that_is_locked_while_it_is_told_is_told_once(tmp_path: Path, monkeypatch, capfd, caplog) -> None:
+    database, job = tmp_path / "here.db", TrackedRun(tmp_path, "run", {"seed": "0"}, {}, "")
+    tracking, log_rows = MlflowTracking(f"sqlite:///{database}"), mlflow_tracking._log_rows
+    with contextlib.closing(sqlite3.connect(database, isolation_level=None)) as connection:
+
+        def locked(*given: Any) -> None:
+            connection.execute("BEGIN EXCLUSIVE")
+            log_rows(*given)
+
+        monkeypatch.setattr(mlflow_tracking, "_log_rows", locked)
+        with follow(tracking, job, resuming=True):
+            pass
+    assert [record.getMessage() for record in caplog.records if record.name.startswith("pinn_cli")] == [
+        "tracking=mlflow: (sqlite3.OperationalError) database is locked; the run goes on"
+    ]
+    assert "Traceback" not in capfd.readouterr().err
+    monkeypatch.undo()
+    with follow(tracking, job, resuming=True):
+        pass
+    (run,) = runs(database)
+    assert run.info.status == "FINISHED"
+
+
 def test_it_is_imported_only_where_it_is_chosen(tmp_path: Path) -> None:
     code = "import sys; from pinn_cli.main import run; import pinn_cli.tracking.follow; print('mlflow' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -1,0 +1,175 @@
+"""Two processes that start the same thing at the same time, on locks that are slow: each ends, and nothing is lost."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from calls import SMALL, PinnRun
+
+from pinn_cli.runs import lock as run_lock
+from pinn_cli.runs import ownership
+from pinn_cli.runs.lock import FILE, SWEEP_FILE, held
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from pinn_cli.runs.lock import held
+with held(Path(sys.argv[1]), sys.argv[2]):
+    print("in", flush=True)
+    time.sleep(60)
+"""
+# The command on a network whose every answer about a lock takes its time.
+SLOW_LOCKS = """
+import sys, time
+from filelock import FileLock
+acquire = FileLock._acquire
+def late(lock):
+    time.sleep(0.4)
+    acquire(lock)
+    time.sleep(0.4)
+FileLock._acquire = late
+sys.argv[0] = "pinn-run"
+from pinn_cli.main import main
+main()
+"""
+QUICK = (*SMALL, "figures=false")
+SEARCH = (
+    "--multirun", *QUICK, "hydra/sweeper=search", "validation=heldout", "scheme.unobserved_fraction=0.3",
+    "network.knots_per_period=interval(1.0,5.0)", "hydra.sweeper.n_trials=3",
+)  # fmt: skip
+
+
+@pytest.fixture
+def other() -> Iterator[Callable[[Path, str], subprocess.Popen[str]]]:
+    """Has another process be in a directory."""
+    begun: list[subprocess.Popen[str]] = []
+
+    def enter(directory: Path, name: str) -> subprocess.Popen[str]:
+        directory.mkdir(exist_ok=True)
+        command = [sys.executable, "-c", HOLD, str(directory), name]
+        begun.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
+        assert begun[-1].stdout is not None
+        assert begun[-1].stdout.readline() == "in\n"
+        return begun[-1]
+
+    yield enter
+    for process in begun:
+        process.kill()
+        process.wait()
+
+
+def test_a_sweep_waits_for_the_one_in_its_directory(other, pinn_run: PinnRun, tmp_path: Path, monkeypatch) -> None:
+    sweep = tmp_path / "sweep"
+    first = other(sweep, SWEEP_FILE)
+    monkeypatch.setattr(run_lock, "EVERY_S", 0.02)
+    monkeypatch.setattr(run_lock, "_owner", lambda file: first.terminate())  # asked for once, when it has to wait
+    seen: list[tuple[int | None, bool]] = []
+    task = lambda config: seen.append((first.poll(), (sweep / SWEEP_FILE).is_file()))  # noqa: E731
+    done = pinn_run("--multirun", "seed=0,1", "hydra.sweep.dir=sweep", task=task)
+    assert done.status == 0, done.err
+    assert seen == [(-15, True)] * 2
+    assert done.err.startswith("pinn-run: waiting for another process to leave sweep: ")
+    assert not (sweep / SWEEP_FILE).exists()
+
+
+@pytest.mark.parametrize("name", [FILE, SWEEP_FILE])
+def test_a_refused_command_takes_no_directory_from_another(other, tmp_path: Path, name: str) -> None:
+    """Both found it missing, and made it."""
+    place = tmp_path / "outputs" / "place"
+    ownership.note_new(place)
+    place.parent.mkdir()
+    first = other(place, name)
+    ownership.discard()
+    assert (place / name).is_file()
+    first.kill()
+    first.wait()
+    ownership.discard()
+    assert not place.parent.exists()
+
+
+def test_who_waits_for_a_directory_that_goes_makes_it_anew(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(run_lock, "EVERY_S", 0.02)
+    place = tmp_path / "place"
+    place.mkdir()
+    ownership.note_new(tmp_path / "x")
+    entered = threading.Event()
+
+    def second() -> None:
+        with held(place):
+            assert (place / FILE).is_file()
+            entered.set()
+
+    waiting = threading.Thread(target=second)
+    with held(place):
+        waiting.start()
+        time.sleep(0.1)
+        (place / FILE).unlink()
+        place.rmdir()
+    waiting.join(timeout=10)
+    assert entered.is_set()
+
+
+def both(folder: Path, *commands: tuple[str, ...]) -> list[str]:
+    """Start commands at once on slow locks; what each says on standard error."""
+    begun = [
+        subprocess.Popen(
+            [sys.executable, "-c", SLOW_LOCKS, *command],
+            cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )
+        for command in commands
+    ]  # fmt: skip
+    said = [process.communicate(timeout=300)[1] for process in begun]
+    assert [process.returncode for process in begun] == [0] * len(commands), said
+    assert not any("Traceback" in text for text in said), said
+    return said
+
+
+@pytest.mark.slow
+def test_two_of_the_same_run(tmp_path: Path) -> None:
+    said = both(tmp_path, *[(*QUICK, "hydra.run.dir=run", "resume=auto")] * 2)
+    assert (tmp_path / "run" / "pinn-run.log").read_text().count("estimate:") == 1
+    assert sum("waiting for another process to leave" in text for text in said) <= 1
+    assert not list(tmp_path.rglob("*.lock"))
+
+
+@pytest.mark.slow
+def test_two_of_the_same_sweep(tmp_path: Path) -> None:
+    said = both(tmp_path, *[("--multirun", *QUICK, "seed=0,1,2", "hydra.sweep.dir=sweep")] * 2)
+    assert sorted(text.count("waiting for another process") for text in said) == [0, 1]
+    assert sum("3 of 3 jobs are finished already" in text for text in said) == 1
+    assert list(pd.read_csv(tmp_path / "sweep" / "jobs.csv")["status"]) == ["finished"] * 3
+    assert not list(tmp_path.rglob("*.lock"))
+
+
+@pytest.mark.slow
+def test_two_of_the_same_search(tmp_path: Path) -> None:
+    pytest.importorskip("optuna", reason="the extra optuna is not installed")
+    both(tmp_path, *[(*SEARCH, "hydra.sweep.dir=found")] * 2)
+    trials = pd.read_csv(tmp_path / "found" / "search.csv")
+    assert trials["trial"].tolist() == [0, 1, 2]
+    assert trials["directory"].nunique() == 3
+
+
+@pytest.mark.slow
+def test_two_with_the_same_stores(tmp_path: Path) -> None:
+    """MLflow's database is made by whoever comes first; TensorBoard's folder is that of both."""
+    pytest.importorskip("mlflow", reason="the extra mlflow is not installed")
+    pytest.importorskip("tensorboard", reason="the extra tensorboard is not installed")
+    from mlflow.tracking import MlflowClient
+
+    said = both(tmp_path, *[(*QUICK, f"seed={seed}", "tracking=mlflow", "tracking.files=false") for seed in range(3)])
+    assert not any("the run goes on" in text for text in said), said
+    client = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/outputs/mlflow.db")
+    runs = client.search_runs([e.experiment_id for e in client.search_experiments()])
+    assert sorted((run.data.params["seed"], run.info.status) for run in runs) == [(s, "FINISHED") for s in "012"]
+    shared = ("tracking=tensorboard", "tracking.directory=events")
+    both(tmp_path, *[(*QUICK, f"seed={seed}", *shared, f"hydra.run.dir={seed}/run") for seed in range(2)])
+    keys = {file.name.rpartition(".")[2] for file in (tmp_path / "events").rglob("events.out.tfevents.*")}
+    assert len(keys) == 2
