@@ -5,13 +5,12 @@ Nothing slow is imported here: it is asked of every finished run of a sweep.
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
-from pinn_cli.runs.reading import small_text
+from pinn_cli.runs.reading import DamagedError, read_json
 from pinn_cli.runs.writing import write_json
 
 FILE = "tracking.json"
@@ -39,12 +38,10 @@ class TrackingState:
     def read(cls, directory: Path) -> TrackingState | None:
         """Of the run in a directory; None where nothing was tracked, or the file is damaged."""
         try:
-            content = json.loads(small_text(directory / FILE))
-            tracking, configuration, key = (str(content[name]) for name in ("tracking", "configuration", "key"))
-            found = cls(tracking, configuration, key, content["ended"] is True)
-        except (OSError, ValueError, KeyError, TypeError):
+            found = read_json(directory / FILE, cls)
+        except (OSError, DamagedError):
             return None
-        return found if key.isalnum() else None
+        return found if found.key.isalnum() else None
 
     def write(self, directory: Path) -> None:
         """Put it into the run's directory."""

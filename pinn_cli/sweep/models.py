@@ -12,6 +12,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from pinn_cli.report.figures import style
+from pinn_cli.runs.reading import read_table
 from pinn_cli.runs.resume import read_record
 from pinn_cli.runs.writing import write_table
 from pinn_cli.sweep.jobs import FINISHED, Job, Sweep
@@ -148,7 +149,7 @@ def _validation(directory: Path) -> float:
 
 
 def _read(file: Path) -> pd.DataFrame | None:
-    return pd.read_csv(file) if file.is_file() else None
+    return read_table(file) if file.is_file() else None
 
 
 def models_text(comparison: Comparison) -> str:
