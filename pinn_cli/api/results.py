@@ -291,10 +291,12 @@ class SweepResult:
 
 def _table(directory: Path, name: str, tables: Sequence[str]) -> pd.DataFrame:
     """A table that lies in a directory; an `InputError` where it is none of those that there are."""
+    from pinn_cli.sweep.tables import COLUMNS
+
     if name not in tables:
         raise InputError("table", name, f"one of {', '.join(tables)}", suggestion(name, tables))
     with undamaged("directory", directory):
-        return read_table(directory / f"{name}.csv")
+        return read_table(directory / f"{name}.csv", *COLUMNS.get(f"{name}.csv", ()))
 
 
 def _as_html(table: pd.DataFrame) -> str:

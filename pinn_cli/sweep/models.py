@@ -223,4 +223,4 @@ def _label(row: pd.Series, comparison: Comparison) -> str:
     others = [name for name in row.index[: list(row.index).index("log_evidence")] if name not in comparison.settings]
     shown = [*comparison.settings, *others]
     values = [str(row[name]) for name in shown if name in row and row[name] == row[name]]
-    return ", ".join(values)
+    return style.literal(", ".join(values))

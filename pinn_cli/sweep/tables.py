@@ -9,7 +9,7 @@ from io import StringIO
 from pathlib import Path
 
 from pinn_cli.report.fitness import FORMULAS
-from pinn_cli.runs.reading import DamagedError, read_table, small_text
+from pinn_cli.runs.reading import DamagedError, small_text
 from pinn_cli.runs.writing import replacing
 from pinn_cli.sweep.failure import INPUT
 from pinn_cli.sweep.jobs import FAILED, FINISHED, Job, Sweep
@@ -24,7 +24,7 @@ _OF_FINISHED = (
 TABLES = (*_WITH_FAILURES, *(f"{name}.csv" for name in _OF_FINISHED))
 STATUS, REASON = "status", "reason"
 # Of those that are computed with: columns of numbers, and others that there must be.
-_COLUMNS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+COLUMNS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     FITNESS: (FORMULAS, ("estimator", "group", "quantity")),
     PARAMETERS: (("start",), ("estimator",)),
     "identifiability.csv": (("std", "prior_std"), ()),
@@ -58,14 +58,29 @@ def judged(job: Job) -> Job:
         return job
     for name in TABLES:
         try:
-            read_table(job.directory / name, *_COLUMNS.get(name, ()))
-        except FileNotFoundError:
-            continue
+            _check(job.directory / name)
         except DamagedError as error:
-            return replace(
-                job, status=FAILED, reason=f"{error}; without its run.json it is run again", exit_status=INPUT
-            )
+            reason = f"{error}; without its run.json it is run again"
+            return replace(job, status=FAILED, reason=reason, exit_status=INPUT)
     return job
+
+
+def _check(path: Path) -> None:
+    """As :func:`pinn_cli.runs.reading.read_table`, in a tenth of its time.
+
+    Raises:
+        DamagedError: It is no table, or none of that name.
+    """
+    columns, rows = _read(path)
+    numbers, texts = COLUMNS.get(path.name, ((), ()))
+    lacking = {*numbers, *texts}.difference(columns) if columns else ()
+    if lacking:
+        raise DamagedError(path, f"it has no column {min(lacking)}")
+    for name in numbers if rows else ():
+        try:
+            _ = [float(row[name] or "nan") for row in rows]
+        except ValueError as error:
+            raise DamagedError(path, f"column {name}: {error}") from None
 
 
 def _of(job: Job, sweep: Sweep) -> dict[str, str]:
@@ -92,12 +107,18 @@ def _joined(path: Path, jobs: Sequence[Job], settings: Sequence[Row], swept: Seq
 
 
 def _read(path: Path) -> tuple[Sequence[str], list[Row]]:
-    """Columns and rows; nothing where there is no such table."""
+    """Columns and rows; nothing where there is no such table.
+
+    Raises:
+        DamagedError: It is none.
+    """
     try:
         reader = csv.DictReader(StringIO(small_text(path), newline=""))
         return reader.fieldnames or (), list(reader)
     except FileNotFoundError:
         return (), []
+    except (OSError, ValueError, csv.Error) as error:
+        raise DamagedError(path, str(error)) from None
 
 
 def _write(path: Path, columns: Sequence[str], rows: Sequence[Row]) -> Path:
