@@ -69,6 +69,11 @@ def _unknown_option(error: MissingConfigException, config_dir: str | None) -> In
     # experiment=paper/x is told as group experiment/paper; a user types and reads it from the first folder on.
     root, _, folder = group.partition("/")
     options = sorted(option_names(root, config_dir))
+    if root == "hydra":  # whose groups are folders
+        kind, _, folder = folder.partition("/")
+        root = f"{root}/{kind}"
+        options = [name.removeprefix(f"{kind}/") for name in options if name.startswith(f"{kind}/")]
+        options = ["basic", *options] if kind in ("launcher", "sweeper") else options
     given = f"{folder}/{option}" if folder else option
     if given in options:
         return InputError(root, given, "such that a configuration follows", _first_line(error))

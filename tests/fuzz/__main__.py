@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 
-from fuzz import bombs, directories, files, overrides
+from fuzz import bombs, directories, files, launchers, overrides
 from fuzz.judge import Judge, Outcome, import_everything
 from fuzz.starts import Starts
 from fuzz.trial import Trial
@@ -34,6 +34,7 @@ FAMILIES: dict[str, st.SearchStrategy[Trial]] = {
     "directories": directories.directories(),
     "terminal": directories.terminal(),
     "bombs": bombs.bombs(),
+    "launchers": launchers.launchers(),
 }
 # Of each family so many go through the real executable.
 BY_EXECUTABLE = 3
