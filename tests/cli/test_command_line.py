@@ -118,6 +118,7 @@ COMPOSITION_ERRORS = {
         ["system=dufing:", "duffing, friction, jenkins, linear", "did you mean duffing?"],
     ),
     "unknown option in a sweep": (["-m", "system=linear,dufing"], ["system=dufing:", "did you mean duffing?"]),
+    "unknown launcher": (["-m", "hydra/launcher=jobli", "seed=0,1"], ["hydra/launcher=jobli:", "did you mean joblib?"]),
     "unknown experiment": (
         ["experiment=paper/sr_6dof_snr5"],
         ["one of examples/", " paper/pe_2dof_duffing,", "did you mean paper/sr_6dof_snr50?"],
