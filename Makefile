@@ -49,7 +49,7 @@ test: lint ## lint, then every test that is not slow
 test-all: lint $(RAY) ## lint, then every test
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n logical --maxprocesses 8 --dist loadscope
 
-fuzz: venv ## bad inputs of every family, 90 each, counted: each is told in one line or has a sound result (20 minutes)
+fuzz: venv ## bad inputs of every family, 90 each, counted: each is told in one line or has a sound result (25 minutes)
 	PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python -m fuzz $(ARGS)
 
 stored: venv ## tests/stored/VERSION.zip: small runs as this release leaves them, which later ones must read; once for each release

@@ -25,6 +25,7 @@ from pinn_cli.report.figures import record_drawings, run_drawings
 from pinn_cli.report.figures.posterior import posterior_pairs_figure
 from pinn_cli.report.figures.style import look
 from pinn_cli.report.results import LABELS, Results, RunDescription
+from pinn_cli.runs.reading import read_histories, read_table, undamaged
 from pinn_cli.runs.resume import read_record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build, check_classes
@@ -50,13 +51,15 @@ class Plots:
 
     @cached_property
     def _builders(self) -> dict[str, Callable[[], Figure]]:
-        results, place = stored_results(self._directory), self._directory
-        drawings = [*record_drawings(results, place), *run_drawings(results, place)]
-        found: dict[str, Callable[[], Figure]] = {drawing.name: drawing.build for drawing in drawings}
-        if (place / "posterior.nc").is_file():
-            draws = xr.load_dataset(place / "posterior.nc", group="posterior", engine="h5netcdf")
-            parameters = [estimate.parameter for estimate in results.estimate.parameters]
-            found["posterior"] = partial(posterior_pairs_figure, draws, parameters, results.truth.parameters)
+        place = self._directory
+        with undamaged("directory", place):
+            results = stored_results(place)
+            drawings = [*record_drawings(results, place), *run_drawings(results, place)]
+            found: dict[str, Callable[[], Figure]] = {drawing.name: drawing.build for drawing in drawings}
+            if (place / "posterior.nc").is_file():
+                draws = read_histories(place / "posterior.nc", "posterior")
+                parameters = [estimate.parameter for estimate in results.estimate.parameters]
+                found["posterior"] = partial(posterior_pairs_figure, draws, parameters, results.truth.parameters)
         return found
 
     @property
@@ -131,9 +134,9 @@ def stored_results(directory: Path) -> Results:
         InputError: Its settings cannot be read, or name files that are no longer there.
     """
     true, prescribed, simulated = _structures(directory)
-    data, run = xr.load_dataset(directory / "response.nc", engine="h5netcdf"), read_record(directory)
+    data, run = read_histories(directory / "response.nc"), read_record(directory)
     files = {name: directory / f"{name}.csv" for name in TABLES}
-    tables = {name: pd.read_csv(file) for name, file in files.items() if file.is_file()}
+    tables = {name: read_table(file) for name, file in files.items() if file.is_file()}
     history, parameters = tables["history"], _parameters(tables, prescribed)
     correlation = None
     if "correlation" in tables:

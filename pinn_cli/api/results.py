@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import html
+import math
 import os
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pinn_cli.runs.resume import RESULT, read_record
+from pinn_cli.runs.reading import check_regular, read_histories, read_json, read_table, undamaged
+from pinn_cli.runs.resume import FORMAT, RESULT, RunFile
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.suggestion import suggestion
 from pinn_cli.sweep.jobs import FINISHED, STORED, Job, Sweep
@@ -40,8 +42,9 @@ def load(directory: str | os.PathLike[str]) -> Result | SweepResult:
     """
     place = Path(directory).expanduser().absolute()
     if (place / RESULT).is_file():
-        read_record(place)  # that of a later release is refused at once
-        return Result(place)
+        result = Result(place)
+        _ = result.run_record  # which tells whether it is one
+        return result
     if (place / STORED).is_file():
         return SweepResult(place)
     hint = "it holds no run.json"
@@ -73,15 +76,15 @@ class Result:
         return Plots(self.directory)
 
     @cached_property
-    def run_record(self) -> dict[str, Any]:
+    def run_record(self) -> RunFile:
         """What ``run.json`` says: seconds by stage, why training stopped, noise levels, versions."""
-        return read_record(self.directory)
+        with undamaged("directory", self.directory):
+            return read_json(self.directory / RESULT, RunFile, FORMAT)
 
     @property
     def verdict(self) -> str | None:
         """``sound``, or how far the run is from it; None where there is no verdict."""
-        found = self.run_record.get("verdict")
-        return None if found is None else str(found)
+        return self.run_record.get("verdict")
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -130,9 +133,8 @@ class Result:
         Each has ``<quantity>_std`` beside it, ``<quantity>_observed`` (NaN where there is no sensor) and, where it is
         known, ``<quantity>_true``.
         """
-        import xarray as xr
-
-        return xr.load_dataset(self.directory / "response.nc", engine="h5netcdf")
+        with undamaged("directory", self.directory):
+            return read_histories(self.directory / "response.nc")
 
     @cached_property
     def posterior(self) -> arviz.InferenceData | None:
@@ -142,7 +144,9 @@ class Result:
             return None
         import arviz
 
-        return arviz.from_netcdf(str(file), engine="h5netcdf")
+        with undamaged("directory", self.directory):
+            check_regular(file, math.inf)
+            return arviz.from_netcdf(str(file), engine="h5netcdf")
 
     @cached_property
     def settings(self) -> dict[str, Any]:
@@ -287,11 +291,12 @@ class SweepResult:
 
 def _table(directory: Path, name: str, tables: Sequence[str]) -> pd.DataFrame:
     """A table that lies in a directory; an `InputError` where it is none of those that there are."""
-    import pandas as pd
+    from pinn_cli.sweep.tables import COLUMNS
 
     if name not in tables:
         raise InputError("table", name, f"one of {', '.join(tables)}", suggestion(name, tables))
-    return pd.read_csv(directory / f"{name}.csv")
+    with undamaged("directory", directory):
+        return read_table(directory / f"{name}.csv", *COLUMNS.get(f"{name}.csv", ()))
 
 
 def _as_html(table: pd.DataFrame) -> str:

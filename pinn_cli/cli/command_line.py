@@ -199,7 +199,7 @@ def _collect(jobs: Jobs, cut_off: bool = False) -> None:
     jobs.refused = before.is_refused(sweep, found) or (cut_off and not begun)
     if jobs.refused:
         jobs.reasons = list(dict.fromkeys(job.reason for job in begun))
-        for reason in jobs.reasons:
+        for reason in () if cut_off else jobs.reasons:  # of what has cut it off there is a line of its own
             jobs.terminal.complain(reason)
         jobs.status = STATUS_INPUT if begun else jobs.status
         before.restore()

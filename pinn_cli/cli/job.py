@@ -192,6 +192,7 @@ def _prepare(
     """
     with stages("imports"):
         from pinn_cli.cli.prepare import prepare_problem
+        from pinn_cli.report.over_time import history
         from pinn_cli.runs.checkpoint import open_checkpoints
         from pinn_cli.training.estimate import RunContext
         from pinn_cli.validation.base import Setup
@@ -203,6 +204,8 @@ def _prepare(
         return windowed_run(
             config, directory, context, stages, goes_on=goes_on, drawn=config.draws(in_sweep), say=say, follows=follows
         )  # fmt: skip
+    if config.scheme.looks_for_changes and config.model is not None:
+        history(config.model)  # which goes on behind this run
     prepared = prepare_problem(config, stages)
     checkpoints = open_checkpoints(directory, config.identity, config.resume, config.checkpoint_every_s, config.device)
     context = RunContext(config.device, config.seed, directory, progress, checkpoints)

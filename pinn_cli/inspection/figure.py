@@ -64,7 +64,8 @@ def _draw_history(axes: Axes, found: Inspection, signal: Signal) -> None:
     axes.ticklabel_format(axis="y", style="sci", scilimits=(-3, 4))
     axes.set_ylabel(_label(signal))
     if signal.shown_unit:
-        axes.set_title(f"({signal.shown_unit})".replace("^2", "\N{SUPERSCRIPT TWO}"), loc="left", fontsize=7, pad=2)
+        unit = style.literal(signal.shown_unit).replace("^2", "\N{SUPERSCRIPT TWO}")
+        axes.set_title(f"({unit})", loc="left", fontsize=7, pad=2)
 
 
 def _draw_spectrum(axes: Axes, found: Inspection, signal: Signal) -> None:
@@ -127,5 +128,5 @@ def _logarithmic(axes: Axes, top: float, within: tuple[float, float]) -> None:
 
 def _label(signal: Signal) -> str:
     if not signal.quantity:
-        return signal.column[:14]
-    return f"{style.SYMBOLS[signal.quantity]}, {signal.place or 'ground'}"
+        return style.literal(signal.column[:14])
+    return f"{style.SYMBOLS[signal.quantity]}, {style.literal(signal.place or 'ground')}"

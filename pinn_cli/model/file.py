@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from pinn_cli.model.knowledge import DiscrepancyEvidence, EndState, Levels, Misf
 from pinn_cli.model.model import Model
 from pinn_cli.model.structure_content import structure_content, structure_of
 from pinn_cli.runs.layout import NUMBER, check_layout, stamp
-from pinn_cli.runs.reading import MOST_BYTES
+from pinn_cli.runs.reading import MOST_BYTES, DamagedError, check_regular, checked
 from pinn_cli.runs.resume import RESULT, read_record
 from pinn_cli.runs.writing import write_bytes
 from pinn_cli.settings.errors import InputError
@@ -34,6 +34,18 @@ MOST_UNPACKED = 16 * MOST_BYTES
 _OWN = ("unknown", "positive")
 # Of what the record needed, numbers.
 LEVELS = ("discrepancy", "step", "force", "features")
+# Arrays that have no gaps, by how their names begin.
+_KNOWN = ("structure_", "parameters_mean", "parameters_told", "parameters_weight", "end_", "misfit_", "draws")
+
+
+class ModelFile(TypedDict):
+    """Words of the file."""
+
+    parameters: list[list[Any]]
+    verdict: str
+    reason: str
+    groups: list[dict[str, Any]]
+    kinds: list[str]
 
 
 def write_model(model: Model, directory: Path) -> Path:
@@ -84,10 +96,8 @@ def read_model(given: Any, base: Path | None = None) -> Model:
         raise InputError(SETTING, given, ALLOWED, f"it has no {NAME}: it is a prediction, or of an earlier release")
     try:
         model = stored_model(directory)
-    except InputError:
-        raise
-    except (OSError, KeyError, ValueError, TypeError, IndexError, AttributeError, zipfile.BadZipFile) as error:
-        raise InputError(SETTING, given, ALLOWED, f"{NAME} in it cannot be read: {error}") from error
+    except DamagedError as error:
+        raise InputError(SETTING, given, ALLOWED, f"{error}") from error
     if model.verdict == "failed":
         hint = f"the verdict on that run is failed: {model.reason}"
         raise InputError(SETTING, given, "a run whose verdict is not failed", hint)
@@ -98,10 +108,21 @@ def stored_model(directory: Path) -> Model:
     """What lies in a directory as ``model.npz``, whatever else does.
 
     Raises:
-        InputError: Another release wrote it, in a layout that is not known here.
-        OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, zipfile.BadZipFile: It is damaged.
+        InputError: A later release wrote it.
+        DamagedError: It is not as it was written.
     """
+    try:
+        return _read(directory)
+    except InputError:
+        raise
+    except Exception as error:  # of archives, arrays, texts and structures that may be anything
+        reason = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
+        raise DamagedError(directory / NAME, reason) from error
+
+
+def _read(directory: Path) -> Model:
     file = directory / NAME
+    check_regular(file, MOST_UNPACKED)
     with zipfile.ZipFile(file) as archive:
         if sum(member.file_size for member in archive.infolist()) > MOST_UNPACKED:
             raise ValueError("it is larger than any model")
@@ -109,13 +130,17 @@ def stored_model(directory: Path) -> Model:
         arrays = {name: content[name] for name in content.files}
     words = json.loads(bytes(arrays.pop("content")).decode())
     check_layout({NUMBER: words.get("version", 1)} | words, FORMAT, file, oldest=FORMAT)
+    words = checked(words, ModelFile)
+    for name, values in arrays.items():
+        if values.dtype.kind not in "biuf" or (name.startswith(_KNOWN) and not np.isfinite(values).all()):
+            raise ValueError(f"{name} holds other things than numbers")
     structure = structure_of(words, _of("structure_", arrays))
     known = ParameterKnowledge(**_fields("parameters_", arrays))
     _check(known, len(words["parameters"]))
     means = zip(words["parameters"], known.mean, known.first_std, strict=True)
     parameters = tuple(_parameter(structure, own, mean, std) for own, mean, std in means)
     windows, end, misfit = (_fields(prefix, arrays) for prefix in ("told_", "end_", "misfit_"))
-    discrepancy, step, force, features = (float(arrays[f"level_{name}"]) for name in LEVELS)
+    discrepancy, step, force, features = (arrays[f"level_{name}"].item() for name in LEVELS)
     told = DiscrepancyEvidence(**windows) if windows else None
     levels = Levels(_of("sigma_", arrays), discrepancy, step, force, features, told)
     if misfit:

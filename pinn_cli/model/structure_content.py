@@ -145,4 +145,6 @@ def _parts(words: Mapping[str, Any]) -> tuple[int, ...] | None:
 
 def _matrix(name: str, arrays: Mapping[str, np.ndarray]) -> csr_matrix:
     data, indices, indptr, shape = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr", "shape"))
-    return csr_matrix((data, indices, indptr), shape=tuple(int(x) for x in shape))
+    matrix = csr_matrix((data, indices, indptr), shape=tuple(int(x) for x in shape))
+    matrix.check_format(full_check=True)  # indices beyond the shape would be read beyond the memory
+    return matrix

@@ -21,6 +21,8 @@ BY_NAME = ""
 # Times are printed with few digits: let each be off the regular axis by this part of a step, or by its last digit.
 TIME_TOLERANCE = 0.01
 LARGEST_TIME_TOLERANCE = 0.25
+# One step that is more of a record than this part was never waited for: somebody has set the clock.
+MOST_OF_RECORD = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,14 +82,25 @@ class Clock:
         Even ones are put onto the regular axis between their ends, uneven ones are as they are.
 
         Raises:
-            InputError: Uneven times that the file's own header tells: they are no readings of a clock.
+            InputError: Uneven times that the file's own header tells: they are no readings of a clock; or a clock that
+                jumps, and leaves nearly nothing of the record.
         """
         try:
             return self.uniform(first, last), True
         except InputError:
             if not self.column and not self.several:
                 raise
+            self._check_jump(first, last)
             return self.time[first:last], False
+
+    def _check_jump(self, first: int, last: int) -> None:
+        steps = np.diff(self.readings[first:last])
+        row = int(np.argmax(steps)) + 1
+        if self.column and steps[row - 1] > MOST_OF_RECORD * steps.sum():
+            time = self.readings[first:last]
+            allowed = f"near the line before it, {time[row - 1]:.9g}"
+            hint = "was the clock set there? Cut the record by data.start or data.stop, or make it two (data.records)"
+            raise InputError(self.table.place(self.column, first + row), time[row], allowed, hint)
 
     def step(self, first: int, last: int) -> float:
         """The usual one among rows first..last (``last`` excluded), s."""

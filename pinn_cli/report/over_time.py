@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from pinn_cli.runs.reading import DamagedError, read_table
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.training.central_interval import HALF_WIDTH_90
@@ -21,6 +22,9 @@ FILE = "parameters_over_time.csv"
 COLUMNS = (
     "record", "run", "parameter", "unit", "estimate", "std", "lower_90", "upper_90", "alone", "alone_std", "change",
     "change_std", "chance", "changed",
+)  # fmt: skip
+_NUMBERS = (
+    "record", "estimate", "std", "lower_90", "upper_90", "alone", "alone_std", "change", "change_std", "chance",
 )  # fmt: skip
 
 
@@ -50,10 +54,10 @@ def history(model: Model) -> pd.DataFrame:
     file = model.directory / FILE
     if file.is_file():
         try:
-            table = pd.read_csv(file)
-            if list(table.columns) == list(COLUMNS) and len(table):
+            table = read_table(file, _NUMBERS, COLUMNS)
+            if list(table.columns) == list(COLUMNS) and len(table) and table["record"].between(0, 1e9).all():
                 return table
-        except (ValueError, OSError, pd.errors.ParserError):
+        except DamagedError:
             pass
         hint = f"{FILE} in it is damaged; without that file the history begins with this run"
         raise InputError("model", model.directory, "a run with the history that it wrote", hint)

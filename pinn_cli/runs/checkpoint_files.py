@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import math
 import os
 from io import BytesIO
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import Any, ClassVar
 import torch
 from torch.serialization import default_restore_location
 
+from pinn_cli.runs.reading import check_regular
 from pinn_cli.runs.writing import replacing
 
 LAST, PREVIOUS = "checkpoint.pt", "checkpoint.previous.pt"
@@ -47,6 +49,7 @@ class CheckpointFiles:
         for name, otherwise in ((LAST, "the previous checkpoint is tried"), (PREVIOUS, "training starts over")):
             place = self.directory / name
             try:
+                check_regular(place, math.inf)
                 content = unsealed(place.read_bytes(), self.device)
             except FileNotFoundError:
                 continue

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from pinn_cli.runs.identity import package_version
-from pinn_cli.runs.reading import printable
 from pinn_cli.settings.errors import InputError
 
 NUMBER, WRITER = "format", "written_by"
@@ -42,6 +41,6 @@ def check_layout(content: Mapping[str, Any], known: int, file: Path, oldest: int
     if isinstance(number, int) and oldest <= number <= known:
         return
     readable = f"of format {known}" if oldest == known else f"of format {oldest} to {known}"
-    writer = printable(str(content.get(WRITER, "another release")))
+    writer = str(content.get(WRITER, "another release")).encode("unicode_escape").decode()
     hint = f"{writer} wrote it and reads it; this is {this_release()}"
-    raise InputError(str(file), f"format {printable(str(number))}", readable, hint)
+    raise InputError(str(file), f"format {number!a}", readable, hint)

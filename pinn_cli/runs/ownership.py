@@ -25,7 +25,7 @@ MARK = "pinn_cli"
 # What may lie in a directory that was prepared and never begun: by pattern, with files that were being written.
 _PREPARED = re.compile(r"(run|sweep)\.lock|failure\.json|\.submitit|\.(failure|multirun)\.\d+\.partial\.(json|yaml)")
 _PREPARED_SETTINGS = re.compile(r"overrides\.yaml|\.(hydra|config|overrides)\.\d+\.partial\.yaml")
-_FILES = re.compile(r".*\.(csv|json|pt|nc|log|lock|yaml)")
+_FILES = re.compile(r".*\.(csv|db|json|pt|nc|log|lock|yaml)")
 _FOLDERS = (SETTINGS, "figures", "chains", "tensorboard")
 ALLOWED = "a new or empty directory, or one that pinn-run made"
 
@@ -118,4 +118,5 @@ def discard() -> None:
 
 
 def _is_unused(directory: Path) -> bool:
-    return directory.is_dir() and all(map(is_prepared, directory.iterdir()))
+    # `Path.is_dir` raises where a name is too long
+    return os.path.isdir(directory) and all(map(is_prepared, directory.iterdir()))

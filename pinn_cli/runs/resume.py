@@ -7,13 +7,12 @@ may be of a run that was killed before it wrote any. Nothing slow is imported he
 
 from __future__ import annotations
 
-import json
 import os
 import shlex
 from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
@@ -22,9 +21,9 @@ from omegaconf.errors import OmegaConfBaseException
 
 from pinn_cli.runs.identity import LEFT_OUT, Identity, is_left_out
 from pinn_cli.runs.layout import check_layout
-from pinn_cli.runs.reading import small_text
+from pinn_cli.runs.reading import DamagedError, read_json
 from pinn_cli.runs.tracking_state import is_tracked
-from pinn_cli.settings.errors import InputError, NotSoundError
+from pinn_cli.settings.errors import InputError, NotSoundError, shortened
 from pinn_cli.settings.override_syntax import quoted, setting_of
 from pinn_cli.settings.yaml_file import read_yaml
 
@@ -37,6 +36,36 @@ ALLOWED = "null, auto, never, or the directory of a run"
 KEPT = ("checkpoint.pt", "checkpoint.previous.pt", "chains", "windows")
 # What may be given with it: where and how a run is made, not what it computes.
 BESIDE = tuple(name for name in LEFT_OUT if name != "resume")
+
+
+class Scored(TypedDict, total=False):
+    """What `run.json` says of a validation."""
+
+    score: float | None
+    reason: str
+
+
+class Trained(TypedDict, total=False):
+    """What others read of what `run.json` says of a training."""
+
+    model_log_evidence: float | None
+
+
+class RunFile(TypedDict, total=False):
+    """What is read of `run.json`, which says much more."""
+
+    case: str
+    seconds: dict[str, float | None]
+    training: Trained
+    seed: int
+    device: str
+    threads: int
+    configuration: str
+    observed: str
+    verdict: str
+    reasons: list[str]
+    validation: Scored
+    baseline: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -145,26 +174,21 @@ def is_finished(directory: Path, config: DictConfig, base: Path) -> bool:
         return False
 
 
-def read_record(directory: Path) -> dict[str, Any]:
+def read_record(directory: Path) -> RunFile:
     """What `run.json` says of the run in a directory; empty where there is none, or it is damaged.
 
     Raises:
         InputError: A later release wrote it.
     """
     try:
-        content = json.loads(small_text(directory / RESULT))
-    except (OSError, ValueError):
+        return read_json(directory / RESULT, RunFile, FORMAT)
+    except (OSError, DamagedError):
         return {}
-    if not isinstance(content, dict):
-        return {}
-    check_layout(content, FORMAT, directory / RESULT)
-    return content
 
 
 def stored_score(directory: Path) -> float | None:
     """The validation score of a finished run; None where it has none."""
-    score = read_record(directory).get("validation", {}).get("score")
-    return None if score is None else float(score)
+    return read_record(directory).get("validation", {}).get("score")
 
 
 def check_sound(directory: Path) -> None:
@@ -176,7 +200,7 @@ def check_sound(directory: Path) -> None:
     content = read_record(directory)
     if content.get("verdict") != "sound":
         reason = next(iter(content.get("reasons", ())), "run.json has no verdict: resume=never runs it again")
-        raise NotSoundError(f"the verdict is {content.get('verdict')}, and strict=true: {reason}")
+        raise NotSoundError(f"the verdict is {content.get('verdict')}, and strict=true: {shortened(reason)}")
 
 
 def going_on(config: DictConfig) -> DictConfig:

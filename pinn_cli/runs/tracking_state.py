@@ -5,14 +5,13 @@ Nothing slow is imported here: it is asked of every finished run of a sweep.
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
-from pinn_cli.runs.layout import check_layout, stamp
-from pinn_cli.runs.reading import small_text
+from pinn_cli.runs.layout import stamp
+from pinn_cli.runs.reading import DamagedError, read_json
 from pinn_cli.runs.writing import write_json
 
 FILE, FORMAT = "tracking.json", 1
@@ -44,13 +43,10 @@ class TrackingState:
             InputError: A later release wrote it.
         """
         try:
-            content = json.loads(small_text(directory / FILE))
-            tracking, configuration, key = (str(content[name]) for name in ("tracking", "configuration", "key"))
-            found = cls(tracking, configuration, key, content["ended"] is True)
-        except (OSError, ValueError, KeyError, TypeError):
+            found = read_json(directory / FILE, cls, FORMAT)
+        except (OSError, DamagedError):
             return None
-        check_layout(content, FORMAT, directory / FILE)
-        return found if key.isalnum() else None
+        return found if found.key.isalnum() else None
 
     def write(self, directory: Path) -> None:
         """Put it into the run's directory."""

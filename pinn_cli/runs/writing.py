@@ -127,7 +127,8 @@ def content_of(file: Path) -> bytes | None:
 def put_back(file: Path, content: bytes | None) -> None:
     """Have a file be as it was when :func:`content_of` said this."""
     if content is None:
-        file.unlink(missing_ok=True)
+        if file.is_file() and not file.is_symlink():  # a pipe or a link there is somebody's
+            file.unlink()
     elif content_of(file) != content:
         file.write_bytes(content)
 

@@ -34,6 +34,8 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, whole_number
 from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.sweep.callback import begin_sweep
+from pinn_cli.sweep.failure import Failure
+from pinn_cli.sweep.jobs import job_directories
 
 METHODS = ("tpe", "random")
 NO_VALIDATION, EVIDENCE = "NoValidation", "EvidenceScore"
@@ -127,7 +129,9 @@ class Search:
         scored = any(trial.state == TrialState.COMPLETE for trial in study.get_trials(deepcopy=False))
         if self.n_trials and not scored:
             allowed = "given settings under which a trial ends with a score"
-            raise InputError("hydra/sweeper", "search", allowed, "every trial failed")
+            jobs = map(Failure.read, job_directories(self.directory))
+            reason = next((f": {failure.reason}" for failure in jobs if failure is not None), "")
+            raise InputError("hydra/sweeper", "search", allowed, f"every trial failed{reason}")
         print(printable(report_search(self.directory)))
 
     def _check_study(self) -> None:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import logging
+import math
+import re
+import sqlite3
 from collections.abc import Iterable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +16,10 @@ import optuna
 import pandas as pd
 from optuna.study import Study
 from optuna.trial import FrozenTrial
-from sqlalchemy.exc import DatabaseError
 
 from pinn_cli.runs.identity import is_left_out
 from pinn_cli.runs.layout import check_layout, stamp
+from pinn_cli.runs.reading import check_regular
 from pinn_cli.runs.resume import read_record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import setting_of
@@ -29,6 +33,7 @@ OVERRIDES = "overrides"
 LEADING = ("trial", "state", "score", "seconds", "directory", "reason")
 # Fewer trials than this say nothing about a setting.
 FEWEST = 5
+_SETTING = re.compile(r"[\w./@~+-]+", re.ASCII)
 
 
 def create_study(directory: Path) -> Study:
@@ -50,14 +55,55 @@ def load_study(directory: Path) -> Study | None:
     if not (directory / FILE).is_file():
         return None
     try:
+        if not _is_plain(directory / FILE):
+            return None
         study = optuna.load_study(study_name=NAME, storage=f"sqlite:///{directory / FILE}")
-    except KeyError:  # cut off before it was made
-        return None
-    except (RuntimeError, DatabaseError) as error:  # of another release; damaged
+        check_layout(study.user_attrs, FORMAT, directory / FILE)
+        _check(study)
+    except InputError:
+        raise
+    except Exception as error:  # of another release; damaged, of which Optuna and SQLAlchemy raise dozens of kinds
         allowed = f"a directory whose {FILE} was written by this release of Optuna"
-        raise InputError("hydra.sweep.dir", directory, allowed, str(error).partition("\n")[0]) from error
-    check_layout(study.user_attrs, FORMAT, directory / FILE)
+        reason = str(error).strip().partition("\n")[0] or type(error).__name__
+        raise InputError("hydra.sweep.dir", directory, allowed, reason) from error
     return study
+
+
+def _is_plain(file: Path) -> bool:
+    """Whether there is a study in the file, whose tables are none that are computed.
+
+    Raises:
+        OSError, ValueError, sqlite3.Error: They are, or it is no such file.
+    """
+    check_regular(file)
+    with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True)) as database:
+        kinds = {kind for (kind,) in database.execute("SELECT type FROM sqlite_master")}
+        if kinds - {"table", "index"}:
+            raise ValueError(f"it holds {', '.join(sorted(kinds - {'table', 'index'}))}s")
+        # cut off before it was made
+        return bool(kinds) and bool(database.execute("SELECT 1 FROM studies WHERE study_name = ?", (NAME,)).fetchall())
+
+
+def _check(study: Study) -> None:
+    """See to it that its trials are read, and are as a search makes them.
+
+    Raises:
+        ValueError: They are not.
+        Exception: Whatever Optuna says of what it cannot read.
+    """
+    known = study.user_attrs.get(OVERRIDES, [])
+    if not isinstance(known, list) or not all(isinstance(override, str) for override in known):
+        raise ValueError(f"its {OVERRIDES} are no texts")
+    for number, trial in enumerate(study.get_trials(deepcopy=False)):
+        settings = trial.params | trial.user_attrs
+        if trial.number != number or not trial.state.is_finished():
+            raise ValueError(f"trial {number} has not ended")
+        if not all(_SETTING.fullmatch(name) for name in settings):
+            raise ValueError(f"trial {number} sets what is no setting")
+        if not all(value is None or isinstance(value, str | int | float) for value in settings.values()):
+            raise ValueError(f"trial {number} has values that are none")
+        if trial.value is not None and not math.isfinite(trial.value):
+            raise ValueError(f"trial {number} has a score that is no number")
 
 
 def overrides_of(trial: FrozenTrial) -> list[str]:

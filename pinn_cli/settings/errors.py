@@ -11,7 +11,8 @@ from __future__ import annotations
 LONGEST = 500
 
 
-def _shortened(value: object) -> str:
+def shortened(value: object) -> str:
+    """Its text, cut where it is longer than anybody reads."""
     text = str(value)
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}... ({len(text)} characters)"
 
@@ -29,7 +30,7 @@ class InputError(ValueError):
 
     def __init__(self, setting: str, value: object, allowed: str, hint: str = "") -> None:
         self.setting, self.value, self.allowed, self.hint = setting, value, allowed, hint
-        text = f"{setting}={_shortened(value)}: must be {allowed}" + (f"; {_shortened(hint)}" if hint else "")
+        text = f"{setting}={shortened(value)}: must be {allowed}" + (f"; {shortened(hint)}" if hint else "")
         super().__init__(" ".join(text.split()))
 
     @classmethod

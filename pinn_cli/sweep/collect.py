@@ -43,8 +43,9 @@ class Collection:
         # Two seconds of imports, not for --help.
         from pinn_cli.sweep.models import compared, write_models
         from pinn_cli.sweep.summary import write_summary
-        from pinn_cli.sweep.tables import write_tables
+        from pinn_cli.sweep.tables import judged, write_tables
 
+        jobs = [judged(job) for job in jobs]
         write_tables(sweep, jobs)
         swept = list(dict.fromkeys(setting for job in jobs for setting in sweep.columns(job)))
         summary, models = write_summary(sweep.directory, swept), compared(sweep, jobs)

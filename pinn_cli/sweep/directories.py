@@ -55,8 +55,8 @@ def combinations(overrides: Iterable[str], most: int = MOST_JOBS) -> list[list[s
             hint = "hydra/sweeper=search draws from intervals"
             raise InputError(name, _values(override), "a list of values, or a range", hint)
     counts = {name: _count(override) for name, override in given.items()}
-    if math.prod(counts.values()) > most:
-        longest = max(counts, key=lambda name: counts[name])
+    longest = max(counts, key=lambda name: counts[name], default="")
+    if counts and (counts[longest] > most or math.prod(counts.values()) > most):
         hint = f"there would be {math.prod(counts.values())}; hydra.sweeper.max_jobs=... allows more"
         raise InputError(longest, _values(given[longest]), f"values that make at most {most} jobs", hint)
     return [list(job) for job in itertools.product(*(_single(name, each) for name, each in given.items()))]
@@ -66,12 +66,13 @@ def _values(override: Override) -> str:
     return str(override.input_line).partition("=")[2]
 
 
-def _count(override: Override) -> int:
+def _count(override: Override) -> float:
     """How many values there are, without making them."""
     value = override.value()
     if isinstance(value, RangeSweep):
         start, stop, step = (float(number or 0) for number in (value.start, value.stop, value.step))
-        return max(0, math.ceil((stop - start) / step)) if step else 0
+        count = (stop - start) / step if step else 0.0
+        return max(0, math.ceil(count)) if math.isfinite(count) else math.inf
     return len(value.list) if isinstance(value, ChoiceSweep) else 1
 
 

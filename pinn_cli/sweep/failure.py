@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import traceback
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from pinn_cli.runs.reading import small_text
+from pinn_cli.runs.reading import DamagedError, read_json
 from pinn_cli.runs.writing import WriteError, write_json
 from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
 
@@ -46,11 +45,11 @@ class Failure:
     def read(cls, directory: Path) -> Failure | None:
         """Of the job in that directory; None where it did not fail."""
         try:
-            return cls(**json.loads(small_text(directory / FILE)))
+            return read_json(directory / FILE, cls)
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, TypeError) as error:
-            return cls(DEFECT, f"{FILE} cannot be read: {error}", "")
+        except DamagedError as error:
+            return cls(DEFECT, str(error), "")
 
     def write(self, directory: Path) -> None:
         """Put it into the job's directory."""

@@ -23,7 +23,7 @@ from joblib.externals.loky.process_executor import BrokenProcessPool
 from pinn_cli.runs.cores import usable_cores
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
-from pinn_cli.sweep.launching import PendingJob, Work, WorkLauncher, jobs_at_once, take_over
+from pinn_cli.sweep.launching import PendingJob, Work, WorkLauncher, jobs_at_once, take_over, usable_settings
 
 _REASON = "its worker was killed, again when it ran alone: by the system for want of memory, perhaps"
 # Seconds from one look for the launcher to the next, and the exit status of a worker that has lost it.
@@ -77,7 +77,8 @@ class JoblibLauncher(WorkLauncher):
         processes, state, sweep = self.processes, Singleton.get_state(), uuid.uuid4().hex
         calls = (delayed(_run_job)(self.work, job.overrides, job.number, processes, state, sweep) for job in jobs)
         # Hydra's state is the process's: threads would share it.
-        returned = Parallel(n_jobs=processes, **{**self.settings, "backend": "loky"})(calls)
+        with usable_settings(self.settings):
+            returned = Parallel(n_jobs=processes, **{**self.settings, "backend": "loky"})(calls)
         return dict(zip((job.number for job in jobs), returned, strict=True))
 
 

@@ -8,14 +8,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import yaml
+from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from pinn_cli.runs.reading import small_text
-from pinn_cli.runs.resume import RESULT, read_record
+from pinn_cli.runs.reading import DamagedError, checked, read_json, small_text
+from pinn_cli.runs.resume import FORMAT, RESULT, RunFile
 from pinn_cli.runs.writing import write_text
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import whole_number
@@ -32,6 +33,31 @@ OVERRIDES = Path(".hydra") / "overrides.yaml"
 GRID, SEARCH = "BasicSweeper", "SearchSweeper"
 # libyaml's parser, where PyYAML was built with it: a thousand files in a second less.
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+# What a list of overrides is made of: no aliases, and nothing within anything.
+_FLAT = (
+    yaml.StreamStartEvent, yaml.DocumentStartEvent, yaml.SequenceStartEvent, yaml.ScalarEvent, yaml.SequenceEndEvent,
+    yaml.DocumentEndEvent, yaml.StreamEndEvent,
+)  # fmt: skip
+
+
+class _Overrides(TypedDict):
+    task: list[str]
+
+
+class _Sweeper(TypedDict, total=False):
+    params: dict[str, Any] | None
+
+
+class _Hydra(TypedDict):
+    sweep: dict[str, Any]
+    sweeper: _Sweeper
+    overrides: _Overrides
+
+
+class SweepFile(TypedDict):
+    """What is read of `multirun.yaml`."""
+
+    hydra: _Hydra
 
 
 @dataclass(frozen=True)
@@ -63,10 +89,10 @@ class Job:
         if not (directory / RESULT).is_file():
             return cls(directory, tuple(overrides), UNFINISHED)
         try:
-            record = read_record(directory)
-        except InputError as error:  # of a later release
+            seconds = read_json(directory / RESULT, RunFile, FORMAT).get("seconds", {})
+        except (OSError, DamagedError, InputError) as error:
             return cls(directory, tuple(overrides), FAILED, str(error), INPUT)
-        return cls(directory, tuple(overrides), FINISHED, seconds=record.get("seconds", {}).get("total"))
+        return cls(directory, tuple(overrides), FINISHED, seconds=seconds.get("total"))
 
     @property
     def ended(self) -> bool:
@@ -122,8 +148,10 @@ class Sweep:
             hint = "this is a run's: its tables lie there already" if (directory / RESULT).is_file() else ""
             raise InputError("collect", directory, allowed, hint or f"it holds no {STORED}")
         try:
-            return cls.of(read_yaml(stored), directory)
-        except (InputError, OmegaConfBaseException, AttributeError) as error:
+            config = read_yaml(stored)
+            checked(OmegaConf.to_container(config), SweepFile)
+            return cls.of(config, directory)
+        except (ValueError, OmegaConfBaseException, HydraException) as error:
             raise InputError("collect", directory, allowed, f"its {STORED} cannot be read: {error}") from error
 
     @cached_property
@@ -182,11 +210,16 @@ def job_directories(sweep: Path) -> Iterator[Path]:
 
 def stored_overrides(directory: Path) -> tuple[str, ...]:
     """Of a job, as Hydra left them in its directory; none where they cannot be read."""
+    found: list[str] = []
     try:
-        content = yaml.load(small_text(directory / OVERRIDES), _LOADER)
-    except (OSError, UnicodeError, yaml.YAMLError):  # cut off while Hydra wrote it: the next start writes it anew
-        content = None
-    return tuple(map(str, content or ()))
+        for number, event in enumerate(yaml.parse(small_text(directory / OVERRIDES), _LOADER)):
+            if not isinstance(event, _FLAT) or (isinstance(event, yaml.SequenceStartEvent) and number > 2):
+                return ()
+            found += [event.value] if isinstance(event, yaml.ScalarEvent) else []
+        single = not any(parse(override).is_sweep_override() for override in found)
+    except (OSError, yaml.YAMLError, HydraException, RecursionError):  # cut off while Hydra wrote it, or not by it
+        return ()
+    return tuple(found) if single else ()
 
 
 def _name(job: Path, sweep: Path) -> str:

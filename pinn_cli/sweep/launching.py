@@ -7,10 +7,11 @@ here note the loss in the job's directory and go on: the same command runs that 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
+from multiprocessing import ProcessError
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from pinn_cli.runs.lock import FILE as LOCK
 from pinn_cli.runs.process import environment
 from pinn_cli.runs.resume import asked_to_resume, going_on, is_finished, stored_score
 from pinn_cli.runs.tracking_state import is_tracked
+from pinn_cli.settings.errors import InputError
 from pinn_cli.sweep.composing import compose_job
 from pinn_cli.sweep.failure import DEFECT, Failure
 from pinn_cli.sweep.failure import FILE as FAILURE
@@ -199,6 +201,24 @@ class WorkLauncher(ABC):
         """Overrides of the jobs that had finished when the sweep began: a search launches, and finishes, ever more."""
         sweep = Sweep.of(self.work.config, Path(str(self.work.config.hydra.sweep.dir)))
         return {job.overrides for job in sweep.jobs() if job.status == FINISHED}
+
+
+@contextmanager
+def usable_settings(settings: Mapping[str, Any]) -> Iterator[None]:
+    """Tell of settings that the library behind a launcher cannot use; what a job raises does not come here.
+
+    Raises:
+        InputError: It cannot.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except (TypeError, ValueError, AttributeError, AssertionError, OverflowError, OSError, ProcessError) as error:
+        given = ", ".join(f"{name}: {value}" for name, value in settings.items() if value is not None)
+        raise InputError(
+            "hydra.launcher", f"{{{given}}}", "settings that the launcher can use", str(error) or type(error).__name__
+        ) from error
 
 
 class SerialLauncher(WorkLauncher):

@@ -12,6 +12,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from pinn_cli.report.figures import style
+from pinn_cli.runs.reading import read_table
 from pinn_cli.runs.resume import read_record
 from pinn_cli.runs.writing import write_table
 from pinn_cli.sweep.jobs import FINISHED, Job, Sweep
@@ -148,7 +149,7 @@ def _validation(directory: Path) -> float:
 
 
 def _read(file: Path) -> pd.DataFrame | None:
-    return pd.read_csv(file) if file.is_file() else None
+    return read_table(file) if file.is_file() else None
 
 
 def models_text(comparison: Comparison) -> str:
@@ -222,4 +223,4 @@ def _label(row: pd.Series, comparison: Comparison) -> str:
     others = [name for name in row.index[: list(row.index).index("log_evidence")] if name not in comparison.settings]
     shown = [*comparison.settings, *others]
     values = [str(row[name]) for name in shown if name in row and row[name] == row[name]]
-    return ", ".join(values)
+    return style.literal(", ".join(values))

@@ -82,7 +82,7 @@ class Progress:
         self._failed += failure is not None
         ended = "finished" if failure is None else f"failed: {printable(failure.reason)}"
         if self._bar is None:
-            print(f"{self._total - len(self._waiting)} of {self._total}  {name}  {ended}", file=sys.stderr)
+            print(f"{self._total - len(self._waiting)} of {self._total}  {printable(name)}  {ended}", file=sys.stderr)
             return
         if failure is not None:
             self._bar.write(f"{name}  {ended}", file=sys.stderr)

@@ -27,8 +27,9 @@ from submitit.core.utils import JobPaths
 
 from pinn_cli.runs.interruption import Interruption, warning, watched
 from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import whole_number
 from pinn_cli.sweep.failure import UnansweredError
-from pinn_cli.sweep.launching import PendingJob, Work, WorkLauncher, jobs_at_once, take_over
+from pinn_cli.sweep.launching import PendingJob, Work, WorkLauncher, jobs_at_once, take_over, usable_settings
 
 # Of the executor itself, rather than of its jobs.
 _OF_EXECUTOR = ("submitit_folder", "max_num_timeout")
@@ -130,14 +131,15 @@ class SubmititLauncher(WorkLauncher):
         """Wait until all tasks have ended; by their names the states of those that have no result."""
 
     def _batches(self, jobs: list[PendingJob]) -> list[list[PendingJob]]:
-        step = self.jobs_per_task or 1
+        step = whole_number("hydra.launcher.jobs_per_task", self.jobs_per_task or 1, least=1)
         return [jobs[start : start + step] for start in range(0, len(jobs), step)]
 
     def _submit(self, batches: list[list[PendingJob]]) -> list[Any]:
         state = Singleton.get_state()
         calls = [[(job.overrides, job.number, state) for job in batch] for batch in batches]
         try:
-            tasks = list(self._executor().map_array(Batch(self.work), calls))
+            with usable_settings(self.params):
+                tasks = list(self._executor().map_array(Batch(self.work), calls))
         except RuntimeError as error:  # there is no SLURM, or it refuses
             hint = " ".join(str(error).split())
             raise InputError("hydra/launcher", self._EXECUTOR, "one that takes these jobs", hint) from error

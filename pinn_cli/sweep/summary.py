@@ -151,7 +151,7 @@ def _lines(overall: pd.DataFrame, setting: str, others: Sequence[str]) -> list[t
     if not varied:
         return [("", rows)]
     return [
-        (", ".join(f"{_short(name)} {value}" for name, value in zip(varied, values, strict=True)), part)
+        (style.literal(", ".join(f"{_short(name)} {value}" for name, value in zip(varied, values, strict=True))), part)
         for values, part in rows.groupby(varied, sort=False, dropna=False)
     ]
 

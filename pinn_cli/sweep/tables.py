@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
+from pinn_cli.report.fitness import FORMULAS
+from pinn_cli.runs.reading import DamagedError, small_text
 from pinn_cli.runs.writing import replacing
+from pinn_cli.sweep.failure import INPUT
 from pinn_cli.sweep.jobs import FAILED, FINISHED, Job, Sweep
 
 FITNESS, PARAMETERS, JOBS = "fitness.csv", "parameters.csv", "jobs.csv"
@@ -18,6 +23,13 @@ _OF_FINISHED = (
 )  # fmt: skip
 TABLES = (*_WITH_FAILURES, *(f"{name}.csv" for name in _OF_FINISHED))
 STATUS, REASON = "status", "reason"
+# Of those that are computed with: columns of numbers, and others that there must be.
+COLUMNS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    FITNESS: (FORMULAS, ("estimator", "group", "quantity")),
+    PARAMETERS: (("start",), ("estimator",)),
+    "identifiability.csv": (("std", "prior_std"), ()),
+    "validation.csv": (("nmse_percent",), ()),
+}
 
 Row = Mapping[str, str]
 
@@ -38,6 +50,37 @@ def write_tables(sweep: Sweep, jobs: Sequence[Job]) -> list[Path]:
     rows = [{**given, **_of(job, sweep)} for job, given in zip(jobs, settings, strict=True)]
     _write(sweep.directory / JOBS, [*swept, STATUS, REASON, "seconds", "directory"], rows)
     return [*filter(None, written), sweep.directory / JOBS]
+
+
+def judged(job: Job) -> Job:
+    """The same job; one that has finished has failed where a table of it is not as it was written."""
+    if job.status != FINISHED:
+        return job
+    for name in TABLES:
+        try:
+            _check(job.directory / name)
+        except DamagedError as error:
+            reason = f"{error}; without its run.json it is run again"
+            return replace(job, status=FAILED, reason=reason, exit_status=INPUT)
+    return job
+
+
+def _check(path: Path) -> None:
+    """As :func:`pinn_cli.runs.reading.read_table`, in a tenth of its time.
+
+    Raises:
+        DamagedError: It is no table, or none of that name.
+    """
+    columns, rows = _read(path)
+    numbers, texts = COLUMNS.get(path.name, ((), ()))
+    lacking = {*numbers, *texts}.difference(columns) if columns else ()
+    if lacking:
+        raise DamagedError(path, f"it has no column {min(lacking)}")
+    for name in numbers if rows else ():
+        try:
+            _ = [float(row[name] or "nan") for row in rows]
+        except ValueError as error:
+            raise DamagedError(path, f"column {name}: {error}") from None
 
 
 def _of(job: Job, sweep: Sweep) -> dict[str, str]:
@@ -64,13 +107,18 @@ def _joined(path: Path, jobs: Sequence[Job], settings: Sequence[Row], swept: Seq
 
 
 def _read(path: Path) -> tuple[Sequence[str], list[Row]]:
-    """Columns and rows; nothing where there is no such table."""
+    """Columns and rows; nothing where there is no such table.
+
+    Raises:
+        DamagedError: It is none.
+    """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            return reader.fieldnames or (), list(reader)
-    except (FileNotFoundError, ValueError):
+        reader = csv.DictReader(StringIO(small_text(path), newline=""))
+        return reader.fieldnames or (), list(reader)
+    except FileNotFoundError:
         return (), []
+    except (OSError, ValueError, csv.Error) as error:
+        raise DamagedError(path, str(error)) from None
 
 
 def _write(path: Path, columns: Sequence[str], rows: Sequence[Row]) -> Path:

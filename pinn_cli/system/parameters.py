@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeVar
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 import numpy as np
 import torch
 
+from pinn_cli.runs.reading import printable
 from pinn_cli.system.array_namespace import Array
 from pinn_cli.system.quantities import CALIBRATION_UNITS
 
@@ -25,6 +25,11 @@ LINEAR_UNITS = {MASS: "kg", "c": "N s/m", "k": "N/m"}
 LINEAR_TITLES = {MASS: "Mass", "c": "Damping", "k": "Stiffness"}
 # Whose a parameter is, where that is no connection.
 _OWNERS = {MASS: "DOF", FACTOR: "part", "zeta": "mode"}
+# Within mathematics: signs that are letters of a name, as matplotlib has them.
+_SIGNS = {sign: rf"\{sign}" for sign in "_%${}"} | {
+    "\\": r"\backslash ", "#": r"\sharp ", "^": r"\wedge ", '"': "\N{RIGHT DOUBLE QUOTATION MARK}",
+    "`": "\N{LEFT SINGLE QUOTATION MARK}",
+}  # fmt: skip
 _GREEK = ("alpha", "beta", "gamma", "kappa", "mu", "tau", "zeta")
 
 T = TypeVar("T")
@@ -134,8 +139,8 @@ def letter(kind: str) -> str:
 
 
 def upright(word: str) -> str:
-    """A word within mathematics; what is a sign there, such as _, is a letter."""
-    return r"\mathrm{" + re.sub(r"([_%#&])", r"\\\1", word) + "}"
+    """A word, anybody's, within mathematics; what is a sign there, such as _, is a letter."""
+    return r"\mathrm{" + "".join(_SIGNS.get(character, character) for character in printable(word)) + "}"
 
 
 class ParameterVector(Generic[T]):

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pandas as pd
 
+from pinn_cli.report.fitness import FORMULAS
 from pinn_cli.runs.lock import FILE as LOCK
+from pinn_cli.runs.reading import read_table
 from pinn_cli.runs.resume import read_record
 from pinn_cli.runs.tracking_state import FILE as STATE
 
@@ -40,23 +42,23 @@ class Outcome:
 
 def history(directory: Path) -> list[dict[str, float]]:
     """Rows of the history of the run in a directory, as it went through them."""
-    table = pd.read_csv(directory / "history.csv")
+    table = read_table(directory / "history.csv")
     return [{str(name): float(v) for name, v in row.items() if pd.notna(v)} for row in table.to_dict("records")]
 
 
 def _fitness(directory: Path) -> dict[str, float]:
     """Of all DOFs, by quantity; a baseline's under its own name."""
-    table = pd.read_csv(directory / "fitness.csv")
+    table = read_table(directory / "fitness.csv", FORMULAS, ("estimator", "group", "quantity"))
     table = table[table["group"] == "all"]
     return {
         f"{_of(row['estimator'])}{column}/{row['quantity']}": row[column]
         for _, row in table.iterrows()
-        for column in ("fitness_percent", "range_fitness_percent")
+        for column in FORMULAS
     }
 
 
 def _errors(directory: Path) -> dict[str, float]:
-    table = pd.read_csv(directory / "parameters.csv")
+    table = read_table(directory / "parameters.csv", ("error_percent",), ("estimator", "parameter"))
     return {
         f"{_of(row['estimator'])}error_percent/{row['parameter']}": row["error_percent"] for _, row in table.iterrows()
     }
@@ -66,10 +68,10 @@ def _of(estimator: str) -> str:
     return "" if estimator == "pinn" else f"{estimator}/"
 
 
-def _record(directory: Path) -> dict[str, float]:
+def _record(directory: Path) -> dict[str, float | None]:
     record = read_record(directory)
-    found = {f"seconds/{name}": value for name, value in record["seconds"].items()}
-    numbers = record["training"].items()
+    found: dict[str, float | None] = {f"seconds/{name}": value for name, value in record.get("seconds", {}).items()}
+    numbers = record.get("training", {}).items()
     found |= {f"training/{name}": v for name, v in numbers if isinstance(v, int | float) and not isinstance(v, bool)}
     score = record.get("validation", {}).get("score")
     return found if score is None else {**found, "validation_score": score}

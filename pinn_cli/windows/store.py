@@ -6,23 +6,58 @@ windows there and goes on with the next one, which begins with the very numbers 
 
 from __future__ import annotations
 
-import json
+import logging
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from pinn_cli.model.file import stored_model, write_model
 from pinn_cli.model.model import Model
 from pinn_cli.record.windows import Window
-from pinn_cli.runs.layout import check_layout, stamp
+from pinn_cli.runs.layout import stamp
+from pinn_cli.runs.reading import DamagedError, read_histories, read_json, read_table
 from pinn_cli.runs.writing import tidy, write_json
-from pinn_cli.settings.errors import InputError
+from pinn_cli.verdict.finding import Word
 
+log = logging.getLogger(__name__)
+
+RESPONSE = "response.nc"
 FOLDER, DONE, IDENTITY, HANDED_OVER = "windows", "window.json", "windows.json", "handed_over"
 # Of the layout of all that lies there, but for models.
 FORMAT = 1
+
+
+class Stored(TypedDict):
+    """What ``windows.json`` says."""
+
+    configuration: str
+
+
+class _Window(TypedDict):
+    number: int
+    start: float
+    stop: float
+    hand_over: float | None
+    changed: list[str]
+    training: dict[str, Any]
+    observed: str
+    step: float
+    doubts: list[str]
+
+
+class WindowFile(_Window, total=False):
+    """What ``window.json`` says; a verdict where there is one."""
+
+    verdict: Word
+    reasons: list[str]
+
+
+class FirstWindowFile(WindowFile):
+    """That of the first says what was prescribed before it too: name, value and standard deviation of parameters."""
+
+    beliefs: list[tuple[str, float | None, float | None]]
 
 
 @dataclass(frozen=True)
@@ -45,14 +80,10 @@ class WindowStore:
         Raises:
             InputError: A later release wrote them.
         """
-        file = self.directory / FOLDER / IDENTITY
         try:
-            found = json.loads(file.read_text(encoding="utf-8"))
-            configuration = str(found["configuration"])
-        except (OSError, ValueError, KeyError, TypeError):
+            return read_json(self.directory / FOLDER / IDENTITY, Stored, FORMAT)["configuration"]
+        except (OSError, DamagedError):
             return None
-        check_layout(found, FORMAT, file)
-        return configuration
 
     def begin(self, identity: str, goes_on: bool) -> None:
         """Make room for the windows of a run; those of another one go, and what a killed process left half-written.
@@ -65,6 +96,7 @@ class WindowStore:
         if not (goes_on and self.identity() == identity):
             shutil.rmtree(place, ignore_errors=True)
             write_json(stamp(FORMAT) | {"configuration": identity}, place / IDENTITY)
+        self._forget_damaged()
         for folder in (place, self.folder(self.done + 1)):
             if folder.is_dir():
                 tidy(folder)
@@ -93,10 +125,7 @@ class WindowStore:
 
     def entry(self, number: int) -> dict[str, Any]:
         """What is known of a window that is done."""
-        content = json.loads((self.folder(number) / DONE).read_text(encoding="utf-8"))
-        if not isinstance(content, dict):
-            raise InputError("hydra.run.dir", self.directory, "a run whose windows are as it wrote them", f"{DONE}?")
-        return content
+        return dict(read_json(self.folder(number) / DONE, FirstWindowFile if number == 1 else WindowFile))
 
     def handed_over(self, number: int) -> Model:
         """What a window handed over."""
@@ -105,6 +134,23 @@ class WindowStore:
     def ends(self, number: int) -> bool:
         """Whether a window that is done was the record's last, so that nothing can go on from it."""
         return self.entry(number)["hand_over"] is None
+
+    def _forget_damaged(self) -> None:
+        """Have the first window that is not as it was written be done again, and all that follow it."""
+        for number in range(1, self.done + 1):
+            try:
+                last = self.entry(number)["hand_over"] is None
+                for table in self.folder(number).glob("*.csv"):
+                    read_table(table)
+                with read_histories(self.folder(number) / RESPONSE):
+                    pass
+                if not last:
+                    self.handed_over(number)
+            except (OSError, DamagedError) as error:
+                log.warning("window %d is solved again: %s", number, error)
+                for later in range(self.done, number - 1, -1):
+                    self.forget(later)
+                return
 
     def forget(self, number: int) -> None:
         """A window is to be done again."""

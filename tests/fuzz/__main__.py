@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 
-from fuzz import files, overrides
+from fuzz import bombs, directories, files, launchers, overrides
 from fuzz.judge import Judge, Outcome, import_everything
 from fuzz.starts import Starts
 from fuzz.trial import Trial
@@ -31,6 +31,10 @@ FAMILIES: dict[str, st.SearchStrategy[Trial]] = {
     "resume": files.resume(),
     "disk": files.disk(),
     "physics": overrides.physics(),
+    "directories": directories.directories(),
+    "terminal": directories.terminal(),
+    "bombs": bombs.bombs(),
+    "launchers": launchers.launchers(),
 }
 # Of each family so many go through the real executable.
 BY_EXECUTABLE = 3

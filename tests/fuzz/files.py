@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import gzip
-import math
 from typing import Any
 
 from fuzz.overrides import HANDLER
-from fuzz.starts import FINISHED, QUICK, STOPPED
+from fuzz.starts import FINISHED, MEASURED, QUICK, STOPPED, rig
 from fuzz.trial import Trial
 from hypothesis import strategies as st
 
-MEASURED = (
-    "data=csv", "data.path=rig.csv", "data.time=t", "data.force={1: f}", "data.acceleration={1: a}", "system=linear",
-    "system.ndof=1", "system.m=1", "system.c=0.4", "system.k=40", "figures=false", "threads=1",
-)  # fmt: skip
-ROWS = 160
 CELLS = (
     "", "NaN", "inf", "True", "1e300", "1e-300", "-", "1,5", '"1', "0x1", "1_0", "abc", "2024-05-01T10:00:00",
     "10:00:01",
@@ -68,19 +62,6 @@ PLACES = (
     ".", "''", "/dev/null", "..", "a" * 256, "/".join(["a" * 200] * 30), "there", "there/below", "pipe", "pipe/below",
     "loop", "mine", "${x}", "ä/ö", "a b", "~", "run", "run/figures", "/proc/x", "'a\nb'", "link",
 )  # fmt: skip
-
-
-def rig() -> list[list[str]]:
-    """A mass on a spring and a damper under a sum of sines, as cells; the header first."""
-    step, rows, state = 0.05, [["t", "f", "a"]], [0.0, 0.0]
-    for index in range(ROWS):
-        force = sum(math.sin(0.9 * n * step * index + n) for n in range(1, 9))
-        acceleration = force - 0.4 * state[1] - 40.0 * state[0]
-        rows.append([f"{step * index:.2f}", f"{force:.6f}", f"{acceleration:.6f}"])
-        for _ in range(50):
-            state[1] += step / 50 * (force - 0.4 * state[1] - 40.0 * state[0])
-            state[0] += step / 50 * state[1]
-    return rows
 
 
 def _scaled(rows: list[list[str]], column: int, factor: float, offset: float) -> None:
@@ -185,7 +166,7 @@ def resume(draw: st.DrawFn) -> Trial:
     """Directories of runs and sweeps that were damaged or made by somebody else."""
     start = draw(st.sampled_from(("finished", "stopped", "stopped", "swept")))
     directory = "sweep" if start == "swept" else "run"
-    below = draw(st.sampled_from(("sweep", "sweep/seed=0"))) if start == "swept" else directory
+    below = draw(st.sampled_from(("sweep", "sweep/seed=0*"))) if start == "swept" else directory
     names = draw(st.lists(st.sampled_from(RUN_FILES), min_size=1, max_size=2, unique=True))
     if ".hydra" in names:
         names = [".hydra"]

@@ -25,15 +25,22 @@ from fuzz.trial import Trial
 
 DONE, REFUSED, DIVERGED, NOT_SOUND = 0, 2, 3, 4
 LONGEST_LINE = 1500
+# What a run says that takes long, on a machine that is busy.
+ALIVE = "pinn-run: still running after "
 # Of memory; a machine that runs out of it takes others along.
 MOST_MEMORY = 12 * 2**30
 # A run that is over says one of these; a sweep, its tables; or what was asked about settings.
 SAID = re.compile(
-    r"^verdict: (sound|questionable|failed)|^finished before|\bjobs?\b.*\b(done|failed|finished)|^== ", re.M
+    r"^verdict: (sound|questionable|failed)|^finished before|^\d+ (samples from|peaks? with)|"
+    r"\bjobs?\b.*\b(done|failed|finished)|^== ",
+    re.M,
 )
 QUESTIONS = ("--help", "--cfg", "--info", "--version", "--hydra-help", "-h", "-c", "-i", "--shell-completion")
-# How far a sweep is.
+# What a sweep ends with, some of whose jobs may have been refused; and how far it is.
+_SWEPT = re.compile(r"^\d+ jobs: ", re.M)
 _SWEEP = re.compile(r"\d+ of \d+ ")
+# What a terminal obeys or hides, but for tabs and the ends of lines.
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u202a-\u202e\u2066-\u2069]")
 _TRACEBACK = re.compile(r"Traceback \(most recent call last\)|^\s+File \"", re.M)
 
 
@@ -63,6 +70,8 @@ class Outcome:
             return "code of the input was executed, or something was written outside of its folder"
         if self.status is None:
             return f"still running after {self.seconds:.0f} s"
+        if shown := _CONTROL.search(self.out + self.err):
+            return f"a control character reaches the terminal: {shown[0]!r}"
         if _TRACEBACK.search(self.err) or _TRACEBACK.search(self.out):
             return "traceback"
         if self.status not in (DONE, REFUSED, DIVERGED, NOT_SOUND):
@@ -73,9 +82,11 @@ class Outcome:
             return f"not a line of pinn-run's: {foreign[0][:200]}"
         if any(len(line) > LONGEST_LINE for line in lines):
             return f"a line of {max(map(len, lines))} characters"
-        if self.status == REFUSED and len(lines) != 1:
-            return f"{len(lines)} lines instead of one"
-        if self.status == REFUSED and self.changes:
+        refused = self.status == REFUSED and not _SWEPT.search(self.out)
+        told = [line for line in lines if not (_SWEEP.match(line) or line.startswith(ALIVE))]
+        if refused and len(told) != 1:
+            return f"{len(told)} lines instead of one"
+        if refused and self.changes:
             return f"refused, but changed {', '.join(self.changes[:4])}"
         if self.status == DONE and not SAID.search(self.out) and not asked:
             return "done, but no verdict"
@@ -176,7 +187,7 @@ def _child(trial: Trial, folder: Path, executable: bool, pipes: list[int]) -> No
     if trial.largest_file is not None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (trial.largest_file, trial.largest_file))
-    if executable:
+    if executable and trial.arguments[0] != "load":
         command = shutil.which("pinn-run", path=os.path.dirname(sys.executable)) or "pinn-run"
         os._exit(subprocess.run([command, *trial.arguments], check=False).returncode)
     sys.argv = ["pinn-run", *trial.arguments]
@@ -184,10 +195,13 @@ def _child(trial: Trial, folder: Path, executable: bool, pipes: list[int]) -> No
     sys.stderr = open(2, "w", closefd=False, buffering=1)  # noqa: SIM115
     status = 1
     try:
-        from pinn_cli.cli.command_line import execute
-        from pinn_cli.main import run
+        if trial.arguments[0] == "load":
+            status = _load(Path(trial.arguments[1]))
+        else:
+            from pinn_cli.cli.command_line import execute
+            from pinn_cli.main import inspect, run
 
-        status = execute(run)
+            status = execute(run, inspect)
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else int(end.code is not None)
     except BaseException:
@@ -196,6 +210,31 @@ def _child(trial: Trial, folder: Path, executable: bool, pipes: list[int]) -> No
         sys.stdout.flush()
         sys.stderr.flush()
     os._exit(status & 0xFF)
+
+
+def _load(directory: Path) -> int:
+    """Ask the interface in Python for all that it has of a directory, and tell as the command does how that ends."""
+    import pinn_cli
+
+    told: list[str] = []
+    try:
+        found = pinn_cli.load(directory)
+        print(f"verdict: sound\n{found!r}")  # one is printed: it opened
+    except pinn_cli.InputError as error:
+        print(f"pinn-run: {error}", file=sys.stderr)
+        return REFUSED
+    for each in (found, *found) if isinstance(found, pinn_cli.SweepResult) else (found,):
+        for name in [name for name in dir(each) if not name.startswith("_")] + ["_repr_html_"]:
+            try:
+                value = getattr(each, name)
+                value = value() if name == "_repr_html_" else value
+                told.append("" if name in ("fitness", "parameters", "table") else repr(value)[:200])
+            except pinn_cli.InputError:
+                continue
+        with contextlib.suppress(pinn_cli.InputError):
+            each.plot.names if isinstance(each, pinn_cli.Result) else ()
+    print("\n".join(told))
+    return DONE
 
 
 def import_everything() -> None:

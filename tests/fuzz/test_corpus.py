@@ -10,12 +10,16 @@ from fuzz.starts import Starts
 from fuzz.trial import Trial
 
 CORPUS = sorted((Path(__file__).parent / "corpus").glob("*.json"))
-# Inputs that are not refused, and families of such: a whole estimate each.
-ESTIMATED = {"numbers", "physics", "csv-7e425c516b", "csv-12f0fd67e6", "disk-30f3f179cc", "disk-7f4eeaf21d"}
+# Inputs that take long, and families of such: a whole estimate, or all the time that a reader may take.
+LONG = {
+    "numbers", "physics", "csv-7e425c516b", "csv-12f0fd67e6", "disk-30f3f179cc", "disk-7f4eeaf21d",
+    "directories-023ccd1569", "bombs-245f9af192", "bombs-496ea42d09", "bombs-6408ddf675", "bombs-7d0fef6c52",
+    "bombs-804c8eba4e",
+}  # fmt: skip
 
 
 def _kept(file: Path) -> pytest.param:
-    marks = pytest.mark.slow if {file.stem, file.stem.split("-")[0]} & ESTIMATED else ()
+    marks = pytest.mark.slow if {file.stem, file.stem.split("-")[0]} & LONG else ()
     return pytest.param(file, id=file.stem, marks=marks)
 
 

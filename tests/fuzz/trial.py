@@ -14,7 +14,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-FORMS = ("text", "bytes", "folder", "pipe", "gone", "link", "cut", "flipped", "forged")
+from fuzz import changes
+
+NEW = ("text", "bytes", "folder", "pipe", "gone", "link", "forged", "repeated", "sparse", "bomb")
+FORMS = (*NEW, "cut", "flipped", "set", "sql")
 
 
 @dataclass(frozen=True)
@@ -22,8 +25,8 @@ class Trial:
     """What is tried.
 
     Attributes:
-        family: The kind of input: options, numbers, csv, yaml, resume, disk, physics.
-        arguments: Of `pinn-run`.
+        family: The kind of input: one of `fuzz.__main__.FAMILIES`.
+        arguments: Of `pinn-run`; after ``load`` a directory, which `pinn_cli.load` opens.
         files: Path, from the folder on, to the form of what is put there and its content, see :func:`put`.
         start: What lies in the folder before: ``empty``, or one of `starts.STARTS`.
         largest_file: Bytes that a file may have, as on a disk that is nearly full; None: no limit.
@@ -38,7 +41,10 @@ class Trial:
     def prepare(self, folder: Path, marker: Path) -> None:
         """Put the files into their folder; code in them that is executed leaves ``marker``."""
         for name, (form, content) in self.files.items():
-            put(folder / name, form, content, marker)
+            place = folder
+            for part in Path(name).parts:
+                place = next(iter(sorted(place.glob(part))), place / part) if "*" in part else place / part
+            put(place, form, content, marker)
 
     @property
     def name(self) -> str:
@@ -70,12 +76,14 @@ def put(place: Path, form: str, content: Any, marker: Path) -> None:
         form: ``text`` or ``bytes`` with that content; ``folder``, ``pipe``, ``gone``; ``link`` to the content; what is
             there ``cut`` to that part of its length, or ``flipped``, a bit at that part of it; ``forged``: a pickle
             that executes code, in a sealed checkpoint (``checkpoint``), in an archive as of torch (``archive``) or
-            ``bare``. ``{marker}`` in a text is what executed code would make.
+            ``bare``; a text ``repeated`` so many times; ``sparse``, so many bytes of zeros; a ``bomb`` of
+            `changes.BOMBS`; what is there ``set`` at a place to a value, or changed by ``sql``. ``{marker}``
+            in a text is what executed code would make.
         content: See above.
         marker: The file that executed code would make.
     """
     place.parent.mkdir(parents=True, exist_ok=True)
-    if form in ("text", "bytes", "folder", "pipe", "gone", "link", "forged") and os.path.lexists(place):
+    if form in NEW and os.path.lexists(place):
         if place.is_dir() and not place.is_symlink():
             for entry in sorted(place.rglob("*"), reverse=True):
                 entry.rmdir() if entry.is_dir() and not entry.is_symlink() else entry.unlink()
@@ -95,9 +103,18 @@ def put(place: Path, form: str, content: Any, marker: Path) -> None:
             place.symlink_to(content)
         case "forged":
             place.write_bytes(_forged(content, marker))
+        case "repeated":
+            place.write_text(content[0] * content[1], encoding="utf-8")
+        case "sparse":
+            with place.open("wb") as file:
+                file.truncate(content)
+        case "bomb":
+            changes.bomb(place, content)
+        case "set" | "sql" if place.is_file():
+            getattr(changes, f"{form}_")(place, content)
         case "cut" | "flipped" if place.is_file():
             place.write_bytes(_damaged(place.read_bytes(), form, content))
-        case "gone" | "cut" | "flipped":
+        case "gone" | "cut" | "flipped" | "set" | "sql":
             pass
         case _:
             raise ValueError(f"{form} is none of {FORMS}")

@@ -88,6 +88,24 @@ def test_rows_that_are_missing_leave_the_others_at_their_times(tmp_path, caplog)
         np.testing.assert_allclose(gauge.time, expected)
 
 
+@pytest.mark.parametrize("jump", [3600.0, 1e9])
+def test_a_clock_that_was_set_is_told_with_its_line(tmp_path, jump):
+    rows = table()
+    rows.loc[40:, "t"] += jump
+    rows.to_csv(tmp_path / "rig.csv", index=False)
+    with pytest.raises(InputError, match=r"line 42=.*near the line before it, 0\.39; was the clock set there\?"):
+        read(tmp_path)
+    assert len(read(tmp_path, stop=1.0).time) == 40
+
+
+def test_a_gap_of_nearly_the_record_is_no_jump(tmp_path, caplog):
+    rows = table()
+    rows.loc[40:, "t"] += 4.0
+    rows.to_csv(tmp_path / "rig.csv", index=False)
+    assert read(tmp_path).time[-1] == pytest.approx(4.59)
+    assert "times are uneven" in caplog.text
+
+
 def test_a_sampling_rate_stands_in_place_of_times(tmp_path):
     table().drop(columns="t").to_csv(tmp_path / "rig.csv", index=False)
     record = read(tmp_path, sampling_rate=610.35, start=0.02)

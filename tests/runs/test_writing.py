@@ -11,7 +11,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pinn_cli.runs.writing import WriteError, replacing, replacing_by_large, write_json, write_table, write_text
+from pinn_cli.runs.writing import (
+    WriteError,
+    put_back,
+    replacing,
+    replacing_by_large,
+    write_json,
+    write_table,
+    write_text,
+)
 
 
 def _fail_halfway(place: Path) -> None:
@@ -69,6 +77,15 @@ def test_json_refuses_what_it_cannot_hold(tmp_path):
 
 def test_text_ends_in_one_newline(tmp_path):
     assert write_text("a\n\n", tmp_path / "t.md").read_text() == "a\n"
+
+
+def test_what_was_no_file_is_not_removed_when_it_is_put_back(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("nowhere")
+    (tmp_path / "new").write_text("of the program")
+    for name in ("pipe", "link", "new", "nothing"):
+        put_back(tmp_path / name, None)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["link", "pipe"]
 
 
 def test_a_full_disk_is_told_before_a_large_file_is_written(tmp_path, monkeypatch):

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from matplotlib.mathtext import MathTextParser
 from structures import braced, shuffled
 
 from pinn_cli.system.labels import Labels
-from pinn_cli.system.parameters import Parameter, ParameterVector
+from pinn_cli.system.parameters import Parameter, ParameterVector, upright
 
 DOFS = ("ground_floor", "mezzanine", "roof")
 CONNECTIONS = ("storey_1", "storey_2", "storey_3", "brace", "tie", "damper")
@@ -43,6 +44,13 @@ def test_a_parameter_is_the_same_whatever_is_believed_of_it():
     assert believed != Parameter("kappa", 2)
     assert (bare.name, bare.owner, bare.symbol) == ("kappa_4", "connection 4", r"$\kappa_{4}$")
     assert (Parameter("m", 0).owner, Parameter("k", 0, label="brace").name) == ("DOF 1", "k_brace")
+
+
+@pytest.mark.parametrize("name", ["$", "a$b", "$\\frac$", "#^", "{", "a\\", '"`', "%&_", "\x1b[2J", "a{b}c~'"])
+def test_any_name_can_be_set_as_mathematics(name):
+    parser = MathTextParser("path")
+    parser.parse(Parameter("gain", 0, label=name).symbol)
+    assert parser.parse(rf"${upright(f'{name}m')}$").width > parser.parse(rf"${upright('m')}$").width
 
 
 def test_parameters_go_by_the_names_of_their_masses_and_connections():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -29,8 +30,9 @@ from pinn_cli.settings.errors import InputError
 # Bytes that libraries map before they read anything, three times those of pyarrow; and of the memory, the part that a
 # file may take beyond them: its content, its numbers as stored, as float64 and on their way, a sixteenth each at most.
 _LIBRARIES, _PART_OF_MEMORY = 2**30, 4
-# Seconds that any file may take, and bytes that are read in each further one: pyuff, the slowest, reads 18 million.
-_SECONDS, _BYTES_A_SECOND = 60.0, 2**19
+# Seconds of a processor that any file may take, and bytes that are read in each further one: pyuff, the slowest, reads
+# 18 million; and how much longer it may take where others keep the processor busy.
+_SECONDS, _BYTES_A_SECOND, _BUSY = 10.0, 2**19, 6
 
 
 class Reader(Protocol):
@@ -62,14 +64,16 @@ def read_apart(own: Reader, path: Path, wanted: Mapping[str, str] | None) -> lis
     try:
         done = subprocess.run(
             command, input=json.dumps(question).encode(), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            env=environment, timeout=limit_s, check=True, start_new_session=True,  # Ctrl-C is for the one that asks
+            env=environment, timeout=_BUSY * limit_s, check=True, start_new_session=True,  # Ctrl-C is the asking one's
         )  # fmt: skip
         answered = np.load(BytesIO(done.stdout))
         refused, layout = json.loads(str(answered["arr_0"]))
     except subprocess.TimeoutExpired:
         raise damaged(path, own.expected, f"it takes more than {limit_s} s to read") from None
-    except (subprocess.CalledProcessError, BadZipFile, EOFError, ValueError):
-        raise damaged(path, own.expected, "its reader crashes") from None
+    except (subprocess.CalledProcessError, BadZipFile, EOFError, ValueError) as error:
+        busy = getattr(error, "returncode", 0) == -signal.SIGXCPU
+        reason = f"it takes more than {limit_s} s to read" if busy else "its reader crashes"
+        raise damaged(path, own.expected, reason) from None
     if refused:
         raise InputError.read(refused)
     arrays = (answered[name] for name in answered.files[1:])
@@ -86,7 +90,7 @@ def answer(memory: int, limit_s: int) -> None:
     with suppress(ImportError, ValueError, OSError):  # systems without such limits, or with lower ones
         import resource
 
-        resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s))  # the one that asks may be gone by then
+        resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s + 1))  # the one that asks may be gone by then
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what libraries print is no answer

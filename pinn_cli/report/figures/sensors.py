@@ -168,7 +168,7 @@ def _name(axes: Axes, channel: Channel, record: Record) -> None:
     """Quantity and place of a sensor before its row."""
     place = channel.label if record.dofs or channel.gauge is not None else f"DOF {channel.where}"
     place = "ground" if channel.quantity == GROUND and channel.gauge is None else place
-    axes.set_ylabel(f"{style.SYMBOLS[channel.quantity]}, {place}")
+    axes.set_ylabel(f"{style.SYMBOLS[channel.quantity]}, {style.literal(place)}")
 
 
 def _write_nmse(axes: Axes, left: np.ndarray, signal: np.ndarray, digits: int) -> None:

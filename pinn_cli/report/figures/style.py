@@ -20,6 +20,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import MaxNLocator
 
 from pinn_cli.record.response import UNITS
+from pinn_cli.runs.reading import printable
 from pinn_cli.runs.writing import replacing
 
 PAGE_WIDTH = 7.2  # inch, the two columns of a journal's page
@@ -158,6 +159,11 @@ def save(figure: Figure, directory: Path | str, name: str) -> list[Path]:
         with look(), replacing(place) as beside:
             figure.savefig(beside, format=kind, **options)
     return written
+
+
+def literal(name: str) -> str:
+    """A name, anybody's, as a text of a figure: no sign in it begins mathematics, or is one that no font has."""
+    return printable(name).replace("$", r"\$")
 
 
 def unit(quantity: str, prefix: str = "") -> str:
