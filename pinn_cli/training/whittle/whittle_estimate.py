@@ -236,8 +236,12 @@ class Whittle:
 
     def misfit(self, x: np.ndarray) -> float:
         """See :attr:`KnownParameters.misfit`: where the sensors' whitened spectra are no unit matrix beyond chance."""
-        left, _ = self._left(self.model.power(x)[1])
-        unit = np.linalg.inv(np.linalg.cholesky(expected(self.model, x)))
+        power, seen = self.model.power(x)
+        left, _ = self._left(seen)
+        try:
+            unit = np.linalg.inv(np.linalg.cholesky(expected(self.model, x)))
+        except np.linalg.LinAlgError:  # what a measured force leaks is a difference, which rounding may turn
+            unit = np.linalg.inv(np.linalg.cholesky(power + self.leaked))
         power, count = unit @ left @ unit.conj().transpose(0, 2, 1), self.spectrum.count
         part = np.floor(np.log(self.spectrum.omega / self.spectrum.omega[0]) / np.log(PART_RATIO)).astype(int)
         worst, parts, size = 0.0, part[-1] + 1, power.shape[-1]
