@@ -71,11 +71,6 @@ def _unknown_option(error: MissingConfigException, config_dir: str | None) -> In
     if root == "hydra":  # no group of its own, but a folder of groups, whose options Hydra's plug-ins have
         return _no_option(group, option, sorted(error.options or ()))
     options = sorted(option_names(root, config_dir))
-    if root == "hydra":  # whose groups are folders
-        kind, _, folder = folder.partition("/")
-        root = f"{root}/{kind}"
-        options = [name.removeprefix(f"{kind}/") for name in options if name.startswith(f"{kind}/")]
-        options = ["basic", *options] if kind in ("launcher", "sweeper") else options
     given = f"{folder}/{option}" if folder else option
     if given in options:
         return InputError(root, given, "such that a configuration follows", _first_line(error))

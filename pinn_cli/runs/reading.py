@@ -85,9 +85,7 @@ def read_json(file: Path, kind: type[T], layout: int | None = None) -> T:
         if layout is not None and isinstance(content, dict):
             check_layout(content, layout, file)
         return checked(content, kind)
-    except InputError:
-        raise
-    except FileNotFoundError:
+    except (FileNotFoundError, InputError):
         raise
     except RecursionError:
         raise DamagedError(file, "it is nested without end") from None

@@ -20,35 +20,43 @@ BESIDE = 200
 LONG = 2**17
 
 
-def expected(model: SpectralModel, x: np.ndarray) -> np.ndarray:
-    """(G, S, S), of the sensors' spectra less what measured forces make of them, at the unknowns (q,) of a model.
+class ExpectedSpectra:
+    """Of one record and its taper, for any model of it.
+
+    Args:
+        model: Of the spectra in the record's band.
 
     Raises:
-        ValueError: The record's band holds too little for a model.
+        ValueError: The band holds too little for a model.
     """
-    samples, edges = len(model.spectrum.values), band_lines(model.problem.record)
-    if edges is None:
-        raise ValueError("there is no model of a band without lines")
-    if samples > LONG:
-        return model.power(x)[0]
-    window, stop = taper(samples, TAPERED), edges[-1]
-    half = np.arange(min(2 * (stop + BESIDE), samples) + 1)  # two to a line: the lags are as many as the samples' pairs
-    half[0] = 1  # what is asked at a frequency of zero has no logarithm
-    frequency = half / (2.0 * samples * model.spectrum.step)
-    value, seen = model.at(frequency).power(x)
-    mean = Leakage(window, stop)
-    out = mean(value)
-    if seen.shape[-1]:
-        loads = np.stack([[np.interp(frequency, model.spectrum.frequency, y) for y in row]
-                          for row in np.moveaxis(model.spectrum.of_acting, 0, 2)])  # fmt: skip
-        acting, line = np.moveaxis(loads, 2, 0), seen[: 2 * stop : 2]
-        back, pushed = line.conj().transpose(0, 2, 1), seen @ acting
-        crossed = mean(pushed) @ back
-        out += mean(pushed @ seen.conj().transpose(0, 2, 1)) - crossed - crossed.conj().transpose(0, 2, 1)
-        out += line @ mean(acting) @ back
-    size = np.diff(edges)[:, None, None]
-    averaged: np.ndarray = np.add.reduceat(out, edges[:-1], axis=0) / size
-    return averaged
+
+    def __init__(self, model: SpectralModel) -> None:
+        edges, samples = band_lines(model.problem.record), len(model.spectrum.values)
+        if edges is None:
+            raise ValueError("there is no model of a band without lines")
+        self.edges, self.is_long, stop = edges, samples > LONG, edges[-1]
+        half = np.arange(min(2 * (stop + BESIDE), samples) + 1)  # two to a line: as many lags as the samples have pairs
+        half[0] = 1  # what is asked at a frequency of zero has no logarithm
+        self.frequency = half / (2.0 * samples * model.spectrum.step)
+        self.mean = Leakage(taper(samples, TAPERED), stop)
+
+    def __call__(self, model: SpectralModel, x: np.ndarray) -> np.ndarray:
+        """(G, S, S), of the sensors' spectra less what measured forces make of them, at the unknowns (q,)."""
+        if self.is_long:
+            return model.power(x)[0]
+        value, seen = model.at(self.frequency).power(x)
+        mean, stop = self.mean, self.edges[-1]
+        out = mean(value)
+        if seen.shape[-1]:
+            loads = np.stack([[np.interp(self.frequency, model.spectrum.frequency, y) for y in row]
+                              for row in np.moveaxis(model.spectrum.of_acting, 0, 2)])  # fmt: skip
+            acting, line = np.moveaxis(loads, 2, 0), seen[: 2 * stop : 2]
+            back, pushed = line.conj().transpose(0, 2, 1), seen @ acting
+            crossed = mean(pushed) @ back
+            out += mean(pushed @ seen.conj().transpose(0, 2, 1)) - crossed - crossed.conj().transpose(0, 2, 1)
+            out += line @ mean(acting) @ back
+        averaged: np.ndarray = np.add.reduceat(out, self.edges[:-1], axis=0) / np.diff(self.edges)[:, None, None]
+        return averaged
 
 
 class Leakage:

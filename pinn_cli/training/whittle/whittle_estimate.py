@@ -12,6 +12,7 @@ probable motion, forces and parameters together are something else: their dampin
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -24,7 +25,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.doubts.other_damping import DampingDoubt, damping_doubt, with_other_damping
 from pinn_cli.training.parameter_spread import updated_spread
-from pinn_cli.training.whittle.expected_spectra import expected
+from pinn_cli.training.whittle.expected_spectra import ExpectedSpectra
 from pinn_cli.training.whittle.spectral_model import SpectralModel, is_spectral, spectra_in_band
 
 # Steps of Fisher scoring at most, and the decrease of -log p below which nothing is gained.
@@ -175,13 +176,17 @@ class Whittle:
         slopes = unit @ model.slopes @ hermitian
         return Whitened(logs, unit @ left @ hermitian, slopes, unit @ model.seen_slopes, crossed)
 
+    @cached_property
+    def _expected(self) -> ExpectedSpectra:
+        return ExpectedSpectra(self.model)
+
     def allow_for_leakage(self, x: np.ndarray) -> None:
         """From here on lines hold what resonances leak into them at the unknowns (q,): else it passes for noise.
 
         What a resonance loses is as it would be in a longer record: it hangs on the damping that is looked for.
         """
-        more = expected(self.model, x) - self.model.power(x)[0]
-        size = np.sqrt(np.einsum("gss->gs", self.spectrum.cross[:, : more.shape[1], : more.shape[1]]).real)
+        more = self._expected(self.model, x) - self.model.power(x)[0]
+        size = np.sqrt(self.spectrum.power[:, : more.shape[1]])
         unit = size[:, :, None] * size[:, None]
         values, vectors = np.linalg.eigh(more / unit)
         self.leaked = unit * ((vectors * np.maximum(values, 0.0)[:, None]) @ vectors.conj().transpose(0, 2, 1))
@@ -236,12 +241,12 @@ class Whittle:
 
     def misfit(self, x: np.ndarray) -> float:
         """See :attr:`KnownParameters.misfit`: where the sensors' whitened spectra are no unit matrix beyond chance."""
-        power, seen = self.model.power(x)
+        plain, seen = self.model.power(x)
         left, _ = self._left(seen)
         try:
-            unit = np.linalg.inv(np.linalg.cholesky(expected(self.model, x)))
+            unit = np.linalg.inv(np.linalg.cholesky(self._expected(self.model, x)))
         except np.linalg.LinAlgError:  # what a measured force leaks is a difference, which rounding may turn
-            unit = np.linalg.inv(np.linalg.cholesky(power + self.leaked))
+            unit = np.linalg.inv(np.linalg.cholesky(plain + self.leaked))
         power, count = unit @ left @ unit.conj().transpose(0, 2, 1), self.spectrum.count
         part = np.floor(np.log(self.spectrum.omega / self.spectrum.omega[0]) / np.log(PART_RATIO)).astype(int)
         worst, parts, size = 0.0, part[-1] + 1, power.shape[-1]

@@ -8,7 +8,7 @@ from ambient_records import ambient_record
 
 from pinn_cli.record.cross_spectra import taper
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
-from pinn_cli.training.whittle.expected_spectra import Leakage, expected
+from pinn_cli.training.whittle.expected_spectra import ExpectedSpectra, Leakage
 from pinn_cli.training.whittle.spectral_model import SpectralModel, spectra_in_band
 from pinn_cli.training.whittle.whittle_estimate import Whittle
 
@@ -53,7 +53,7 @@ def test_spectra_are_as_expected_on_average(measured):
         x[model.places["noise"]] = np.log(made.noise)
         plain, seen = model.power(x)
         left, _ = Whittle(model, True)._left(seen)
-        for which, power in enumerate((left, expected(model, x), plain)):
+        for which, power in enumerate((left, ExpectedSpectra(model)(model, x), plain)):
             for part, (low, high) in enumerate(parts):
                 own = (model.spectrum.frequency >= low) & (model.spectrum.frequency < high)
                 sums[which, part] += np.einsum("gss->gs", power[own]).real.sum(0)
