@@ -20,13 +20,13 @@ from pinn_cli.record.record import Record
 from pinn_cli.scheme.inputs import FREE, GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import BEGINNINGS, THROUGH, JointPrior, Problem, TurningPoints
+from pinn_cli.system.building import damped
 from pinn_cli.system.finite_elements import FiniteElements
 from pinn_cli.system.quantities import CONNECTION_FORCE, FORCE, GROUND, HIGH_PASS, MOTION, SUPPORT, TILT
 from pinn_cli.system.reduction import WholeModel, reduced_model
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.substructures import Parts
 from pinn_cli.system.topology import build_structure, connected
-from pinn_cli.system.whole_damping import damped
 from pinn_cli.training.base import built
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations

@@ -11,7 +11,7 @@ from scipy.sparse import csr_matrix
 from pinn_cli.system.connection import BoucWen, Duffing, Linear, VanDerPol
 from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.incidence import Incidence
-from pinn_cli.system.labels import Labels
+from pinn_cli.system.parameters import Labels
 from pinn_cli.system.shapes import Shapes
 from pinn_cli.system.structure import Structure
 

@@ -16,8 +16,7 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.settings.suggestion import suggestion
 from pinn_cli.system import structure
-from pinn_cli.system.building import build_chain
-from pinn_cli.system.laws import law_called, law_settings
+from pinn_cli.system.building import build_chain, law_called, law_settings
 from pinn_cli.system.modes import NaturalModes
 from pinn_cli.system.topology import build_structure
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pinn_cli.report.export import Export
     from pinn_cli.report.results import RunDescription
     from pinn_cli.scheme.base import Scheme
-    from pinn_cli.system.modal import ModesSought
+    from pinn_cli.system.building import ModesSought
     from pinn_cli.system.model_error import ModelError
     from pinn_cli.system.structure import Structure
     from pinn_cli.tracking.base import Tracking

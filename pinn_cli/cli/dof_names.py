@@ -17,7 +17,7 @@ from pinn_cli.settings.suggestion import suggestion
 
 if TYPE_CHECKING:
     from pinn_cli.record.record import Measurements, Record
-    from pinn_cli.system.labels import Labels
+    from pinn_cli.system.parameters import Labels
 
 # Settings that are a map whose keys are DOFs, and those that are a list of DOFs.
 OF_DATA = ("force", "displacement", "velocity", "acceleration")

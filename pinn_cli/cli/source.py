@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pinn_cli.record.record import Measurements, Record
     from pinn_cli.record.validation_data import ValidationData, ValidationRecord
     from pinn_cli.record.windows import RecordWindows
-    from pinn_cli.system.modal import ModesSought
+    from pinn_cli.system.building import ModesSought
     from pinn_cli.system.model_error import ModelError
     from pinn_cli.system.structure import Structure
 
@@ -79,7 +79,7 @@ def read_structure(config: DictConfig, base: Path | None) -> Structure:
 
 def _modal(config: DictConfig) -> Structure:
     """Of modes that the record has yet to tell, at the points that it names."""
-    from pinn_cli.system.modal import build_modal
+    from pinn_cli.system.building import build_modal
     from pinn_cli.system.quantities import FORCE, MOTION
 
     if _is_simulated(config):
@@ -101,7 +101,7 @@ def modes_sought(config: DictConfig) -> ModesSought | None:
             hint = "the noise of other estimators is white, and a filter leaves none beside its band: data.decimate"
             raise InputError("data.band", list(node.band), "null but with system=modal", hint)
         return None
-    from pinn_cli.system.modal import ModesSought
+    from pinn_cli.system.building import ModesSought
 
     if config.scheme.get("_target_") != STATE_PARAMETER:
         raise InputError("scheme", config.scheme.get("_target_"), "state_parameter with system=modal")

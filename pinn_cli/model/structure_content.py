@@ -10,12 +10,12 @@ import numpy as np
 import torch
 from scipy.sparse import csr_matrix
 
+from pinn_cli.system.building import law_called
 from pinn_cli.system.connection.base import Nonlinearity
 from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.damping import MassProportional, ModalRatios, StiffnessProportional, StructuralDamping
 from pinn_cli.system.incidence import Incidence, Pairs
-from pinn_cli.system.labels import Labels
-from pinn_cli.system.laws import law_called
+from pinn_cli.system.parameters import Labels
 from pinn_cli.system.shapes import Shapes
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.substructures import Substructure

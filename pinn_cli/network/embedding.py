@@ -10,8 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from pinn_cli.record.amplitudes import slowest_motion
-from pinn_cli.record.channels import record_band
+from pinn_cli.record.channels import record_band, slowest_motion
 from pinn_cli.record.record import Record
 
 EmbeddingName = Literal["none", "fourier"]

@@ -14,8 +14,7 @@ from torch.nn import functional
 from pinn_cli.network.activation import ACTIVATIONS, propagate
 from pinn_cli.network.base import CONTINUITIES, Continuity, Network, NetworkDesign
 from pinn_cli.network.embedding import Embedding, EmbeddingName, embedding
-from pinn_cli.record.amplitudes import motion_amplitudes
-from pinn_cli.record.channels import record_band
+from pinn_cli.record.channels import motion_amplitudes, record_band
 from pinn_cli.record.record import Record
 from pinn_cli.settings.legal_values import one_of, whole_number
 

@@ -13,10 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pinn_cli.record.clock import Clock, MeasuredFiles
+from pinn_cli.record.clock import Clock, MeasuredFiles, format_of
 from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.csv import CsvFormat
-from pinn_cli.record.files.formats import format_of
 from pinn_cli.record.files.table import Table, column_of_times
 from pinn_cli.settings.errors import InputError
 

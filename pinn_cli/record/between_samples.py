@@ -253,3 +253,8 @@ def samples_per_line(values: np.ndarray) -> int:
         if np.mean(corners >= AT_CORNERS * blocks.sum(axis=1)) >= MOST_BLOCKS:
             return length
     return 1
+
+
+def evenly_spaced(available: int, count: int) -> np.ndarray:
+    """(count,) indices of ``available`` samples, spread evenly, the first and the last included."""
+    return np.linspace(0, available - 1, count).round().astype(np.int64)

@@ -9,10 +9,19 @@ from pathlib import Path
 import numpy as np
 
 from pinn_cli.record.files.base import FileFormat
-from pinn_cli.record.files.formats import format_of
+from pinn_cli.record.files.csv import CsvFormat
+from pinn_cli.record.files.hdf5 import Hdf5Format
+from pinn_cli.record.files.mat import MatFormat
+from pinn_cli.record.files.netcdf import NetcdfFormat
+from pinn_cli.record.files.parquet import ParquetFormat
 from pinn_cli.record.files.table import SensorHint, Table, check_names, column_of_times, is_called_times, joined
+from pinn_cli.record.files.tdms import TdmsFormat
+from pinn_cli.record.files.uff import UffFormat
 from pinn_cli.settings.errors import InputError
 
+FORMATS: tuple[type[FileFormat], ...] = (
+    CsvFormat, MatFormat, UffFormat, ParquetFormat, TdmsFormat, Hdf5Format, NetcdfFormat,
+)  # fmt: skip
 # Units of a column of times, and how many of them a second has.
 TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6}
 # Stands for the column of times, whatever it is called.
@@ -211,3 +220,16 @@ class MeasuredFiles:
 
 def _only(table: Table, names: set[str]) -> Table:
     return replace(table, columns={name: values for name, values in table.columns.items() if name in names})
+
+
+def format_of(path: Path, chosen: FileFormat) -> FileFormat:
+    """The chosen format, unless the file's suffix is none of its own and that of another.
+
+    Args:
+        path: Of the file.
+        chosen: By ``data=...``.
+    """
+    suffix = (path.with_suffix("") if path.suffix.lower() == ".gz" else path).suffix.lower()
+    if suffix in (*chosen.suffixes, *chosen.other_suffixes):
+        return chosen
+    return next((other() for other in FORMATS if suffix in other.suffixes), chosen)

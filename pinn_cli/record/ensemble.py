@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from pinn_cli.record.between_samples import between_samples
-from pinn_cli.record.implicit_steps import implicit_steps
+from pinn_cli.record.inputs import SupportErrors, support_motion
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import runge_kutta
-from pinn_cli.record.steps import follower_masses, method_needed, with_slow_followers
-from pinn_cli.record.supports import SupportErrors, support_motion
+from pinn_cli.record.steps import follower_masses, implicit_steps, method_needed, with_slow_followers
 from pinn_cli.system.structure import Structure
 
 # Samples that are followed at a time: the forces of all members stand in memory for so long only.

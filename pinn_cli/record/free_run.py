@@ -23,16 +23,16 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from pinn_cli.record.between_samples import BandLimited, between_samples
+from pinn_cli.record.inputs import support_motion
 from pinn_cli.record.response import Response
 from pinn_cli.record.simulation import LARGEST_STATE, OverflowsError, response_of, simulate
 from pinn_cli.record.steps import TooStiffError, method_needed, with_slow_followers
-from pinn_cli.record.supports import support_motion
+from pinn_cli.system.coupling import loose_dofs
 from pinn_cli.system.modes import modes_of
-from pinn_cli.system.support import loose_dofs
 
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record
-    from pinn_cli.record.runge_kutta import Force as History
+    from pinn_cli.record.steps import Force as History
     from pinn_cli.system.modes import Modes
     from pinn_cli.system.structure import Structure
 

@@ -9,16 +9,11 @@ rounding.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from pinn_cli.record.corners import Corners
-
-Force = Callable[[np.ndarray], np.ndarray]
-
-Slope = Callable[[np.ndarray, np.ndarray], np.ndarray]
+from pinn_cli.record.steps import Corners, Force, Slope
 
 # Steps from which on pieces are worth their trouble. Cube of the coordinates, which products of matrices take, over the
 # steps that one product stands for, up to which: 10 coordinates over 3 steps take half the time of single steps.

@@ -13,12 +13,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.corners import Corners
-from pinn_cli.record.implicit_steps import implicit_steps
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame
 from pinn_cli.record.response import Response
-from pinn_cli.record.runge_kutta import Force, Slope, runge_kutta
-from pinn_cli.record.steps import STEP_TIMES_RATE, TooStiffError, has_stiff_law, substeps_needed
+from pinn_cli.record.runge_kutta import runge_kutta
+from pinn_cli.record.steps import (
+    STEP_TIMES_RATE,
+    Corners,
+    Force,
+    Slope,
+    TooStiffError,
+    has_stiff_law,
+    implicit_steps,
+    substeps_needed,
+)
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, positive_number, whole_number
 from pinn_cli.system.parameters import MASS
@@ -26,7 +33,6 @@ from pinn_cli.system.parameters import MASS
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from pinn_cli.record.runge_kutta import Slope
     from pinn_cli.system.shapes import Shapes
     from pinn_cli.system.structure import Structure
 

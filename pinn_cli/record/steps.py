@@ -1,16 +1,27 @@
-"""How long the steps of a time integration may be: what is fastest in a structure."""
+"""The steps of a time integration: how long they may be, where a law divides them, and implicit ones.
+
+Runge-Kutta takes steps that what is fastest in a structure asks for. No method of high order may step across the corner
+of a law that is not smooth. Friction that sticks holds a mass like an enormous damper: Runge-Kutta stays stable with
+hundreds of steps per sample only, LSODA (Petzold, SIAM J. Sci. Stat. Comput. 4, 1983, in scipy) takes some ten.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from scipy.integrate import odeint
 
 if TYPE_CHECKING:
     from pinn_cli.system.structure import Structure
+
+# A load from times; the rate of a state under a load.
+Force, Slope = Callable[[np.ndarray], np.ndarray], Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 # Runge-Kutta is stable up to 2.8 and accurate to 1e-5 per radian at 0.2 (its phase error is (step * rate)^4 / 120).
 STEP_TIMES_RATE = 0.2
@@ -97,3 +108,161 @@ def at_rest(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
     """Size of stiffness (N/m) and of damping (N s/m) of every connection (C,), those of its law at rest included."""
     k, c = (np.abs(parts).sum(axis=0) for parts in structure.at_rest())
     return k, c
+
+
+# Half-width of the part of a step about a corner that is taken by itself, over the step: what a step across a corner is
+# in error by falls with its square.
+MARGIN = 1.0 / 128.0
+# A law that turns over a speed is straight beyond so many times it, and takes steps of such a part of it.
+STRAIGHT, FINE = 6.0, 0.3
+# Loads at both ends of a step without supports that move.
+AT_REST = (np.empty(0), np.empty(0))
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """Of the states of a structure: connections whose elongation turns round, and hidden forces that change sign.
+
+    Attributes:
+        rate: (corners, states), the elongations' rates from states in a row.
+        width: (corners,), the speeds that the laws turn over, m/s; 0: at once.
+        hidden: The hidden forces among the states.
+        by_supports: (corners, S), the rates from the velocities of supports that move.
+    """
+
+    rate: np.ndarray
+    width: np.ndarray
+    hidden: slice
+    by_supports: np.ndarray
+
+    @classmethod
+    def of(cls, structure: Structure) -> Corners | None:
+        """Those of a structure; None where all its laws are smooth."""
+        p = structure.parameters_like(np.empty(0))
+        places, widths = [], []
+        for group, part in zip(structure.groups, structure.parts, strict=True):
+            width = group.nonlinearity.reversal_speed
+            if width is not None:
+                connections = np.arange(structure.incidence.shape[0])[part.connections]
+                places.append(connections)
+                widths.append(np.full(len(connections), width))
+        if not places:
+            return None
+        n, hidden = len(p["m"]), len(structure.memory)
+        rate = np.zeros((sum(map(len, places)), 2 * n + hidden))
+        stretch = structure.stretch.matrix[np.concatenate(places)].toarray()
+        rate[:, n : 2 * n] = stretch[:, :n]
+        return cls(rate, np.concatenate(widths), slice(2 * n, 2 * n + hidden), stretch[:, n:])
+
+    @property
+    def shortest(self) -> float:
+        """Least length of the parts that a step is divided into, over the step."""
+        return MARGIN / 32.0 if self.width.any() else MARGIN
+
+    def cuts(
+        self, before: np.ndarray, after: np.ndarray, least: float, loads: Sequence[np.ndarray] = AT_REST
+    ) -> np.ndarray:
+        """Where a step from one state to another is divided, in ascending order, over the step; none: nowhere.
+
+        Args:
+            before: The state at the beginning.
+            after: That at the end, if the step is taken at once.
+            least: Distance of a cut from either end, over the step, at most a half. Without one, a step that begins
+                at a corner would be divided there again and again.
+            loads: At the beginning and at the end; they hold the velocity of supports that move.
+        """
+        first, last = (
+            np.concatenate((self.rate @ state + self._of_supports(load), state[self.hidden]))
+            for state, load in zip((before.reshape(-1), after.reshape(-1)), loads, strict=True)
+        )
+        sharp, wide = self._sharp & (first * last < 0.0), self._across(first, last)
+        if not sharp.any() and not wide.any():
+            return np.zeros(0)
+        there = first[sharp] / (first[sharp] - last[sharp])
+        cuts = [there - MARGIN, there + MARGIN]
+        for x, y, width in zip(first[wide], last[wide], self._widths[wide], strict=True):
+            ends = np.clip([x, y], -STRAIGHT * width, STRAIGHT * width)
+            count = int(np.ceil(abs(ends[1] - ends[0]) / (FINE * width)))
+            cuts.append((np.linspace(ends[0], ends[1], count + 1) - x) / (y - x))
+        return np.unique(np.clip(np.concatenate(cuts), least, 1.0 - least))
+
+    def _of_supports(self, load: np.ndarray) -> np.ndarray | float:
+        moved = self.by_supports.shape[1]
+        return self.by_supports @ load[1, -moved:] if moved else 0.0
+
+    @cached_property
+    def _widths(self) -> np.ndarray:
+        return np.concatenate((self.width, np.zeros(self.hidden.stop - self.hidden.start)))
+
+    @cached_property
+    def _sharp(self) -> np.ndarray:
+        return self._widths == 0.0
+
+    def _across(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """Whether a step is too long for a law that turns over a speed."""
+        low, high, straight = np.minimum(first, last), np.maximum(first, last), STRAIGHT * self._widths
+        return ~self._sharp & (high - low > FINE * self._widths) & (low < straight) & (high > -straight)
+
+
+# Error of a step, over the state and over what the loads make of it within a sample.
+TOLERANCE = 1e-7
+# Slopes that are taken per sample of what is behind, with so many samples in advance. Sticking friction takes 10 to 25.
+MOST_SLOPES, IN_ADVANCE = 400, 50
+# Implicit steps of LSODA between two samples: no bound, `MOST_SLOPES` is one.
+ANY_NUMBER = 10**6
+
+
+def implicit_steps(
+    slope: Slope, force: Force, time: np.ndarray, sampled: np.ndarray, hold: str, start: np.ndarray, coordinates: int
+) -> np.ndarray:
+    """The states at all samples (N, ...); not finite from where on the state is not.
+
+    Args:
+        slope: Of a state under a load.
+        force: Load at any times.
+        time: (N,), s.
+        sampled: (N, ...), the load at those.
+        hold: ``exact`` or ``zero_order``.
+        start: The state at the first time: displacements, velocities, hidden forces.
+        coordinates: n, as many displacements and velocities.
+
+    Raises:
+        TooStiffError: It takes more than `MOST_SLOPES` slopes per sample.
+    """
+    step, shape, taken = float(time[1] - time[0]), start.shape, 0
+    states = np.full((len(time), start.size), np.nan)
+    states[0] = start.ravel()
+
+    def rate(y: np.ndarray, t: float, held: np.ndarray | None) -> np.ndarray:
+        nonlocal taken
+        taken += 1
+        if taken > MOST_SLOPES * ((t - time[0]) / step + IN_ADVANCE):
+            raise TooStiffError(f"it takes more than {MOST_SLOPES} evaluations per sample, by implicit steps too")
+        return slope(y.reshape(shape), force(np.array([t]))[0] if held is None else held).ravel()
+
+    size = _size(lambda y, load: slope(y.reshape(shape), load).ravel(), sampled, start.ravel(), step, coordinates)
+    options = {"rtol": TOLERANCE, "atol": TOLERANCE * size}
+    parts = [(0, len(time), None)] if hold == "exact" else [(k, k + 2, sampled[k]) for k in range(len(time) - 1)]
+    for begin, end, held in parts:
+        at = time[begin:end]
+        found, told = odeint(
+            rate, states[begin], at, (held,), full_output=True, hmax=step, mxstep=ANY_NUMBER, **options
+        )  # fmt: skip
+        reached = len(at) if told["message"] == "Integration successful." else 1
+        states[begin + 1 : begin + reached] = found[1:reached]
+        if reached == 1:
+            break
+    return states.reshape(-1, *shape)
+
+
+def _size(slope: Slope, sampled: np.ndarray, start: np.ndarray, step: float, coordinates: int) -> np.ndarray:
+    """(states,), what the loads make of displacements, of velocities and of hidden forces within a sample, at most.
+
+    They make velocities at their rates from the start, and all else at the rates that follow from these.
+    """
+    first = start + step * np.array([slope(start, load) for load in sampled])
+    moved = start + step * np.array([slope(*each) for each in zip(first, sampled, strict=True)])
+    most, out = np.abs(np.concatenate((first, moved))).max(axis=0), np.empty(len(start))
+    for part in (slice(coordinates), slice(coordinates, 2 * coordinates), slice(2 * coordinates, None)):
+        out[part] = max(most[part].max(initial=0.0), np.finfo(float).tiny)
+    return out

@@ -74,23 +74,31 @@ class Grid:
     overlap: int
 
     @classmethod
-    def of(cls, length: float, overlap: float | None, first: float, step: float) -> Grid:
-        """Of windows so many seconds long.
+    def of(cls, length: float, overlap: float | None, time: np.ndarray) -> Grid:
+        """Of windows so many seconds long, from a record's times (N,), s: those of its first window or more.
 
         Raises:
             InputError: They hold too few samples.
         """
+        own = time[: int(np.searchsorted(time, time[0] + length, side="right"))]
+        if len(own) < MINIMUM_SAMPLES:
+            hint = f"the first {length:g} s hold {len(own)} samples"
+            raise InputError(SETTING, length, f"windows of at least {MINIMUM_SAMPLES} samples", hint)
+        steps = np.diff(own)
+        # Times are printed with few digits: one step is off by much, all together are not. Gaps are no steps.
+        step = float(np.mean(steps[steps < GAP * np.median(steps)]))
         samples = round(length / step)
         if samples + 1 < MINIMUM_SAMPLES:
             allowed = f"at least {MINIMUM_SAMPLES} samples, {MINIMUM_SAMPLES * step:g} s here"
             raise InputError(SETTING, length, allowed, "it is in seconds")
-        return cls(first, step, samples, round((OVERLAP_SHARE * length if overlap is None else overlap) / step))
+        overlap = OVERLAP_SHARE * length if overlap is None else overlap
+        return cls(float(own[0]), step, samples, round(overlap / step))
 
     def window(self, number: int) -> Window:
         """A window that is no last one."""
         start = (number - 1) * (self.length - self.overlap)
-        after = start + self.length - self.overlap
-        return Window(number, self._time(start), self._time(start + self.length), self._time(after))
+        times = (self.first + sample * self.step for sample in (start, start + self.length))
+        return Window(number, *times, self.first + (start + self.length - self.overlap) * self.step)
 
     def last(self, number: int, stop: float) -> Window | None:
         """What is left for a last window of a record that ends at ``stop``, s; None if those before have it all."""
@@ -104,8 +112,13 @@ class Grid:
         """Whether a record that has come to a time, s, has the whole window."""
         return time > window.stop - 0.5 * self.step
 
-    def _time(self, sample: int) -> float:
-        return self.first + sample * self.step
+    def all(self, stop: float) -> list[Window]:
+        """The windows of a whole record that ends at ``stop``, s."""
+        found: list[Window] = []
+        while self.is_reached(window := self.window(len(found) + 1), stop):
+            found.append(window)
+        last = self.last(len(found) + 1, stop)
+        return [*found[:-1], replace(found[-1], hand_over=None)] if last is None else [*found, last]
 
 
 def checked_lengths(window: object, overlap: object) -> tuple[float, float | None]:
@@ -133,7 +146,7 @@ class RecordWindows(ABC):
     """
 
     def __init__(self, length: float, overlap: float | None) -> None:
-        self.length, self.overlap = length, overlap
+        self.lengths = length, overlap
 
     @abstractmethod
     def after(self, done: int) -> Iterator[Window]:
@@ -155,50 +168,13 @@ class RecordWindows(ABC):
             InputError: A cell that cannot be used, a sensor that shows one value throughout.
         """
 
-    def _all(self, time: np.ndarray) -> list[Window]:
-        """The windows of a record that is there as a whole."""
-        grid = grid_of(self.length, self.overlap, time)
-        found: list[Window] = []
-        while grid.is_reached(grid.window(len(found) + 1), float(time[-1])):
-            found.append(grid.window(len(found) + 1))
-        last = grid.last(len(found) + 1, float(time[-1]))
-        if last is None:
-            found[-1] = replace(found[-1], hand_over=None)
-            return found
-        return [*found, last]
 
-
-def grid_of(length: float, overlap: float | None, time: np.ndarray) -> Grid:
-    """The windows of a record that begins with some times (N,), s: those of its first window or more.
-
-    Raises:
-        InputError: There are too few.
-    """
-    own = time[: int(np.searchsorted(time, time[0] + length, side="right"))]
-    if len(own) < MINIMUM_SAMPLES:
-        hint = f"the first {length:g} s hold {len(own)} samples"
-        raise InputError(SETTING, length, f"windows of at least {MINIMUM_SAMPLES} samples", hint)
-    steps = np.diff(own)
-    # Times are printed with few digits: one step is off by much, all together are not. Gaps are no steps.
-    step = float(np.mean(steps[steps < GAP * np.median(steps)]))
-    return Grid.of(length, overlap, float(own[0]), step)
-
-
-def window_of(
-    data: MeasuredData, clock: Clock, window: Window, step: float, names: list[str], ndof: int
+def _measured(
+    data: MeasuredData, clock: Clock, window: Window, step: float, structure: tuple[int, list[str]]
 ) -> Measurements:
-    """What was measured in a window of a file.
-
-    Args:
-        data: What is what in it.
-        clock: Its columns, and when they were sampled.
-        window: Which part.
-        step: From sample to sample, s.
-        names: Of the structure's connections.
-        ndof: Of the structure.
-    """
+    """What was measured in a window of a file, from its columns, a step (s), DOFs and connections of the structure."""
     ends = replace(data, start=window.start - 0.5 * step, stop=window.stop + 0.5 * step)
-    return ends.measure(ndof, names, clock)
+    return ends.measure(*structure, clock)
 
 
 class MeasuredWindows(RecordWindows):
@@ -219,19 +195,15 @@ class MeasuredWindows(RecordWindows):
         """The columns, and when they were sampled."""
         return self.data.clock()
 
-    @cached_property
-    def time(self) -> np.ndarray:
-        """(N,), s, of the part that is used."""
-        return self.data.used(self.clock)
-
     def after(self, done: int) -> Iterator[Window]:
         """See :meth:`RecordWindows.after`."""
-        yield from self._all(self.time)[done:]
+        time = self.data.used(self.clock)
+        yield from Grid.of(*self.lengths, time).all(float(time[-1]))[done:]
 
     def measure(self, true: Structure, window: Window) -> Measurements:
         """See :meth:`RecordWindows.measure`."""
-        step = grid_of(self.length, self.overlap, self.time).step
-        return window_of(self.data, self.clock, window, step, self.connections, true.ndof)
+        step = Grid.of(*self.lengths, self.data.used(self.clock)).step
+        return _measured(self.data, self.clock, window, step, (true.ndof, self.connections))
 
 
 class SimulatedWindows(RecordWindows):
@@ -249,17 +221,15 @@ class SimulatedWindows(RecordWindows):
 
     def after(self, done: int) -> Iterator[Window]:
         """See :meth:`RecordWindows.after`."""
-        simulation = self.simulated.simulation
-        yield from self._all(np.linspace(0.0, simulation.duration, simulation.samples))[done:]
+        time = self.simulated.simulation.time
+        yield from Grid.of(*self.lengths, time).all(float(time[-1]))[done:]
 
     def measure(self, true: Structure, window: Window) -> Measurements:
         """See :meth:`RecordWindows.measure`."""
-        if self._whole is None:
-            self._whole = self.simulated.measure(true)
+        self._whole = self._whole or self.simulated.measure(true)
         record, truth = self._whole.record, self._whole.truth
-        first, stop = np.searchsorted(
-            record.time, (window.start - 0.5 * record.step, window.stop + 0.5 * record.step)
-        ).tolist()
+        ends = window.start - 0.5 * record.step, window.stop + 0.5 * record.step
+        first, stop = np.searchsorted(record.time, ends).tolist()
         return Measurements(record.part(first, stop), Truth(truth.response.part(first, stop), truth.parameters))
 
 
@@ -318,7 +288,7 @@ class GrowingWindows(RecordWindows):
 
     def after(self, done: int) -> Iterator[Window]:
         """See :meth:`RecordWindows.after`; ends with what is left when nothing has come for long enough."""
-        since = self.now()
+        since, idle, end = self.now(), self.patience.until_idle, self.data.stop
         while True:
             came = self.arriving.read()
             while (window := self._next(done + 1)) is not None:
@@ -327,7 +297,9 @@ class GrowingWindows(RecordWindows):
             if came:  # there may be more by now
                 since = self.now()
                 continue
-            if self._has_ended() or self._is_idle(since):
+            time = self.arriving.time
+            has_ended = end is not None and len(time) > 0 and float(time[-1]) >= end
+            if has_ended or (idle is not None and self.now() - since >= idle):
                 last = self._last(done + 1)
                 if last is not None:
                     yield last
@@ -337,16 +309,7 @@ class GrowingWindows(RecordWindows):
     def measure(self, true: Structure, window: Window) -> Measurements:
         """See :meth:`RecordWindows.measure`."""
         assert self._grid is not None
-        return window_of(self.data, self.arriving.clock, window, self._grid.step, self.connections, true.ndof)
-
-    def _is_idle(self, since: float) -> bool:
-        idle = self.patience.until_idle
-        return idle is not None and self.now() - since >= idle
-
-    def _has_ended(self) -> bool:
-        """Whether the record goes on beyond what is to be used of it."""
-        stop, came = self.data.stop, self.arriving.time
-        return stop is not None and len(came) > 0 and float(came[-1]) >= stop
+        return _measured(self.data, self.arriving.clock, window, self._grid.step, (true.ndof, self.connections))
 
     @property
     def _time(self) -> np.ndarray:
@@ -360,9 +323,9 @@ class GrowingWindows(RecordWindows):
         """A window that is there as a whole; None while it is not."""
         own = self._time
         if self._grid is None:
-            if len(own) == 0 or own[-1] <= own[0] + self.length:
+            if len(own) == 0 or own[-1] <= own[0] + self.lengths[0]:
                 return None
-            self._grid = grid_of(self.length, self.overlap, own)
+            self._grid = Grid.of(*self.lengths, own)
         window = self._grid.window(number)
         self.arriving.forget_before(window.start - 0.5 * self._grid.step)
         return window if len(own) and self._grid.is_reached(window, float(own[-1])) else None
@@ -373,5 +336,5 @@ class GrowingWindows(RecordWindows):
         if len(own) == 0:
             hint = f"nothing has come: {self.arriving.path}"
             raise InputError("data.path", self.arriving.path.name, "a file that grows, or a folder with files", hint)
-        self._grid = self._grid or grid_of(self.length, self.overlap, own)
+        self._grid = self._grid or Grid.of(*self.lengths, own)
         return self._grid.last(number, float(own[-1]))

@@ -18,9 +18,9 @@ import pandas as pd
 from pinn_cli.record.channels import Channel, channels
 from pinn_cli.record.ensemble import Members, affordable_members, spread_of
 from pinn_cli.record.free_run import NoFreeRunError, free_run
+from pinn_cli.record.inputs import SupportErrors
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES, UNITS, Response
-from pinn_cli.record.supports import SupportErrors
 from pinn_cli.record.validation_data import ValidationRecord
 from pinn_cli.report.residuals import nmse_percent
 from pinn_cli.system.parameters import MASS

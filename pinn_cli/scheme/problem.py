@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from pinn_cli.model.knowledge import EndState, Levels, ParameterKnowledge
-from pinn_cli.record.amplitudes import motion_amplitudes
+from pinn_cli.record.channels import motion_amplitudes
 from pinn_cli.record.record import Record
 from pinn_cli.record.steps import has_stiff_law
 from pinn_cli.system.dynamics import Dynamics

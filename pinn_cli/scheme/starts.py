@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.record.amplitudes import motion_amplitudes
+from pinn_cli.record.channels import motion_amplitudes
 from pinn_cli.record.cross_spectra import misses_samples
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.linear_fit import DAMPING, last_ends

@@ -33,10 +33,10 @@ from pinn_cli.scheme.unknowns import (
     unknown_parameters,
 )
 from pinn_cli.settings.legal_values import positive_number
+from pinn_cli.system.building import damped
 from pinn_cli.system.modes import NaturalModes
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
-from pinn_cli.system.whole_damping import damped
 
 log = logging.getLogger(__name__)
 

@@ -1,29 +1,46 @@
-"""From what a user writes in a config to a chain, with every rule about legal values of `system`."""
+"""From what a user writes of ``system`` to a structure: chains, laws by their names, damping, modes to be found."""
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import math
-from typing import TYPE_CHECKING, Any
+import pkgutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
 
 import numpy as np
 import torch
+from omegaconf import OmegaConf
+from scipy.sparse import csr_matrix
 
 from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.instantiation import construct
 from pinn_cli.settings.legal_values import USABLE, entries, is_finite_number, is_usable_number, whole_number
+from pinn_cli.settings.registry import plugins_of
+from pinn_cli.settings.suggestion import suggestion
+from pinn_cli.system import connection
+from pinn_cli.system.connection.base import Nonlinearity
+from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.connection_groups import ConnectionGroup
+from pinn_cli.system.damping import MassProportional, ModalRatios, StiffnessProportional, StructuralDamping
 from pinn_cli.system.incidence import Incidence
-from pinn_cli.system.parameters import LINEAR_UNITS, MASS
+from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Labels
+from pinn_cli.system.shapes import Shapes
 from pinn_cli.system.structure import Structure
-from pinn_cli.system.whole_damping import damped
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from pinn_cli.system.connection.base import Nonlinearity
 
 # What an estimator holds grows with the square of this number;
 # `pinn_cli.training.normal_matrix.layout` counts it for a record.
 MOST_DOFS = 2000
+DAMPING = "system.damping"
+DAMPING_ALLOWED = "{ratio: 0.02}, {ratio: [0.02, 0.015]} (by mode), or {rayleigh: [a_0, a_1]} (1/s, s); null is unknown"
+# More modes in one band are not told apart.
+MOST_MODES = 40
+# The support that does not move, as connections name it.
+GROUND = "ground"
+_NAME = "a name: letters, digits and _, a letter first"
 
 
 def chain_of(parameters: dict[str, torch.Tensor], nonlinearity: Nonlinearity) -> Structure:
@@ -54,7 +71,7 @@ def build_chain(
     Args:
         ndof: Number of degrees of freedom.
         nonlinearity: Which decides what parameters there are beyond m, c and k.
-        damping: Of the whole, see :func:`pinn_cli.system.whole_damping.damped`; beside it c is 0 unless given.
+        damping: Of the whole, see :func:`pinn_cli.system.building.damped`; beside it c is 0 unless given.
         **parameters: m (kg), c (N s/m), k (N/m), and kappa (N/m^3) or mu, each a number or a list of ndof numbers.
 
     Raises:
@@ -130,3 +147,214 @@ def _check_signs(values: dict[str, list[float]], nonlinearity: Nonlinearity) -> 
     for name in nonlinearity.nonnegative:
         if least[name] < 0.0:
             raise InputError(f"system.{name}", least[name], ">= 0", "the connection would push itself apart")
+
+
+def damped(structure: Structure, damping: Any) -> Structure:
+    """A structure with damping of the whole beside the dampers of its connections.
+
+    Args:
+        structure: Without it.
+        damping: ``{ratio: x}`` of every mode, ``{ratio: [x, y]}`` mode by mode, where the last one is that of all modes
+            that follow, or ``{rayleigh: [a_0, a_1]}``; an entry that is null is NaN in the structure. None: none.
+
+    Raises:
+        InputError: Naming ``system.damping``.
+    """
+    if damping is None:
+        return structure
+    if not isinstance(damping, Mapping) or len(damping) != 1 or next(iter(damping)) not in ("ratio", "rayleigh"):
+        raise InputError(DAMPING, damping, DAMPING_ALLOWED)
+    ((form, given),) = damping.items()
+    if form == "ratio":
+        return _with(structure, ModalRatios(), _ratios(given, structure))
+    values = entries(given)
+    if len(values) != 2 or not all(x is None or (is_usable_number(x) and x >= 0) for x in values):
+        raise InputError(f"{DAMPING}.rayleigh", given, "two numbers >= 0, [a_0, a_1] in 1/s and s, or null")
+    of_mass, of_stiffness = (math.nan if x is None else float(x) for x in values)
+    return _with(_with(structure, MassProportional(), [of_mass]), StiffnessProportional(), [of_stiffness])
+
+
+def _ratios(given: Any, structure: Structure) -> list[float]:
+    values = [given] if given is None or is_finite_number(given) else entries(given)
+    modes = structure.coordinates - structure.shapes.residual
+    if not 1 <= len(values) <= modes or not all(x is None or (is_finite_number(x) and 0 <= x < 1) for x in values):
+        allowed = f"a number from 0 to below 1, or a list of at most {modes}, one for each mode"
+        raise InputError(f"{DAMPING}.ratio", given, allowed, "0.02 is two per cent; null is unknown")
+    return [math.nan if x is None else float(x) for x in values]
+
+
+def _with(structure: Structure, law: StructuralDamping, values: list[float]) -> Structure:
+    """The structure with dampers of a law behind its connections; of springs of one where a stiffness is unknown."""
+    before = structure.incidence.matrix
+    mass = np.nan_to_num(structure.parameters_like(np.empty(0))[MASS], nan=1.0)
+    rows = law.rows(mass, before, np.ones(before.shape[0]))
+    group = ConnectionGroup(law, Incidence(csr_matrix((0, before.shape[1]))), tuple(range(len(values)))).of_rows(rows)
+    parameters = {**structure.parameters, law.kind: torch.tensor(values, dtype=torch.float64)}
+    return replace(structure, parameters=parameters, groups=(*structure.groups, group)).present()
+
+
+def law_settings(name: Any, setting: str) -> tuple[str, ...]:
+    """Names of the settings that a law has beside its parameters.
+
+    Raises:
+        InputError: Naming ``setting``: there is no such law.
+    """
+    return tuple(inspect.signature(_law(name, setting)).parameters)
+
+
+def law_called(name: Any, settings: Mapping[str, Any], setting: str) -> Nonlinearity:
+    """The law of a connection.
+
+    Args:
+        name: ``duffing``, or what follows ``system.`` in the name of a plug-in's entry point.
+        settings: Of the law.
+        setting: Name of the connection as a user types it, for messages.
+
+    Raises:
+        InputError: There is no such law; a setting is missing, unknown or illegal.
+    """
+    try:
+        law: Nonlinearity = construct(_law(name, f"{setting}.law"), OmegaConf.create(dict(settings)), setting)
+    except InputError as error:
+        # A law's own messages name it as a chain's.
+        named = error.setting.replace("system.nonlinearity", setting, 1)
+        raise InputError(named, error.value, error.allowed, error.hint) from None
+    return law
+
+
+def _law(name: Any, setting: str) -> type[Nonlinearity]:
+    known = _shipped()
+    if isinstance(name, str) and name in known:
+        return known[name]
+    # A package that is installed beside this one declares its laws: `"system.rubber" = "my_laws.rubber:Rubber"`.
+    plugins = plugins_of("system")
+    names = [*known, *plugins]
+    if not isinstance(name, str) or name not in plugins:
+        raise InputError(setting, name, f"one of {', '.join(names)}", suggestion(str(name), names))
+    found: type[Nonlinearity] = plugins[name].load()
+    return found
+
+
+@cache
+def _shipped() -> dict[str, type[Nonlinearity]]:
+    """Name to class, of every law that has a file."""
+    files = [
+        importlib.import_module(f"{connection.__name__}.{m.name}") for m in pkgutil.iter_modules(connection.__path__)
+    ]
+    classes = [member for file in files for _, member in inspect.getmembers(file, inspect.isclass)]
+    return {law.name: law for law in classes if issubclass(law, Nonlinearity) and not inspect.isabstract(law)}
+
+
+@dataclass(frozen=True)
+class ModesSought:
+    """Which modes a record is asked for.
+
+    Attributes:
+        count: In the band; None: as many as the record shows.
+        starts: Hz, where they are looked for; empty: wherever they are.
+    """
+
+    count: int | None = None
+    starts: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, modes: Any) -> ModesSought:
+        """From ``system.modes``.
+
+        Raises:
+            InputError: It is no number of modes, and no list of frequencies.
+        """
+        if modes is None:
+            return cls()
+        if is_finite_number(modes):
+            return cls(whole_number("system.modes", modes, least=1, most=MOST_MODES))
+        given = entries(modes) if isinstance(modes, Sequence) and not isinstance(modes, str) else []
+        if not given or len(given) > MOST_MODES or not all(is_finite_number(x) and x > 0 for x in given):
+            allowed = "null (as many as the record shows), a number of modes, or a list of frequencies in Hz"
+            raise InputError("system.modes", modes, allowed)
+        return cls(len(given), tuple(sorted(float(x) for x in given)))
+
+
+def build_modal(
+    dofs: Sequence[str] | int | None = None, modes: Any = None, kind: str = "modal", measured: Sequence[str | int] = ()
+) -> Structure:
+    """A structure whose modes a record has yet to tell: one coordinate without a value.
+
+    Args:
+        dofs: Names of the measured points, or how many there are; None: those that a record's settings name.
+        modes: See :class:`ModesSought`.
+        kind: The name of the config group's choice.
+        measured: DOFs with a force or a sensor, by name or by number from 1.
+
+    Raises:
+        InputError: Naming ``system.dofs`` or ``system.modes``.
+    """
+    ModesSought.of(modes)
+    if dofs is None:
+        names = tuple(dict.fromkeys(dof for dof in measured if isinstance(dof, str) and not dof.isdecimal()))
+        count = max([len(names), *(int(dof) for dof in measured if str(dof).isdecimal())])
+        if not count or (names and count > len(names)):
+            raise InputError("system.dofs", None, "given: names of the measured points, such as [root, tip]")
+    elif is_finite_number(dofs):
+        names, count = (), whole_number("system.dofs", dofs, least=1)
+    else:
+        names = checked_names(entries(dofs))
+        count = len(names)
+    nothing = np.full(1, np.nan)
+    return modal_structure(names, np.ones((count, 1)), (nothing, nothing, nothing), (0, 0))
+
+
+def modal_structure(
+    dofs: tuple[str, ...],
+    shapes: np.ndarray,
+    values: tuple[np.ndarray, np.ndarray, np.ndarray],
+    outside: tuple[int, int],
+) -> Structure:
+    """A structure of modes, those of the band first, then those below it and those above.
+
+    Args:
+        dofs: Names; empty: they go by their numbers.
+        shapes: (dofs, n), how far every DOF moves with every mode.
+        values: Modal masses, kg, damping, N s/m, and stiffnesses, N/m, each (n,).
+        outside: How many modes are below the band, and above.
+    """
+    n, (below, above) = shapes.shape[1], outside
+    within = n - below - above
+    names = [f"mode_{i + 1}" for i in range(within)]
+    names += [f"below_{i + 1}" for i in range(below)] + [f"above_{i + 1}" for i in range(above)]
+    m, c, k = (torch.tensor(np.asarray(x, dtype=float)) for x in values)
+    return Structure(
+        {MASS: m, "c": c, "k": k},
+        (ConnectionGroup(Linear(), Incidence(csr_matrix(np.eye(n)))),),
+        Labels(dofs, tuple(names), tuple(names)),
+        mode_shapes=Shapes(shapes, None, csr_matrix((0, len(shapes))), above, below),
+    )
+
+
+def checked_names(dofs: Any) -> tuple[str, ...]:
+    """Names of coordinates.
+
+    Raises:
+        InputError: Naming ``system.dofs``: there are none, or they are no names, or clash.
+    """
+    names = entries(dofs)
+    if not names:
+        raise InputError("system.dofs", dofs, "a list of names of coordinates", "e.g. system.dofs=[x1, x2]")
+    for i, name in enumerate(names):
+        check_name("system.dofs", name)
+        if name == GROUND:
+            raise InputError("system.dofs", name, "another name", "the ground is the support, which has no coordinate")
+        if name in names[:i]:
+            raise InputError("system.dofs", name, "there once only")
+    return tuple(names)
+
+
+def check_name(setting: str, name: Any) -> None:
+    """See that something can be called by a name.
+
+    Raises:
+        InputError: Naming ``setting``: it cannot.
+    """
+    if not isinstance(name, str) or not name.isidentifier():
+        hint = "YAML reads yes, no, on and off as true and false: put it in quotes" if isinstance(name, bool) else ""
+        raise InputError(setting, name, _NAME, hint)

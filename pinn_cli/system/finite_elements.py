@@ -15,18 +15,17 @@ from scipy.sparse import csc_matrix, csr_matrix
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_finite_number, is_whole_number, whole_number
 from pinn_cli.settings.suggestion import suggestion
+from pinn_cli.system.building import checked_names, damped
 from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.incidence import Incidence
-from pinn_cli.system.labels import Labels
 from pinn_cli.system.matrix_files import read_matrices
-from pinn_cli.system.parameters import FACTOR, MASS
+from pinn_cli.system.parameters import FACTOR, MASS, Labels
 from pinn_cli.system.reduction import ReducedModel, WholeModel, enriched, reduced_at, reduced_model
 from pinn_cli.system.shapes import Shapes
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.substructures import Parts, check_parts, read_parts, substructures
-from pinn_cli.system.topology import check_parameters_differ, checked_names, connected, drift_pairs, tell_if_loose
-from pinn_cli.system.whole_damping import damped
+from pinn_cli.system.topology import check_parameters_differ, connected, drift_pairs, tell_if_loose
 
 # Modal damping that couples the coordinates by less than this part of their own is written without its coupling.
 UNCOUPLED = 1e-6
@@ -145,7 +144,7 @@ def build_finite_elements(
         ground: The DOFs of the matrices that move with the ground by one: numbers, or ``first:last:step``, where
             ``1::2`` is every second one; None: nobody has said.
         drifts: Name to a pair ``[a, b]`` of named DOFs or the ground, whose drift is wanted.
-        damping: Of the whole, connections and factors included, see :func:`pinn_cli.system.whole_damping.damped`.
+        damping: Of the whole, connections and factors included, see :func:`pinn_cli.system.building.damped`.
         kind: The name of the config group's choice.
         loaded: The named DOFs that carry a force or a sensor, by name or by number from 1: what modes that are left
             out add to a sensor is what a static force there moves.

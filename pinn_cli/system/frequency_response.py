@@ -1,4 +1,10 @@
-"""What sensors show of what acts on masses that connections hold, at every frequency, and how it changes with both."""
+"""What sensors show at every frequency of what acts on a structure; and other structures of which they show the same.
+
+A record of a few sensors may fit several structures exactly: of the roof of a frame whose base shakes, it shows the
+frequencies, and as many sets of storeys as there are solutions of their equations have these (Udwadia and Sharma, SIAM
+Journal on Applied Mathematics 34, 1978). Damping is left out: what two undamped structures have in common off the axis
+of real frequencies, where no response has a peak, they have everywhere.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +13,26 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.optimize import least_squares
+
+from pinn_cli.system.modes import at_rest
+from pinn_cli.system.parameters import MASS, Parameter
+from pinn_cli.system.structure import Structure
+
+STIFFNESS = "k"
+# Complex frequencies that are compared for every mode, and how far off the axis they lie, as a part of their distance
+# from the origin: widely first, so that the way downhill leads from one set of modes to another.
+PER_MODE, OFF_AXIS = 3, (0.5, 0.1)
+# Starts: every free parameter so many times as large and as small, where they are few, and all of them scattered by so
+# much as logarithms, more often where they are few.
+FACTOR, SCATTER = 2.5, 0.7
+FEW, OFTEN, RARELY = 12, 16, 6
+FARTHEST, EVALUATIONS = np.log(30.0), 40
+# Relative rms difference of two responses that are the same as far as a record can tell, and the relative difference
+# of a parameter that makes two structures different.
+SAME_RESPONSE, SAME = 0.01, 0.05
+# Of the largest response, below which none is compared more closely.
+LEAST = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,3 +120,129 @@ class FrequencyResponse:
 def real_rows(values: np.ndarray) -> np.ndarray:
     """Real and imaginary parts, one below the other."""
     return np.concatenate((values.real, values.imag))
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What a record sees of a structure.
+
+    Attributes:
+        sensing: (S, n), the displacements that every sensor feels, whatever derivative of them.
+        acting: F inputs.
+        low, high: Between which it shows anything, Hz.
+    """
+
+    sensing: np.ndarray
+    acting: Acting
+    low: float
+    high: float
+
+
+def twins(structure: Structure, free: Sequence[Parameter], seen: Seen, most: int) -> list[dict[Parameter, float]]:
+    """The masses and stiffnesses of other structures that nobody who sees no more can tell from this one.
+
+    Args:
+        structure: In DOFs; its connections as they are at rest.
+        free: Parameters that may be others; all but masses and stiffnesses are left out.
+        seen: Of it.
+        most: How many at most; those that come nearest.
+    """
+    free = [p for p in free if p.kind in (MASS, STIFFNESS) and _positive(structure, p)]
+    if not free or not seen.sensing.size or not seen.acting.pushed.size or not seen.low < seen.high:
+        return []
+    match = _Match(structure, free, seen)
+    ends = match.starts()
+    for off_axis in OFF_AXIS:
+        match.look(off_axis)
+        ends = [match.fitted(x) for x in ends]
+    found: list[tuple[float, np.ndarray]] = []
+    for x in ends:
+        apart = match.apart(x)
+        known = [np.zeros(len(free)), *(other for _, other in found)]
+        if apart < SAME_RESPONSE and all(np.abs(x - other).max() > SAME for other in known):
+            found.append((apart, x))
+    found.sort(key=lambda pair: pair[0])
+    return [dict(zip(free, match.values * np.exp(x), strict=True)) for _, x in found[:most]]
+
+
+def _positive(structure: Structure, parameter: Parameter) -> bool:
+    value = float(structure.parameters[parameter.kind][parameter.index])
+    return np.isfinite(value) and value > 0
+
+
+class _Match:
+    """The difference of two responses, by the logarithms of the free parameters over their values.
+
+    Args:
+        structure, free, seen: See :func:`twins`.
+    """
+
+    def __init__(self, structure: Structure, free: Sequence[Parameter], seen: Seen) -> None:
+        parameters = structure.parameters_like(np.empty(0))
+        self.seen, self.stretch = seen, structure.incidence.matrix.toarray()
+        self.mass, self.stiffness = parameters[MASS].copy(), at_rest(structure)[0]
+        self.masses = np.array([p.kind == MASS for p in free])
+        self.index = np.array([p.index for p in free])
+        self.values = np.array([float(parameters[p.kind][p.index]) for p in free])
+        self.look(OFF_AXIS[0])
+
+    def look(self, off_axis: float) -> None:
+        """Choose how far off the axis of real frequencies the responses are compared."""
+        count = max(PER_MODE * len(self.mass), 2 * len(self.values) + 2)
+        omega = 2.0 * np.pi * np.geomspace(self.seen.low, self.seen.high, count)
+        self.s = omega * (1j + off_axis)
+        self.wanted = self._response(np.zeros(len(self.values))).value
+        size = np.abs(self.wanted)
+        # Next to a zero of a response a difference may be large relative to it, and still nobody sees it.
+        # Through springs of no stiffness nothing is felt at all.
+        self.size = np.maximum(np.maximum(size, LEAST * size.max(axis=0)), np.finfo(float).tiny) * np.sqrt(size.size)
+
+    def starts(self) -> list[np.ndarray]:
+        """Logarithms of factors, the same ones every time."""
+        p = len(self.values)
+        few = p <= FEW
+        single = [sign * np.log(FACTOR) * np.eye(p)[i] for i in range(p) for sign in (1.0, -1.0)] if few else []
+        scattered = SCATTER * np.random.default_rng(0).standard_normal((OFTEN if few else RARELY, p))
+        return [*single, *scattered]
+
+    def fitted(self, x: np.ndarray) -> np.ndarray:
+        """The bottom of the valley that x lies in; x where it has none that numbers can tell."""
+        x = np.clip(x, -0.99 * FARTHEST, 0.99 * FARTHEST)
+        if not np.isfinite(self.apart(x)):
+            return x
+        best = least_squares(
+            lambda x: real_rows(self._difference(x).reshape(-1)),
+            x,
+            lambda x: real_rows((self.slopes(x) / self.size[..., None]).reshape(-1, len(x))),
+            (-FARTHEST, FARTHEST),
+            max_nfev=EVALUATIONS,
+        )
+        solution: np.ndarray = best.x
+        return solution
+
+    def apart(self, x: np.ndarray) -> float:
+        """Relative rms difference of the responses."""
+        return float(np.sqrt(np.sum(np.abs(self._difference(x)) ** 2)))
+
+    def _difference(self, x: np.ndarray) -> np.ndarray:
+        difference: np.ndarray = (self._response(x).value - self.wanted) / self.size
+        return difference
+
+    def _response(self, x: np.ndarray) -> FrequencyResponse:
+        """Displacements at the sensors for one of every input."""
+        mass, stiffness = self.mass.copy(), self.stiffness.copy()
+        values, springs = self.values * np.exp(x), ~self.masses
+        mass[self.index[self.masses]] = values[self.masses]
+        stiffness[self.index[springs]] += values[springs] - self.values[springs]
+        every = np.tile(stiffness, (len(self.s), 1))
+        return FrequencyResponse(-1j * self.s, self.stretch, self.seen.sensing[None], self.seen.acting, mass, every)
+
+    def slopes(self, x: np.ndarray) -> np.ndarray:
+        """(B, S, F, p), of the displacements by x."""
+        response, values = self._response(x), self.values * np.exp(x)
+        masses, connections = np.arange(len(self.mass)), np.arange(len(self.stiffness))
+        by = [
+            response.slope(value * (is_mass & (masses == i)), value * np.atleast_2d(~is_mass & (connections == i)))
+            for value, is_mass, i in zip(values, self.masses, self.index, strict=True)
+        ]
+        return np.stack(by, axis=-1)

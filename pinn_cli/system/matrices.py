@@ -7,42 +7,36 @@ C_n = E' diag(mu). All are float64 tensors and keep the graph of the chain's par
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import torch
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from pinn_cli.system.connection.base import Nonlinearity
-    from pinn_cli.system.structure import Structure
+from pinn_cli.system.structure import Structure
 
 
 def mass(structure: Structure) -> torch.Tensor:
     """M = diag(m), (n, n), kg."""
-    return torch.diag(_parameter(structure, "m"))
+    return torch.diag(structure.parameters["m"].double())
 
 
 def damping(structure: Structure) -> torch.Tensor:
     """C, (n, n), N s/m: tridiagonal."""
-    e = _elongation_operator(structure)
-    return e.T @ torch.diag(_parameter(structure, "c")) @ e
+    return _pull(structure, "c") @ _elongation(structure)
 
 
 def stiffness(structure: Structure) -> torch.Tensor:
     """K, (n, n), N/m: tridiagonal."""
-    e = _elongation_operator(structure)
-    return e.T @ torch.diag(_parameter(structure, "k")) @ e
+    return _pull(structure, "k") @ _elongation(structure)
 
 
 def nonlinear_damping(structure: Structure) -> torch.Tensor:
     """C_n, (n, n): upper bidiagonal in the nonlinearity's damping parameter; zero where it has none."""
-    return _connection_matrix(structure, structure.nonlinearity.damping_parameter)
+    return _pull(structure, _coefficients(structure)[1])
 
 
 def nonlinear_stiffness(structure: Structure) -> torch.Tensor:
     """K_n, (n, n): upper bidiagonal in the nonlinearity's stiffness parameter; zero where it has none."""
-    return _connection_matrix(structure, structure.nonlinearity.stiffness_parameter)
+    return _pull(structure, _coefficients(structure)[0])
 
 
 def nonlinear_functions(structure: Structure, u: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
@@ -50,115 +44,69 @@ def nonlinear_functions(structure: Structure, u: torch.Tensor, v: torch.Tensor) 
 
     Each is the nonlinearity's own force with its coefficient at one, so that no formula stands twice.
     """
-    e, de = structure.elongation(u), structure.elongation(v)
-    return torch.cat(
-        [_unit_force(structure.nonlinearity, name, e, de) for name in _coefficients(structure.nonlinearity)], -1
-    )
+    e, de, law = structure.elongation(u), structure.elongation(v), structure.nonlinearity
+    ones = [{p: torch.full_like(e, float(p == name)) for p in law.parameters} for name in _coefficients(structure)]
+    return torch.cat([law.force(e, de, one) if any(map(torch.any, one.values())) else 0.0 * e for one in ones], -1)
 
 
 def state(structure: Structure) -> torch.Tensor:
     """A, (2n, 2n), of dz/dt = A z + A_n g_n + H f with z = {u, v}."""
-    top = torch.cat([_zeros(structure), _identity(structure)], 1)
-    return torch.cat([top, _acceleration_rows(structure, stiffness(structure), damping(structure))])
+    top = torch.cat([torch.zeros(mass(structure).shape), torch.eye(structure.ndof, dtype=torch.float64)], 1)
+    return torch.cat([top, _accelerations(structure, stiffness(structure), damping(structure))])
 
 
 def nonlinear_state(structure: Structure) -> torch.Tensor:
     """A_n, (2n, 2n)."""
-    top = torch.cat([_zeros(structure), _zeros(structure)], 1)
-    return torch.cat([top, _acceleration_rows(structure, nonlinear_stiffness(structure), nonlinear_damping(structure))])
+    rows = _accelerations(structure, nonlinear_stiffness(structure), nonlinear_damping(structure))
+    return torch.cat([torch.zeros_like(rows), rows])
 
 
 def input(structure: Structure) -> torch.Tensor:  # noqa: A001 - the name that control theory has for it
     """H, (2n, n)."""
-    return torch.cat([_zeros(structure), torch.diag(1.0 / _parameter(structure, "m"))])
+    inverse = torch.linalg.inv(mass(structure))
+    return torch.cat([torch.zeros_like(inverse), inverse])
 
 
 def selection(dofs: Sequence[int], ndof: int) -> torch.Tensor:
     """S, (len(dofs), ndof): picks the DOFs (counted from 1) that are measured; the paper's S_d, S_v, S_a."""
-    matrix = torch.zeros(len(dofs), ndof, dtype=torch.float64)
-    for row, dof in enumerate(dofs):
+    for dof in dofs:
         if not 1 <= dof <= ndof:
             raise ValueError(f"DOF {dof} is outside 1..{ndof}")
-        matrix[row, dof - 1] = 1.0
-    return matrix
+    return torch.eye(ndof, dtype=torch.float64)[[dof - 1 for dof in dofs]]
 
 
-def output(
+def outputs(
     structure: Structure,
     displacement: Sequence[int] = (),
     velocity: Sequence[int] = (),
     acceleration: Sequence[int] = (),
-) -> torch.Tensor:
-    """B, (sensors, 2n), of y = B z + B_n g_n + D f, for sensors on the given DOFs (counted from 1)."""
-    return torch.cat(
-        [
-            selection(displacement, structure.ndof) @ torch.cat([_identity(structure), _zeros(structure)], 1),
-            selection(velocity, structure.ndof) @ torch.cat([_zeros(structure), _identity(structure)], 1),
-            selection(acceleration, structure.ndof) @ state(structure)[structure.ndof :],
-        ]
-    )
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """B (sensors, 2n), B_n (sensors, 2n) and D (sensors, n) of y = B z + B_n g_n + D f, sensors on DOFs from 1."""
+    n = structure.ndof
+    motion = torch.block_diag(selection(displacement, n), selection(velocity, n))
+    accelerometers, quiet = selection(acceleration, n), torch.zeros(len(motion), 2 * n, dtype=torch.float64)
+    b, b_n, d = (accelerometers @ x(structure)[n:] for x in (state, nonlinear_state, input))
+    return torch.cat([motion, b]), torch.cat([quiet, b_n]), torch.cat([quiet[:, :n], d])
 
 
-def nonlinear_output(
-    structure: Structure,
-    displacement: Sequence[int] = (),
-    velocity: Sequence[int] = (),
-    acceleration: Sequence[int] = (),
-) -> torch.Tensor:
-    """B_n, (sensors, 2n)."""
-    quiet = torch.zeros(len(displacement) + len(velocity), 2 * structure.ndof, dtype=torch.float64)
-    return torch.cat([quiet, selection(acceleration, structure.ndof) @ nonlinear_state(structure)[structure.ndof :]])
+def _elongation(structure: Structure) -> torch.Tensor:
+    return structure.elongation(torch.eye(structure.ndof, dtype=torch.float64)).T
 
 
-def feedthrough(
-    structure: Structure,
-    displacement: Sequence[int] = (),
-    velocity: Sequence[int] = (),
-    acceleration: Sequence[int] = (),
-) -> torch.Tensor:
-    """D, (sensors, n)."""
-    quiet = torch.zeros(len(displacement) + len(velocity), structure.ndof, dtype=torch.float64)
-    return torch.cat([quiet, selection(acceleration, structure.ndof) @ input(structure)[structure.ndof :]])
+def _pull(structure: Structure, parameter: str | None) -> torch.Tensor:
+    """E' diag(p), (n, n); zero where there is no such parameter."""
+    e = _elongation(structure).T
+    return 0.0 * e if parameter is None else e * structure.parameters[parameter].double()
 
 
-def _parameter(structure: Structure, name: str) -> torch.Tensor:
-    return structure.parameters[name].to(torch.float64)
+def _accelerations(structure: Structure, of_displacement: torch.Tensor, of_velocity: torch.Tensor) -> torch.Tensor:
+    return -torch.cat([of_displacement, of_velocity], 1) / structure.parameters["m"].double()[:, None]
 
 
-def _zeros(structure: Structure) -> torch.Tensor:
-    return torch.zeros(structure.ndof, structure.ndof, dtype=torch.float64)
-
-
-def _identity(structure: Structure) -> torch.Tensor:
-    return torch.eye(structure.ndof, dtype=torch.float64)
-
-
-def _elongation_operator(structure: Structure) -> torch.Tensor:
-    return structure.elongation(_identity(structure)).T
-
-
-def _acceleration_rows(structure: Structure, of_displacement: torch.Tensor, of_velocity: torch.Tensor) -> torch.Tensor:
-    return -torch.cat([of_displacement, of_velocity], 1) / _parameter(structure, "m")[:, None]
-
-
-def _coefficients(nonlinearity: Nonlinearity) -> tuple[str | None, str | None]:
-    pair = (nonlinearity.stiffness_parameter, nonlinearity.damping_parameter)
-    if {name for name in pair if name} != set(nonlinearity.parameters):
-        raise ValueError(
-            f"{nonlinearity.name} has no matrix form: not every parameter is the coefficient of K_n or C_n"
-        )
+def _coefficients(structure: Structure) -> tuple[str | None, str | None]:
+    """Of K_n and of C_n."""
+    law = structure.nonlinearity
+    pair = (law.stiffness_parameter, law.damping_parameter)
+    if {name for name in pair if name} != set(law.parameters):
+        raise ValueError(f"{law.name} has no matrix form: not every parameter is the coefficient of K_n or C_n")
     return pair
-
-
-def _connection_matrix(structure: Structure, parameter: str | None) -> torch.Tensor:
-    _coefficients(structure.nonlinearity)
-    if parameter is None:
-        return _zeros(structure)
-    return _elongation_operator(structure).T @ torch.diag(_parameter(structure, parameter))
-
-
-def _unit_force(nonlinearity: Nonlinearity, name: str | None, e: torch.Tensor, de: torch.Tensor) -> torch.Tensor:
-    if name is None:
-        return torch.zeros_like(e)
-    coefficients = {other: torch.full_like(e, float(other == name)) for other in nonlinearity.parameters}
-    return nonlinearity.force(e, de, coefficients)

@@ -18,8 +18,7 @@ from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.connection_groups import ConnectionGroup, GroupPart, Linearisation, carriers, group_parts, slopes
 from pinn_cli.system.damping import StructuralDamping
 from pinn_cli.system.incidence import Incidence, Pairs
-from pinn_cli.system.labels import Labels
-from pinn_cli.system.parameters import FACTOR, LINEAR_TITLES, LINEAR_UNITS, MASS, Parameter
+from pinn_cli.system.parameters import FACTOR, LINEAR_TITLES, LINEAR_UNITS, MASS, Labels, Parameter
 from pinn_cli.system.shapes import OfMasses, Shapes
 
 if TYPE_CHECKING:

@@ -19,6 +19,7 @@ from scipy.sparse import csc_matrix, csr_matrix
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_finite_number
 from pinn_cli.system.array_namespace import Array
+from pinn_cli.system.building import check_name
 from pinn_cli.system.connection.base import Nonlinearity
 from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.connection_groups import ConnectionGroup
@@ -26,7 +27,6 @@ from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.matrix_files import read_matrices
 from pinn_cli.system.parameters import FACTOR
 from pinn_cli.system.reduction import RIGID, ReducedModel
-from pinn_cli.system.topology import check_name
 
 # Parts of a mode's strain energy: less than the first is no part of it, and more than the second is an error.
 NONE, ROUNDING = 1e-10, 1e-6

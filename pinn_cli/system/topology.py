@@ -15,22 +15,18 @@ from scipy.sparse import csr_matrix
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import USABLE, entries, is_finite_number, is_usable_number
 from pinn_cli.settings.suggestion import suggestion
+from pinn_cli.system.building import GROUND, check_name, checked_names, damped, law_called, law_settings
 from pinn_cli.system.connection.base import Nonlinearity
 from pinn_cli.system.connection_groups import ConnectionGroup
+from pinn_cli.system.coupling import loose_dofs
 from pinn_cli.system.incidence import Incidence, Pairs
-from pinn_cli.system.labels import Labels
-from pinn_cli.system.laws import law_called, law_settings
-from pinn_cli.system.parameters import LINEAR_UNITS, MASS
+from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Labels
 from pinn_cli.system.structure import Structure
-from pinn_cli.system.support import loose_dofs
-from pinn_cli.system.whole_damping import damped
 
 log = logging.getLogger(__name__)
 
-GROUND = "ground"
 # What a connection says of itself beside its parameters and the settings of its law.
 _PLACE = ("between", "weights", "law")
-_NAME = "a name: letters, digits and _, a letter first"
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +67,7 @@ def build_structure(
             or ``weights: {a: 0.8, b: -0.6}``, ``law``, its settings, and the value of each of its parameters.
         kind: The name of the config group's choice.
         drifts: Name to a pair ``[a, b]`` of coordinates, whose drift is wanted beside those of the connections.
-        damping: Of the whole, see :func:`pinn_cli.system.whole_damping.damped`; beside it c is 0 unless given.
+        damping: Of the whole, see :func:`pinn_cli.system.building.damped`; beside it c is 0 unless given.
         supports: Names of supports that move, which connections may join as they join the ground.
 
     Raises:
@@ -179,24 +175,6 @@ def connected(
     return structure
 
 
-def checked_names(dofs: Any) -> tuple[str, ...]:
-    """Names of coordinates.
-
-    Raises:
-        InputError: Naming ``system.dofs``: there are none, or they are no names, or clash.
-    """
-    names = entries(dofs)
-    if not names:
-        raise InputError("system.dofs", dofs, "a list of names of coordinates", "e.g. system.dofs=[x1, x2]")
-    for i, name in enumerate(names):
-        check_name("system.dofs", name)
-        if name == GROUND:
-            raise InputError("system.dofs", name, "another name", "the ground is the support, which has no coordinate")
-        if name in names[:i]:
-            raise InputError("system.dofs", name, "there once only")
-    return tuple(names)
-
-
 def _checked_supports(supports: Any, dofs: Sequence[Any]) -> tuple[str, ...]:
     """Names of supports that move."""
     names = entries(supports) if supports is not None else []
@@ -205,17 +183,6 @@ def _checked_supports(supports: Any, dofs: Sequence[Any]) -> tuple[str, ...]:
         if name == GROUND or name in dofs or name in names[:i]:
             raise InputError("system.supports", name, "a name of its own", "ground and system.dofs have theirs")
     return tuple(names)
-
-
-def check_name(setting: str, name: Any) -> None:
-    """See that something can be called by a name.
-
-    Raises:
-        InputError: Naming ``setting``: it cannot.
-    """
-    if not isinstance(name, str) or not name.isidentifier():
-        hint = "YAML reads yes, no, on and off as true and false: put it in quotes" if isinstance(name, bool) else ""
-        raise InputError(setting, name, _NAME, hint)
 
 
 def _masses(mass: Any, names: tuple[str, ...]) -> list[float]:

@@ -11,11 +11,10 @@ import pandas as pd
 from pinn_cli.model.model import Model
 from pinn_cli.record.ensemble import Members, Replay, affordable_members, distance, followed_members
 from pinn_cli.record.free_run import NoFreeRunError, free_run
-from pinn_cli.record.input_force import input_force
+from pinn_cli.record.inputs import SupportErrors, input_force
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES, UNITS, Response
 from pinn_cli.record.spectrum import lowest_level, visible_floor
-from pinn_cli.record.supports import SupportErrors
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pinn_cli.record.amplitudes import support_amplitudes
+from pinn_cli.record.channels import support_amplitudes
 from pinn_cli.record.record import Record
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE, GROUND, MOTION, SUPPORT

@@ -9,7 +9,7 @@ import numpy as np
 
 from pinn_cli.record.channels import Channel, every_channel
 from pinn_cli.record.gauge import GAUGE
-from pinn_cli.record.input_force import input_force
+from pinn_cli.record.inputs import input_force
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import usable_periodogram
 from pinn_cli.system.quantities import SUPPORT

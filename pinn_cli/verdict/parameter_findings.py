@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pinn_cli.system.coupling import loose_dofs
 from pinn_cli.system.modes import modes_of
-from pinn_cli.system.support import loose_dofs
 from pinn_cli.verdict.finding import Finding, failed_if
 
 if TYPE_CHECKING:

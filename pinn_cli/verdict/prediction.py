@@ -16,8 +16,8 @@ from scipy.fft import irfft, rfft, rfftfreq
 from pinn_cli.record.channels import Channel, channels
 from pinn_cli.record.free_run import NoFreeRunError, affordable, free_run, is_linear
 from pinn_cli.record.spectrum import mean_deviation
+from pinn_cli.system.coupling import loose_dofs
 from pinn_cli.system.modes import Modes, modes_of
-from pinn_cli.system.support import loose_dofs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 
 from pinn_cli.cli.dof_names import numbered
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system.labels import Labels
+from pinn_cli.system.parameters import Labels
 
 LABELS = Labels(("ground_floor", "mezzanine", "roof"), ("a", "b", "c"))
 CONNECTIONS = (

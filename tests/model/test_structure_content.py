@@ -19,7 +19,7 @@ from pinn_cli.system.connection.friction import Friction
 from pinn_cli.system.connection.polynomial import Polynomial
 from pinn_cli.system.finite_elements import build_finite_elements
 from pinn_cli.system.incidence import Pairs
-from pinn_cli.system.labels import Labels
+from pinn_cli.system.parameters import Labels
 from pinn_cli.system.structure import Structure
 
 

@@ -10,8 +10,7 @@ import torch
 from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.network.mlp import Mlp
-from pinn_cli.record.amplitudes import motion_amplitudes
-from pinn_cli.record.channels import record_band
+from pinn_cli.record.channels import motion_amplitudes, record_band
 from pinn_cli.record.record import Record
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pinn_cli.record.corners import Corners
 from pinn_cli.record.simulation import Simulation, simulate
+from pinn_cli.record.steps import Corners
 from pinn_cli.system.topology import build_structure
 
 GROUND_TO_X = ["ground", "x"]

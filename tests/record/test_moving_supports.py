@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 
 from pinn_cli.record.ensemble import Members, spread_of
 from pinn_cli.record.free_run import free_run
+from pinn_cli.record.inputs import SupportErrors
 from pinn_cli.record.record import Record
-from pinn_cli.record.supports import SupportErrors
 from pinn_cli.system.quantities import SUPPORT
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.topology import build_structure

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pinn_cli.record.windows import Grid, SimulatedWindows, Window, checked_lengths, grid_of
+from pinn_cli.record.windows import Grid, Window, checked_lengths
 from pinn_cli.settings.errors import InputError
 
 STEP = 0.02
@@ -13,7 +13,7 @@ STEP = 0.02
 
 def windows(duration: float, length: float, overlap: float | None, first: float = 0.0) -> list[Window]:
     time = first + np.arange(round(duration / STEP) + 1) * STEP
-    return SimulatedWindows(None, length, overlap)._all(time)  # type: ignore[arg-type]
+    return Grid.of(length, overlap, time).all(float(time[-1]))
 
 
 def test_windows_hand_over_where_the_next_one_begins():
@@ -40,11 +40,11 @@ def test_what_is_too_little_for_a_window_is_left_out():
 
 
 def test_an_overlap_that_nobody_gave():
-    assert grid_of(12.0, None, np.arange(1000) * STEP).overlap == round(2.0 / STEP)
+    assert Grid.of(12.0, None, np.arange(1000) * STEP).overlap == round(2.0 / STEP)
 
 
 def test_a_window_is_there_when_its_last_sample_is():
-    grid = Grid.of(12.0, 2.0, 0.0, STEP)
+    grid = Grid(0.0, STEP, 600, 100)
     window = grid.window(1)
     assert not grid.is_reached(window, 12.0 - STEP)
     assert grid.is_reached(window, 12.0 - 1e-9)
@@ -67,4 +67,4 @@ def test_windows_of_too_few_samples():
 def test_times_that_are_printed_with_few_digits():
     """A median step of 0.033 s would put the end of the hundredth window three seconds off."""
     time = np.round(np.arange(4000) / 30.0, 3)
-    assert grid_of(12.0, 2.0, time).step == pytest.approx(1.0 / 30.0, rel=1e-4)
+    assert Grid.of(12.0, 2.0, time).step == pytest.approx(1.0 / 30.0, rel=1e-4)

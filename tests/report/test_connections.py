@@ -20,7 +20,7 @@ from pinn_cli.report.netcdf import response_dataset
 from pinn_cli.report.results import Results
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Duffing, Linear
-from pinn_cli.system.labels import Labels
+from pinn_cli.system.parameters import Labels
 from pinn_cli.training.estimate import ConnectionHistories
 
 TIME = np.linspace(0.0, 10.0, 1001)

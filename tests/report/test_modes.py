@@ -13,8 +13,7 @@ from pinn_cli.report.figures.modes import interval_text, modes_figure
 from pinn_cli.report.modes import ModeEstimates, mode_table
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Linear
-from pinn_cli.system.labels import Labels
-from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.parameters import Labels, Parameter
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
 
 Z = 1.6448536269514722

@@ -7,7 +7,7 @@ import pytest
 import torch
 from independent_records import IndependentRecord, frame_record
 
-from pinn_cli.record.amplitudes import motion_amplitudes
+from pinn_cli.record.channels import motion_amplitudes
 from pinn_cli.record.excitation.banded_noise import BandedNoise
 from pinn_cli.record.noise import Noise
 from pinn_cli.record.record import Record

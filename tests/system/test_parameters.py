@@ -11,8 +11,7 @@ import torch
 from matplotlib.mathtext import MathTextParser
 from structures import braced, shuffled
 
-from pinn_cli.system.labels import Labels
-from pinn_cli.system.parameters import Parameter, ParameterVector, upright
+from pinn_cli.system.parameters import Labels, Parameter, ParameterVector, upright
 
 DOFS = ("ground_floor", "mezzanine", "roof")
 CONNECTIONS = ("storey_1", "storey_2", "storey_3", "brace", "tie", "damper")

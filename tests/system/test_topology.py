@@ -15,7 +15,7 @@ from pinn_cli.settings import registry
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Linear
-from pinn_cli.system.support import loose_dofs
+from pinn_cli.system.coupling import loose_dofs
 from pinn_cli.system.topology import build_partial_structure, build_structure
 
 FRAME = {

@@ -10,9 +10,8 @@ import torch
 
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Linear
-from pinn_cli.system.frequency_response import Acting
+from pinn_cli.system.frequency_response import Acting, Seen, _Match, twins
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.system.twins import Seen, _Match, twins
 
 FRAME = build_chain(3, Linear(), m=[2e3, 2e3, 1.5e3], c=1e3, k=[8e6, 7.2e6, 5.6e6])
 SPRINGS = [Parameter("k", i) for i in range(3)]

@@ -15,7 +15,7 @@ from pinn_cli.scheme.modal.modal_fit import BandSpectra, ModalFit
 from pinn_cli.scheme.modal.modal_search import missing_mode, searched
 from pinn_cli.scheme.problem import Problem, SpectralEstimate
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system.modal import ModesSought, modal_structure
+from pinn_cli.system.building import ModesSought, modal_structure
 from pinn_cli.system.parameters import PRIOR_WIDTH, Parameter
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.system.structure import Structure
@@ -33,7 +33,7 @@ def modal_problem(sought: ModesSought, prescribed: Structure, records: Sequence[
 
     Args:
         sought: Which modes are asked for.
-        prescribed: See :func:`pinn_cli.system.modal.build_modal`.
+        prescribed: See :func:`pinn_cli.system.building.build_modal`.
         records: One.
 
     Raises:

@@ -14,11 +14,11 @@ import numpy as np
 from pinn_cli.record.channels import record_band
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.building import damped
 from pinn_cli.system.damping import RATIO
 from pinn_cli.system.modes import NaturalModes
 from pinn_cli.system.parameters import MASS, Parameter
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
-from pinn_cli.system.whole_damping import damped
 
 # Prior standard deviation of a damping ratio that nobody has thought of, and of a damper as a part of its critical one.
 USUAL = 0.05

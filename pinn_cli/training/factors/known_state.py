@@ -15,8 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pinn_cli.record.amplitudes import motion_amplitudes
-from pinn_cli.record.channels import record_band
+from pinn_cli.record.channels import motion_amplitudes, record_band
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.problem import RESIDUAL_MOTION, Problem
 from pinn_cli.system.parameters import MASS

@@ -17,8 +17,8 @@ from torch import Tensor
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.spline import Spline
 from pinn_cli.physics import Targets
+from pinn_cli.record.between_samples import evenly_spaced
 from pinn_cli.record.channels import record_band
-from pinn_cli.record.evenly_spaced import evenly_spaced
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError

@@ -21,7 +21,7 @@ from pinn_cli.network.embedding import BAND_MARGIN
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.physics import Targets, estimated_response, targets
-from pinn_cli.record.evenly_spaced import evenly_spaced
+from pinn_cli.record.between_samples import evenly_spaced
 from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.record.spectrum import occupied_band
 from pinn_cli.scheme.joint_problem import JointProblem

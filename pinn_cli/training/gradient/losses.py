@@ -14,8 +14,8 @@ from torch import Tensor
 
 from pinn_cli.network.base import Network, States
 from pinn_cli.physics import hold_delay, observation_residuals, physics_residual, targets
-from pinn_cli.record.amplitudes import motion_amplitudes
-from pinn_cli.record.evenly_spaced import evenly_spaced
+from pinn_cli.record.between_samples import evenly_spaced
+from pinn_cli.record.channels import motion_amplitudes
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import periodogram, signal_band

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
 from pinn_cli.network.linear_readout import LinearReadout
-from pinn_cli.record.amplitudes import motion_amplitudes
+from pinn_cli.record.channels import motion_amplitudes
 from pinn_cli.record.record import Record
 
 # The features that reach least, of which some lie at the ends of the record and are hardly seen, count as slow.

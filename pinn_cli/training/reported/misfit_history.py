@@ -23,7 +23,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from pinn_cli.model.knowledge import Misfit
-from pinn_cli.record.input_force import input_force
+from pinn_cli.record.inputs import input_force
 from pinn_cli.record.response import GROUND
 from pinn_cli.record.spectrum import visible_floor
 from pinn_cli.system.functions import Jet

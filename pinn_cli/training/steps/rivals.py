@@ -15,11 +15,10 @@ from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.settings.errors import DivergenceError
-from pinn_cli.system.frequency_response import Acting
+from pinn_cli.system.frequency_response import Acting, Seen, twins
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE
 from pinn_cli.system.structure import Structure
-from pinn_cli.system.twins import Seen, twins
 from pinn_cli.training.estimate import Rival
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.point import Point

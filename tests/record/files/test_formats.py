@@ -15,7 +15,7 @@ from refusals import refusal
 from scipy.io import netcdf_file, savemat
 
 from pinn_cli.cli.records import data_of_records
-from pinn_cli.record.files.formats import FORMATS, format_of
+from pinn_cli.record.clock import FORMATS, format_of
 from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build

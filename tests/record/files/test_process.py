@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from refusals import refusal
 
-from pinn_cli.record.files import process
+from pinn_cli.record.files import base as process
 
 READER = """
 import ctypes, os, sys, time
