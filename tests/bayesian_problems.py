@@ -8,9 +8,8 @@ from one_record import evidence_of, levels_of, shown_noise
 from small_problems import excitation
 
 from pinn_cli.network.spline import Spline
-from pinn_cli.record.excitation.banded_noise import BandedNoise
-from pinn_cli.record.noise import Noise
-from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.excitation import BandedNoise
+from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.problem import Problem

@@ -48,6 +48,16 @@ def global_state() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
+def shared() -> Path:
+    """The reference data that is kept beside the repository."""
+    root = Path(__file__).parents[1]
+    for folder in (root.parent / "shared", root / "shared"):
+        if (folder / "data").is_dir():
+            return folder
+    pytest.skip("the reference data (../shared) is not here")
+
+
+@pytest.fixture(scope="session")
 def make_case() -> Callable[..., Case]:
     """A small estimate, its record and its truth."""
     return make_estimate

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from pinn_cli.record.excitation.banded_noise import BandedNoise
-from pinn_cli.record.noise import Noise
+from pinn_cli.record.excitation import BandedNoise
 from pinn_cli.record.record import Measurements, Record
-from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Linear, PowerDamping, VanDerPol

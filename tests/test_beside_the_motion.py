@@ -12,9 +12,8 @@ from structures import hysteretic
 
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
-from pinn_cli.record.noise import Noise
 from pinn_cli.record.record import Record
-from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation, simulate
 from pinn_cli.report.connections import connection_forces, dissipated_energy, drifts
 from pinn_cli.report.fitness import fitness_percent

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from pinn_cli.record import record
-from pinn_cli.record.noise import Noise, add_noise
 from pinn_cli.record.response import GROUND, QUANTITIES, Response
+from pinn_cli.record.simulated import Noise, add_noise
 from pinn_cli.settings.errors import InputError
 
 if TYPE_CHECKING:

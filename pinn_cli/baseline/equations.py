@@ -13,7 +13,8 @@ from collections.abc import Mapping
 import numpy as np
 import torch
 
-from pinn_cli.record.runge_kutta import Slope, runge_kutta_step
+from pinn_cli.record.runge_kutta import runge_kutta_step
+from pinn_cli.record.steps import Slope
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import MASS, Parameter, ParameterVector

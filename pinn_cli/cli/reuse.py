@@ -30,7 +30,7 @@ def chosen_model(config: DictConfig, base: Path | None) -> Model | None:
         return None
     from pinn_cli.model.file import read_model
 
-    if config.model_error.get("_target_") != "pinn_cli.system.model_error.NoModelError":
+    if config.model_error.get("_target_") != "pinn_cli.system.model_error.none.NoModelError":
         raise InputError("model_error", "given", "none with model=...", "the model of a run is what it found")
     return read_model(config.model, base)
 

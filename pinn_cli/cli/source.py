@@ -183,8 +183,7 @@ def read_source(
     Raises:
         InputError: A setting that no record can have.
     """
-    from pinn_cli.record.noise import Noise
-    from pinn_cli.record.simulated import check_size
+    from pinn_cli.record.simulated import Noise, check_size
     from pinn_cli.record.simulation import Simulation
     from pinn_cli.record.validation_data import validation_of
 

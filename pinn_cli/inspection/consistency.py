@@ -7,9 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from pinn_cli.record.cross_spectra import CrossSpectra
-from pinn_cli.record.peaks import Peak
 from pinn_cli.record.response import GROUND
-from pinn_cli.record.signal import Sampling, Signal
+from pinn_cli.record.signal import Peak, Sampling, Signal
 
 # Two sensors of one DOF agree within this part; less coherent than this, they say nothing of each other.
 AGREE, COHERENT = 0.1, 0.5

@@ -12,10 +12,9 @@ from pinn_cli.inspection.consistency import disagreements
 from pinn_cli.inspection.proposal import as_typed, guessed, proposed_command
 from pinn_cli.record.channels import clipped_percent, constant_percent
 from pinn_cli.record.cross_spectra import CrossSpectra
-from pinn_cli.record.peaks import Peak, find_peaks
 from pinn_cli.record.record import MINIMUM_SAMPLES
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.record.signal import Sampling, Signal, spectra_of
+from pinn_cli.record.signal import Peak, Sampling, Signal, find_peaks, spectra_of
 from pinn_cli.record.spectrum import noise_level, signal_edges, visible_floor
 from pinn_cli.settings.errors import InputError
 

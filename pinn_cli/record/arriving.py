@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -118,33 +118,6 @@ class WholeReader(Reader):
         return _rows(table, slice(first, None)) if len(table) > first else None
 
 
-def reader_of(path: Path, wanted: Mapping[str, str], chosen: FileFormat) -> Reader:
-    """What reads a file."""
-    own = format_of(path, chosen)
-    return TextReader(path, wanted, own) if isinstance(own, CsvFormat) else WholeReader(path, wanted, own)
-
-
-@dataclass
-class _Clocks:
-    """Times of the file that is being read, on the record's clock.
-
-    Attributes:
-        shift: s, from the file's own clock to the record's.
-        first, last: Of its times, on the record's clock.
-        count: How many there were.
-    """
-
-    shift: float = 0.0
-    first: float = np.nan
-    last: float = -np.inf
-    count: int = 0
-
-    @property
-    def next(self) -> float:
-        """The time of a sample one step after the last one."""
-        return self.last + (self.last - self.first) / max(self.count - 1, 1)
-
-
 class Arriving:
     """Samples in the order in which they were taken, of which those that nobody needs any more are forgotten.
 
@@ -164,7 +137,8 @@ class Arriving:
         self.table = Table(self.path, {name: np.zeros(0) for name in set(wanted.values())})
         self.time = np.zeros(0)
         self.samples = 0
-        self._clocks = _Clocks()
+        # Seconds from a file's clock to the record's; on that its first time, the last of all, and how many.
+        self._shift, self._first, self._last, self._count = 0.0, np.nan, -np.inf, 0
 
     def read(self) -> bool:
         """Take up what has come; whether there was anything.
@@ -179,7 +153,9 @@ class Arriving:
             if i == len(self.readers):
                 column = self.files.time_column(path)
                 asked = self.wanted if column is None else {"data.time": column, **self.wanted}
-                self.readers.append(reader_of(path, asked, self.files.format))
+                own = format_of(path, self.files.format)
+                reader = TextReader(path, asked, own) if isinstance(own, CsvFormat) else WholeReader(path, asked, own)
+                self.readers.append(reader)
                 self._begin_file()
             table = self.readers[i].more(complete=i + 1 < len(paths))
             if table is not None:
@@ -213,20 +189,21 @@ class Arriving:
         return entry.is_file() and not entry.name.startswith(".") and entry.suffix.lower() in suffixes
 
     def _begin_file(self) -> None:
-        if self._clocks.count:
-            self._clocks = _Clocks(self._clocks.next, np.nan, self._clocks.last, 0)
+        """The clock goes on one step after the last sample, should that of the file begin anew."""
+        if self._count:
+            self._shift = self._last + (self._last - self._first) / max(self._count - 1, 1)
+            self._first, self._count = np.nan, 0
 
     def _append(self, table: Table) -> None:
-        clocks, own = self._clocks, self._own_times(table)
-        if clocks.count == 0:
-            goes_on = clocks.last == -np.inf or own[0] > clocks.last
-            clocks.shift = 0.0 if goes_on else clocks.shift - own[0]
-            clocks.first = own[0] + clocks.shift
-        time = own + clocks.shift
+        own = self._own_times(table)
+        if self._count == 0:
+            self._shift = 0.0 if own[0] > self._last else self._shift - own[0]
+            self._first = own[0] + self._shift
+        time = own + self._shift
         if len(self.time) and time[0] <= self.time[-1]:
             allowed = f"a time after the one before it, {self.time[-1]:.9g} s"
             raise InputError(f"{table.path.name}, first new line", f"{time[0]:.9g} s", allowed)
-        clocks.last, clocks.count = float(time[-1]), clocks.count + len(time)
+        self._last, self._count = float(time[-1]), self._count + len(time)
         kept, self.samples = len(self.time), self.samples + len(time)
         columns = {name: np.concatenate((values, table.columns[name])) for name, values in self.table.columns.items()}
         odd = {name: dict(cells) for name, cells in self.table.odd_cells.items()}

@@ -229,7 +229,7 @@ def held_by_lines(values: np.ndarray) -> np.ndarray:
     """(N,), what straight lines between samples (N,) hold below the Nyquist frequency, at the samples.
 
     A line's spectrum is that of its samples times sinc^2 (f step), whatever longer lines these lie on. Beyond its ends
-    the record goes on as its own odd reflection, as in :func:`pinn_cli.record.band.decimate`.
+    the record goes on as its own odd reflection, as in :func:`pinn_cli.record.spectrum.decimate`.
     """
     before, after = 2.0 * values[0] - values[:0:-1], 2.0 * values[-1] - values[-2::-1]
     longer = np.concatenate((before, values, after))

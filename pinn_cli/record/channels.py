@@ -113,13 +113,7 @@ def channel_name(record: Record, quantity: str, number: int) -> str:
 def channels(
     record: Record, quantities: Sequence[str] = RESPONSE_QUANTITIES, excused: Sequence[str] = ()
 ) -> list[Channel]:
-    """Every sensor of a record, quantity by quantity, the ground's last; a force that is known to be zero is none.
-
-    Args:
-        record: With its sensors.
-        quantities: Those whose sensors count.
-        excused: Names of channels that are left out.
-    """
+    """Every sensor of a record, quantity by quantity, the ground's last; a force that is known to be zero is none."""
     every = [
         Channel(
             quantity,

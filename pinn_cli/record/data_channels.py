@@ -37,8 +37,8 @@ class DataChannel:
         weights: DOF, counted from 0, to its weight; none of the ground or of a connection.
         connection: Name or number of the connection whose force it measures.
         factor: SI units that one of its units is; None: of the unit that the file's header tells, or SI units.
-        calibration: Numbers of `CALIBRATION_UNITS` where they are given: a number, ``unknown``, or value and
-            uncertainty; offset and drift in the channel's unit, the delay in s, a tilt in 1/s^2, a corner in Hz.
+        calibration: Numbers of `CALIBRATION_UNITS` where they are given, an unknown one NaN; offset and drift in the
+            channel's unit, the delay in s, a tilt in 1/s^2, a corner in Hz.
         filter_order: Of the high-pass filter that the corner is of.
         support: Number, from 0, of the support that it measures; None: it measures something else.
     """
@@ -50,7 +50,7 @@ class DataChannel:
     weights: Mapping[int, float] = field(default_factory=dict)
     connection: str | int | None = None
     factor: float | None = None
-    calibration: Mapping[str, float | str | tuple[float, float]] = field(default_factory=dict)
+    calibration: Mapping[str, Calibration] = field(default_factory=dict)
     filter_order: int = 1
     support: int | None = None
 
@@ -76,8 +76,8 @@ class DataChannel:
     @property
     def is_plain(self) -> bool:
         """Whether its samples, calibrated as is known, are what the structure does at their times."""
-        return self.place is not None and not any(
-            isinstance(given, str | tuple) or (kind in ("delay", TILT, HIGH_PASS) and given != 0.0)
+        return self.place is not None and all(
+            given.is_known and (given.value == 0.0 or kind not in ("delay", TILT, HIGH_PASS))
             for kind, given in self.calibration.items()
         )
 
@@ -100,17 +100,11 @@ class DataChannel:
     def calibrated(self, values: np.ndarray, time: np.ndarray) -> np.ndarray:
         """Samples (J,) of a plain channel in SI units, with what is known of its calibration taken out."""
         assert self.factor is not None
-        gain, offset, drift = (
-            self._given(kind, 1.0 if kind == "gain" else 0.0) for kind in ("gain", "offset", "drift")
-        )
+        perfect = {"gain": Calibration(1.0), "offset": Calibration(0.0), "drift": Calibration(0.0)}
+        gain, offset, drift = ((perfect | dict(self.calibration))[kind].value for kind in perfect)
         if not self.calibration:
             return values if self.factor == 1.0 else self.factor * values
         return np.asarray(self.factor * (values - offset - drift * (time - time[0])) / gain)
-
-    def _given(self, kind: str, default: float) -> float:
-        given = self.calibration.get(kind, default)
-        assert isinstance(given, float)
-        return given
 
     def gauge(self, time: np.ndarray, values: np.ndarray, connections: Sequence[str], fills: bool) -> Gauge:
         """A sensor with samples of its own.
@@ -125,9 +119,12 @@ class DataChannel:
             InputError: A connection that does not exist, a delay longer than the record.
         """
         assert self.factor is not None
-        shown, both = self.factor * values, self._is_unknown("offset") and self._is_unknown("drift")
+        shown, unknown = self.factor * values, {kind for kind, given in self.calibration.items() if given.unknown}
         calibration = {
-            kind: self._calibration(kind, given, time, shown, both) for kind, given in self.calibration.items()
+            kind: unknown_calibration(kind, time, shown, both={"offset", "drift"} <= unknown)
+            if given.unknown
+            else given.times(self.factor if kind in ("offset", "drift") else 1.0)
+            for kind, given in self.calibration.items()
         }
         late, duration = calibration.get("delay", Calibration(0.0)), float(time[-1] - time[0])
         if abs(late.value) >= duration:
@@ -136,18 +133,6 @@ class DataChannel:
         connection = -1 if self.connection is None else self._connection(connections)
         order = self.filter_order if HIGH_PASS in calibration else 0
         return Gauge(self.name, self.sensor, self.weights, time, shown, calibration, connection, fills, order)
-
-    def _is_unknown(self, kind: str) -> bool:
-        return self.calibration.get(kind) == UNKNOWN
-
-    def _calibration(
-        self, kind: str, given: float | str | tuple[float, float], time: np.ndarray, shown: np.ndarray, both: bool
-    ) -> Calibration:
-        factor = (self.factor or 1.0) if kind in ("offset", "drift") else 1.0
-        if isinstance(given, str):
-            return unknown_calibration(kind, time, shown, both)
-        value, std = given if isinstance(given, tuple) else (given, 0.0)
-        return Calibration(factor * value, factor * std)
 
     def _connection(self, connections: Sequence[str]) -> int:
         if self.connection in connections:
@@ -203,9 +188,8 @@ def _channel(name: str, node: Any) -> DataChannel:
         if kind in given and sensor not in sensors:
             raise InputError(f"{setting}.{kind}", given[kind], f"left out: it is of {' or '.join(sensors)}")
     calibration = {kind: _number(f"{setting}.{kind}", kind, value) for kind, value in given.items()}
-    known = {kind: isinstance(value, float) for kind, value in calibration.items()}
     for kind in (kind for kind in calibration if support is not None):
-        if not known[kind] or kind not in ("gain", "offset", "drift"):
+        if not calibration[kind].is_known or kind not in ("gain", "offset", "drift"):
             raise InputError(
                 f"{setting}.{kind}", given[kind], "left out, or a known gain, offset or drift of a support"
             )
@@ -277,10 +261,10 @@ def _dof(setting: str, dof: Any) -> int:
     return int(number) - 1
 
 
-def _number(setting: str, kind: str, given: Any) -> float | str | tuple[float, float]:
+def _number(setting: str, kind: str, given: Any) -> Calibration:
     """One number of a calibration: known, ``unknown``, or value and uncertainty."""
     if given == UNKNOWN:
-        return UNKNOWN
+        return Calibration(math.nan, unknown=True)
     allowed = "a number, unknown, or {value: ..., uncertainty: ...}"
     if isinstance(given, Mapping):
         if set(given) != {"value", "uncertainty"} or not all(map(is_finite_number, given.values())):
@@ -296,4 +280,4 @@ def _number(setting: str, kind: str, given: Any) -> float | str | tuple[float, f
         raise InputError(setting, given, "a corner > 0 Hz", "a sensor that passes slow motion has none")
     if kind == "gain" and (value == 0.0 or math.isnan(value)):
         raise InputError(setting, given, "a gain that is not 0", "a sensor that shows nothing is no sensor")
-    return (value, std) if std else value
+    return Calibration(value, std)

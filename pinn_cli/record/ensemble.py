@@ -94,14 +94,7 @@ def affordable_members(structure: Structure, record: Record, count: int) -> int:
 
 
 def spread_of(members: Members, structure: Structure, record: Record, about: Response) -> Response:
-    """Root mean square distance of the members' motion from that of the structure itself, each (N, dofs).
-
-    Args:
-        members: At least one.
-        structure: Whose law they share.
-        record: Whose force and ground motion act on all.
-        about: Its free run.
-    """
+    """Root mean square distance of the members' motion from that of the structure itself, each (N, dofs)."""
     out = Response.unknown(record.time, record.ndof)
     with np.errstate(over="ignore", invalid="ignore"):
         for part, motion, _, _ in followed_members(members, structure, record, about.state(0)):

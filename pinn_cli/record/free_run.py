@@ -169,13 +169,6 @@ def free_run(
 def free_run_of(structure: Structure, record: Record, motion: Response, sample: int, first: int = 0) -> Response:
     """The same from a state of an estimated motion on.
 
-    Args:
-        structure: Any.
-        record: See :func:`free_run`.
-        motion: With the motion of the supports, where they move.
-        sample: Of the motion, whose state the run begins with.
-        first: Of the record, to begin with.
-
     Raises:
         NoFreeRunError: See :func:`free_run`.
     """

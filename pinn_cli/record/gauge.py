@@ -62,6 +62,10 @@ class Calibration:
         """Whether nothing about it is in doubt."""
         return not self.unknown and self.std == 0.0
 
+    def times(self, factor: float) -> Calibration:
+        """The same in another unit."""
+        return Calibration(factor * self.value, factor * self.std)
+
 
 @dataclass(frozen=True, eq=False)
 class Gauge:
@@ -107,12 +111,7 @@ class Gauge:
         return dof if weight == 1.0 else None
 
     def felt_in(self, response: Response, found: Mapping[str, float] | None = None) -> np.ndarray:
-        """(N,), what it feels of a response, a tilt included and a filter not; NaN of what nobody worked out there.
-
-        Args:
-            response: Of the structure.
-            found: See :meth:`calibrated`.
-        """
+        """(N,), what it feels of a response, a tilt included and a filter not; NaN of what nobody worked out there."""
         if self.quantity in (GROUND, CONNECTION_FORCE):
             values: np.ndarray | None = getattr(response, self.quantity)
             if values is None:
@@ -150,11 +149,7 @@ class Gauge:
         return float(self.time[0])
 
     def calibrated(self, found: Mapping[str, float] | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Times (J,) at which it felt, s, and what it felt there (J,), noise included.
-
-        Args:
-            found: Kind to the value that was found; others are as they were believed.
-        """
+        """Times (J,) at which it felt, s, and what it felt there (J,), noise included, by numbers that were found."""
         value = {kind: self.of(kind).value for kind in CALIBRATION_UNITS} | dict(found or {})
         felt = self.values - value["offset"] - value["drift"] * (self.time - self.start)
         return self.time - value["delay"], felt / (value["gain"] or 1.0)
@@ -199,11 +194,7 @@ class Gauge:
         return filter_polynomial(2.0 * np.pi * corner, self.filter_order)
 
     def started_at(self, values: Mapping[str, float]) -> Gauge:
-        """The same where the search for its unknown numbers starts elsewhere; what is believed stays.
-
-        Args:
-            values: Kind to value.
-        """
+        """The same where the search for its unknown numbers starts elsewhere; what is believed stays."""
         unknown = {kind: replace(self.of(kind), value=v) for kind, v in values.items() if self.of(kind).unknown}
         return replace(self, calibration={**self.calibration, **unknown}) if unknown else self
 

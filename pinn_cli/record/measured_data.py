@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from pinn_cli.record.arriving import Arriving
-from pinn_cli.record.band import BandPass, checked_band
 from pinn_cli.record.between_samples import BETWEEN_SAMPLES, FIRST_ORDER_HOLD
 from pinn_cli.record.clock import TIME_UNITS, Clock, MeasuredFiles
 from pinn_cli.record.data_channels import DataChannel, data_channels
@@ -22,6 +21,7 @@ from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Measurements, Record, Truth, check_frame, dof_mask
 from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.record.sampled import Sampled, sampled
+from pinn_cli.record.spectrum import BandPass, checked_band
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import (
     entries,

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from pinn_cli.record.band import BandPass
 from pinn_cli.record.between_samples import INTERSAMPLE, Intersample
 from pinn_cli.record.gauge import Gauge
-from pinn_cli.record.noise import Repeats
-from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Response
+from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Repeats, Response
+from pinn_cli.record.spectrum import BandPass
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of
 from pinn_cli.system.quantities import SUPPORT
@@ -200,11 +199,7 @@ class Record:
         return None if missing is None or not missing[:, channel].any() else ~missing[:, channel]
 
     def started_at(self, calibrations: Mapping[str, Mapping[str, float]]) -> Record:
-        """The record whose gauges' unknown numbers start elsewhere; its columns show what they then say.
-
-        Args:
-            calibrations: Name of a gauge to its numbers by kind.
-        """
+        """The record whose gauges' unknown numbers start elsewhere; its columns show what they then say."""
         if not {gauge.name for gauge in self.gauges} & set(calibrations):
             return self
         gauges = tuple(gauge.started_at(calibrations.get(gauge.name, {})) for gauge in self.gauges)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from pinn_cli.record.band import BandPass, decimate
 from pinn_cli.record.between_samples import FIRST_ORDER_HOLD, Intersample, held_by_lines, samples_per_line
 from pinn_cli.record.clock import TIME_TOLERANCE, Clock
 from pinn_cli.record.data_channels import DataChannel
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import MINIMUM_SAMPLES
+from pinn_cli.record.spectrum import BandPass, decimate
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.quantities import FORCE, GROUND
 
@@ -39,9 +39,9 @@ class Sampled:
     time: np.ndarray
     columns: Mapping[tuple[str, int], np.ndarray]
     gauges: tuple[Gauge, ...]
-    intersample: Intersample = "band_limited"
-    assumed: bool = False
-    band: BandPass | None = None
+    intersample: Intersample
+    assumed: bool
+    band: BandPass | None
 
 
 def sampled(
@@ -82,11 +82,10 @@ def sampled(
     values = [held_by_lines(column) if held else column for held, column in zip(lines, values, strict=True)]
     if thinned != 1:
         time, values = _thinned(thinned, time, values, all(whole))
-    found = _placed(channels, time, values, even, connections)
-    found = replace(found, band=thinned if isinstance(thinned, BandPass) else None)
-    if intersample == "zero_order_hold":
-        return replace(found, intersample="zero_order_hold")
-    return replace(found, assumed=intersample is None and not any(lines))
+    placed = _placed(channels, time, values, even, connections)
+    held: Intersample = "zero_order_hold" if intersample == "zero_order_hold" else "band_limited"
+    assumed = intersample is None and not any(lines)
+    return Sampled(*placed, held, assumed, thinned if isinstance(thinned, BandPass) else None)
 
 
 def _reached(band: BandPass, window: tuple[int, int], rows: int) -> tuple[int, int]:
@@ -122,12 +121,6 @@ def _on_lines(
 ) -> list[bool]:
     """Which channels are of what acts, and go on between their samples by straight lines.
 
-    Args:
-        channels: Of the file.
-        values: Their samples.
-        intersample: See :func:`sampled`.
-        whole: Which of them miss no sample, at even times.
-
     Raises:
         InputError: Where that was said of samples that are missing or uneven.
     """
@@ -152,7 +145,8 @@ def _on_lines(
 
 def _placed(
     channels: Sequence[DataChannel], time: np.ndarray, values: list[np.ndarray], even: bool, connections: Sequence[str]
-) -> Sampled:
+) -> tuple[np.ndarray, dict[tuple[str, int], np.ndarray], tuple[Gauge, ...]]:
+    """Times (N,), columns and gauges, see :class:`Sampled`."""
     columns: dict[tuple[str, int], np.ndarray] = {}
     rest: list[tuple[DataChannel, np.ndarray]] = []
     axis = time if even else _even_axis(time, values)
@@ -174,7 +168,7 @@ def _placed(
         if channel.place is not None and fills:
             columns[channel.place] = gauge.history(axis)
         _tell(channel, column, time)
-    return Sampled(axis, columns, tuple(gauges))
+    return axis, columns, tuple(gauges)
 
 
 def _fills(axis: np.ndarray, time: np.ndarray) -> bool:

@@ -1,30 +1,161 @@
-"""A record that is simulated (``data=simulated``), and how large it may be."""
+"""A record that is simulated (``data=simulated``), the white Gaussian noise of its sensors, and its size."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pinn_cli.record.between_samples import INTERSAMPLE_OF_HOLD
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Measurements, Record, Truth, check_frame
+from pinn_cli.record.response import GROUND, MEASURED_QUANTITIES, QUANTITIES, Repeats, Response
 from pinn_cli.record.steps import at_rest, fastest_rates
 from pinn_cli.runs.memory import of_this_machine
 from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import LARGEST_LEGACY_SEED, is_finite_number, one_of, whole_number
 
 if TYPE_CHECKING:
     from pinn_cli.record.excitation.base import Excitation
-    from pinn_cli.record.noise import Noise
     from pinn_cli.record.simulation import Simulation
     from pinn_cli.system.structure import Structure
 
+STREAMS = ("independent", "shared")
+# Noise of 1e-15 times the signal, which is the last digit of a number.
+LARGEST_SNR_DB = 300
+# Seeds of one repeat's channels are consecutive: far enough apart for chains of a thousand DOFs.
+REPEAT_STRIDE = 1000
 # Each takes some 50 us at 6 DOFs: two minutes.
 MOST_STEPS = 2 * 10**6
 # Bytes per DOF: of a step of the simulation (states, forces), at least of a sample of the record and what is estimated
 # from it, and of each repeat of a sample.
 _STEP, _SAMPLE, _REPEAT = 40, 400, 32
+
+
+@dataclass(frozen=True)
+class Noise:
+    """White Gaussian noise with SNR = 10 log10(signal power / noise power) per channel; power is the mean square.
+
+    Attributes:
+        snr_db: dB; None for no noise.
+        seed: Each channel draws from a stream of its own, derived from (seed, quantity, DOF), so that a channel's noise
+            does not depend on which others there are.
+        seeds: None, or quantity to seed: channel i (from 0) then draws from legacy ``RandomState(seeds[quantity] + i)``
+            as the authors' do.
+        repeats: How often the same response is measured.
+        repeat_streams: ``independent``: every repeat has noise of its own. ``shared``, with ``seeds``: repeat r (from
+            0) of channel i draws from ``RandomState(seeds[quantity] + i + r)``: the seed grows by one from channel to
+            channel and from repeat to repeat, so that neighbouring channels share most of their noise.
+
+    Raises:
+        InputError: Naming ``noise.<setting>`` or ``seed``.
+    """
+
+    snr_db: float | None = None
+    seed: int = 0
+    seeds: Mapping[str, int] | None = None
+    repeats: int = 1
+    repeat_streams: str = "independent"
+
+    def __post_init__(self) -> None:
+        if self.snr_db is not None and not (is_finite_number(self.snr_db) and abs(self.snr_db) <= LARGEST_SNR_DB):
+            allowed = f"a number of dB between -{LARGEST_SNR_DB} and {LARGEST_SNR_DB}, or null for no noise"
+            raise InputError("noise.snr_db", self.snr_db, allowed)
+        whole_number("seed", self.seed)
+        if self.seeds is not None:
+            if not isinstance(self.seeds, Mapping) or set(self.seeds) - {GROUND} != set(QUANTITIES):
+                allowed = f"null or one seed for each of {', '.join(QUANTITIES)}, and {GROUND} where the ground moves"
+                raise InputError("noise.seeds", self.seeds, allowed)
+            for quantity, seed in self.seeds.items():
+                whole_number(f"noise.seeds.{quantity}", seed, most=LARGEST_LEGACY_SEED)
+
+        whole_number("noise.repeats", self.repeats, least=1)
+        one_of("noise.repeat_streams", self.repeat_streams, STREAMS)
+        if self.repeat_streams == "shared" and self.seeds is None:
+            raise InputError("noise.repeat_streams", "shared", "independent, or noise.seeds given")
+        if self.repeats > 1 and self.snr_db is None:
+            raise InputError("noise.repeats", self.repeats, "1 where there is no noise (noise.snr_db=null)")
+
+    def added_to(self, response: Response, repeat: int = 0) -> Response:
+        """The response as sensors would show it at one of the repeats, counted from 0; see :func:`add_noise`."""
+        stride = 1 if self.repeat_streams == "shared" else REPEAT_STRIDE
+        seeds = None if self.seeds is None else {q: seed + stride * repeat for q, seed in self.seeds.items()}
+        return add_noise(response, self.snr_db, self.seed, seeds, repeat)
+
+    def measured(self, response: Response) -> tuple[Response, Repeats | None]:
+        """The mean of all repeats, and their scatter; of a single one itself, and None."""
+        if self.repeats == 1:
+            return self.added_to(response), None
+        return averaged([self.added_to(response, repeat) for repeat in range(self.repeats)])
+
+
+def add_noise(
+    response: Response,
+    snr_db: float | None,
+    seed: int = 0,
+    seeds: Mapping[str, int] | None = None,
+    repeat: int = 0,
+) -> Response:
+    """The response with noise on every channel that is not identically zero, so on forces of forced DOFs only.
+
+    Args:
+        response: (N, n) each, and the ground's acceleration if there is one; not changed.
+        snr_db: See :class:`Noise`.
+        seed: See :class:`Noise`.
+        seeds: See :class:`Noise`.
+        repeat: Which measurement of the same response; each has streams of its own.
+
+    Raises:
+        InputError: ``seeds`` have none for the ground that moves.
+    """
+    if snr_db is None:
+        return response
+    noisy = {}
+    for quantity, clean in _histories(response).items():
+        values = clean.copy()
+        if seeds is not None and quantity not in seeds:
+            raise InputError("noise.seeds", dict(seeds), f"with a seed for {quantity}")
+        for i in np.flatnonzero(np.any(values != 0.0, axis=0)):
+            deviation = math.sqrt(np.mean(values[:, i] ** 2) / 10.0 ** (snr_db / 10.0))
+            values[:, i] += deviation * _standard_normal(quantity, int(i), len(values), (seed, repeat), seeds)
+        noisy[quantity] = values
+    return _with_histories(response, noisy)
+
+
+def _histories(response: Response) -> dict[str, np.ndarray]:
+    """Quantity to (N, channels); the ground's one channel comes last, where it moves."""
+    histories = {quantity: getattr(response, quantity) for quantity in QUANTITIES}
+    ground = response.ground_acceleration
+    return histories if ground is None else {**histories, GROUND: ground[:, None]}
+
+
+def _with_histories(response: Response, histories: Mapping[str, np.ndarray]) -> Response:
+    """The reverse of :func:`_histories`."""
+    given = {name: values[:, 0] if name == GROUND else values for name, values in histories.items()}
+    return replace(response, **given)
+
+
+def _standard_normal(
+    quantity: str, i: int, samples: int, stream: tuple[int, int], seeds: Mapping[str, int] | None
+) -> np.ndarray:
+    if seeds is not None:
+        return np.random.RandomState(seeds[quantity] + i).standard_normal(samples)
+    seed, repeat = stream
+    # The first repeat is what a single measurement with this seed is.
+    entropy = [seed, MEASURED_QUANTITIES.index(quantity), i, *([repeat] if repeat else [])]
+    return np.random.default_rng(entropy).standard_normal(samples)
+
+
+def averaged(measured: Sequence[Response]) -> tuple[Response, Repeats]:
+    """Mean of repeats, (N, n) each, and their scatter about it."""
+    every = [_histories(response) for response in measured]
+    histories = {q: np.stack([one[q] for one in every]) for q in every[0]}
+    means = {q: values.mean(axis=0) for q, values in histories.items()}
+    square = {q: np.sum((values - means[q]) ** 2, axis=(0, 1)) for q, values in histories.items()}
+    first = measured[0]
+    return _with_histories(first, means), Repeats(len(measured), len(first.time), square)
 
 
 @dataclass(frozen=True)
@@ -70,11 +201,6 @@ class Simulated:
 
 def check_size(simulation: Simulation, structure: Structure, repeats: int = 1) -> None:
     """Refuse a record that this machine cannot simulate.
-
-    Args:
-        simulation: Of the record.
-        structure: That is simulated.
-        repeats: How often the response is measured.
 
     Raises:
         InputError: Naming ``simulation.samples``, ``system.ndof`` or ``noise.repeats``, the record does not fit into

@@ -33,7 +33,6 @@ from pinn_cli.system.parameters import MASS
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from pinn_cli.system.shapes import Shapes
     from pinn_cli.system.structure import Structure
 
 
@@ -251,17 +250,23 @@ def simulate(
         ValueError: An initial state of another shape, or one that is not finite.
     """
     _check_options(hold, method, substeps)
-    if ground is not None and hold != "exact":
-        why = "nothing holds the ground's acceleration between samples"
-        raise InputError("simulation.hold", hold, "exact where the ground moves", why)
-    if structure.is_modal:
-        _check_modal(structure.shapes, hold, ground)
-    if supports is not None and hold != "exact":
-        raise InputError("simulation.hold", hold, "exact where a support moves", "nothing holds it between samples")
+    if hold != "exact":
+        for acts, where, why in (
+            (ground is not None, "where the ground moves", "nothing holds its acceleration between samples"),
+            (structure.is_modal, "with system=matrices", "a held force is no force of a mode"),
+            (supports is not None, "where a support moves", "nothing holds it between samples"),
+        ):
+            if acts:
+                raise InputError("simulation.hold", hold, f"exact {where}", why)
+    if structure.is_modal and ground is not None:
+        structure.shapes.check_ground()
     shaken = ground is not None or supports is not None
     equation = StateEquation(structure, shaken)
     start, slope = equation.start(initial), equation.slope
-    acting = _in_coordinates(excitation_force, structure)
+
+    def acting(time: np.ndarray) -> np.ndarray:
+        return structure.shapes.onto_coordinates(excitation_force(time))
+
     load = _loads(acting, ground, supports) if shaken else acting
     sampled = load(time)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -301,18 +306,6 @@ def response_of(structure: Structure, motion: Response, frame: Frame) -> Respons
     if moved is not None and frame == "absolute":
         a = a + moved[:, None] * shapes.with_ground
     return replace(motion, displacement=u, velocity=v, acceleration=a, coordinates=coordinates, connection_force=pulled)
-
-
-def _check_modal(shapes: Shapes, hold: str, ground: Ground | None) -> None:
-    if hold != "exact":
-        raise InputError("simulation.hold", hold, "exact with system=matrices", "a held force is no force of a mode")
-    if ground is not None:
-        shapes.check_ground()
-
-
-def _in_coordinates(force: Force, structure: Structure) -> Force:
-    """Forces of DOFs as forces in the equations of the coordinates."""
-    return lambda time: structure.shapes.onto_coordinates(force(time))
 
 
 def _loads(force: Force, ground: Ground | None, supports: Ground | None) -> Force:

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from pinn_cli.system.structure import Structure
 
 # A load from times; the rate of a state under a load.
-Force, Slope = Callable[[np.ndarray], np.ndarray], Callable[[np.ndarray, np.ndarray], np.ndarray]
+Force = Callable[[np.ndarray], np.ndarray]
+Slope = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 # Runge-Kutta is stable up to 2.8 and accurate to 1e-5 per radian at 0.2 (its phase error is (step * rate)^4 / 120).
 STEP_TIMES_RATE = 0.2

@@ -102,11 +102,6 @@ class ValidationData:
     def read(self, records: Sequence[Record], ndof: int, connections: Sequence[str] = ()) -> ValidationRecord:
         """The record that the identified system is tried on.
 
-        Args:
-            records: What the estimator sees.
-            ndof: DOFs of the structure.
-            connections: Names of its connections.
-
         Raises:
             InputError: As of :meth:`MeasuredData.measure`; a force that nobody measured; nothing left to compare.
         """

@@ -97,8 +97,9 @@ class Grid:
     def window(self, number: int) -> Window:
         """A window that is no last one."""
         start = (number - 1) * (self.length - self.overlap)
-        times = (self.first + sample * self.step for sample in (start, start + self.length))
-        return Window(number, *times, self.first + (start + self.length - self.overlap) * self.step)
+        at = [start, start + self.length, start + self.length - self.overlap]
+        first, last, after = (self.first + sample * self.step for sample in at)
+        return Window(number, first, last, after)
 
     def last(self, number: int, stop: float) -> Window | None:
         """What is left for a last window of a record that ends at ``stop``, s; None if those before have it all."""

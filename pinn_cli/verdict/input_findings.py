@@ -10,8 +10,7 @@ import numpy as np
 from pinn_cli.record.between_samples import FIRST_ORDER_HOLD, held_by_lines
 from pinn_cli.record.channels import channels
 from pinn_cli.record.free_run import is_linear
-from pinn_cli.record.peaks import find_peaks
-from pinn_cli.record.signal import Sampling, Signal, spectra_of
+from pinn_cli.record.signal import Sampling, Signal, find_peaks, spectra_of
 from pinn_cli.record.spectrum import periodogram, reaches_nyquist
 from pinn_cli.system.connection.base import Hysteresis
 from pinn_cli.system.modes import modes_of

@@ -16,7 +16,7 @@ from pinn_cli.baseline.iterated_smoother import IteratedSmoother
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
 from pinn_cli.baseline.noise_levels import most_probable
 from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
-from pinn_cli.record.excitation.banded_noise import BandedNoise
+from pinn_cli.record.excitation import BandedNoise
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.record.simulation import Simulation

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from pinn_cli.inspection.inspection import peak_table
-from pinn_cli.record.peaks import find_peaks
-from pinn_cli.record.signal import Sampling, Signal, spectra_of
+from pinn_cli.record.signal import Sampling, Signal, find_peaks, spectra_of
 
 # Of a chain of five equal masses and springs, fixed at one end, Hz.
 FREQUENCIES = 0.890 * np.sin(np.pi * np.arange(1, 10, 2) / 22.0) / np.sin(np.pi / 22.0)

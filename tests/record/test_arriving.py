@@ -31,14 +31,6 @@ def append(path: Path, text: str) -> None:
         file.write(text)
 
 
-def test_a_file_that_is_not_there_yet(tmp_path):
-    came = arriving(tmp_path / "a.csv")
-    assert not came.read()
-    append(tmp_path / "a.csv", "t,a,note\n" + rows(0, 5))
-    assert came.read()
-    assert len(came.time) == 5
-
-
 def test_a_line_that_is_still_being_written_is_not_read(tmp_path):
     """3.5 cut off is 3, a number as good as any."""
     path = tmp_path / "a.csv"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pinn_cli.record.band import BandPass
 from pinn_cli.record.measured_data import MeasuredData
+from pinn_cli.record.spectrum import BandPass
 from pinn_cli.settings.errors import InputError
 
 RATE, SECONDS = 100.0, 40.0

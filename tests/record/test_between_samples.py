@@ -12,7 +12,6 @@ from pinn_cli.record.between_samples import (
     between_samples,
     held_by_lines,
     refined,
-    refined_times,
     samples_per_line,
 )
 
@@ -28,16 +27,6 @@ def band_limited(highest: float, seed: int = 0, tones: int = 200, gap: tuple[flo
     return lambda t: np.sqrt(2.0 / tones) * np.cos(2.0 * np.pi * frequency * t[:, None] + phase).sum(1)
 
 
-@pytest.mark.parametrize("refinement", [2, 3, 5])
-@pytest.mark.parametrize("highest", [0.1, 0.3, 0.39])
-def test_the_middle_of_a_band_limited_history_is_told(highest, refinement):
-    history = band_limited(highest)
-    found, _ = refined(history(np.arange(SAMPLES))[:, None], refinement)
-    truth = history(np.arange(len(found)) / refinement)
-    middle = slice(40 * refinement, -40 * refinement)
-    assert np.std((found[:, 0] - truth)[middle]) < 1e-4
-
-
 @pytest.mark.parametrize("refinement", [2, 4])
 def test_samples_stay_what_they_are(refinement):
     values = np.random.default_rng(0).normal(size=(50, 3))
@@ -45,13 +34,6 @@ def test_samples_stay_what_they_are(refinement):
     assert found.shape == (49 * refinement + 1, 3)
     np.testing.assert_array_equal(found[::refinement], values)
     np.testing.assert_array_equal(std[::refinement], 0.0)
-
-
-def test_one_point_a_sample_is_the_history_itself():
-    values = np.random.default_rng(0).normal(size=(50, 2))
-    found, std = refined(values, 1)
-    np.testing.assert_array_equal(found, values)
-    assert not std.any()
 
 
 @pytest.mark.parametrize("refinement", [2, pytest.param(3, marks=pytest.mark.slow)])
@@ -85,14 +67,6 @@ def test_a_record_shorter_than_the_reach_is_interpolated_from_all_of_it():
     error = np.abs(found[:, 0] - np.cos(np.arange(79) / 2)) / rms
     assert np.all(error <= 3.0 * std[:, 0] / rms + 1e-3)
     assert error[20:60].max() < 3e-3
-
-
-def test_refined_times_pass_through_the_samples():
-    time = np.array([0.0, 0.1, 0.2000001, 0.3])  # stamps that jitter stay
-    found = refined_times(time, 4)
-    np.testing.assert_array_equal(found[::4], time)
-    assert np.all(np.diff(found) > 0)
-    assert refined_times(time, 1) is time
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.1])
@@ -140,11 +114,6 @@ def test_a_slow_history_is_told_at_its_ends_as_well_as_its_noise_allows():
         assert np.sqrt(np.mean(std[ends] ** 2)) < 1.6 * noise + 1e-3
 
 
-@pytest.mark.parametrize("values", [np.zeros(30), np.zeros((30, 2))])
-def test_nothing_stays_nothing(values):
-    assert not BandLimited(np.arange(30.0), values)(np.linspace(0.0, 29.0, 100)).any()
-
-
 def test_a_held_history_keeps_its_samples():
     time, values = 0.1 * np.arange(30), np.random.default_rng(0).normal(size=(30, 2))
     history = between_samples(time, values, "zero_order_hold")
@@ -152,14 +121,6 @@ def test_a_held_history_keeps_its_samples():
     np.testing.assert_array_equal(history(time), values)
     np.testing.assert_array_equal(history(time[:-1] + 0.09), values[:-1])
     np.testing.assert_array_equal(history.within(np.array([0.0, 0.5, 1.0])), np.stack([values[:-1]] * 3))
-
-
-def test_parts_of_steps_are_what_times_are():
-    time, values = 0.1 * np.arange(30), np.random.default_rng(0).normal(size=30)
-    history = between_samples(time, values, "band_limited")
-    parts = history.within(np.array([0.0, 0.25]))
-    np.testing.assert_allclose(parts[0], values[:-1], atol=1e-12)
-    np.testing.assert_allclose(parts[1], history(time[:-1] + 0.025), atol=1e-12)
 
 
 def noise(seed: int, count: int, cutoff: float = 0.5) -> np.ndarray:

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pinn_cli.record.simulation import Simulation, simulate
-from pinn_cli.record.steps import Corners
+from pinn_cli.record.steps import substeps_needed
 from pinn_cli.system.topology import build_structure
 
 GROUND_TO_X = ["ground", "x"]
@@ -89,20 +89,6 @@ def test_two_hysteretic_storeys_on_moving_ground():
     assert np.abs(found.hidden).max() > 0.5 * 3e5 / 110.0  # the joints yield
 
 
-def test_smooth_laws_are_stepped_as_ever():
-    structure = oscillator(law="duffing", kappa=1e9)
-    assert Corners.of(structure) is None
-    assert Simulation(1.0, 101).steps_per_sample(structure) < 100
-
-
-def test_cuts_of_a_step_about_a_corner():
-    corners = Corners.of(oscillator(law="bouc_wen", A=5e4, beta=8.0, gamma=3.0, n=1))
-    assert not corners.cuts(np.array([0.0, 1.0, 1.0]), np.array([0.0, 2.0, 2.0]), 0.01).size
-    first, last = corners.cuts(np.array([0.0, 1.0, 1.0]), np.array([0.0, -3.0, 2.0]), 0.01)
-    assert (first + last) / 2.0 == pytest.approx(0.25)
-    assert last - first < 0.02
-
-
 @pytest.mark.parametrize("below", [0.0, 1e-16, 1e-13, 1e-6])
 def test_a_step_that_begins_just_inside_a_corner(below):
     """It was divided into 1e-14 of it and the rest, which begins just inside the corner too, for ever."""
@@ -125,3 +111,10 @@ def test_a_held_force_is_held_in_the_parts_of_a_step_too():
     force = lambda t: sines(t, np.array([7.0, 19.0]), 60.0)[:, None]  # noqa: E731
     coarse, fine = (simulate(structure, force, time, "zero_order", substeps=s).displacement for s in (10, 40))
     assert relative(coarse, fine) < 5e-6
+
+
+def test_steps_are_short_enough_for_friction_at_rest():
+    """F_c / speed damps the mass, at rest twice as fast as Gershgorin's bound has it, which no spring does."""
+    sliding = oscillator(law="friction", speed=0.02, F_c=4e6)
+    assert substeps_needed(sliding, 1e-3) == pytest.approx(1e-3 * 2.0 * (10.0 + 4e6 / 0.02) / 2.0 / 0.2, rel=0.01)
+    assert substeps_needed(oscillator(law="friction", speed=0.02, F_c=0.1), 1e-3) < 10

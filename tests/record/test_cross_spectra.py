@@ -11,15 +11,7 @@ from scipy.signal import csd
 from scipy.signal.windows import tukey
 
 from pinn_cli.record.channels import channels
-from pinn_cli.record.cross_spectra import (
-    CrossSpectra,
-    Samples,
-    band_edges,
-    cross_spectrum,
-    independent_part,
-    misses_samples,
-    taper,
-)
+from pinn_cli.record.cross_spectra import CrossSpectra, Samples, cross_spectrum, independent_part, misses_samples, taper
 from pinn_cli.record.gauge import Calibration, Gauge
 from pinn_cli.record.record import Record
 
@@ -90,16 +82,6 @@ def test_counts_tell_how_averages_scatter():
     lines = np.fft.rfft(rng.standard_normal((4000, 400)) * window)[:, 20:120] / np.sqrt(np.sum(window**2))
     means = np.mean(np.abs(lines) ** 2, axis=1)
     assert np.var(means) * 100.0 * independent_part(window) == pytest.approx(1.0, rel=0.1)
-
-
-def test_bands_are_wider_the_higher_they_lie():
-    edges = band_edges(2, 5000)
-    assert edges[:2] == [2, 3]
-    assert edges[-1] == 5000
-    assert np.diff(edges)[-2] == int(0.002 * edges[-3])
-    fewer = band_edges(2, 5000, 100)
-    assert len(fewer) <= 101
-    assert fewer[-1] == 5000
 
 
 def test_samples_that_are_there_give_the_sums_over_their_pairs():

@@ -43,11 +43,6 @@ def read(base: Path, ndof: int = 4, **changes):
     return MeasuredData(**{**SETTINGS, "base": base, **changes}).measure(ndof)
 
 
-def line(number: int) -> int:
-    """Row of the table that stands on a line of the file."""
-    return number - 2
-
-
 def test_columns_go_where_the_settings_say(rig):
     record = read(rig).record
     values = table()
@@ -77,13 +72,6 @@ def test_a_held_out_dof_is_in_the_truth_and_nowhere_else(rig):
     known = [np.isfinite(getattr(truth, q)).all(axis=0) for q in ("displacement", "velocity", "acceleration", "force")]
     assert np.array(known).sum() == 2
     assert measurements.truth.parameters is None
-
-
-def test_a_dof_that_is_held_out_keeps_its_force(rig):
-    held_out = read(rig, holdout=[1])
-    np.testing.assert_allclose(held_out.record.force[:, 0], table()["f1"], rtol=1e-12)
-    assert held_out.record.observed.tolist() == [False, True, True, False]
-    assert np.isnan(held_out.truth.response.force[:, 0]).all()
 
 
 def test_a_force_that_is_not_measured_is_unknown(rig):
@@ -179,8 +167,3 @@ def test_rows_may_end_with_commas(rig, header, row):
     record = read(rig).record
     for quantity in ("time", "displacement", "velocity", "acceleration", "force"):
         np.testing.assert_array_equal(getattr(record, quantity), getattr(expected, quantity))
-
-
-def test_a_force_may_be_zero_throughout(rig):
-    table().assign(f1=0.0).to_csv(rig / "rig.csv", index=False)
-    assert not read(rig).record.force[:, 0].any()

@@ -11,7 +11,7 @@ from beams import beam, deflection, response
 from small_problems import excitation, measured, small_chain
 
 from pinn_cli.record.ensemble import Members, spread_of
-from pinn_cli.record.free_run import NoFreeRunError, affordable, free_run, free_run_of
+from pinn_cli.record.free_run import NoFreeRunError, affordable, free_run
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.simulation import simulate
@@ -53,16 +53,6 @@ def test_from_the_middle_on(hold, tolerance):
     for quantity in RESPONSE_QUANTITIES:
         values = getattr(truth, quantity)[first:]
         np.testing.assert_allclose(getattr(found, quantity), values, atol=tolerance * np.abs(values).max())
-
-
-@pytest.mark.parametrize("hold", ["exact", "zero_order"])
-def test_under_another_force(hold):
-    structure = small_chain("linear")
-    record = measured(structure, hold, snr_db=20.0).record
-    twice = free_run(structure, replace(record, force=2.0 * record.force))
-    once = free_run(structure, record)
-    np.testing.assert_allclose(twice.displacement, 2.0 * once.displacement, atol=1e-12)
-    np.testing.assert_allclose(once.force, record.force, atol=1e-12)
 
 
 def test_a_chain_that_the_sampling_is_much_too_slow_for_is_refused():
@@ -140,11 +130,3 @@ def test_a_long_record_is_cut_down_for_a_structure_that_takes_steps():
     assert affordable(small_chain(), record) is record
     part = affordable(small_chain(), longer)
     assert 100 < len(part.time) < len(longer.time)
-
-
-def test_a_run_from_an_estimated_motion_begins_with_its_state():
-    structure = small_chain()
-    measurements = measured(structure, samples=513)
-    motion, record = measurements.truth.response, measurements.record
-    found = free_run_of(structure, record, motion, 100, 100)
-    assert_same(found, free_run(structure, record, motion.state(100), 100), 0.0)

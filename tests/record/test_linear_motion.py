@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from small_problems import measured, small_chain
 
-from pinn_cli.record.between_samples import Held, between_samples
+from pinn_cli.record.between_samples import Held
 from pinn_cli.record.free_run import free_run, has_modes, linear_motion
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulation import simulate
@@ -82,16 +79,3 @@ def test_records_of_any_length_are_the_same_motion(samples):
     half = samples // 2
     later = linear_motion(modes, [(force, np.eye(3) / modes.m)], time[half:], (u[half], v[half]))
     np.testing.assert_allclose(later[0], u[half:], atol=1e-9)
-
-
-@pytest.mark.parametrize("intersample", ["band_limited", "zero_order_hold"])
-def test_a_record_is_followed_as_by_the_simulator(intersample):
-    frame = small_chain("linear", 3)
-    record = replace(measured(frame, samples=129).record, intersample=intersample)
-    found = free_run(frame, record, tuple(START))
-    hold = "exact" if intersample == "band_limited" else "zero_order"
-    acting = between_samples(record.time, record.force, intersample)
-    expected = simulate(frame, acting, record.time, hold, "dop853", initial=START)
-    for quantity in ("displacement", "velocity", "acceleration"):
-        true = getattr(expected, quantity)
-        np.testing.assert_allclose(getattr(found, quantity), true, atol=1e-7 * np.abs(true).max())

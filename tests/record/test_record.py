@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import Response
 from pinn_cli.settings.errors import InputError
 
 TIME = np.linspace(1.0, 3.0, 41)
@@ -28,19 +27,6 @@ def record(**changes) -> Record:
         **changes,
     }
     return Record(**settings)
-
-
-def test_what_it_says_about_itself():
-    it = record()
-    assert it.ndof == 3
-    assert it.step == pytest.approx(0.05)
-    assert it.duration == pytest.approx(2.0)
-    assert it.sampling_rate == pytest.approx(20.0)
-    assert it.sensors("acceleration").tolist() == [True, True, False]
-    assert it.sensors("displacement").tolist() == [False, False, False]
-    assert it.sensors("force").tolist() == [True, False, False]
-    assert it.observed.tolist() == [True, True, False]
-    assert it.intersample == "band_limited"
 
 
 def test_an_unknown_force_is_no_sensor_and_a_known_zero_is_none_either():
@@ -94,9 +80,3 @@ def test_contradictions_are_refused(what, changes):
 
 def test_clock_times_since_1970_pass():
     assert record(time=1.7e9 + 0.001 * np.arange(41)).step == pytest.approx(0.001, rel=1e-4)
-
-
-def test_an_unknown_response_is_all_nan():
-    unknown = Response.unknown(TIME, 2)
-    assert unknown.force.shape == (41, 2)
-    assert np.isnan(unknown.acceleration).all()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pinn_cli.record.excitation import BandedNoise
-from pinn_cli.record.noise import add_noise
 from pinn_cli.record.response import QUANTITIES
+from pinn_cli.record.simulated import add_noise
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Duffing, VanDerPol

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pinn_cli.record.excitation import GroundMotion
+from pinn_cli.record.excitation.ground_motion import GroundMotion
 from pinn_cli.record.free_run import free_run
-from pinn_cli.record.noise import Noise
 from pinn_cli.record.response import QUANTITIES
-from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation, simulate
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system import build_chain
@@ -63,17 +62,6 @@ def test_it_moves_as_the_equations_written_out_say(request, settings):
     np.testing.assert_allclose(relative, found.acceleration - found.ground_acceleration[:, None], atol=1e-12)
     np.testing.assert_array_equal(found.ground_acceleration, motion.ground(simulation.time))
     np.testing.assert_array_equal(found.force, motion.force(simulation.time))
-
-
-def test_a_ground_that_accelerates_evenly_is_a_weight():
-    """Relative to it the structure hangs by -m g: the static deflection, around which it vibrates."""
-    chain = build_chain(1, Linear(), m=2.0, c=0.0, k=50.0)
-    time = np.linspace(0.0, 2.0, 201)
-    response = simulate(chain, lambda t: np.zeros((len(t), 1)), time, substeps=4, ground=lambda t: np.full(len(t), 3.0))
-    deflection = -2.0 * 3.0 / 50.0
-    np.testing.assert_allclose(response.displacement[:, 0], deflection * (1 - np.cos(5.0 * time)), atol=1e-8)
-    np.testing.assert_allclose(response.acceleration[:, 0], 3.0 * (1 - np.cos(5.0 * time)), atol=1e-6)
-    assert not response.force.any()
 
 
 def simulated(frame: str = "absolute", **noise) -> Simulated:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_problems import accelerations, measured, small_chain, sped_up
+from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.record.channels import record_band
-from pinn_cli.record.excitation.banded_noise import BandedNoise
+from pinn_cli.record.excitation import BandedNoise
 from pinn_cli.record.spectrum import (
     band_share,
     lowest_level,
@@ -40,11 +40,6 @@ def test_the_periodogram_of_white_noise_is_its_variance():
     assert power[2:-2].mean() == pytest.approx(9.0, rel=0.1)
 
 
-def test_the_periodogram_peaks_at_a_sines_frequency():
-    frequency, power = periodogram(7.0 + np.sin(2 * np.pi * 3.0 * TIME), STEP)
-    assert frequency[np.argmax(power)] == pytest.approx(3.0, abs=1.0 / DURATION)
-
-
 @pytest.mark.parametrize("noise", [1e-3, 0.03, 0.3])
 @pytest.mark.parametrize("top", [1.0, 4.0])
 def test_signal_band(top, noise):
@@ -65,11 +60,6 @@ def test_a_signal_stands_out_between_its_edges_and_has_its_power_there(low, top)
 def test_nothing_stands_out_of_a_constant():
     assert np.isnan(signal_edges(np.ones(SAMPLES), STEP)).all()
     assert band_share(np.ones(SAMPLES), STEP, np.nan, np.nan) == 0.0
-
-
-def test_the_band_of_white_noise_holds_little_of_it():
-    found = [signal_band(white(1.0, seed=seed)[:, 0], STEP) for seed in range(10)]
-    assert np.median(found) < 0.02 * 0.5 / STEP
 
 
 @pytest.mark.parametrize("samples", [129, *(pytest.param(count, marks=pytest.mark.slow) for count in (257, 513))])
@@ -100,16 +90,6 @@ def test_the_band_of_a_record_is_that_of_its_widest_channel(record):
     assert record_band(seen) >= 0.9 * 15.0 / 24.0  # what the excitation reaches
 
 
-def test_the_band_goes_with_the_time_scale(record):
-    assert record_band(sped_up(accelerations(record), 30.0)) == pytest.approx(30.0 * record_band(accelerations(record)))
-
-
-@pytest.mark.parametrize("above", [0.0, 5.0, 24.9, 1000.0])
-def test_white_level(above):
-    found = np.mean([white_level(white(0.2, seed=seed)[:, 0], STEP, above) for seed in range(20)])
-    assert found == pytest.approx(0.2, rel=0.05)
-
-
 def test_white_level_looks_only_above_the_signal():
     x = banded(0.1, 4.0)[:, 0] + white(0.01)[:, 0]
     assert white_level(x, STEP, 5.0) == pytest.approx(0.01, rel=0.1)
@@ -137,20 +117,6 @@ def test_what_says_nothing_of_a_band_fills_it(histories, top):
     assert occupied_band(histories, STEP, top) == 1.0
 
 
-def test_what_is_above_the_band_does_not_count():
-    x = banded(0.05, 5.0, dofs=4)
-    assert occupied_band(x + 10.0 * banded(12.0, 13.0, dofs=4), STEP, 10.0) == pytest.approx(
-        occupied_band(x, STEP, 10.0), rel=0.05
-    )
-
-
-def test_the_lowest_level_is_that_of_white_noise_and_no_less_than_its_part():
-    found = [lowest_level(white(0.2, seed=seed)[:, 0], STEP) for seed in range(20)]
-    # The least of sixteen means over 51 frequencies each: a little below.
-    assert np.mean(found) == pytest.approx(0.2, rel=0.2)
-    assert max(found) < 0.21
-
-
 @pytest.mark.parametrize("low", [0.1, 6.0])
 def test_the_lowest_level_is_found_beside_a_signal_wherever_that_lies(low):
     """A record whose content reaches the Nyquist frequency shows its noise below its band."""
@@ -161,11 +127,6 @@ def test_the_lowest_level_is_found_beside_a_signal_wherever_that_lies(low):
             assert lowest_level(x, STEP) > 0.1  # nothing but signal: an upper bound
         else:
             assert lowest_level(x, STEP) == pytest.approx(0.01, rel=0.3)
-
-
-def test_the_lowest_level_bounds_the_noise_of_a_short_channel():
-    x = np.random.default_rng(0).normal(size=40)
-    assert 0.0 < lowest_level(x, 1.0) < 1.5
 
 
 @pytest.mark.parametrize("noise", [1e-3, 0.03, 0.3])
@@ -185,13 +146,6 @@ def test_a_slope_above_the_band_is_no_floor():
     for power in (1, 2):
         spectrum = np.fft.rfft(white(1.0, seed=4)[:, 0]) / np.maximum(frequency, 1.0) ** power
         assert visible_floor(np.fft.irfft(spectrum, SAMPLES), STEP) is None
-
-
-def test_floors_go_with_the_unit_and_bands_do_not():
-    x = banded(0.1, 4.0)[:, 0] + white(0.05)[:, 0]
-    assert signal_band(1e-6 * x, STEP) == signal_band(x, STEP)
-    for level in (lowest_level, visible_floor):
-        assert level(1e-6 * x, STEP) == pytest.approx(1e-6 * level(x, STEP))
 
 
 def low_passed(seed: int, count: int, cutoff: float = 0.5) -> np.ndarray:

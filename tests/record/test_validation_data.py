@@ -104,10 +104,6 @@ def test_what_is_refused(folder, validation, setting, allowed):
     assert allowed in str(refused.value)
 
 
-def test_without_it_nothing_changes(folder):
-    assert ValidationData.among([data(None)]) is None
-
-
 def among(validation, *records):
     """What the estimator is left of several records, and the data that the system is tried on."""
     held = ValidationData.among([replace(data(validation), **own) for own in records])

@@ -11,9 +11,9 @@ import pytest
 from small_estimates import parameter_estimate
 from small_problems import accelerations, excitation, measured, small_chain
 
-from pinn_cli.record.noise import add_noise
 from pinn_cli.record.record import Measurements, Record, Truth
 from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, Response
+from pinn_cli.record.simulated import add_noise
 from pinn_cli.record.simulation import simulate
 from pinn_cli.report.fitness import FORMULAS, fitness_table
 from pinn_cli.report.free_run import REFERENCES, free_run, free_run_table

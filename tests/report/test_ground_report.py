@@ -9,11 +9,10 @@ import pandas as pd
 import pytest
 from small_estimates import results_of
 
-from pinn_cli.record.excitation import GroundMotion
-from pinn_cli.record.noise import Noise
+from pinn_cli.record.excitation.ground_motion import GroundMotion
 from pinn_cli.record.record import Truth
 from pinn_cli.record.response import Response
-from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.report.figures import residuals_figure
 from pinn_cli.report.figures.response import response_figure

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from wings import Wing, wing, wing_record
 
-from pinn_cli.record.band import BandPass
 from pinn_cli.record.record import Record
+from pinn_cli.record.spectrum import BandPass
 from pinn_cli.scheme.modal.modal_fit import BandSpectra, ModalFit
 from pinn_cli.scheme.modal.modal_search import missing_mode, searched
 

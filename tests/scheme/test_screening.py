@@ -15,8 +15,8 @@ from small_problems import small_chain
 from storeys import C, K, M, response
 
 from pinn_cli.record.gauge import Gauge
-from pinn_cli.record.noise import Noise
 from pinn_cli.record.record import Record
+from pinn_cli.record.simulated import Noise
 from pinn_cli.record.simulation import simulate
 from pinn_cli.scheme.channel_doubts import doubts_about
 from pinn_cli.scheme.linear_fit import JointFit, LinearFit, LinearStructure, spectra_under, what_acts

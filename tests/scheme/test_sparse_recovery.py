@@ -10,8 +10,8 @@ import pytest
 from small_problems import measured, small_chain
 
 from pinn_cli.model.knowledge import EndState
-from pinn_cli.record.noise import Repeats
 from pinn_cli.record.record import Measurements, Record, Truth
+from pinn_cli.record.response import Repeats
 from pinn_cli.scheme.problem import Problem, SpectralEstimate
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import InputError

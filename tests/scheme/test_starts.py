@@ -8,10 +8,9 @@ import torch
 from independent_records import IndependentRecord, frame_record
 
 from pinn_cli.record.channels import motion_amplitudes
-from pinn_cli.record.excitation.banded_noise import BandedNoise
-from pinn_cli.record.noise import Noise
+from pinn_cli.record.excitation import BandedNoise
 from pinn_cli.record.record import Record
-from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.missing_values import check_given

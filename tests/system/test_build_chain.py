@@ -2,10 +2,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 import torch
-from omegaconf import OmegaConf
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system import build_chain
@@ -20,13 +18,6 @@ def test_numbers_and_lists_become_float64_of_every_connection():
     assert {value.dtype for value in structure.parameters.values()} == {torch.float64}
     assert structure.parameters["k"].tolist() == [15.0, 14.0, 16.5]
     assert structure.parameters["m"].tolist() == [10.0] * 3
-
-
-@pytest.mark.parametrize(
-    "stiffness", [np.array([1.0, 2.0]), torch.tensor([1.0, 2.0]), OmegaConf.create([1.0, 2.0]), (1, 2)]
-)
-def test_any_kind_of_list_will_do(stiffness):
-    assert build_chain(2, Linear(), m=1.0, c=0.0, k=stiffness).parameters["k"].tolist() == [1.0, 2.0]
 
 
 @pytest.mark.parametrize(

@@ -83,20 +83,6 @@ def test_forces_on_dofs_push_the_modes():
     torch.testing.assert_close(dynamics.residual(jet, parameters)[:, :3], expected)
 
 
-@pytest.mark.parametrize("absolute", [True, False])
-def test_what_accelerometers_feel(absolute):
-    dynamics = Dynamics(braced(), Inputs(True, absolute))
-    jet = some_jet(dynamics)
-    expected = jet.curvature[:, :3] + (jet.value[:, 3:] if absolute else 0.0)
-    torch.testing.assert_close(dynamics.sensed("acceleration", jet), expected)
-    sensing = sum(
-        jet[order] @ torch.as_tensor(weights.toarray()).T for order, weights in dynamics.sensing("acceleration")
-    )
-    torch.testing.assert_close(sensing, expected)
-    torch.testing.assert_close(dynamics.sensed("ground_acceleration", jet), jet.value[:, 3:])
-    assert dynamics.feels_own("acceleration") is not absolute
-
-
 def test_of_a_motion_alone_nothing_is_added():
     dynamics, parameters = Dynamics(braced()), braced().parameters
     jet = some_jet(dynamics)

@@ -42,28 +42,11 @@ def test_perturbed_truth_is_five_to_ten_per_cent_off_either_way_and_the_mass_is_
         assert 60 < np.sum(ratio > 1.0) < 140
 
 
-def test_perturbed_draws_are_independent_and_seeded():
-    first, again, other = (ratios(PerturbedModelError(seed=seed).structures(nominal())[0]) for seed in (0, 0, 1))
-    assert np.array_equal(first["k"], again["k"])
-    assert not np.any(first["k"] == other["k"])
-    assert not np.any(first["k"] == first["c"])
-    assert len(set(first["k"])) == 6
-
-
 def test_perturbed_draws_do_not_depend_on_the_other_connections_or_parameters():
     short, long = (ratios(PerturbedModelError(seed=3).structures(nominal(ndof))[0]) for ndof in (4, 9))
     np.testing.assert_array_equal(short["k"], long["k"][:4])
     other = build_chain(4, VanDerPol(), m=10.0, c=1.0, k=15.0, mu=0.75)
     np.testing.assert_array_equal(short["k"], PerturbedModelError(seed=3).structures(other)[0].parameters["k"] / 15.0)
-
-
-@pytest.mark.parametrize(("case", "seed_stride"), [("sr_6dof_perturbed", 1), ("sp_5dof_perturbed", 100)])
-def test_authors_draws_give_the_reference_parameters(shared, case, seed_stride):
-    reference = np.load(shared / "data" / "reference_signals" / f"{case}.npz")
-    model_error = PerturbedModelError(seed=43810, draws="authors", seed_stride=seed_stride)
-    true, _ = model_error.structures(nominal(reference["m"].size))
-    for name, value in true.parameters.items():
-        np.testing.assert_allclose(value.numpy(), reference[name], rtol=1e-9)
 
 
 def test_authors_draws_give_the_papers_table(shared):

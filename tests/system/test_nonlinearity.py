@@ -32,13 +32,6 @@ def test_power_damping_refuses_an_exponent_without_a_slope_at_rest(exponent):
         PowerDamping(exponent)
 
 
-def test_linear_adds_nothing_in_any_dtype():
-    e = torch.ones(2, 3, dtype=torch.float32)
-    force = Linear().force(e, e, {})
-    assert force.dtype == torch.float32
-    assert not force.any()
-
-
 def test_units():
     units = {"m": "kg", "c": "N s/m", "k": "N/m"}
     for kind, own in (

@@ -17,14 +17,6 @@ DOFS = ("ground_floor", "mezzanine", "roof")
 CONNECTIONS = ("storey_1", "storey_2", "storey_3", "brace", "tie", "damper")
 
 
-@pytest.mark.parametrize(
-    ("prescribed", "prior_std", "scale", "step"),
-    [(15.0, 1.5, None, 15.0), (-15.0, 1.5, None, 15.0), (0.0, 3.0, None, 3.0), (2.0, 30.0, 3.0, 3.0)],
-)
-def test_steps_are_counted_in_its_scale_or_else_the_larger_of_value_and_prior(prescribed, prior_std, scale, step):
-    assert Parameter("k", 1, prescribed, prior_std, scale).step == step
-
-
 @pytest.mark.parametrize("prescribed", [0.1, 0.3, 7.3, 123.4])
 @pytest.mark.parametrize("prior_std", [0.7, 1e3])
 def test_a_value_is_never_below_its_bound(prescribed, prior_std):

@@ -12,7 +12,7 @@ from scipy.linalg import eigh
 from pinn_cli.scheme.unknowns import all_names
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.finite_elements import build_finite_elements
-from pinn_cli.system.modes import Modes, NaturalModes
+from pinn_cli.system.modes import Modes
 
 ELEMENTS = 30
 PARTS = {"base": range(10), "middle": range(10, 20), "top": range(20, 30)}
@@ -113,16 +113,6 @@ def test_all_modes_may_be_kept(folder, modes):
     np.testing.assert_allclose(found[:50], full_frequencies([0.7, 1.3, 0.7], 50), rtol=1e-6)
 
 
-def test_modes_alone_would_not_do(folder):
-    """Else the shapes that are added to the basis would be there for nothing."""
-    structure = with_factors(built(folder), [0.7, 1.3, 0.7])
-    kept = 7  # six modes and the static response at the tip
-    K = Modes.of(structure).K[:6, :6]
-    off = np.sqrt(np.linalg.eigvalsh(K)) / (2 * np.pi) / full_frequencies([0.7, 1.3, 0.7], 6) - 1.0
-    assert structure.coordinates > kept
-    assert off.max() > 0.01
-
-
 def test_static_deflections_are_those_of_the_whole_model(folder):
     structure = with_factors(built(folder), [0.8, 1.0, 1.2])
     push = structure.shapes.matrix[0]
@@ -155,20 +145,6 @@ def test_derivatives_by_factors_are_those_of_the_force(folder):
         more[j], less[j] = more[j] + 1e-3, less[j] - 1e-3
         forces = [with_factors(structure, f).restoring_force(u, v) for f in (more, less)]
         torch.testing.assert_close(found, (forces[0] - forces[1]) / 2e-3, rtol=1e-6, atol=1e-4)
-
-
-def test_slopes_of_frequencies_by_factors(folder):
-    structure = with_factors(built(folder), [0.9, 1.0, 1.1])
-    parameters = [p for p in structure.every_parameter() if p.kind == "factor"]
-    by_square, _ = NaturalModes.of(structure).slopes(parameters)
-    step = 1e-4
-    for j in range(3):
-        each = []
-        for sign in (1, -1):
-            factors = [0.9, 1.0, 1.1]
-            factors[j] += sign * step
-            each.append(NaturalModes.of(with_factors(structure, factors)).squares)
-        np.testing.assert_allclose(by_square[:4, j], ((each[0] - each[1]) / (2 * step))[:4], rtol=1e-4)
 
 
 def test_a_forgotten_nonlinearity_leaves_the_parts(folder):

@@ -65,11 +65,7 @@ def test_forces_are_those_of_the_equations_written_out():
     lever = 1e5 * e + 2e8 * e**3
     joint = 300 * math.tanh((v1 - v3) / 0.01)
     sleeve = 100 * math.tanh(-v2 / 0.02)
-    expected = [
-        storey_1 - storey_2 + 0.8 * lever + joint,
-        storey_2 - storey_3 - sleeve,
-        storey_3 - 0.6 * lever - joint,
-    ]
+    expected = [storey_1 - storey_2 + 0.8 * lever + joint, storey_2 - storey_3 - sleeve, storey_3 - 0.6 * lever - joint]
     np.testing.assert_allclose(structure.restoring_force(u, v), expected, rtol=1e-12)
     in_torch = structure.restoring_force(torch.tensor(u), torch.tensor(v))
     np.testing.assert_allclose(in_torch.numpy(), expected, rtol=1e-12)

@@ -11,7 +11,7 @@ from one_record import evidence_of, levels_of, residuals_of, shown_noise
 from small_problems import QUANTITIES, excitation, measured, small_chain
 
 from pinn_cli.network.spline import Spline
-from pinn_cli.record.excitation.banded_noise import BandedNoise
+from pinn_cli.record.excitation import BandedNoise
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.problem import Problem

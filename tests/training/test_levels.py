@@ -12,8 +12,7 @@ from small_problems import excitation, small_chain
 from solved_records import estimated, model
 
 from pinn_cli.network.spline import Spline
-from pinn_cli.record.noise import Noise
-from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem

@@ -8,8 +8,7 @@ from independent_records import frame_record
 from small_problems import excitation, measured, small_chain
 
 from pinn_cli.record.gauge import Gauge
-from pinn_cli.record.noise import Noise
-from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.training.sensor_samples import SensorSamples, starting_levels
 

@@ -10,11 +10,10 @@ import pandas as pd
 import pytest
 
 from pinn_cli.record.channels import channels
-from pinn_cli.record.excitation import GroundMotion
-from pinn_cli.record.noise import Noise
+from pinn_cli.record.excitation.ground_motion import GroundMotion
 from pinn_cli.record.record import Measurements, Record
 from pinn_cli.record.response import Response
-from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system import build_chain

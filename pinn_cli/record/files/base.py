@@ -111,10 +111,6 @@ class ArrayFormat(FileFormat):
     def tables(self, path: Path, wanted: Mapping[str, str] | None) -> list[Table]:
         """The columns in one table for each clock, read in this process.
 
-        Args:
-            path: Of the file.
-            wanted: See :meth:`read`.
-
         Raises:
             InputError: The file is damaged, lacks a column or does not fit into memory; or a package does not work.
         """

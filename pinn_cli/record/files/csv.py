@@ -83,11 +83,6 @@ class CsvFormat(FileFormat):
     def table(self, path: Path, text: str, wanted: Mapping[str, str] | None = None) -> Table:
         """The columns of a text.
 
-        Args:
-            path: Of its file, for errors.
-            text: From the file's first line on.
-            wanted: See :meth:`read`.
-
         Raises:
             InputError: See :meth:`read`.
         """

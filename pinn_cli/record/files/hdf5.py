@@ -44,10 +44,6 @@ def arrays_of(file: h5py.File, read: Callable[[h5py.Dataset], np.ndarray]) -> di
     """Every array of a file by its path; fields of compound ones are ``path.field``.
 
     Links to other places and files are not followed.
-
-    Args:
-        file: That is open.
-        read: From an array to its numbers.
     """
     found: dict[str, Variable] = {}
 

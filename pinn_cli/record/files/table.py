@@ -188,11 +188,6 @@ def column_of_times(names: Collection[str]) -> str:
 def asked_for(path: Path, wanted: Mapping[str, str], names: Collection[str]) -> dict[str, str]:
     """Setting to column, with that of the times by its own name where it is asked for as "".
 
-    Args:
-        path: Of the file.
-        wanted: See :meth:`pinn_cli.record.files.base.FileFormat.read`.
-        names: Of the file's columns.
-
     Raises:
         InputError: The file lacks a column.
     """

@@ -87,11 +87,6 @@ def tables_of(path: Path, variables: Mapping[str, Variable], wanted: Mapping[str
     Column j, from 1, of the matrix ``acc`` is ``acc.1``, ``acc.2`` and so on. Where none is asked for, they are those
     that have times, and of others those of the length that most have.
 
-    Args:
-        path: Of the file.
-        variables: By name; one that has several stands under each.
-        wanted: See :meth:`pinn_cli.record.files.base.FileFormat.read`.
-
     Raises:
         InputError: Naming the setting: there is no such variable, or it is no vector of numbers; or the columns differ
             in length.

@@ -210,12 +210,6 @@ def test_a_file_in_another_format_than_its_suffix_says(tmp_path, choice):
     assert "must be a file that exists" in message(tmp_path, f"nothing{suffix}", choice)
 
 
-@pytest.mark.parametrize(("name", "written"), [("rig.csv", "mat 5"), ("rig.csv", "hdf5"), ("rig.csv", "parquet")])
-def test_a_binary_file_that_is_called_csv(tmp_path, name, written):
-    CASES[written][2](tmp_path / name)
-    assert "must be a text file; it is " in message(tmp_path, name, "csv")
-
-
 @pytest.mark.parametrize("choice", ["uff", "parquet", "tdms"])
 def test_a_format_whose_package_is_missing(tmp_path, choice, monkeypatch):
     name, _, write, settings = CASES[choice]

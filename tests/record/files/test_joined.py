@@ -64,9 +64,7 @@ def test_files_that_do_not_belong_together(folder):
     assert told.startswith("data.path=force.csv from 0 to 0.4921875 s, late.csv from 100 to 100.492188 s: must be rec")
     late.rename(columns={"a": "f"}).to_csv(folder / "late.csv", index=False)
     told = refusal(measured, folder, "force.csv", "late.csv")
-    assert told.startswith(
-        "data.acceleration.1='a': must be a column of force.csv, late.csv, which has 'f', 'note', 'f'"
-    )
+    assert told.startswith("data.acceleration.1='a'")
     pd.DataFrame({"t": TIME, "a": TIME, "f": TIME}).to_csv(folder / "roof.csv", index=False)
     told = refusal(measured, folder, "force.csv", "roof.csv")
     assert "must be files whose columns have different names; 'f' is in both" in told

@@ -66,11 +66,7 @@ def test_parts_of_variables(file, name, expected):
         ("testfunc_7.4_GLNX86.mat", "testfunc", "it holds a function, which"),
         ("testsparse_7.4_GLNX86.mat", "testsparse", "it holds a sparse matrix, which"),
         ("testhdf5_7.4_GLNX86.mat", "testcell", "must be a column of testhdf5_7.4_GLNX86.mat, which has 'testdouble'"),
-        (
-            "teststructnest_7.4_GLNX86.mat",
-            "teststructnest",
-            "is a structure: name one of its fields, such as tests",
-        ),
+        ("teststructnest_7.4_GLNX86.mat", "teststructnest", "is a structure: name one of its fields, such as tests"),
         ("malformed1.mat", "x", "must be a MAT file that is whole; damaged or cut off?"),
         ("corrupted_zlib_data.mat", "x", "must be a MAT file that is whole; damaged or cut off?"),
     ],

@@ -16,8 +16,8 @@ from small_problems import NONLINEARITIES, measured, small_chain
 from pinn_cli.network.spline import Spline
 from pinn_cli.physics import physics_residual
 from pinn_cli.record.gauge import Gauge, unknown_calibration
-from pinn_cli.record.noise import add_noise
 from pinn_cli.record.record import Record
+from pinn_cli.record.simulated import add_noise
 from pinn_cli.record.simulation import simulate
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.training.estimate import RunContext

@@ -12,11 +12,10 @@ from small_problems import QUANTITIES, measured, small_chain
 
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline
-from pinn_cli.record.excitation.banded_noise import BandedNoise
+from pinn_cli.record.excitation import BandedNoise
 from pinn_cli.record.free_run import NoFreeRunError, free_run
-from pinn_cli.record.noise import Noise
 from pinn_cli.record.record import Measurements, Record
-from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.scheme.problem import Problem

@@ -1,10 +1,8 @@
-"""Model errors: the difference between the structure that makes the data and the model that the estimator is given."""
+"""Parameters that are off by some per cent."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -18,47 +16,16 @@ from pinn_cli.settings.legal_values import (
     one_of,
     whole_number,
 )
-from pinn_cli.system.structure import Structure
+from pinn_cli.system.model_error.base import ModelError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pinn_cli.system.structure import Structure
 
 DRAWS = ("independent", "authors")
 # So that the seeds of a thousand connections are still seeds.
 MOST_STRIDE = 10**6
-
-
-class ModelError(ABC):
-    """The difference between the structure that makes the data and the model that the estimator is given.
-
-    A new one is a class and a file in ``conf/model_error``; nothing else changes.
-
-    Attributes:
-        name: What the tables call it.
-    """
-
-    name: ClassVar[str]
-
-    @abstractmethod
-    def structures(self, nominal: Structure) -> tuple[Structure, Structure]:
-        """The true chain, which is simulated, and the prescribed one, which the estimator is given."""
-
-
-class NoModelError(ModelError):
-    """The model is the structure."""
-
-    name = "none"
-
-    def structures(self, nominal: Structure) -> tuple[Structure, Structure]:
-        """See :meth:`ModelError.structures`."""
-        return nominal, nominal
-
-
-class LinearModelError(ModelError):
-    """The model leaves the nonlinearity out and has m, c and k right (paper, 'linear' model)."""
-
-    name = "linear"
-
-    def structures(self, nominal: Structure) -> tuple[Structure, Structure]:
-        """See :meth:`ModelError.structures`."""
-        return nominal, nominal.linearised()
 
 
 class PerturbedModelError(ModelError):
@@ -91,7 +58,7 @@ class PerturbedModelError(ModelError):
         self.seed_stride = whole_number("model_error.seed_stride", seed_stride, most=MOST_STRIDE)
 
     def structures(self, nominal: Structure) -> tuple[Structure, Structure]:
-        """See :meth:`ModelError.structures`."""
+        """See :meth:`ModelError.chains`."""
         true = {name: value * self._factors(name, value) for name, value in nominal.parameters.items() if name != "m"}
         return nominal.with_parameters(**true), nominal
 
