@@ -5,18 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.response import GROUND, MEASURED_QUANTITIES, QUANTITIES, RESPONSE_QUANTITIES
+from pinn_cli.record.gauge import Gauge
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import GROUND, MEASURED_QUANTITIES, QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.record.spectrum import LOWEST_BINS, USABLE_NYQUIST_FRACTION, periodogram, signal_band, visible_floor
 from pinn_cli.system.quantities import SUPPORT
-
-if TYPE_CHECKING:
-    from pinn_cli.record.gauge import Gauge
-    from pinn_cli.record.record import Record
-    from pinn_cli.record.response import Response
 
 # The DOF of the ground's channel, counted from 0; a reader, who counts from 1, sees it as 0.
 GROUND_DOF = -1

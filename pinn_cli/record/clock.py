@@ -182,7 +182,7 @@ class MeasuredFiles:
             names = [name for clock in clocks for name in clock.table.columns if name not in times]
             shown, kept = Path(", ".join(path.name for path in self.paths)), set(wanted.values())
             check_names(shown, wanted, names)
-            clocks = [replace(clock, table=_only(clock.table, kept)) for clock in clocks]
+            clocks = [replace(clock, table=clock.table.only(kept)) for clock in clocks]
         table = joined([clock.table for clock in clocks], [clock.time for clock in clocks], sorted(times))
         assert table.time is not None
         return Clock(table, "", table.time, several=True)
@@ -216,10 +216,6 @@ class MeasuredFiles:
             hint = f"{table.path.name} does not say when its samples were taken"
             raise InputError("data.sampling_rate", None, "given, in Hz, or data.time, a column of times", hint)
         return Clock(table, "", table.time)
-
-
-def _only(table: Table, names: set[str]) -> Table:
-    return replace(table, columns={name: values for name, values in table.columns.items() if name in names})
 
 
 def format_of(path: Path, chosen: FileFormat) -> FileFormat:

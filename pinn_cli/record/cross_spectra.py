@@ -79,7 +79,8 @@ class CrossSpectra(Generic[S]):
         window, channels = taper(length), values.shape[1]
         cross = np.zeros((length // 2 + 1, channels, channels), complex)
         for at in first:
-            cross += _products(values[at : at + length], window) / len(first)
+            lines = _lines(values[at : at + length], window)
+            cross += lines[:, :, None] * lines[:, None, :].conj() / len(first)
         # Pieces that overlap by half count as if they did not.
         count = np.full(len(cross), len(first))
         power = np.einsum("bcc->bc", cross).real
@@ -250,14 +251,7 @@ def misses_samples(gauge: Gauge, record: Record) -> bool:
 def _lines(values: np.ndarray, window: np.ndarray) -> np.ndarray:
     """(B, C), the spectra of channels (N, C) about their means; white noise of variance s^2 has the power s^2."""
     swing = (values - values.mean(axis=0)) * window[:, None]
-    spectra: np.ndarray = np.fft.rfft(swing, axis=0) / np.sqrt(np.sum(window**2))
-    return spectra
-
-
-def _products(values: np.ndarray, window: np.ndarray) -> np.ndarray:
-    """(B, C, C), of all pairs of channels (N, C)."""
-    lines = _lines(values, window)
-    return lines[:, :, None] * lines[:, None, :].conj()
+    return np.fft.rfft(swing, axis=0) / np.sqrt(np.sum(window**2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,12 +310,10 @@ def cross_spectrum(a: Samples, b: Samples) -> np.ndarray:
 
 def _doubled(values: np.ndarray) -> np.ndarray:
     """(N + 1,), the transform of (N,) over twice its length."""
-    spectrum: np.ndarray = np.fft.rfft(values, 2 * len(values))
-    return spectrum
+    return np.fft.rfft(values, 2 * len(values))
 
 
 def _folded(doubled: np.ndarray) -> np.ndarray:
     """(N // 2 + 1,), the transform over N of a history (2 N,)."""
     half = len(doubled) // 2
-    spectrum: np.ndarray = np.fft.rfft(doubled[:half] + doubled[half:])
-    return spectrum
+    return np.fft.rfft(doubled[:half] + doubled[half:])

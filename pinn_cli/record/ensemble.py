@@ -179,8 +179,7 @@ class _Ensemble:
 
         def load(at: np.ndarray) -> np.ndarray:
             place = (at - time[0]) / (time[1] - time[0])
-            together: np.ndarray = self._beside(at, self.between(at))[:, None] + _between(own, place)
-            return together
+            return self._beside(at, self.between(at))[:, None] + _between(own, place)
 
         sampled = self._beside(time, self.load[part])[:, None] + own
         hold = self.between.hold

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import expm
@@ -24,17 +23,14 @@ from scipy.signal import lfilter
 
 from pinn_cli.record.between_samples import BandLimited, between_samples
 from pinn_cli.record.inputs import support_motion
+from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.record.simulation import LARGEST_STATE, OverflowsError, response_of, simulate
+from pinn_cli.record.steps import Force as History
 from pinn_cli.record.steps import TooStiffError, method_needed, with_slow_followers
 from pinn_cli.system.coupling import loose_dofs
-from pinn_cli.system.modes import modes_of
-
-if TYPE_CHECKING:
-    from pinn_cli.record.record import Record
-    from pinn_cli.record.steps import Force as History
-    from pinn_cli.system.modes import Modes
-    from pinn_cli.system.structure import Structure
+from pinn_cli.system.modes import Modes, modes_of
+from pinn_cli.system.structure import Structure
 
 # Histories, from times (M,), s, to (M, L), and what a unit of each does to the coordinates' accelerations, (L, n).
 Push = tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]

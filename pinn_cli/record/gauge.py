@@ -13,15 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pinn_cli.record.between_samples import SPLINE_DEGREE, BandLimited
+from pinn_cli.record.response import Response
 from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, GROUND, HIGH_PASS, TILT
-
-if TYPE_CHECKING:
-    from pinn_cli.record.response import Response
 
 # Part of a step by which even samples may come early or late.
 EVEN = 0.02

@@ -5,9 +5,9 @@ Arrays are numpy float64 (time, dof), SI units. DOFs are counted from 1 wherever
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -18,9 +18,6 @@ from pinn_cli.record.spectrum import BandPass
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of
 from pinn_cli.system.quantities import SUPPORT
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 Frame = Literal["absolute", "relative"]
 FRAMES: tuple[str, ...] = get_args(Frame)
@@ -218,8 +215,7 @@ class Record:
     @property
     def observed(self) -> np.ndarray:
         """(n,) bool: the DOFs with a displacement, velocity or acceleration sensor."""
-        observed: np.ndarray = np.any([self.sensors(quantity) for quantity in RESPONSE_QUANTITIES], axis=0)
-        return observed
+        return np.any([self.sensors(quantity) for quantity in RESPONSE_QUANTITIES], axis=0)
 
     def keep(self, dofs_by_quantity: Mapping[str, Iterable[int]]) -> Record:
         """The record with only the named response sensors; the others, and quantities that are not named, are blanked.

@@ -71,15 +71,11 @@ def runge_kutta(
     for step, (f0, f1, f2) in enumerate(zip(left, middle, right, strict=True)):
         after = runge_kutta_step(slope, z, f0, f1, f2, h)
         if corners is not None and corners.cuts(z, after, corners.shortest, (f0, f2)).size:
-            at = force if hold == "exact" else _held(f0)
+            at = force if hold == "exact" else lambda times, load=f0: np.broadcast_to(load, (len(times), *load.shape))
             after = _in_parts(slope, at, corners, z, time[0] + h * step, h)
         z = after
         states[step + 1] = z
     return states[::substeps]
-
-
-def _held(load: np.ndarray) -> Force:
-    return lambda time: np.broadcast_to(load, (len(time), *load.shape))
 
 
 def _in_parts(slope: Slope, force: Force, corners: Corners, z: np.ndarray, begin: float, step: float) -> np.ndarray:

@@ -5,22 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pinn_cli.record.between_samples import INTERSAMPLE_OF_HOLD
+from pinn_cli.record.excitation.base import Excitation
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Measurements, Record, Truth, check_frame
 from pinn_cli.record.response import GROUND, MEASURED_QUANTITIES, QUANTITIES, Repeats, Response
+from pinn_cli.record.simulation import Simulation
 from pinn_cli.record.steps import at_rest, fastest_rates
 from pinn_cli.runs.memory import of_this_machine
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import LARGEST_LEGACY_SEED, is_finite_number, one_of, whole_number
-
-if TYPE_CHECKING:
-    from pinn_cli.record.excitation.base import Excitation
-    from pinn_cli.record.simulation import Simulation
-    from pinn_cli.system.structure import Structure
+from pinn_cli.system.structure import Structure
 
 STREAMS = ("independent", "shared")
 # Noise of 1e-15 times the signal, which is the last digit of a number.

@@ -29,11 +29,10 @@ from pinn_cli.record.steps import (
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, positive_number, whole_number
 from pinn_cli.system.parameters import MASS
+from pinn_cli.system.structure import Structure
 
 if TYPE_CHECKING:
     import numpy.typing as npt
-
-    from pinn_cli.system.structure import Structure
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,7 +276,9 @@ def simulate(
             states = runge_kutta(slope, load, time, sampled, hold, substeps, start, Corners.of(structure))
         else:
             states = _dop853(slope, load, time, sampled, hold, start)
-    _check_finite(states, time, structure)
+    finite = (np.abs(states) < LARGEST_STATE).reshape(len(states), -1).all(axis=1)  # NaN compares false too
+    if not finite.all():
+        raise OverflowsError(float(time[np.argmin(finite)]), len(time), structure.nonlinearity_name)
     u, v, hidden = equation.split(states)
     moved, carried = None if ground is None else ground(time), None if supports is None else supports(time)
     return response_of(
@@ -359,10 +360,3 @@ def _check_options(hold: str, method: str, substeps: int | None) -> None:
     one_of("simulation.method", method, METHODS)
     if substeps is not None:
         whole_number("simulation.substeps", substeps, least=1)
-
-
-def _check_finite(states: np.ndarray, time: np.ndarray, structure: Structure) -> None:
-    # NaN compares false too.
-    finite = (np.abs(states) < LARGEST_STATE).reshape(len(states), -1).all(axis=1)
-    if not finite.all():
-        raise OverflowsError(float(time[np.argmin(finite)]), len(time), structure.nonlinearity_name)

@@ -250,16 +250,14 @@ class BandPass:
         """(F,), what it leaves of an amplitude at each frequency, Hz."""
         from scipy.signal import freqz
 
-        found: np.ndarray = np.abs(freqz(self.taps, worN=frequency, fs=1.0 / self.step)[1])
-        return found
+        return np.abs(freqz(self.taps, worN=frequency, fs=1.0 / self.step)[1])
 
     def filtered(self, values: np.ndarray) -> np.ndarray:
         """(M, columns) of (N, columns): from sample ``half`` on, every ``factor``-th, all but the last ``half``."""
         from scipy.signal import oaconvolve
 
         values = values - values.mean(axis=0)  # gravity is larger than what the filter leaves of it may be
-        found: np.ndarray = oaconvolve(values, self.taps[:, None], mode="valid", axes=0)[:: self.factor]
-        return found
+        return oaconvolve(values, self.taps[:, None], mode="valid", axes=0)[:: self.factor]
 
 
 def checked_band(given: Any) -> tuple[float, float] | None:

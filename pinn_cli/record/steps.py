@@ -11,14 +11,12 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from scipy.integrate import odeint
 
-if TYPE_CHECKING:
-    from pinn_cli.system.structure import Structure
+from pinn_cli.system.structure import Structure
 
 # A load from times; the rate of a state under a load.
 Force = Callable[[np.ndarray], np.ndarray]
@@ -72,8 +70,7 @@ def follower_masses(structure: Structure, step: float) -> np.ndarray:
         return np.ones(structure.coordinates)
     fastest = FASTEST_FOLLOWER * math.pi / step
     oscillation, decay = _rates(structure) / fastest
-    masses: np.ndarray = np.maximum(1.0, np.maximum(oscillation**2, decay))
-    return masses
+    return np.maximum(1.0, np.maximum(oscillation**2, decay))
 
 
 def with_slow_followers(structure: Structure, step: float) -> Structure:

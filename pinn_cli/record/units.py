@@ -67,12 +67,9 @@ def factor(setting: str, unit: Any, own: str, sensor: str) -> float:
     try:
         return float(one.to(own).magnitude)
     except pint.errors.PintError:
-        hint = f"{unit} measures {_meaning(one)}, and the channel's sensor is one of {sensor}"
+        meaning = f"[{one.units:~}]" if one.dimensionless else one.dimensionality
+        hint = f"{unit} measures {meaning}, and the channel's sensor is one of {sensor}"
         raise InputError(setting, unit, allowed, hint) from None
-
-
-def _meaning(one: Any) -> str:
-    return f"[{one.units:~}]" if one.dimensionless else str(one.dimensionality)
 
 
 @cache

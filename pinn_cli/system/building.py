@@ -231,8 +231,7 @@ def _law(name: Any, setting: str) -> type[Nonlinearity]:
     names = [*known, *plugins]
     if not isinstance(name, str) or name not in plugins:
         raise InputError(setting, name, f"one of {', '.join(names)}", suggestion(str(name), names))
-    found: type[Nonlinearity] = plugins[name].load()
-    return found
+    return plugins[name].load()
 
 
 @cache

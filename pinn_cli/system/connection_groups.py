@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from scipy.sparse import csr_matrix
 
+from pinn_cli.system.array_namespace import Array
+from pinn_cli.system.connection.base import Nonlinearity
 from pinn_cli.system.damping import StructuralDamping
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.parameters import MASS, Parameter
-
-if TYPE_CHECKING:
-    from pinn_cli.system.array_namespace import Array
-    from pinn_cli.system.connection.base import Nonlinearity
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +63,7 @@ class ConnectionGroup:
         nonlinear = self.nonlinearity.force(e, de, parameters)
         if self.parts is not None:
             return nonlinear
-        force: Array = parameters["c"] * de + parameters["k"] * e + nonlinear
-        return force
+        return parameters["c"] * de + parameters["k"] * e + nonlinear
 
     def at_rest(self, parameters: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """(2, C) stiffnesses, N/m, and likewise dampings, N s/m, of connections at rest: own, and by their law."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
@@ -11,9 +10,7 @@ from scipy.sparse import csr_matrix, hstack, vstack
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from pinn_cli.system.incidence import padded
-
-if TYPE_CHECKING:
-    from pinn_cli.system.structure import Structure
+from pinn_cli.system.structure import Structure
 
 # What holds a coordinate that nothing else does, against springs of stiffness one; and how many times less than that
 # tether alone would let it move a coordinate may move before it counts as held.

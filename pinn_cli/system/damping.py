@@ -38,8 +38,7 @@ class StructuralDamping(Linear):
 
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`."""
-        force: Array = parameters[self.kind] * de
-        return force
+        return parameters[self.kind] * de
 
     @abstractmethod
     def rows(self, mass: np.ndarray, stretch: csr_matrix, stiffness: np.ndarray) -> csr_matrix:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pinn_cli.system.array_namespace import Array
 from pinn_cli.system.connection.base import Hysteresis
-
-if TYPE_CHECKING:
-    from pinn_cli.system.array_namespace import Array
-    from pinn_cli.system.structure import Structure
+from pinn_cli.system.structure import Structure
 
 
 def dissipated_power(
@@ -31,8 +28,7 @@ def dissipated_power(
     """
     force = structure.connection_force(e, de, parameters, z)
     still = structure.connection_force(e, 0.0 * de, parameters, None if z is None else 0.0 * z)
-    power: Array = (force - still) * de
-    return power
+    return (force - still) * de
 
 
 def stored_by_memory(structure: Structure, z: Array, parameters: Mapping[str, Array]) -> Array:
@@ -58,5 +54,4 @@ def _plain(value: Array) -> object:
 def trapezoids(time: np.ndarray) -> np.ndarray:
     """(N,), s: weights of samples in an integral over the record."""
     step = np.diff(time)
-    weights: np.ndarray = 0.5 * (np.append(step, 0.0) + np.insert(step, 0, 0.0))
-    return weights
+    return 0.5 * (np.append(step, 0.0) + np.insert(step, 0, 0.0))

@@ -101,8 +101,7 @@ class CoordinatesOfModel:
 
     def onto(self, other: CoordinatesOfModel) -> np.ndarray:
         """(n, n), from coordinates to those of another reduction of the model."""
-        product: np.ndarray = other.reduced.vectors.T @ (self.model.whole.M @ self.reduced.vectors)
-        return product
+        return other.reduced.vectors.T @ (self.model.whole.M @ self.reduced.vectors)
 
 
 def build_finite_elements(

@@ -87,15 +87,13 @@ class FrequencyResponse:
     def flexibility(self) -> np.ndarray:
         """(F, n, n), m/N."""
         stiffness = (self.stretch.T * self.connection[:, None]) @ self.stretch
-        inverse: np.ndarray = np.linalg.inv(stiffness - self.omega[:, None, None] ** 2 * np.diag(self.mass))
-        return inverse
+        return np.linalg.inv(stiffness - self.omega[:, None, None] ** 2 * np.diag(self.mass))
 
     @cached_property
     def moved(self) -> np.ndarray:
         """(F, n, A), displacements for one of what acts."""
         pulled = self.stretch.T @ (self.connection[:, :, None] * self.acting.carried)
-        moved: np.ndarray = self.flexibility @ (self.acting.pushed - self.mass[:, None] * self.acting.shaken - pulled)
-        return moved
+        return self.flexibility @ (self.acting.pushed - self.mass[:, None] * self.acting.shaken - pulled)
 
     @property
     def value(self) -> np.ndarray:
@@ -147,7 +145,9 @@ def twins(structure: Structure, free: Sequence[Parameter], seen: Seen, most: int
         seen: Of it.
         most: How many at most; those that come nearest.
     """
-    free = [p for p in free if p.kind in (MASS, STIFFNESS) and _positive(structure, p)]
+    free = [
+        p for p in free if p.kind in (MASS, STIFFNESS) and 0.0 < float(structure.parameters[p.kind][p.index]) < np.inf
+    ]
     if not free or not seen.sensing.size or not seen.acting.pushed.size or not seen.low < seen.high:
         return []
     match = _Match(structure, free, seen)
@@ -163,11 +163,6 @@ def twins(structure: Structure, free: Sequence[Parameter], seen: Seen, most: int
             found.append((apart, x))
     found.sort(key=lambda pair: pair[0])
     return [dict(zip(free, match.values * np.exp(x), strict=True)) for _, x in found[:most]]
-
-
-def _positive(structure: Structure, parameter: Parameter) -> bool:
-    value = float(structure.parameters[parameter.kind][parameter.index])
-    return np.isfinite(value) and value > 0
 
 
 class _Match:
@@ -217,16 +212,14 @@ class _Match:
             (-FARTHEST, FARTHEST),
             max_nfev=EVALUATIONS,
         )
-        solution: np.ndarray = best.x
-        return solution
+        return best.x
 
     def apart(self, x: np.ndarray) -> float:
         """Relative rms difference of the responses."""
         return float(np.sqrt(np.sum(np.abs(self._difference(x)) ** 2)))
 
     def _difference(self, x: np.ndarray) -> np.ndarray:
-        difference: np.ndarray = (self._response(x).value - self.wanted) / self.size
-        return difference
+        return (self._response(x).value - self.wanted) / self.size
 
     def _response(self, x: np.ndarray) -> FrequencyResponse:
         """Displacements at the sensors for one of every input."""

@@ -173,8 +173,7 @@ class Functions:
     @property
     def stretch_places(self) -> np.ndarray:
         """(n + S,), where coordinates and supports stand among the functions."""
-        places: np.ndarray = np.r_[0 : self.ndof, self.supports]
-        return places
+        return np.r_[0 : self.ndof, self.supports]
 
     def on_dofs(self, jet: Jet) -> Tensor:
         """(..., dofs), N: the forces that are functions, 0 on all other DOFs."""

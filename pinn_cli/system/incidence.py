@@ -84,12 +84,10 @@ class Incidence:
             return torch.cat((before - after, x[..., -1:]) if transposed else (x[..., :1], after - before), -1)
         if self._short:
             by = self._like(x, transposed)
-            product: Array = x.dot(by) if isinstance(x, np.ndarray) else x @ by
-            return product
+            return x.dot(by) if isinstance(x, np.ndarray) else x @ by
         places, weights = self._table(x, transposed)
         terms = [x[..., place] * weight for place, weight in zip(places, weights, strict=True)]
-        total: Array = sum(terms[1:], start=terms[0])
-        return total
+        return sum(terms[1:], start=terms[0])
 
     def _like(self, x: Array, transposed: bool) -> Any:
         """B' or, transposed, B itself, dense, for products from the right; as x is."""

@@ -72,5 +72,4 @@ def resonance(acceleration: np.ndarray, step: float, frequency: float, damping: 
     gain = (1.0 + 2j * damping * ratio) / (1.0 - ratio**2 + 2j * damping * ratio)
     gain = gain.reshape(-1, *[1] * (acceleration.ndim - 1))
     driven = np.fft.irfft(gain * np.fft.rfft(acceleration, length, axis=0), length, axis=0)
-    force: np.ndarray = driven[: len(acceleration)]
-    return force
+    return driven[: len(acceleration)]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -13,9 +12,7 @@ from scipy.optimize import linear_sum_assignment
 
 from pinn_cli.system.connection.base import Hysteresis
 from pinn_cli.system.parameters import MASS, Parameter
-
-if TYPE_CHECKING:
-    from pinn_cli.system.structure import Structure
+from pinn_cli.system.structure import Structure
 
 # Of the highest natural frequency's square: below it is a rigid body's motion, but for rounding.
 RIGID = 1e-12
@@ -152,8 +149,7 @@ class NaturalModes:
         """(dofs, modes), as near to real as a turn of their phase makes them, the largest displacement being one."""
         turned = self.of_dofs * np.exp(-0.5j * np.angle(np.sum(self.of_dofs**2, axis=0)))
         largest = turned.real[np.abs(turned.real).argmax(axis=0), np.arange(turned.shape[1])]
-        shapes: np.ndarray = turned.real / np.where(largest == 0, 1.0, largest)
-        return shapes
+        return turned.real / np.where(largest == 0, 1.0, largest)
 
     def assurance(self, other: NaturalModes) -> np.ndarray:
         """(modes, other modes), the modal assurance criterion: 1 where two shapes are the same, 0 where orthogonal."""
@@ -230,8 +226,7 @@ def _by_kind(structure: Structure, kind: str) -> np.ndarray:
     step = STEP * torch.clamp(values.abs(), min=1e-3)
     above, below = (np.array(at_rest(structure.with_parameters(**{kind: values + x}))) for x in (step, -step))
     connections, which = structure.carriers[kind]
-    slope: np.ndarray = (above - below)[:, connections] / (2.0 * step.numpy()[which])
-    return slope
+    return (above - below)[:, connections] / (2.0 * step.numpy()[which])
 
 
 def frequency_with_oscillator(structure: Structure, place: np.ndarray, mass: float, alone: float) -> float:

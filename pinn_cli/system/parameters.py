@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 import torch
@@ -13,10 +13,8 @@ import torch
 from pinn_cli.runs.reading import printable
 from pinn_cli.system.array_namespace import Array
 from pinn_cli.system.damping import WHOLE
+from pinn_cli.system.priors import Prior
 from pinn_cli.system.quantities import CALIBRATION_UNITS
-
-if TYPE_CHECKING:
-    from pinn_cli.system.priors import Prior
 
 MASS, FACTOR, GAIN = "m", "factor", "gain"
 # Standard deviation of the prior of an unknown parameter, in orders of magnitude, where nobody says another one.

@@ -66,8 +66,7 @@ class Shapes:
 
     def _product(self, x: Array, matrix: np.ndarray) -> Array:
         other = matrix if isinstance(x, np.ndarray) else torch.as_tensor(matrix.copy()).to(x)
-        product: Array = x @ other
-        return product
+        return x @ other
 
     def check_ground(self) -> None:
         """See that it is known how the ground moves the DOFs.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -13,16 +13,13 @@ from scipy.sparse import csr_matrix, hstack, vstack
 from scipy.sparse.linalg import norm as sparse_norm
 
 from pinn_cli.system.array_namespace import Array, namespace
-from pinn_cli.system.connection.base import Hysteresis
+from pinn_cli.system.connection.base import Hysteresis, Nonlinearity
 from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.connection_groups import ConnectionGroup, GroupPart, Linearisation, carriers, group_parts, slopes
 from pinn_cli.system.damping import StructuralDamping
 from pinn_cli.system.incidence import Incidence, Pairs
 from pinn_cli.system.parameters import FACTOR, LINEAR_TITLES, LINEAR_UNITS, MASS, Labels, Parameter
 from pinn_cli.system.shapes import OfMasses, Shapes
-
-if TYPE_CHECKING:
-    from pinn_cli.system.connection.base import Nonlinearity
 
 
 class Reduction(Protocol):
@@ -303,8 +300,7 @@ class Structure:
         for group, part, values in zip(self.groups, self.parts, own, strict=True):
             force = group.force(e[..., part.connections], de[..., part.connections], values)
             forces.append(force + z[..., part.hidden] if z is not None and group.nonlinearity.has_memory else force)
-        every: Array = namespace(e).concatenate(forces, -1)
-        return every
+        return namespace(e).concatenate(forces, -1)
 
     def hidden_rate(self, e: Array, de: Array, z: Array, parameters: Mapping[str, Array] | None = None) -> Array:
         """dz/dt of the hidden forces (..., h), N/s, from elongations and rates (..., C) and the hidden forces."""
@@ -314,8 +310,7 @@ class Structure:
             if isinstance(group.nonlinearity, Hysteresis):
                 at, own = part.connections, part.own(p)
                 rates.append(group.nonlinearity.rate(e[..., at], de[..., at], z[..., part.hidden], own))
-        together: Array = namespace(e).concatenate(rates, -1)
-        return together
+        return namespace(e).concatenate(rates, -1)
 
     def restoring_force(
         self, u: Array, v: Array, parameters: Mapping[str, Array] | None = None, z: Array | None = None

@@ -46,8 +46,7 @@ class Substructure(Nonlinearity):
 
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`."""
-        force: Array = (parameters[FACTOR] - 1.0) * e
-        return force
+        return (parameters[FACTOR] - 1.0) * e
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
@@ -12,9 +12,6 @@ from scipy.fft import ifft
 from pinn_cli.record.excitation.base import Excitation, checked_band
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import LARGEST_LEGACY_SEED, LARGEST_WHOLE, one_of, positive_number, whole_number
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 PHASES = ("random", "authors")
 AUTHORS_AMPLITUDE = 500.0  # N; their code's, where the paper says 1.0 N
@@ -121,8 +118,7 @@ def sum_of_sinusoids(time: np.ndarray, period: float, bins: np.ndarray, coeffici
     if len(time) < len(bins):
         return np.real(np.exp(turn * np.outer(time, bins)) @ coefficients)
     w = np.exp(turn * time)
-    signals: np.ndarray = np.real(polyval(w, coefficients) * w ** bins[0]).T
-    return signals
+    return np.real(polyval(w, coefficients) * w ** bins[0]).T
 
 
 def _steps_in_a_period(time: np.ndarray, period: float) -> int:

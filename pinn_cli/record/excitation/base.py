@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Callable, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -17,9 +18,6 @@ from pinn_cli.settings.legal_values import (
     positive_number,
     whole_number,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
 
 
 class Excitation(ABC):

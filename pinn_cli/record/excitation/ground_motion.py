@@ -102,7 +102,9 @@ class GroundMotion(Excitation):
             motion = FilteredNoise(self.duration, highest, spectrum, Envelope(rise, strong, decay), seed)
             unscaled, strength = DEFAULT_PEAK if rms is None else None, 1.0
         else:
-            motion = RecordedMotion.read(located(self._checked_path(path), base), step)
+            if not isinstance(path, str) or not path:
+                raise InputError("excitation.path", path, "null or a text file")
+            motion = RecordedMotion.read(located(path, base), step)
             self._tell_differences(motion, path)
             unscaled, strength = None, float(np.sqrt(np.mean(motion.samples**2)))
         self._motion = motion
@@ -111,20 +113,11 @@ class GroundMotion(Excitation):
     @property
     def ground(self) -> Callable[[np.ndarray], np.ndarray]:
         """See :attr:`Excitation.ground`."""
-        return self._acceleration
+        return lambda time: np.asarray(self.factor * self._motion(np.asarray(time, dtype=np.float64)))
 
     def signals(self, time: np.ndarray) -> np.ndarray:
         """See :meth:`Excitation.signals`."""
         return np.zeros((len(time), 0)) if self.acting is None else self.acting.signals(time)
-
-    def _acceleration(self, time: np.ndarray) -> np.ndarray:
-        return np.asarray(self.factor * self._motion(np.asarray(time, dtype=np.float64)))
-
-    @staticmethod
-    def _checked_path(path: object) -> str:
-        if not isinstance(path, str) or not path:
-            raise InputError("excitation.path", path, "null or a text file")
-        return path
 
     def _checked_highest(self, highest: float) -> float:
         if positive_number("excitation.highest", highest) > self.nyquist:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
 from pinn_cli.record.excitation.base import Excitation
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import finite_number, is_finite_number, positive_number
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 # A half sine that is sampled less often than this is not recognisable in the record.
 SAMPLES_PER_PULSE = 4

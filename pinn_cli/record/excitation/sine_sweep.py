@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
 from pinn_cli.record.excitation.base import Excitation, checked_band
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, positive_number
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 LAWS = ("linear", "logarithmic")
 

@@ -66,7 +66,8 @@ def table_of(data: Any, setting: str = SETTING) -> Table:
     Raises:
         InputError: It is something else, its columns differ in length or have one name.
     """
-    columns, units = _of_frame(data) if _is_frame(data) else _of_arrays(data, setting)
+    is_frame = all(hasattr(data, name) for name in ("columns", "index", "attrs"))
+    columns, units = _of_frame(data) if is_frame else _of_arrays(data, setting)
     if not columns:
         raise InputError(setting, type(data).__name__, ALLOWED, "it has no columns")
     lengths = {name: len(values) for name, values in columns.items()}
@@ -85,10 +86,6 @@ def table_of(data: Any, setting: str = SETTING) -> Table:
         digest.update(repr((name, unit, len(numbers), sorted(table.odd_cells[name].items()))).encode())
         digest.update(np.ascontiguousarray(numbers).tobytes())
     return replace(table, path=Path(f"frame-{digest.hexdigest()[:16]}"))
-
-
-def _is_frame(data: Any) -> bool:
-    return hasattr(data, "columns") and hasattr(data, "index") and hasattr(data, "attrs")
 
 
 def _of_frame(frame: pd.DataFrame) -> tuple[dict[str, Any], dict[str, str]]:

@@ -132,6 +132,10 @@ class Table:
             raise InputError(self.place(column, first + largest), shown, USABLE, hint)
         return values
 
+    def only(self, names: Collection[str]) -> Table:
+        """The same with some of its columns."""
+        return replace(self, columns={name: values for name, values in self.columns.items() if name in names})
+
     def with_dates(self, column: str) -> Table:
         """The same with a column whose every cell is a date, as ISO 8601 writes it, in s from the first of them."""
         texts = self.odd_cells.get(column, {})

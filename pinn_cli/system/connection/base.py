@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Collection, Mapping
+from typing import ClassVar
 
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+import numpy as np
 
-    import numpy as np
-
-    from pinn_cli.system.array_namespace import Array
+from pinn_cli.system.array_namespace import Array
 
 
 class Nonlinearity(ABC):

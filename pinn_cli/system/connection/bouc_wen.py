@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 import numpy as np
 
-from pinn_cli.system.array_namespace import namespace
+from pinn_cli.system.array_namespace import Array, namespace
 from pinn_cli.system.connection.base import Hysteresis
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from pinn_cli.system.array_namespace import Array
 
 # Part of the elongation's inverse that beta starts at, and the scale of n about one.
 FIRST_BEND, N_SCALE = 0.3, 0.05
@@ -40,8 +35,7 @@ class BoucWen(Hysteresis):
 
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`: all of it is hidden."""
-        none: Array = namespace(e).zeros_like(e)
-        return none
+        return namespace(e).zeros_like(e)
 
     def rate(self, e: Array, de: Array, z: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Hysteresis.rate`."""
@@ -56,8 +50,7 @@ class BoucWen(Hysteresis):
 
     def creates_energy(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray:
         """See :meth:`Hysteresis.creates_energy`: all but beta >= 0 and -beta <= gamma <= beta."""
-        creates: np.ndarray = np.abs(parameters["gamma"]) > parameters["beta"]
-        return creates
+        return np.abs(parameters["gamma"]) > parameters["beta"]
 
     def starts(self, stiffness: float, elongation: float) -> dict[str, tuple[float, float]]:
         """See :meth:`Hysteresis.starts`: half of the spring is hidden, and it yields at the elongation that there is.

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+
+import numpy as np
 
 from pinn_cli.settings.legal_values import positive_number
 from pinn_cli.system.array_namespace import Array, namespace
 from pinn_cli.system.connection.base import Nonlinearity
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    import numpy as np
-
 
 # Of a contact that sticks, m/s: a load of 0.8 F_c makes it creep by 0.1 um in a second.
 STUCK = 1e-7

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 import numpy as np
 
 from pinn_cli.settings.legal_values import positive_number
-from pinn_cli.system.array_namespace import namespace
+from pinn_cli.system.array_namespace import Array, namespace
 from pinn_cli.system.connection.base import Hysteresis
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from pinn_cli.system.array_namespace import Array
 
 # Part of the motion within which a contact sticks that k_t starts at.
 STICKS_WITHIN = 0.05
@@ -44,8 +39,7 @@ class Jenkins(Hysteresis):
 
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`: all of it is hidden."""
-        none: Array = namespace(e).zeros_like(e)
-        return none
+        return namespace(e).zeros_like(e)
 
     def rate(self, e: Array, de: Array, z: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Hysteresis.rate`."""
@@ -55,8 +49,7 @@ class Jenkins(Hysteresis):
         # Without a limit nothing holds, and the slope by the limit is a number there as well.
         size = where(grows, abs(z), 0.0) / where(limit > 0, limit, 1.0)
         share = where(size > 0, where(size > 0, size, 1.0) ** self.sharpness, 0.0)
-        out: Array = where(limit > 0, k_t * de * (1.0 - share), 0.0 * de)
-        return out
+        return where(limit > 0, k_t * de * (1.0 - share), 0.0 * de)
 
     def creates_energy(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray:
         """See :meth:`Hysteresis.creates_energy`: it never does."""

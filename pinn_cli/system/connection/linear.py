@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 from pinn_cli.system.array_namespace import Array, namespace
 from pinn_cli.system.connection.base import Nonlinearity
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 
 class Linear(Nonlinearity):
@@ -19,5 +16,4 @@ class Linear(Nonlinearity):
 
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`."""
-        none: Array = namespace(e).zeros_like(e)
-        return none
+        return namespace(e).zeros_like(e)

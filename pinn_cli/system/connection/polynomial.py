@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_whole_number
+from pinn_cli.system.array_namespace import Array
 from pinn_cli.system.connection.base import Nonlinearity
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
-
-    from pinn_cli.system.array_namespace import Array
 
 LEAST_ORDER, MOST_ORDER = 2, 7
 # One that is not the same in both directions, and one that is.

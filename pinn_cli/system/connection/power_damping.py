@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_finite_number
 from pinn_cli.system.array_namespace import Array, namespace
 from pinn_cli.system.connection.base import Nonlinearity
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 
 class PowerDamping(Nonlinearity):

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
+from pinn_cli.system.array_namespace import Array
 from pinn_cli.system.connection.base import Nonlinearity
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from pinn_cli.system.array_namespace import Array
 
 
 class VanDerPol(Nonlinearity):

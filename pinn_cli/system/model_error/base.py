@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
-if TYPE_CHECKING:
-    from pinn_cli.system.structure import Structure
+from pinn_cli.system.structure import Structure
 
 
 class ModelError(ABC):

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from pinn_cli.system.model_error.base import ModelError
-
-if TYPE_CHECKING:
-    from pinn_cli.system.structure import Structure
+from pinn_cli.system.structure import Structure
 
 
 class LinearModelError(ModelError):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -17,11 +17,7 @@ from pinn_cli.settings.legal_values import (
     whole_number,
 )
 from pinn_cli.system.model_error.base import ModelError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from pinn_cli.system.structure import Structure
+from pinn_cli.system.structure import Structure
 
 DRAWS = ("independent", "authors")
 # So that the seeds of a thousand connections are still seeds.
@@ -59,12 +55,13 @@ class PerturbedModelError(ModelError):
 
     def structures(self, nominal: Structure) -> tuple[Structure, Structure]:
         """See :meth:`ModelError.chains`."""
-        true = {name: value * self._factors(name, value) for name, value in nominal.parameters.items() if name != "m"}
-        return nominal.with_parameters(**true), nominal
-
-    def _factors(self, name: str, like: torch.Tensor) -> torch.Tensor:
         draw = self._authors_factors if self.draws == "authors" else self._independent_factors
-        return torch.as_tensor(draw(name, like.shape[-1])).to(like)
+        true = {
+            name: value * torch.as_tensor(draw(name, value.shape[-1])).to(value)
+            for name, value in nominal.parameters.items()
+            if name != "m"
+        }
+        return nominal.with_parameters(**true), nominal
 
     def _independent_factors(self, name: str, ndof: int) -> np.ndarray:
         uniform = np.random.default_rng([self.seed, *name.encode()]).random((ndof, 2))
