@@ -97,26 +97,19 @@ def test_a_motion_that_does_not_stay_finite_is_told():
         free_run(unstable, record, (REST + 5.0, REST))
 
 
-def test_a_mass_that_was_estimated_at_its_bound_is_said():
-    structure = small_chain()
-    record = measured(structure).record
+def test_what_has_no_free_run_is_said():
+    structure, record = small_chain(), measured(small_chain()).record
     massless = structure.with_parameters(m=structure.parameters["m"] * torch.tensor([1.0, 0.0, 1.0]))
-    with pytest.raises(NoFreeRunError, match="a mass of it is zero"):
-        free_run(massless, record)
-
-
-def test_an_unknown_force_is_said():
-    record = measured(small_chain()).record
+    endless = structure.with_parameters(k=structure.parameters["k"] * np.inf)
     unforced = np.array([False, False, True])
     unknown = replace(record, force=record.force + np.array([0.0, np.nan, 0.0]), unforced=unforced)
-    with pytest.raises(NoFreeRunError, match="the force on DOF 2 is unknown"):
-        free_run(small_chain(), unknown)
-
-
-def test_a_parameter_that_is_no_number_is_said():
-    structure = small_chain()
-    with pytest.raises(NoFreeRunError, match="no finite number"):
-        free_run(structure.with_parameters(k=structure.parameters["k"] * np.inf), measured(structure).record)
+    for chain, under, said in (
+        (massless, record, "a mass of it is zero"),
+        (endless, record, "no finite number"),
+        (structure, unknown, "the force on DOF 2 is unknown"),
+    ):
+        with pytest.raises(NoFreeRunError, match=said):
+            free_run(chain, under)
 
 
 def test_a_long_record_is_cut_down_for_a_structure_that_takes_steps():
