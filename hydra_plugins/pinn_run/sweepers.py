@@ -57,7 +57,7 @@ class SearchSweeper(Sweeper):
     """Settings that score better than those tried before, as Optuna proposes them.
 
     Args:
-        settings: See :class:`pinn_cli.search.sweeper.Search`.
+        settings: See :class:`pinn_cli.sweep.search.Search`.
     """
 
     def __init__(self, **settings: Any) -> None:
@@ -70,7 +70,7 @@ class SearchSweeper(Sweeper):
             InputError: Optuna is not installed, or a setting is none.
         """
         try:
-            from pinn_cli.search.sweeper import Search
+            from pinn_cli.sweep.search import Search
         except ModuleNotFoundError as error:
             if error.name != "optuna":
                 raise

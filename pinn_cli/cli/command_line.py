@@ -178,7 +178,7 @@ def _has_collected(jobs: Jobs, options: Namespace) -> bool:
     sweep = Sweep.read(directory)
     jobs.terminal.say(Collection.of(sweep, sweep.jobs()).text())
     if sweep.is_search:
-        from pinn_cli.search.report import report_search
+        from pinn_cli.sweep.search_report import report_search
 
         jobs.terminal.say(report_search(directory))
     jobs.terminal.say(str(directory))

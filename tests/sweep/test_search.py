@@ -132,7 +132,7 @@ def test_the_first_trial_is_as_configured(pinn_run: PinnRun, tmp_path: Path) -> 
     ],
 )
 def test_what_may_be_drawn(space: str, value: object, drawn: object) -> None:
-    from pinn_cli.search.space import read_space, within
+    from pinn_cli.sweep.search_space import read_space, within
 
     found = within(read_space([f"x={space}"])[0]["x"], value)
     assert found == drawn

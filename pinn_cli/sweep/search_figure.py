@@ -26,7 +26,7 @@ def search_figure(trials: pd.DataFrame, settings: Sequence[str], importances: di
     """Draw the trials that have a score.
 
     Args:
-        trials: Of :func:`pinn_cli.search.trials.trials_table`; at least one has a score.
+        trials: Of :func:`pinn_cli.sweep.search_trials.trials_table`; at least one has a score.
         settings: Its columns that were searched.
         importances: By setting, NaN where unknown.
     """

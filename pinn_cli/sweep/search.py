@@ -27,15 +27,15 @@ from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from pinn_cli.runs.identity import is_left_out
 from pinn_cli.runs.reading import printable
-from pinn_cli.search.report import report_search
-from pinn_cli.search.space import read_space, within
-from pinn_cli.search.trials import OVERRIDES, create_study, load_study, overrides_of
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, whole_number
 from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.sweep.callback import begin_sweep
 from pinn_cli.sweep.failure import Failure
 from pinn_cli.sweep.jobs import job_directories
+from pinn_cli.sweep.search_report import report_search
+from pinn_cli.sweep.search_space import read_space, within
+from pinn_cli.sweep.search_trials import OVERRIDES, create_study, load_study, overrides_of
 
 METHODS = ("tpe", "random")
 NO_VALIDATION, EVIDENCE = "NoValidation", "EvidenceScore"

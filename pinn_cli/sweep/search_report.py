@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from pinn_cli.report.figures import style
 from pinn_cli.runs.writing import write_table, write_text
-from pinn_cli.search.figure import search_figure
-from pinn_cli.search.trials import LEADING, importance, load_study, overrides_of, trials_table
+from pinn_cli.sweep.search_figure import search_figure
+from pinn_cli.sweep.search_trials import LEADING, importance, load_study, overrides_of, trials_table
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pinn_cli.search.trials import importance
+from pinn_cli.sweep.search_trials import importance
 
 GENERATOR = np.random.default_rng(0)
 NUMBER = pd.Series(GENERATOR.uniform(1.0, 100.0, 60))

@@ -23,6 +23,7 @@ from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
+from pinn_cli.sweep.windows.store import WindowStore
 from pinn_cli.system.quantities import CALIBRATION_UNITS, HIGH_PASS, OF_ONE_CHANNEL
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.base import Estimator
@@ -30,7 +31,6 @@ from pinn_cli.training.calibrated_record import as_calibrated
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.whittle.spectral_model import is_spectral
 from pinn_cli.verdict.finding import Verdict
-from pinn_cli.windows.store import WindowStore
 
 SETTING = "data.window"
 

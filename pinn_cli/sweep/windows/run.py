@@ -22,11 +22,11 @@ from pinn_cli.report.terminal.tables import fitness_text, parameters_text
 from pinn_cli.runs.resume import RESULT
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import replacing, write_json, write_table
+from pinn_cli.sweep.windows.joining import RESPONSE, Piece, join_responses, joined_fitness, stack_tables
+from pinn_cli.sweep.windows.solving import WindowSolver
+from pinn_cli.sweep.windows.store import WindowStore
 from pinn_cli.training.estimate import Watch
 from pinn_cli.verdict.finding import WORDS, Finding, Verdict
-from pinn_cli.windows.joining import RESPONSE, Piece, join_responses, joined_fitness, stack_tables
-from pinn_cli.windows.solving import WindowSolver
-from pinn_cli.windows.store import WindowStore
 
 # Of the last window: it knows what all of them have told.
 FINAL = ("parameters.csv", "correlation.csv", "identifiability.csv", "modes.csv", MODEL)

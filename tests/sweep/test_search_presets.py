@@ -21,7 +21,7 @@ def sweeper_of(preset: str) -> DictConfig:
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_draw_is_a_configuration(composed: Compose, preset: str) -> None:
-    from pinn_cli.search.space import read_space
+    from pinn_cli.sweep.search_space import read_space
 
     params = sweeper_of(preset).params
     space, fixed = read_space([f"{name}={value}" for name, value in params.items()])

@@ -11,8 +11,8 @@ import xarray as xr
 
 from pinn_cli.report.fitness import both_formulas
 from pinn_cli.report.netcdf import write_dataset
-from pinn_cli.windows.joining import Piece, join_responses, scores_of_parts, stack_tables
-from pinn_cli.windows.run import verdict_of_windows
+from pinn_cli.sweep.windows.joining import Piece, join_responses, scores_of_parts, stack_tables
+from pinn_cli.sweep.windows.run import verdict_of_windows
 
 
 def test_scores_of_parts_are_those_of_the_whole():

@@ -11,10 +11,10 @@ import os
 import socket
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from sqlite3 import SQLITE_BUSY, DatabaseError, connect
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 from urllib.request import getproxies
 
@@ -23,11 +23,10 @@ from pinn_cli.runs.writing import replacing
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import true_or_false
 from pinn_cli.settings.paths import located
-from pinn_cli.tracking.base import FAILED, FINISHED, INTERRUPTED, TrackedRun, Tracker, Tracking, require
-from pinn_cli.tracking.outcome import Outcome
+from pinn_cli.sweep.tracking.base import FAILED, FINISHED, INTERRUPTED, Outcome, TrackedRun, Tracker, Tracking, require
 
 if TYPE_CHECKING:
-    from mlflow.entities import Metric, Run
+    from mlflow.entities import Run
     from mlflow.tracking import MlflowClient
 
 SQLITE, SERVERS = "sqlite:///", ("http", "https")
@@ -39,12 +38,12 @@ TABLES = {"experiments", "runs", "metrics", "params", "tags", "alembic_version"}
 # A server is waited for so long, s, for each of two tries, and a file that another program has locked; of a server what
 # the user's environment says counts more.
 ANSWER_S = 10
-_LIMITS = {
+DEFAULTS = {
     "MLFLOW_HTTP_REQUEST_TIMEOUT": str(ANSWER_S),
     "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "1",
     "MLFLOW_HTTP_REQUEST_BACKOFF_FACTOR": "1",
+    "MLFLOW_LOGGING_LEVEL": "WARNING",
 }
-
 # A run that is being told is KILLED until all is told: should the process be killed, it does not run for ever.
 STATUS, HALF_TOLD = {FINISHED: "FINISHED", FAILED: "FAILED"}, "KILLED"
 # Tag with the key that the run's directory has.
@@ -66,6 +65,7 @@ class MlflowTracking(Tracking):
 
     Attributes:
         database: The SQLite file, absolute; None for a server.
+        address: Host and port of the server; None for a file.
 
     Raises:
         InputError: MLflow is not installed, or a setting is none.
@@ -83,73 +83,44 @@ class MlflowTracking(Tracking):
     ) -> None:
         require("mlflow", self.name)
         start = (base or Path()).absolute()
-        self.uri, self.database = uri, None
         given = uri if isinstance(uri, str) and uri.isprintable() else ""
-        if given.startswith(SQLITE) and given.removeprefix(SQLITE).strip(" /"):
-            self.database = located(uri.removeprefix(SQLITE), start)
-            self.uri = f"{SQLITE}{self.database}"
-        elif _address(given) is None:
+        file = given.removeprefix(SQLITE) if given.startswith(SQLITE) else ""
+        self.database = located(file, start) if file.strip(" /") else None
+        self.address = _address(given)
+        if self.database is None and self.address is None:
             raise InputError("tracking.uri", uri, ALLOWED)
+        self.uri = uri if self.database is None else f"{SQLITE}{self.database}"
         if not isinstance(experiment, str) or not experiment.strip():
             raise InputError("tracking.experiment", experiment, "a text")
         self.experiment, self.files = experiment, true_or_false("tracking.files", files)
-        self.artifacts = self._artifacts(artifacts, start)
-
-    def _artifacts(self, given: object, start: Path) -> Path | None:
-        """The folder of the runs' files; None where the server says where they go."""
-        if given is not None and (not isinstance(given, str) or not given):
-            raise InputError("tracking.artifacts", given, "null or a folder")
-        if given is None:
-            return None if self.database is None else self.database.with_name(f"{self.database.stem}-artifacts")
-        folder = located(given, start)
-        if os.path.lexists(folder) and not folder.is_dir():
-            raise InputError("tracking.artifacts", given, "null or a folder", "what is there is no folder")
-        return folder
+        if artifacts is not None and (not isinstance(artifacts, str) or not artifacts):
+            raise InputError("tracking.artifacts", artifacts, "null or a folder")
+        self.artifacts = None if artifacts is None else located(artifacts, start)
+        if self.artifacts is None and self.database is not None:
+            self.artifacts = self.database.with_name(f"{self.database.stem}-artifacts")
+        elif self.artifacts is not None and os.path.lexists(self.artifacts) and not self.artifacts.is_dir():
+            raise InputError("tracking.artifacts", artifacts, "null or a folder", "what is there is no folder")
 
     def open(self, run: TrackedRun, key: str, before: str) -> MlflowTracker:
         """See :meth:`Tracking.open`."""
-        if self.database is None:
-            _check_server(self.uri)
-        else:
+        if self.database is not None:
             _check_database(self.uri, self.database)
+        elif self.address is not None:
+            _check_server(self.uri, self.address)
         return MlflowTracker(self, run, key)
 
     @contextmanager
     def connected(self) -> Iterator[tuple[MlflowClient, str]]:
         """A client, and the number of the experiment; one process of ours at a time has a SQLite file."""
-        if self.database is None:
-            client = self._client(self.uri)
+        with ExitStack() as held:
+            if self.database is not None:
+                self.database.parent.mkdir(parents=True, exist_ok=True)
+                held.enter_context(locked(self.database.with_name(f".{self.database.name}.lock")))
+                _check_database(self.uri, self.database)
+                if not self.database.exists():
+                    _make_tables(self.database)
+            client = _client(self.uri)
             yield client, self._experiment(client)
-            return
-        self.database.parent.mkdir(parents=True, exist_ok=True)
-        with locked(self.database.with_name(f".{self.database.name}.lock")):
-            _check_database(self.uri, self.database)
-            if not self.database.exists():
-                self._make_tables(self.database)
-            client = self._client(self.uri)
-            yield client, self._experiment(client)
-
-    def _make_tables(self, database: Path) -> None:
-        """Make the database whole: MLflow does it in a thousand steps and cannot go on where it was killed in one."""
-        beside = database.with_name(f".{database.name}.new")
-        beside.unlink(missing_ok=True)
-        self._client(f"{SQLITE}{beside}")
-        # Not renamed: MLflow has it open to the end of the process.
-        with replacing(database) as whole, closing(connect(beside)) as made, closing(connect(whole)) as copy:
-            made.backup(copy)
-        beside.unlink()
-
-    def _client(self, uri: str) -> MlflowClient:
-        # Read when MLflow is first imported. It is to tell nobody of its use, and us of trouble only.
-        os.environ["MLFLOW_DISABLE_TELEMETRY"] = os.environ["DO_NOT_TRACK"] = "true"
-        os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
-        os.environ.update({name: value for name, value in _LIMITS.items() if name not in os.environ})
-        logging.getLogger("alembic").setLevel(logging.WARNING)
-        logging.getLogger("urllib3").setLevel(logging.ERROR)  # which tells each try
-        logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)  # a traceback of what is raised anyway
-        from mlflow.tracking import MlflowClient
-
-        return MlflowClient(tracking_uri=uri)
 
     def _experiment(self, client: MlflowClient) -> str:
         found = client.get_experiment_by_name(self.experiment)
@@ -194,10 +165,8 @@ class MlflowTracker(Tracker):
                 results = {n: value for n, value in outcome.metrics.items() if told.data.metrics.get(n) != value}
                 _log_metrics(client, run, [(name, value, 0) for name, value in results.items()])
                 for file in outcome.files if self.tracking.files else ():
-                    if file.is_dir():
-                        client.log_artifacts(run, str(file), artifact_path=file.name)
-                    else:
-                        client.log_artifact(run, str(file))
+                    log, place = (client.log_artifacts, file.name) if file.is_dir() else (client.log_artifact, None)
+                    log(run, str(file), artifact_path=place)
             client.set_tag(run, "status", status)
             client.set_tag(run, "reason", reason[:LONGEST])
             client.set_terminated(run, STATUS[status])
@@ -208,6 +177,30 @@ class MlflowTracker(Tracker):
         made = client.create_run(experiment, tags=tags, run_name=self.run.name)
         client.set_terminated(made.info.run_id, HALF_TOLD)
         return made
+
+
+def _client(uri: str) -> MlflowClient:
+    # Read when MLflow is first imported. It is to tell nobody of its use, and us of trouble only.
+    os.environ["MLFLOW_DISABLE_TELEMETRY"] = os.environ["DO_NOT_TRACK"] = "true"
+    for name, value in DEFAULTS.items():
+        os.environ.setdefault(name, value)
+    logging.getLogger("alembic").setLevel(logging.WARNING)
+    logging.getLogger("urllib3").setLevel(logging.ERROR)  # which tells each try
+    logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)  # a traceback of what is raised anyway
+    from mlflow.tracking import MlflowClient
+
+    return MlflowClient(tracking_uri=uri)
+
+
+def _make_tables(database: Path) -> None:
+    """Make the database whole: MLflow does it in a thousand steps and cannot go on where it was killed in one."""
+    beside = database.with_name(f".{database.name}.new")
+    beside.unlink(missing_ok=True)
+    _client(f"{SQLITE}{beside}")
+    # Not renamed: MLflow has it open to the end of the process.
+    with replacing(database) as whole, closing(connect(beside)) as made, closing(connect(whole)) as copy:
+        made.backup(copy)
+    beside.unlink()
 
 
 def _found(client: MlflowClient, key: str) -> Run | None:
@@ -223,19 +216,16 @@ def _log_params(client: MlflowClient, run: str, settings: Mapping[str, str], the
 
     named = {name.replace("[", ".").replace("]", ""): value for name, value in settings.items()}  # it takes no brackets
     params = [Param(name, value[:LONGEST]) for name, value in named.items() if name not in there]
-    for first in range(0, len(params), MOST_PARAMS):
-        client.log_batch(run, params=params[first : first + MOST_PARAMS])
+    for part in _parts(params, MOST_PARAMS):
+        client.log_batch(run, params=part)
 
 
 def _log_rows(client: MlflowClient, run: str, rows: Sequence[Mapping[str, float]]) -> None:
     """Those that are not there; the step is the iteration. A row is there whole or not at all."""
     last = max((metric.step for metric in client.get_metric_history(run, "seconds")), default=-1)
     left = [row for row in rows if row["iteration"] > last]
-    at_once = MOST_METRICS // max(map(len, left), default=1)
-    for first in range(0, len(left), at_once):
-        batch = left[first : first + at_once]
-        values = [(n, v, int(row["iteration"])) for row in batch for n, v in row.items() if n != "iteration"]
-        _log_metrics(client, run, values)
+    for part in _parts(left, MOST_METRICS // max(map(len, left), default=1)):
+        _log_metrics(client, run, [(n, v, int(row["iteration"])) for row in part for n, v in row.items()])
 
 
 def _log_metrics(client: MlflowClient, run: str, metrics: Sequence[tuple[str, float, int]]) -> None:
@@ -243,9 +233,18 @@ def _log_metrics(client: MlflowClient, run: str, metrics: Sequence[tuple[str, fl
     from mlflow.entities import Metric
 
     now = int(1000 * time.time())
-    entities: list[Metric] = [Metric(name, float(value), now, step) for name, value, step in metrics]
-    for first in range(0, len(entities), MOST_METRICS):
-        client.log_batch(run, metrics=entities[first : first + MOST_METRICS])
+    entities = [Metric(name, float(value), now, step) for name, value, step in metrics if name != "iteration"]
+    for part in _parts(entities, MOST_METRICS):
+        client.log_batch(run, metrics=part)
+
+
+def _parts(items: list[Any], most: int) -> Iterator[list[Any]]:
+    for first in range(0, len(items), most):
+        yield items[first : first + most]
+
+
+def _unusable(uri: str, hint: str, allowed: str = "a file that can be used") -> InputError:
+    return InputError("tracking.uri", uri, allowed, hint)
 
 
 def _check_database(uri: str, database: Path) -> None:
@@ -256,8 +255,10 @@ def _check_database(uri: str, database: Path) -> None:
     """
     whose = "is there is no SQLite file"
     try:
-        if not os.path.lexists(database):
-            _check_folder(uri, database.parent)
+        if not os.path.lexists(database):  # nor need its folder be there
+            folder = next(place for place in database.parents if place.exists())
+            if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+                raise _unusable(uri, f"{folder}: nothing may be written there")
             return
         if database.is_file():
             with database.open("rb") as file:
@@ -267,19 +268,10 @@ def _check_database(uri: str, database: Path) -> None:
             whose = "is there is the database of another program" if beginning == SQLITE_HEADER else whose
     except DatabaseError as error:
         hint = f"another program has had it locked for {ANSWER_S} s: the same command again tries once more"
-        raise InputError("tracking.uri", uri, "a file that can be used", hint) from error
+        raise _unusable(uri, hint) from error
     except OSError as error:
-        hint = getattr(error, "strerror", None) or str(error)
-        raise InputError("tracking.uri", uri, "a file that can be used", hint) from error
-    raise InputError("tracking.uri", uri, ALLOWED, f"what {whose}, and is left alone")
-
-
-def _check_folder(uri: str, folder: Path) -> None:
-    """A folder that is missing is made once there is something to tell."""
-    there = next(place for place in (folder, *folder.parents) if place.exists())
-    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
-        hint = "nothing may be written there" if there.is_dir() else "that is no folder"
-        raise InputError("tracking.uri", uri, "a file that can be used", f"{there}: {hint}")
+        raise _unusable(uri, getattr(error, "strerror", None) or str(error)) from error
+    raise _unusable(uri, f"what {whose}, and is left alone", ALLOWED)
 
 
 def _tables(database: Path) -> set[str]:
@@ -297,29 +289,25 @@ def _tables(database: Path) -> set[str]:
         return set()
 
 
-def _check_server(uri: str) -> None:
+def _check_server(uri: str, address: tuple[str, int]) -> None:
     """Refuse a server where nothing answers.
 
     Raises:
         InputError: Nothing does.
     """
-    address = _address(uri)
-    if address is None or urlsplit(uri).scheme in getproxies():
+    if urlsplit(uri).scheme in getproxies():
         return
     try:
         socket.create_connection(address, timeout=ANSWER_S).close()
     except (OSError, UnicodeError) as error:
         hint = f"nothing answers there ({getattr(error, 'strerror', None) or error})"
-        raise InputError("tracking.uri", uri, "a server that runs", hint) from error
+        raise _unusable(uri, hint, "a server that runs") from error
 
 
 def _address(uri: str) -> tuple[str, int] | None:
     """Host and port of a server; None where there is none."""
-    try:
+    with suppress(ValueError):  # no port is above 65535
         parts = urlsplit(uri)
-        port = parts.port
-    except ValueError:  # no port is above 65535
-        return None
-    if parts.scheme not in SERVERS or not parts.hostname:
-        return None
-    return parts.hostname, port or (443 if parts.scheme == "https" else 80)
+        if parts.scheme in SERVERS and parts.hostname:
+            return parts.hostname, parts.port or (443 if parts.scheme == "https" else 80)
+    return None

@@ -19,10 +19,9 @@ from calls import SMALL, PinnRun
 from interrupted_runs import ADAM, Steps, in_a_child, without_figures
 
 from pinn_cli.settings.errors import DivergenceError, InputError
-from pinn_cli.tracking import mlflow as mlflow_tracking
-from pinn_cli.tracking.base import TrackedRun
-from pinn_cli.tracking.follow import follow
-from pinn_cli.tracking.mlflow import MlflowTracking
+from pinn_cli.sweep.tracking import mlflow as mlflow_tracking
+from pinn_cli.sweep.tracking.base import TrackedRun, follow
+from pinn_cli.sweep.tracking.mlflow import MlflowTracking
 
 pytest.importorskip("mlflow", reason="the extra mlflow is not installed")
 pytest.importorskip("sqlalchemy", reason="the extra mlflow is not installed")
@@ -34,9 +33,8 @@ PROCESSES = 4
 ONE_PROCESS = """
 import sys
 from pathlib import Path
-from pinn_cli.tracking.base import TrackedRun
-from pinn_cli.tracking.follow import follow
-from pinn_cli.tracking.mlflow import MlflowTracking
+from pinn_cli.sweep.tracking.base import TrackedRun, follow
+from pinn_cli.sweep.tracking.mlflow import MlflowTracking
 for number in range(3):
     place = Path(sys.argv[1], str(number))
     place.mkdir(parents=True)
@@ -281,6 +279,8 @@ def test_a_database_that_is_locked_while_it_is_told_is_told_once(tmp_path: Path,
 
 
 def test_it_is_imported_only_where_it_is_chosen(tmp_path: Path) -> None:
-    code = "import sys; from pinn_cli.main import run; import pinn_cli.tracking.follow; print('mlflow' in sys.modules)"
+    code = (
+        "import sys; from pinn_cli.main import run; import pinn_cli.sweep.tracking.base; print('mlflow' in sys.modules)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
