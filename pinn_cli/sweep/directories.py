@@ -8,79 +8,27 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import itertools
 import json
-import math
 import re
 from collections.abc import Collection, Iterable
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import ChoiceSweep, Override, RangeSweep
+from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from pinn_cli.runs.identity import is_left_out
-from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import setting_of
 
 # File systems allow 255 bytes, of which Hydra, the tables and the figures want none; people want fewer.
 LONGEST = 100
 _DIGEST = 8
-# Jobs of a sweep, unless more are asked for: a range with some zeros too many would fill the memory with their names.
-MOST_JOBS = 10_000
 
 
 @functools.lru_cache(maxsize=4096)
 def parse(override: str) -> Override:
     """An override as typed (`seed=0,1`), read by Hydra's own grammar, which takes its time."""
     return OverridesParser.create().parse_override(override)
-
-
-def combinations(overrides: Iterable[str], most: int = MOST_JOBS) -> list[list[str]]:
-    """The jobs of a sweep: each setting's values with all others' values, the last one's next to each other.
-
-    Args:
-        overrides: As typed (`seed=0,1`); of those for one setting the last counts.
-        most: How many jobs there may be.
-
-    Returns:
-        The overrides of each job.
-
-    Raises:
-        InputError: There are more, or a setting is given an interval, which has no list of values.
-    """
-    given = {override.get_key_element(): override for override in map(parse, overrides)}
-    for name, override in given.items():
-        if override.is_sweep_override() and not override.is_discrete_sweep():
-            hint = "hydra/sweeper=search draws from intervals"
-            raise InputError(name, _values(override), "a list of values, or a range", hint)
-    counts = {name: _count(override) for name, override in given.items()}
-    longest = max(counts, key=lambda name: counts[name], default="")
-    if counts and (counts[longest] > most or math.prod(counts.values()) > most):
-        hint = f"there would be {math.prod(counts.values())}; hydra.sweeper.max_jobs=... allows more"
-        raise InputError(longest, _values(given[longest]), f"values that make at most {most} jobs", hint)
-    return [list(job) for job in itertools.product(*(_single(name, each) for name, each in given.items()))]
-
-
-def _values(override: Override) -> str:
-    return str(override.input_line).partition("=")[2]
-
-
-def _count(override: Override) -> float:
-    """How many values there are, without making them."""
-    value = override.value()
-    if isinstance(value, RangeSweep):
-        start, stop, step = (float(number or 0) for number in (value.start, value.stop, value.step))
-        count = (stop - start) / step if step else 0.0
-        return max(0, math.ceil(count)) if math.isfinite(count) else math.inf
-    return len(value.list) if isinstance(value, ChoiceSweep) else 1
-
-
-def _single(name: str, override: Override) -> list[str]:
-    """The overrides that give a setting each of its values."""
-    if not override.is_sweep_override():
-        return [f"{name}={override.get_value_element_as_str()}"]
-    return [f"{name}={value}" for value in override.sweep_string_iterator()]
 
 
 def swept_settings(overrides: Iterable[str], params: Iterable[str] = ()) -> list[str]:
@@ -123,7 +71,7 @@ def register() -> None:
     """Make the resolvers `sweep_name`, `swept_settings` and `job_name` known to OmegaConf.
 
     The first two are cached, as Hydra's `${now:}` is: the jobs have overrides of their own and get them from the sweep,
-    where :func:`pinn_cli.sweep.callback.note_sweep` has them resolved.
+    where :func:`pinn_cli.sweep.running.note_sweep` has them resolved.
     """
 
     def of_sweep(overrides: ListConfig, params: DictConfig | None) -> str:

@@ -6,10 +6,11 @@ here note the loss in the job's directory and go on: the same command runs that 
 
 from __future__ import annotations
 
+import uuid
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import cached_property
 from multiprocessing import ProcessError
 from pathlib import Path
@@ -19,20 +20,18 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.singleton import Singleton
 from hydra.core.utils import JobReturn, JobStatus, run_job, setup_globals
 from hydra.types import HydraContext, TaskFunction
-from omegaconf import DictConfig, open_dict
+from omegaconf import DictConfig, open_dict, read_write
 
 from pinn_cli.runs.cores import usable_cores
-from pinn_cli.runs.lock import FILE as LOCK
 from pinn_cli.runs.process import environment
 from pinn_cli.runs.resume import asked_to_resume, going_on, is_finished, stored_score
 from pinn_cli.runs.tracking_state import is_tracked
 from pinn_cli.settings.errors import InputError
-from pinn_cli.sweep.composing import compose_job
-from pinn_cli.sweep.failure import DEFECT, Failure
-from pinn_cli.sweep.failure import FILE as FAILURE
-from pinn_cli.sweep.jobs import FINISHED, OVERRIDES, UNFINISHED, Job, Sweep, note_failure
+from pinn_cli.sweep.composing import Composer
+from pinn_cli.sweep.jobs import DEFECT, FINISHED, Failure, Sweep
 
-SAFE_PATH = "PYTHONSAFEPATH"
+# A Python that is started imports nothing from the current folder then, where a `numpy.py` may lie.
+SAFE_PATH = {"PYTHONSAFEPATH": "1"}
 
 
 @dataclass(frozen=True)
@@ -43,20 +42,27 @@ class Work:
         hydra_context: Of the sweep, as are the next two.
         task_function: What a job runs.
         config: With its `hydra` node.
+        state: Hydra's, in the launcher's process.
+        key: Tells one sweep from another.
     """
 
     hydra_context: HydraContext
     task_function: TaskFunction
     config: DictConfig
+    state: Any = field(default_factory=Singleton.get_state)
+    key: str = field(default_factory=lambda: uuid.uuid4().hex)
 
-    @property
-    def threads(self) -> int:
-        """Of a job, at least one."""
-        return max(1, int(self.config.get("threads", 1)))
+    def __reduce__(self) -> tuple[type[Work], tuple[Any, ...]]:
+        # Without the configurations that its composer keeps.
+        return Work, (self.hydra_context, self.task_function, self.config, self.state, self.key)
+
+    @cached_property
+    def _composer(self) -> Composer:
+        return Composer(self.hydra_context.config_loader, self.config)
 
     def composed(self, overrides: Sequence[str], number: int, name: str = "") -> DictConfig:
         """The configuration of a job, with its `hydra` node; `name` is its `hydra.job.id`."""
-        config = compose_job(self.hydra_context.config_loader, self.config, overrides)
+        config = self._composer.job(overrides)
         with open_dict(config.hydra.job):
             config.hydra.job.id, config.hydra.job.num = name or f"{config.hydra.job.name}_{number}", number
         return config
@@ -74,10 +80,21 @@ class Work:
         )
 
 
-def take_over(state: Any) -> None:
-    """Have Hydra be in this process, a worker's, as it was in the launcher's, whose `Singleton.get_state` this is."""
-    Singleton.set_state(state)
-    setup_globals()
+# Of the sweep that this process, a worker, has run jobs of.
+_entered: Work | None = None
+
+
+def in_worker(work: Work) -> Work:
+    """The same in a worker, where Hydra is as in the launcher's process from the first job on.
+
+    Not set before each job: Hydra then looks for all its plugins.
+    """
+    global _entered  # noqa: PLW0603
+    if _entered is None or _entered.key != work.key:
+        Singleton.set_state(work.state)
+        setup_globals()
+        _entered = work
+    return _entered
 
 
 def jobs_at_once(threads: int) -> int:
@@ -127,20 +144,10 @@ class PendingJob:
         finished = self.goes_on() and is_finished(self.directory, self.task, Path.cwd())
         return finished and is_tracked(self.directory, self.task)
 
-    def begun_since(self, moment: float) -> bool:
-        """Whether it was begun, perhaps anew, at that moment or after it, seconds since the epoch."""
-        for sign in (OVERRIDES, LOCK, FAILURE):
-            with suppress(OSError):  # there is none
-                if (self.directory / sign).stat().st_mtime >= moment:
-                    return True
-        return False
-
-    def under_way_since(self, moment: float) -> bool:
-        """Whether it was begun after that moment, seconds since the epoch, and has not ended."""
-        return self.begun_since(moment - 1.0) and Job.read(self.directory, self.overrides).status == UNFINISHED
-
     def returned(self, finished: bool) -> JobReturn:
         """What a sweeper gets for a job that no worker returned anything for: the score in its directory, if any."""
+        with read_write(self.config.hydra.runtime):
+            self.config.hydra.runtime.output_dir = str(self.directory.absolute())
         result = JobReturn(overrides=self.overrides, cfg=self.task, hydra_cfg=self.config)
         result.status, result.return_value = JobStatus.COMPLETED, stored_score(self.directory) if finished else None
         return result
@@ -149,7 +156,7 @@ class PendingJob:
         """Note that its worker was, unless it had all its results by then or says itself why it failed."""
         finished = self.finished()
         if not finished and Failure.read(self.directory) is None:
-            note_failure(self.directory, self.config.hydra.overrides.task, Failure(DEFECT, reason, reason))
+            Failure(DEFECT, reason, reason).write(self.directory, self.config.hydra.overrides.task)
         return self.returned(finished)
 
 
@@ -158,14 +165,10 @@ class WorkLauncher(ABC):
 
     Args:
         work: Of the sweep.
-
-    Attributes:
-        jobs: What it was asked to run, by their overrides, finished ones among them.
     """
 
     def __init__(self, work: Work) -> None:
         self.work = work
-        self.jobs: dict[tuple[str, ...], PendingJob] = {}
 
     @abstractmethod
     def run(self, jobs: list[PendingJob]) -> dict[int, JobReturn]:
@@ -182,19 +185,14 @@ class WorkLauncher(ABC):
             What each job returned, in the same order; None for one that was lost.
         """
         jobs = [PendingJob(self.work, list(given), initial_job_idx + n) for n, given in enumerate(job_overrides)]
-        self.jobs = {tuple(job.overrides): job for job in jobs}
-        returns = {job.number: job.returned(finished=True) for job in self._finished(jobs)}
+        # With `strict=true` a job tells its verdict again.
+        before = [job for job in jobs if tuple(job.overrides) in self._finished_before and not job.task.get("strict")]
+        returns = {job.number: job.returned(finished=True) for job in before if job.finished()}
         left = [job for job in jobs if job.number not in returns]
         if left:
-            # A Python that is started imports nothing from the current folder then, where a `numpy.py` may lie.
-            with environment({SAFE_PATH: "1"}):
+            with environment(SAFE_PATH):
                 returns |= self.run(left)
         return [returns[number] for number in sorted(returns)]
-
-    def _finished(self, jobs: Sequence[PendingJob]) -> list[PendingJob]:
-        """Those that need not be run; with `strict=true` a job tells its verdict again."""
-        candidates = (job for job in jobs if tuple(job.overrides) in self._finished_before)
-        return [job for job in candidates if job.task.get("strict") is not True and job.finished()]
 
     @cached_property
     def _finished_before(self) -> set[tuple[str, ...]]:
@@ -216,9 +214,8 @@ def usable_settings(settings: Mapping[str, Any]) -> Iterator[None]:
         raise
     except (TypeError, ValueError, AttributeError, AssertionError, OverflowError, OSError, ProcessError) as error:
         given = ", ".join(f"{name}: {value}" for name, value in settings.items() if value is not None)
-        raise InputError(
-            "hydra.launcher", f"{{{given}}}", "settings that the launcher can use", str(error) or type(error).__name__
-        ) from error
+        hint = str(error) or type(error).__name__
+        raise InputError("hydra.launcher", f"{{{given}}}", "settings that the launcher can use", hint) from error
 
 
 class SerialLauncher(WorkLauncher):

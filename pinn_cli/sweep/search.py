@@ -1,42 +1,47 @@
 """`hydra/sweeper=search`: trials, one after the other or side by side, each drawn by Optuna from those before it.
 
-A trial is put into the study once it has ended. Its draw depends on the seed, its number and the trials before its
-batch, and on nothing that a kill could interrupt: a search that was killed draws the trial that was under way once
-more, finds its job's directory, and goes on as if it had never been stopped.
+A draw depends on the seed, its number and the trials before its batch, and on nothing that a kill could interrupt. So
+nothing is kept of a search but its jobs: the same command draws the same trials once more, finds those that are
+finished in their directories, and goes on as if it had never been stopped.
 """
 
 from __future__ import annotations
 
 import hashlib
+import logging
 import math
+import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import optuna
+import pandas as pd
+from hydra.core.override_parser.types import IntervalSweep, Override, RangeSweep, Transformer
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
-from optuna.distributions import BaseDistribution
+from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
 from optuna.samplers import BaseSampler, RandomSampler, TPESampler
-from optuna.study import Study
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from pinn_cli.runs.identity import is_left_out
 from pinn_cli.runs.reading import printable
+from pinn_cli.runs.resume import read_record
+from pinn_cli.runs.writing import replacing
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, whole_number
 from pinn_cli.settings.override_syntax import setting_of
-from pinn_cli.sweep.callback import begin_sweep
-from pinn_cli.sweep.failure import Failure
-from pinn_cli.sweep.jobs import job_directories
-from pinn_cli.sweep.search_report import report_search
-from pinn_cli.sweep.search_space import read_space, within
-from pinn_cli.sweep.search_trials import OVERRIDES, create_study, load_study, overrides_of
+from pinn_cli.sweep.directories import parse
+from pinn_cli.sweep.jobs import Failure, Sweep
+from pinn_cli.sweep.running import begin_sweep
+from pinn_cli.sweep.search_report import report_search, write_trials
 
+FILE = "search.db"
 METHODS = ("tpe", "random")
 NO_VALIDATION, EVIDENCE = "NoValidation", "EvidenceScore"
 # What the evidence can compare: the model of the chain and the search for its weights, under one network and record.
@@ -88,8 +93,7 @@ class Search:
             raise InputError(
                 "validation", "none", "heldout, forecast or evidence in a search", "it is the score that is minimised"
             )
-        typed = [str(override) for override in config.hydra.overrides.task]
-        self.overrides = sorted([*(o for o in typed if not is_left_out(setting_of(o))), *self.params])
+        optuna.logging.set_verbosity(logging.WARNING)
         elsewhere = not str(config.hydra.launcher.get("_target_")).endswith("SerialLauncher")
         if elsewhere and self.n_jobs == 1:
             print("one trial at a time: hydra.sweeper.n_jobs=2 has two at once", file=sys.stderr)
@@ -108,39 +112,50 @@ class Search:
         """
         space, fixed = read_space([*self.params, *arguments])
         self._check_comparable(space)
+        self._check_same()
         begin_sweep(self.config)
-        self._check_study()
-        study = create_study(self.directory)
-        study.set_user_attr(OVERRIDES, self.overrides)
-        while (ended := len(study.get_trials(deepcopy=False))) < self.n_trials:
-            first = ended - ended % self.n_jobs  # of the batch, of which a kill may have left the rest to be made
-            before = study.get_trials(deepcopy=False)[:first]
-            began, numbers = datetime.now(), range(ended, min(first + self.n_jobs, self.n_trials))
-            drawn = [create_trial(state=TrialState.FAIL, params=self._draw(number, before, space),
-                                  distributions=space, user_attrs=fixed) for number in numbers]  # fmt: skip
-            returned = self.launcher.launch([overrides_of(trial) for trial in drawn], initial_job_idx=ended)
-            for trial, result in zip(drawn, returned, strict=True):
+        trials: list[FrozenTrial] = []
+        rows: list[dict[str, Any]] = []
+        commands: list[list[str]] = []
+        while len(trials) < self.n_trials:
+            numbers, began = range(len(trials), min(len(trials) + self.n_jobs, self.n_trials)), datetime.now()
+            drawn = [self._draw(number, trials, space) for number in numbers]
+            jobs = [[f"{n}={'null' if v is None else v}" for n, v in (draw | fixed).items()] for draw in drawn]
+            commands += jobs
+            returned = self.launcher.launch(jobs, initial_job_idx=len(trials))
+            for draw, result in zip(drawn, returned, strict=True):
                 score = _score(result)
-                if score is not None:
-                    trial.state, trial.value = TrialState.COMPLETE, score
+                trial = create_trial(value=score, params=draw, distributions=space, user_attrs=fixed,
+                                     state=TrialState.FAIL if score is None else TrialState.COMPLETE)  # fmt: skip
                 trial.datetime_start, trial.datetime_complete = began, datetime.now()
-                study.add_trial(trial)
-                self._announce(study, score)
-        scored = any(trial.state == TrialState.COMPLETE for trial in study.get_trials(deepcopy=False))
-        if self.n_trials and not scored:
+                rows.append(self._row(len(trials), trial, result))
+                trials.append(trial)
+                self._announce(trials)
+            write_trials(pd.DataFrame(rows), self.directory)
+        scores = {number: trial.value for number, trial in enumerate(trials) if trial.value is not None}
+        if trials and not scores:
             allowed = "given settings under which a trial ends with a score"
-            jobs = map(Failure.read, job_directories(self.directory))
-            reason = next((f": {failure.reason}" for failure in jobs if failure is not None), "")
+            reason = next((f": {row['reason']}" for row in rows if row["reason"]), "")
             raise InputError("hydra/sweeper", "search", allowed, f"every trial failed{reason}")
-        print(printable(report_search(self.directory)))
+        if trials:
+            _export(trials, self.directory / FILE)
+            # A value that needs no quotes in Hydra's grammar may need them in the shell's.
+            command = shlex.join(["pinn-run", *commands[min(scores, key=lambda number: scores[number])]])
+            print(printable(report_search(pd.DataFrame(rows), command, self.directory)))
 
-    def _check_study(self) -> None:
-        study = load_study(self.directory)
-        known = self.overrides if study is None else study.user_attrs.get(OVERRIDES, self.overrides)
-        if known != self.overrides:
-            changed = ", ".join(sorted(set(known) ^ set(self.overrides)))
+    def _check_same(self) -> None:
+        """Refuse a directory in which there is another search."""
+        there = None
+        with suppress(InputError):  # there is no sweep, or it cannot be read
+            there = Sweep.read(self.directory)
+        if there is None or not there.is_search:
+            return
+        both = there, Sweep.of(self.config, self.directory)
+        before, now = ({o for o in sweep.overrides if not is_left_out(setting_of(o))} for sweep in both)
+        if before != now:
             allowed = "another directory: there is a search with other settings in this one"
-            raise InputError("hydra.sweep.dir", "(as given)", allowed, f"they differ in {changed}")
+            differ = f"they differ in {', '.join(sorted(before ^ now))}"
+            raise InputError("hydra.sweep.dir", "(as given)", allowed, differ)
 
     def _check_comparable(self, space: Mapping[str, BaseDistribution]) -> None:
         for name in space if self.validation == EVIDENCE else ():
@@ -162,13 +177,36 @@ class Search:
             study.enqueue_trial({name: value for name, value in configured.items() if value is not None})
         return study.ask(dict(space)).params
 
-    def _announce(self, study: Study, score: float | None) -> None:
+    def _row(self, number: int, trial: FrozenTrial, result: JobReturn) -> dict[str, Any]:
+        """Of `search.csv`."""
+        place = Path(result.hydra_cfg.hydra.runtime.output_dir)
+        run, failure, scored = read_record(place), Failure.read(place), trial.value is not None
+        seconds = run.get("seconds", {}).get("total") or trial.duration.total_seconds()
+        reason = failure.reason if failure else run.get("validation", {}).get("reason")
+        return {
+            "trial": number,
+            "state": "done" if scored else "failed",
+            "score": trial.value,
+            "seconds": seconds,
+            "directory": place.relative_to(self.directory.absolute()).as_posix(),
+            "reason": None if scored else reason,
+            **trial.params,
+        }
+
+    def _announce(self, trials: Sequence[FrozenTrial]) -> None:
         """Tell of the trial that has ended in one line."""
-        trials = study.get_trials(deepcopy=False)
-        scores = [trial.value for trial in trials if trial.state == TrialState.COMPLETE and trial.value is not None]
-        ended = "failed" if score is None else f"score {score:.5g}"
+        scores, last = [trial.value for trial in trials if trial.value is not None], trials[-1].value
+        ended = "failed" if last is None else f"score {last:.5g}"
         best = f"  best {min(scores):.5g}" if scores else ""
         print(f"{len(trials)} of {self.n_trials}  {ended}{best}", file=sys.stderr)
+
+
+def _export(trials: Sequence[FrozenTrial], file: Path) -> None:
+    """Write the trials as Optuna keeps them, for its own tools: nothing here reads them."""
+    logging.getLogger("alembic").setLevel(logging.WARNING)  # it tells of every table that Optuna makes
+    with replacing(file) as beside:
+        study = optuna.create_study(study_name="search", storage=f"sqlite:///{beside}")
+        study.add_trials(trials)
 
 
 def _score(result: JobReturn) -> float | None:
@@ -191,3 +229,53 @@ def _configured(config: DictConfig, name: str) -> Any:
 def drawing_seed(seed: int, number: int) -> int:
     """Of the random numbers of one trial, on every machine the same; below 2^32."""
     return int.from_bytes(hashlib.sha256(f"{seed}/{number}".encode()).digest()[:4], "little")
+
+
+def read_space(overrides: Iterable[str]) -> tuple[dict[str, BaseDistribution], dict[str, str]]:
+    """The settings that are searched, and the values of the others.
+
+    Args:
+        overrides: As typed; of those for one setting the last counts.
+
+    Returns:
+        Name to distribution, and name to value as text.
+    """
+    space: dict[str, BaseDistribution] = {}
+    fixed: dict[str, str] = {}
+    for override in map(parse, overrides):
+        name = override.get_key_element()
+        space.pop(name, None)
+        fixed.pop(name, None)
+        if override.is_sweep_override():
+            space[name] = distribution(override)
+        else:
+            fixed[name] = override.get_value_element_as_str()
+    return space, fixed
+
+
+def distribution(override: Override) -> BaseDistribution:
+    """Of `choice(a,b)`, `a,b`, `range(1,4)` with both its ends, `interval(1,3)`, `tag(log,interval(1,3))`."""
+    value = override.value()
+    if not isinstance(value, IntervalSweep | RangeSweep):
+        choices: list[Any] = list(override.sweep_iterator(transformer=Transformer.encode))
+        return CategoricalDistribution(choices)
+    if isinstance(value, IntervalSweep):
+        low, high, step, log = value.start, value.end, None, "log" in value.tags
+    else:  # an order, as shuffle gives it one, means nothing here
+        low, high, step, log = value.start, value.stop, value.step, False
+    if all(isinstance(number, int) for number in (low, high, 1 if step is None else step)):
+        return IntDistribution(low, high, log=log, step=1 if step is None else step)
+    return FloatDistribution(low, high, log=log, step=step)
+
+
+def within(distribution: BaseDistribution, value: Any) -> Any:
+    """The value as the distribution has it; None where it cannot be drawn from it."""
+    if isinstance(distribution, CategoricalDistribution):
+        alike = (c for c in distribution.choices if c == value and isinstance(c, bool) == isinstance(value, bool))
+        return next(alike, None)
+    if isinstance(value, bool) or not isinstance(value, int | float) or value != value:
+        return None
+    low, high, step = distribution.low, distribution.high, distribution.step  # type: ignore[attr-defined]
+    if not low <= value <= high or (step and (value - low) % step):
+        return None
+    return int(value) if isinstance(distribution, IntDistribution) else float(value)
