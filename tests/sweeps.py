@@ -12,7 +12,7 @@ from pathlib import Path
 import yaml
 
 from pinn_cli.settings.override_syntax import setting_of
-from pinn_cli.sweep.directories import job_name, swept_settings
+from pinn_cli.sweep.composing import job_name, swept_settings
 from pinn_cli.sweep.jobs import Failure, Sweep
 
 BASIC = "hydra_plugins.pinn_run.sweepers.BasicSweeper"

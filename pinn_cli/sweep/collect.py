@@ -19,14 +19,14 @@ from pinn_cli.runs.reading import DamagedError, small_text
 from pinn_cli.runs.writing import replacing
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import setting_of
-from pinn_cli.sweep.jobs import FAILED, FINISHED, INPUT, STATUSES, Job, Sweep
+from pinn_cli.sweep.jobs import FAILED, FINISHED, FITNESS, INPUT, REASON, STATUS, STATUSES, Job, Sweep
 
 if TYPE_CHECKING:
     import pandas
 
     from pinn_cli.sweep.models import Comparison
 
-FITNESS, PARAMETERS, JOBS = "fitness.csv", "parameters.csv", "jobs.csv"
+PARAMETERS, JOBS = "parameters.csv", "jobs.csv"
 # In these a job without results is a row as well.
 _WITH_FAILURES = (FITNESS, PARAMETERS)
 _OF_FINISHED = (
@@ -34,7 +34,6 @@ _OF_FINISHED = (
     "stories", "diagnostics",
 )  # fmt: skip
 TABLES = (*_WITH_FAILURES, *(f"{name}.csv" for name in _OF_FINISHED))
-STATUS, REASON = "status", "reason"
 # Of those that are computed with: columns of numbers, and others that there must be. The first are
 # `pinn_cli.report.fitness.FORMULAS`, which is slow to import.
 COLUMNS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {

@@ -1,33 +1,51 @@
-"""The jobs of a sweep: which there are, and their configurations; those that differ in numbers only are copies.
+"""The jobs of a sweep by their overrides: which there are, what their directories are called, how they are composed.
 
-Hydra composes every job from all its files anew: 0.144 s for each of 64 jobs that differ in their seeds, of some 2 s
-that a default job takes; this takes 0.007 s (one core, Hydra 1.3.8). A number that a setting is given says nothing
-about which files those are: Hydra itself puts it in at the end. So it is put into a copy here.
+The same command finds the directories again: they are fixed by the overrides. Their names are resolvers for
+`conf/config.yaml`, registered when this module is imported, which every process that composes a job's configuration
+does. Nothing slow is imported here.
+
+Jobs that differ in numbers only are copies. Hydra composes every job from all its files anew: 0.144 s for each of 64
+jobs that differ in their seeds, of some 2 s that a default job takes; this takes 0.007 s (one core, Hydra 1.3.8). A
+number that a setting is given says nothing about which files those are: Hydra itself puts it in at the end.
 """
 
 from __future__ import annotations
 
 import copy
+import hashlib
 import itertools
+import json
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import suppress
+from functools import lru_cache
+from typing import Any
 
 from hydra.core.config_loader import ConfigLoader
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import ChoiceSweep, Override, RangeSweep
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from pinn_cli.runs.identity import is_left_out
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import setting_of
-from pinn_cli.sweep.directories import parse
 
 # Jobs of a sweep, unless more are asked for: a range with some zeros too many would fill the memory with their names.
 MOST_JOBS = 10_000
+# File systems allow 255 bytes, of which Hydra, the tables and the figures want none; people want fewer.
+LONGEST = 100
+_DIGEST = 8
 # Configurations without their numbers, of a sweep.
 _KEPT = 64
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
+
+
+@lru_cache(maxsize=4096)
+def parse(override: str) -> Override:
+    """An override as typed (`seed=0,1`), read by Hydra's own grammar, which takes its time."""
+    return OverridesParser.create().parse_override(override)
 
 
 def combinations(overrides: Iterable[str], most: int = MOST_JOBS) -> list[list[str]]:
@@ -75,6 +93,42 @@ def _count(name: str, override: Override) -> float:
         count = (stop - start) / step if step else 0.0
         return max(0, math.ceil(count)) if math.isfinite(count) else math.inf
     return len(value.list) if isinstance(value, ChoiceSweep) else 1
+
+
+def swept_settings(overrides: Iterable[str], params: Iterable[str] = ()) -> list[str]:
+    """Settings that take more than one value in a sweep, by its overrides as typed and its sweeper's `params`."""
+    swept = [override for override in overrides if parse(override).is_sweep_override()]
+    return list(dict.fromkeys(map(setting_of, [*swept, *params])))
+
+
+def job_name(overrides: Iterable[str], swept: Collection[str]) -> str:
+    """Of a job, by its overrides: `noise.snr_db=50,seed=3`, and a digest of those that all jobs of the sweep share.
+
+    Settings that do not change what a run computes (`threads`) are left out. What no file system takes, or is too long
+    to read, is cut and told apart by a digest of all.
+
+    Args:
+        overrides: As Hydra hands them to the job.
+        swept: Settings that tell the jobs apart.
+    """
+    kept = sorted(override for override in overrides if not is_left_out(setting_of(override)))
+    own = ",".join(override for override in kept if setting_of(override) in swept) or "job"
+    shared = [override for override in kept if setting_of(override) not in swept]
+    safe = re.sub(r"[^\w.+=,~-]", "_", own, flags=re.ASCII)
+    if safe != own or len(own) > LONGEST:
+        return f"{safe[: LONGEST - _DIGEST - 1]}_{_digest(kept)}"
+    return f"{own}_{_digest(shared)}" if shared else own
+
+
+def sweep_name(overrides: Iterable[str], params: dict[str, Any]) -> str:
+    """Of a sweep, by its overrides and its sweeper's `params`: the swept settings and a digest of all."""
+    kept = sorted(override for override in overrides if not is_left_out(setting_of(override)))
+    short = "-".join(re.split(r"[./@]", name)[-1] for name in swept_settings(kept, params))
+    return f"{short[: LONGEST - _DIGEST - 1] or 'sweep'}_{_digest([*kept, json.dumps(params, sort_keys=True)])}"
+
+
+def _digest(parts: list[str]) -> str:
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:_DIGEST]
 
 
 def representatives(jobs: Sequence[Sequence[str]]) -> list[Sequence[str]]:
@@ -156,3 +210,27 @@ def own_numbers(overrides: Sequence[str]) -> list[str]:
         if is_number(override) and override.startswith(name[:-1]) and not name.startswith("hydra.")
         and sum(other.startswith(name) or name.startswith(other) for other in names) == 1
     ]  # fmt: skip
+
+
+def register() -> None:
+    """Make the resolvers `sweep_name`, `swept_settings` and `job_name` known to OmegaConf.
+
+    The first two are cached, as Hydra's `${now:}` is: the jobs have overrides of their own and get them from the sweep,
+    where :func:`pinn_cli.sweep.running.note_sweep` has them resolved.
+    """
+
+    def of_sweep(overrides: ListConfig, params: DictConfig | None) -> str:
+        return sweep_name(map(str, overrides), {str(k): str(v) for k, v in (params or {}).items()})
+
+    def of_swept(overrides: ListConfig, params: DictConfig | None) -> str:
+        return " ".join(swept_settings(map(str, overrides), map(str, params or ())))
+
+    def of_job(overrides: ListConfig, swept: str) -> str:
+        return job_name(map(str, overrides), swept.split())
+
+    OmegaConf.register_new_resolver("sweep_name", of_sweep, use_cache=True, replace=True)
+    OmegaConf.register_new_resolver("swept_settings", of_swept, use_cache=True, replace=True)
+    OmegaConf.register_new_resolver("job_name", of_job, replace=True)
+
+
+register()

@@ -25,10 +25,11 @@ from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
 from pinn_cli.settings.legal_values import whole_number
 from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.settings.yaml_file import read_yaml
-from pinn_cli.sweep.composing import MOST_JOBS, combinations
-from pinn_cli.sweep.directories import job_name, parse, swept_settings
+from pinn_cli.sweep.composing import MOST_JOBS, combinations, job_name, parse, swept_settings
 
 STATUSES = FINISHED, FAILED, UNFINISHED, NOT_STARTED = "finished", "failed", "unfinished", "not started"
+# Columns of a sweep's tables, and the first of these.
+STATUS, REASON, FITNESS = "status", "reason", "fitness.csv"
 # The sweep's configuration with its `hydra` node, in its directory.
 STORED = "multirun.yaml"
 OVERRIDES = Path(".hydra") / "overrides.yaml"

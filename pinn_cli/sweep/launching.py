@@ -1,4 +1,4 @@
-"""What all launchers share: which jobs are run, what one is to its worker, and that it was lost.
+"""What all launchers share: which jobs are run, what one is to its worker, and that it was lost; and two of them.
 
 Launchers of other projects raise at the first job that ends without a result, and the others are never collected. Those
 here note the loss in the job's directory and go on: the same command runs that job alone again, from its checkpoint.
@@ -6,12 +6,17 @@ here note the loss in the job's directory and go on: the same command runs that 
 
 from __future__ import annotations
 
+import os
+import socket
+import sys
+import threading
+import time
 import uuid
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from multiprocessing import ProcessError
 from pathlib import Path
 from typing import Any
@@ -20,6 +25,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.singleton import Singleton
 from hydra.core.utils import JobReturn, JobStatus, run_job, setup_globals
 from hydra.types import HydraContext, TaskFunction
+from joblib import Parallel, delayed, effective_n_jobs
+from joblib.externals.loky.process_executor import BrokenProcessPool
 from omegaconf import DictConfig, open_dict, read_write
 
 from pinn_cli.runs.cores import usable_cores
@@ -27,11 +34,16 @@ from pinn_cli.runs.process import environment
 from pinn_cli.runs.resume import asked_to_resume, going_on, is_finished, stored_score
 from pinn_cli.runs.tracking_state import is_tracked
 from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.sweep.composing import Composer
-from pinn_cli.sweep.jobs import DEFECT, FINISHED, Failure, Sweep
+from pinn_cli.sweep.jobs import DEFECT, FINISHED, UNFINISHED, Failure, Job, Sweep, written_since
 
 # A Python that is started imports nothing from the current folder then, where a `numpy.py` may lie.
 SAFE_PATH = {"PYTHONSAFEPATH": "1"}
+# Why a job of joblib's has failed.
+_REASON = "its worker was killed, again when it ran alone: by the system for want of memory, perhaps"
+# Seconds from one look for the launcher to the next, and the exit status of a worker that has lost it.
+_LOOK_EVERY_S, _STATUS = 1.0, 143
 
 
 @dataclass(frozen=True)
@@ -225,3 +237,104 @@ class SerialLauncher(WorkLauncher):
         """See :meth:`WorkLauncher.run`."""
         setup_globals()
         return {job.number: self.work.run(job.overrides, job.number) for job in jobs}
+
+
+class JoblibLauncher(WorkLauncher):
+    """`hydra/launcher=joblib`: a process per job at a time, and one that is killed takes only its own job along.
+
+    Each worker has its own share of the cores, and ends with the launcher: nobody else would ever give it another job.
+
+    Args:
+        work: Of the sweep.
+        n_jobs: How many processes; -1: as many as the cores can run at once with the `threads` of a job.
+        settings: Of `joblib.Parallel`: `conf/hydra/launcher/joblib.yaml` lists them.
+    """
+
+    def __init__(self, work: Work, n_jobs: int = -1, **settings: Any) -> None:
+        super().__init__(work)
+        if not is_whole_number(n_jobs) or not n_jobs:
+            raise InputError("hydra.launcher.n_jobs", n_jobs, "a whole number, -1: as many as the cores can run")
+        threads = int(work.config.get("threads", 1))
+        self.processes = jobs_at_once(threads) if n_jobs == -1 else effective_n_jobs(n_jobs)
+        self.settings = settings
+
+    def run(self, jobs: list[PendingJob]) -> dict[int, JobReturn]:
+        """When a worker is killed, joblib ends all: the others go on, then those that it may have been, each alone."""
+        suspects: list[PendingJob] = []
+        returns: dict[int, JobReturn] = {}
+        while len(returns) + len(suspects) < len(jobs):
+            left = [job for job in jobs if job not in suspects]
+            began = time.time() - 1.0
+            try:
+                returns = self._at_once(left)
+            except BrokenProcessPool:
+                under_way = [job for job in left if _is_under_way(job, began)]
+                if not under_way:  # workers do not even start
+                    raise
+                print(f"a worker was killed: {len(under_way)} jobs are put off, to run alone", file=sys.stderr)
+                suspects += under_way
+        for job in suspects:
+            try:
+                returns |= self._at_once([job])
+            except BrokenProcessPool:
+                returns[job.number] = job.lost(_REASON)
+        return returns
+
+    def _at_once(self, jobs: Sequence[PendingJob]) -> dict[int, JobReturn]:
+        calls = (delayed(_run_job)(self.work, job.overrides, job.number, self.processes) for job in jobs)
+        # Hydra's state is the process's: threads would share it.
+        with usable_settings(self.settings):
+            returned = Parallel(n_jobs=self.processes, **{**self.settings, "backend": "loky"})(calls)
+        return dict(zip((job.number for job in jobs), returned, strict=True))
+
+
+def _is_under_way(job: PendingJob, since: float) -> bool:
+    begun = written_since(job.directory, since)
+    return begun and Job.read(job.directory, job.overrides).status == UNFINISHED
+
+
+def _run_job(work: Work, overrides: Sequence[str], number: int, processes: int) -> JobReturn:
+    end_with_launcher()
+    pin(processes)
+    return in_worker(work).run(overrides, number)
+
+
+@cache
+def end_with_launcher() -> None:
+    """Have this process end within seconds of the one that started it, as by a kill: the job under way can go on."""
+
+    def watch(launcher: int) -> None:
+        while os.getppid() == launcher:
+            time.sleep(_LOOK_EVERY_S)
+        os._exit(_STATUS)
+
+    threading.Thread(target=watch, args=(os.getppid(),), name="launcher", daemon=True).start()
+
+
+def shares(cores: list[int], workers: int) -> list[list[int]]:
+    """Divide cores among workers, neighbouring ones to the same; with more workers than cores some share one."""
+    count = len(cores)
+    if workers > count:
+        return [[cores[worker % count]] for worker in range(workers)]
+    return [cores[worker * count // workers : (worker + 1) * count // workers] for worker in range(workers)]
+
+
+@cache
+def pin(workers: int) -> socket.socket | None:
+    """Keep this process, one of so many workers, to the first share of the cores that none of its siblings has.
+
+    Where the system cannot (it is not Linux), or no share is left, nothing happens.
+
+    Returns:
+        The claim to the share, kept open: the system gives it back when the process ends, however it ends.
+    """
+    for share, cores in enumerate(shares(usable_cores(), workers)) if hasattr(os, "sched_setaffinity") else ():
+        claim = socket.socket(socket.AF_UNIX)
+        try:
+            claim.bind(f"\0pinn-run cores {os.getppid()} {share}")  # an abstract name, which dies with its owner
+        except OSError:
+            claim.close()
+            continue
+        os.sched_setaffinity(0, cores)
+        return claim
+    return None

@@ -36,7 +36,7 @@ from pinn_cli.runs.writing import replacing
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, whole_number
 from pinn_cli.settings.override_syntax import setting_of
-from pinn_cli.sweep.directories import parse
+from pinn_cli.sweep.composing import parse
 from pinn_cli.sweep.jobs import Failure, Sweep
 from pinn_cli.sweep.running import begin_sweep
 from pinn_cli.sweep.search_report import report_search, write_trials
@@ -179,9 +179,12 @@ class Search:
 
     def _row(self, number: int, trial: FrozenTrial, result: JobReturn) -> dict[str, Any]:
         """Of `search.csv`."""
-        place = Path(result.hydra_cfg.hydra.runtime.output_dir)
+        hydra: Any = result.hydra_cfg
+        place = Path(hydra.hydra.runtime.output_dir)
         run, failure, scored = read_record(place), Failure.read(place), trial.value is not None
-        seconds = run.get("seconds", {}).get("total") or trial.duration.total_seconds()
+        seconds = run.get("seconds", {}).get("total")
+        if seconds is None and trial.duration is not None:
+            seconds = trial.duration.total_seconds()
         reason = failure.reason if failure else run.get("validation", {}).get("reason")
         return {
             "trial": number,
@@ -255,14 +258,14 @@ def read_space(overrides: Iterable[str]) -> tuple[dict[str, BaseDistribution], d
 
 def distribution(override: Override) -> BaseDistribution:
     """Of `choice(a,b)`, `a,b`, `range(1,4)` with both its ends, `interval(1,3)`, `tag(log,interval(1,3))`."""
-    value = override.value()
+    value: Any = override.value()
     if not isinstance(value, IntervalSweep | RangeSweep):
         choices: list[Any] = list(override.sweep_iterator(transformer=Transformer.encode))
         return CategoricalDistribution(choices)
-    if isinstance(value, IntervalSweep):
-        low, high, step, log = value.start, value.end, None, "log" in value.tags
-    else:  # an order, as shuffle gives it one, means nothing here
-        low, high, step, log = value.start, value.stop, value.step, False
+    interval = isinstance(value, IntervalSweep)  # of a range an order, as shuffle gives it one, means nothing here
+    numbers: tuple[Any, Any, Any]
+    numbers = (value.start, value.end, None) if interval else (value.start, value.stop, value.step)
+    (low, high, step), log = numbers, interval and "log" in value.tags
     if all(isinstance(number, int) for number in (low, high, 1 if step is None else step)):
         return IntDistribution(low, high, log=log, step=1 if step is None else step)
     return FloatDistribution(low, high, log=log, step=step)

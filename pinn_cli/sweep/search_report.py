@@ -48,7 +48,7 @@ def report_search(trials: pd.DataFrame, command: str, directory: Path) -> str:
     shares = {name: importance(done[name], done["score"]) for name in trials.columns if name not in LEADING}
     style.save(search_figure(trials, shares), directory, FIGURE)
     write_text(_text(trials, shares, command), directory / TEXT)
-    best = done.loc[done["score"].idxmin()]
+    best = done.iloc[int(done["score"].argmin())]
     return f"best of {len(done)} trials: score {best['score']:.5g} (trial {best['trial']}), with\n{command}"
 
 

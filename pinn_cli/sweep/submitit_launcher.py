@@ -142,7 +142,11 @@ class SubmititLauncher(WorkLauncher):
         except RuntimeError as error:  # there is no SLURM, or it refuses
             hint = " ".join(str(error).split())
             raise InputError("hydra/launcher", self._EXECUTOR, "one that takes these jobs", hint) from error
-        self._announce(sum(map(len, batches)), tasks)
+        if self._EXECUTOR == "slurm":
+            array, jobs = _array(tasks[0]), sum(map(len, batches))
+            print(
+                f"{jobs} jobs as SLURM job {array} of {len(tasks)} tasks; scancel {array} cancels it", file=sys.stderr
+            )
         return tasks
 
     def _executor(self) -> Any:
@@ -156,9 +160,6 @@ class SubmititLauncher(WorkLauncher):
             given["additional_parameters"] = {name: value for name, value in more if value not in (None, False)}
         executor.update_parameters(**{n if n in _SHARED else f"{self._EXECUTOR}_{n}": v for n, v in given.items()})
         return executor
-
-    def _announce(self, jobs: int, tasks: list[Any]) -> None:
-        """How many went where, on the terminal."""
 
 
 class SlurmLauncher(SubmititLauncher):
@@ -217,10 +218,6 @@ class SlurmLauncher(SubmititLauncher):
         self._answers = True
         rows = (line.split("|", 2) for line in listed.splitlines())
         return {row[0]: (row[1], Path(row[2])) for row in rows if len(row) == 3}  # no remarks of the cluster's
-
-    def _announce(self, jobs: int, tasks: list[Any]) -> None:
-        array = _array(tasks[0])
-        print(f"{jobs} jobs as SLURM job {array} of {len(tasks)} tasks; scancel {array} cancels it", file=sys.stderr)
 
 
 class LocalLauncher(SubmititLauncher):

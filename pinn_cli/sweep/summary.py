@@ -20,8 +20,7 @@ from pinn_cli.report.figures import style
 from pinn_cli.report.fitness import FORMULAS
 from pinn_cli.report.terminal.columns import percent
 from pinn_cli.runs.writing import write_table
-from pinn_cli.sweep.collect import FITNESS, REASON, STATUS
-from pinn_cli.sweep.jobs import FAILED, FINISHED
+from pinn_cli.sweep.jobs import FAILED, FINISHED, FITNESS, REASON, STATUS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -169,9 +168,9 @@ def _draw(axes: Axes, lines: Sequence[tuple[str, pd.DataFrame]]) -> None:
         axes.plot(median.index, median, color=style.BLUE, marker="o", markersize=2.6, linewidth=1.4, label=label)
         return
     for (label, rows), colour, marker in zip(lines, cycle(style.CYCLE), cycle(_MARKERS)):
-        spread = rows["fitness_percent_std"].fillna(0.0)
-        below = (rows["error"] - spread).clip(lower=_FINEST)
+        error, spread = rows["error"].to_numpy(), rows["fitness_percent_std"].fillna(0.0).to_numpy()
+        below = np.maximum(error - spread, _FINEST)
         axes.errorbar(
-            rows["x"], rows["error"], yerr=(rows["error"] - below, spread), color=colour, marker=marker,
-            markersize=2.6, linewidth=0.8, elinewidth=0.6, capsize=1.5, label=label,
+            rows["x"].to_numpy(), error, yerr=(error - below, spread), color=colour, marker=marker, markersize=2.6,
+            linewidth=0.8, elinewidth=0.6, capsize=1.5, label=label,
         )  # fmt: skip

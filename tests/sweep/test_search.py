@@ -92,14 +92,17 @@ def test_a_search_is_reported_and_failed_trials_take_no_other_along(search: Call
     assert (tmp_path / "found" / str(best["directory"]) / ".hydra").is_dir()
 
 
-@pytest.mark.parametrize("stop", [0, 3])
-def test_a_stopped_search_goes_on_as_if_never_stopped(search: Callable[..., int], tmp_path: Path, stop: int) -> None:
+@pytest.mark.parametrize(("stop", "at_once"), [(0, 1), (3, 1), (2, 2)])
+def test_a_stopped_search_goes_on_as_if_never_stopped(
+    search: Callable[..., int], tmp_path: Path, stop: int, at_once: int
+) -> None:
+    many = f"hydra.sweeper.n_jobs={at_once}"
     undisturbed, rest = StopsAt(math.inf), StopsAt(math.inf)
-    assert search(task=undisturbed) == 0
+    assert search(many, task=undisturbed) == 0
     trials = read(tmp_path)
     (tmp_path / "found").rename(tmp_path / "undisturbed")
-    assert search(task=StopsAt(stop)) == 130
-    assert search(task=rest) == 0
+    assert search(many, task=StopsAt(stop)) == 130
+    assert search(many, task=rest) == 0
     pd.testing.assert_frame_equal(read(tmp_path), trials)
     assert rest.made == undisturbed.made - stop  # what has a score is not made again
 

@@ -22,7 +22,7 @@ pytest.importorskip("submitit", reason="not installed: pip install 'pinn-cli[slu
 from pinn_cli.main import run
 from pinn_cli.sweep import submitit_launcher
 from pinn_cli.sweep.launching import jobs_at_once
-from pinn_cli.sweep.submitit_launcher import Batch, LocalLauncher, SlurmLauncher
+from pinn_cli.sweep.submitit_launcher import Batch, SlurmLauncher
 
 ON_SIGNALS_ALONE = (*ADAM, "training.checkpoint_every_s=null", "hydra.run.dir=run")
 REQUEUED = 144
@@ -78,22 +78,6 @@ def test_a_training_that_is_warned_writes_a_checkpoint_and_goes_on(pinn_run: Pin
     assert done.status == 0, done.err
     assert steps.taken == list(range(31))
     assert iteration(Path("run/checkpoint.previous.pt")) == 12
-
-
-@pytest.mark.parametrize(
-    ("launcher", "batches"),
-    [
-        (SlurmLauncher(WORK), [[0], [1], [2], [3], [4]]),
-        (SlurmLauncher(WORK, jobs_per_task=2), [[0, 1], [2, 3], [4]]),
-        (LocalLauncher(WORK, jobs_per_task=3), [[0, 1, 2], [3, 4]]),
-        (LocalLauncher(WORK), [[0, 2, 4], [1, 3]]),
-        (LocalLauncher(WORK, jobs_per_task=0, cpus_per_task=2), [[0, 1, 2, 3, 4]]),
-    ],
-)
-def test_jobs_are_dealt_to_tasks(launcher: Any, batches: list[list[int]], monkeypatch) -> None:
-    monkeypatch.setattr(submitit_launcher, "jobs_at_once", lambda threads: 2 // threads)
-    jobs = [SimpleNamespace(number=number) for number in range(5)]
-    assert [[job.number for job in batch] for batch in launcher._batches(jobs)] == batches
 
 
 class Task:

@@ -10,7 +10,7 @@ import logging
 import os
 import socket
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from sqlite3 import SQLITE_BUSY, DatabaseError, connect
@@ -26,7 +26,6 @@ from pinn_cli.settings.paths import located
 from pinn_cli.sweep.tracking.base import FAILED, FINISHED, INTERRUPTED, Outcome, TrackedRun, Tracker, Tracking, require
 
 if TYPE_CHECKING:
-    from mlflow.entities import Run
     from mlflow.tracking import MlflowClient
 
 SQLITE, SERVERS = "sqlite:///", ("http", "https")
@@ -153,30 +152,31 @@ class MlflowTracker(Tracker):
         self._rows.append(dict(row))
 
     def end(self, status: str, reason: str, outcome: Outcome | None) -> None:
-        """See :meth:`Tracker.end`. What a process that was killed meanwhile has told is not told twice."""
+        """See :meth:`Tracker.end`. What a process that was killed meanwhile, or a part of the run has told goes."""
         if status == INTERRUPTED:
             return
         with self.tracking.connected() as (client, experiment):
-            told = _found(client, self.key) or self._new(client, experiment)
-            run = told.info.run_id
-            _log_params(client, run, self.run.settings, told.data.params)
-            _log_rows(client, run, self._rows)
-            if outcome is not None:
-                results = {n: value for n, value in outcome.metrics.items() if told.data.metrics.get(n) != value}
-                _log_metrics(client, run, [(name, value, 0) for name, value in results.items()])
-                for file in outcome.files if self.tracking.files else ():
-                    log, place = (client.log_artifacts, file.name) if file.is_dir() else (client.log_artifact, None)
-                    log(run, str(file), artifact_path=place)
-            client.set_tag(run, "status", status)
-            client.set_tag(run, "reason", reason[:LONGEST])
-            client.set_terminated(run, STATUS[status])
+            from mlflow.entities import Metric, Param
 
-    def _new(self, client: MlflowClient, experiment: str) -> Run:
-        labels = {name: str(value) for name, value in self.run.labels.items()}
-        tags = {**labels, "directory": str(self.run.directory), KEY: self.key}
-        made = client.create_run(experiment, tags=tags, run_name=self.run.name)
-        client.set_terminated(made.info.run_id, HALF_TOLD)
-        return made
+            everywhere = [each.experiment_id for each in client.search_experiments()]
+            for before in client.search_runs(everywhere, f"tags.{KEY} = '{self.key}'"):
+                client.delete_run(before.info.run_id)
+            tags = {name: str(value) for name, value in self.run.labels.items()}
+            tags |= {"directory": str(self.run.directory), KEY: self.key, "status": status, "reason": reason[:LONGEST]}
+            run = client.create_run(experiment, tags=tags, run_name=self.run.name).info.run_id
+            client.set_terminated(run, HALF_TOLD)
+            settings = {n.replace("[", ".").replace("]", ""): value for n, value in self.run.settings.items()}
+            for params in _parts([Param(name, value[:LONGEST]) for name, value in settings.items()], MOST_PARAMS):
+                client.log_batch(run, params=params)
+            now, rows = int(1000 * time.time()), [(row, int(row["iteration"])) for row in self._rows]
+            rows += [] if outcome is None else [(outcome.metrics, 0)]
+            metrics = [Metric(n, float(v), now, step) for row, step in rows for n, v in row.items() if n != "iteration"]
+            for part in _parts(metrics, MOST_METRICS):
+                client.log_batch(run, metrics=part)
+            for file in outcome.files if outcome is not None and self.tracking.files else ():
+                log, place = (client.log_artifacts, file.name) if file.is_dir() else (client.log_artifact, None)
+                log(run, str(file), artifact_path=place)
+            client.set_terminated(run, STATUS[status])
 
 
 def _client(uri: str) -> MlflowClient:
@@ -201,41 +201,6 @@ def _make_tables(database: Path) -> None:
     with replacing(database) as whole, closing(connect(beside)) as made, closing(connect(whole)) as copy:
         made.backup(copy)
     beside.unlink()
-
-
-def _found(client: MlflowClient, key: str) -> Run | None:
-    """The run with that key; None where there is none, or it was deleted."""
-    everywhere = [experiment.experiment_id for experiment in client.search_experiments()]
-    found = client.search_runs(everywhere, f"tags.{KEY} = '{key}'", max_results=1)
-    return found[0] if found else None
-
-
-def _log_params(client: MlflowClient, run: str, settings: Mapping[str, str], there: Mapping[str, str]) -> None:
-    """Those that are not there: MLflow takes no second value, such as that of a `threads` which has changed."""
-    from mlflow.entities import Param
-
-    named = {name.replace("[", ".").replace("]", ""): value for name, value in settings.items()}  # it takes no brackets
-    params = [Param(name, value[:LONGEST]) for name, value in named.items() if name not in there]
-    for part in _parts(params, MOST_PARAMS):
-        client.log_batch(run, params=part)
-
-
-def _log_rows(client: MlflowClient, run: str, rows: Sequence[Mapping[str, float]]) -> None:
-    """Those that are not there; the step is the iteration. A row is there whole or not at all."""
-    last = max((metric.step for metric in client.get_metric_history(run, "seconds")), default=-1)
-    left = [row for row in rows if row["iteration"] > last]
-    for part in _parts(left, MOST_METRICS // max(map(len, left), default=1)):
-        _log_metrics(client, run, [(n, v, int(row["iteration"])) for row in part for n, v in row.items()])
-
-
-def _log_metrics(client: MlflowClient, run: str, metrics: Sequence[tuple[str, float, int]]) -> None:
-    """Values by name, each at its step."""
-    from mlflow.entities import Metric
-
-    now = int(1000 * time.time())
-    entities = [Metric(name, float(value), now, step) for name, value, step in metrics if name != "iteration"]
-    for part in _parts(entities, MOST_METRICS):
-        client.log_batch(run, metrics=part)
 
 
 def _parts(items: list[Any], most: int) -> Iterator[list[Any]]:

@@ -16,7 +16,7 @@ from interrupted_runs import ADAM, Steps, assert_same_numbers, without_figures
 
 from pinn_cli.runs.tracking_state import FILE, TrackingState
 from pinn_cli.settings.errors import DivergenceError, InputError
-from pinn_cli.sweep.tracking.base import Followed, Outcome, TrackedRun, Tracker, Tracking, follow, require
+from pinn_cli.sweep.tracking.base import Followed, Outcome, TrackedRun, Tracker, Tracking, follow
 from pinn_cli.sweep.tracking.tensorboard import TensorboardTracking
 
 
@@ -150,11 +150,6 @@ def test_nothing_is_tracked_by_none(job: TrackedRun) -> None:
         tracked.row(row(1))
         tracked.results()
     assert list(job.directory.iterdir()) == []
-
-
-def test_a_package_that_is_missing_is_named() -> None:
-    with pytest.raises(InputError, match=r"tracking=mlflow: must be none.*pip install 'pinn-cli\[mlflow\]'"):
-        require("a_package_that_nobody_has", "mlflow")
 
 
 def test_a_run_is_followed_from_start_to_end(
