@@ -258,14 +258,16 @@ def read_space(overrides: Iterable[str]) -> tuple[dict[str, BaseDistribution], d
 
 def distribution(override: Override) -> BaseDistribution:
     """Of `choice(a,b)`, `a,b`, `range(1,4)` with both its ends, `interval(1,3)`, `tag(log,interval(1,3))`."""
-    value: Any = override.value()
-    if not isinstance(value, IntervalSweep | RangeSweep):
-        choices: list[Any] = list(override.sweep_iterator(transformer=Transformer.encode))
-        return CategoricalDistribution(choices)
-    interval = isinstance(value, IntervalSweep)  # of a range an order, as shuffle gives it one, means nothing here
-    numbers: tuple[Any, Any, Any]
-    numbers = (value.start, value.end, None) if interval else (value.start, value.stop, value.step)
-    (low, high, step), log = numbers, interval and "log" in value.tags
+    value = override.value()
+    if isinstance(value, IntervalSweep):
+        return _numbers(value.start, value.end, log="log" in value.tags)
+    if isinstance(value, RangeSweep):  # an order, as shuffle gives it one, means nothing here
+        return _numbers(value.start, value.stop, step=value.step)
+    choices: list[Any] = list(override.sweep_iterator(transformer=Transformer.encode))
+    return CategoricalDistribution(choices)
+
+
+def _numbers(low: Any, high: Any, step: Any = None, log: bool = False) -> BaseDistribution:
     if all(isinstance(number, int) for number in (low, high, 1 if step is None else step)):
         return IntDistribution(low, high, log=log, step=1 if step is None else step)
     return FloatDistribution(low, high, log=log, step=step)
