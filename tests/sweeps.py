@@ -12,9 +12,8 @@ from pathlib import Path
 import yaml
 
 from pinn_cli.settings.override_syntax import setting_of
-from pinn_cli.sweep.directories import job_name, swept_settings
-from pinn_cli.sweep.failure import Failure
-from pinn_cli.sweep.jobs import Sweep
+from pinn_cli.sweep.composing import job_name, swept_settings
+from pinn_cli.sweep.jobs import Failure, Sweep
 
 BASIC = "hydra_plugins.pinn_run.sweepers.BasicSweeper"
 SUBDIRECTORY = "${job_name:${hydra.overrides.task},x}"
@@ -39,7 +38,7 @@ def made_sweep(directory: Path, overrides: Sequence[str], tables: Mapping[str, s
         (job / ".hydra").mkdir(parents=True)
         (job / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump([own, *shared]))
         if table is None:
-            Failure(3, "no luck, at all", "Traceback").write(job)
+            Failure(3, "no luck, at all", "Traceback").write(job, [])
         else:
             (job / "fitness.csv").write_text(table)
             (job / "run.json").write_text(json.dumps({"seconds": {"total": 1.5}}))

@@ -7,8 +7,7 @@ PACKAGE = Path(__file__).parents[1] / "pinn_cli"
 # From the ground up. A room may import those before it, and itself. Three pages that lie in no room stand among them.
 ROOMS = (
     "settings", "runs", "system", "record", "model", "network", "scheme", "physics", "training", "baseline",
-    "posterior", "validation", "verdict", "report", "windows", "inspection", "tracking", "sweep", "search",
-    "cli", "paper", "main", "__main__", "api",
+    "posterior", "validation", "verdict", "report", "inspection", "sweep", "cli", "paper", "main", "__main__", "api",
 )  # fmt: skip
 
 

@@ -73,7 +73,7 @@ class SerialLauncher(DeferredLauncher):
 class JoblibLauncher(DeferredLauncher):
     """`hydra/launcher=joblib`."""
 
-    module, extra = "joblib_launcher", ""
+    module, extra = "launching", ""
 
 
 class SlurmLauncher(DeferredLauncher):

@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
+from hydra.core.plugins import Plugins
 from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
 from pinn_cli.settings.errors import InputError
-from pinn_cli.sweep.directories import MOST_JOBS
+from pinn_cli.settings.legal_values import whole_number
+from pinn_cli.sweep.composing import MOST_JOBS
 
 # In place of Hydra's, whose settings these are: a file conf/hydra/sweeper/basic.yaml would be checked against that one,
 # with a warning. A mapping, since Hydra loads this module in a way that a dataclass is not made for.
@@ -46,18 +48,39 @@ class BasicSweeper(Sweeper):
         self.context = hydra_context, task_function, config
 
     def sweep(self, arguments: list[str]) -> Any:
-        """See :class:`hydra.plugins.sweeper.Sweeper`."""
-        from pinn_cli.sweep.grid import run_grid
+        """Run a job for every combination on the launcher; all are composed before the first begins.
 
+        Raises:
+            InputError: There are more jobs than that, or a number is none.
+            Exception: Whatever Hydra says of overrides that cannot be composed.
+        """
+        from pinn_cli.sweep.composing import Composer, combinations, representatives
+        from pinn_cli.sweep.running import begin_sweep
+
+        context, task_function, config = self.context
         overrides = [*(f"{name}={choices}" for name, choices in self.params.items()), *arguments]
-        return run_grid(*self.context, overrides, self.max_batch_size, self.max_jobs)
+        jobs = combinations(overrides, whole_number("hydra.sweeper.max_jobs", self.max_jobs, least=1))
+        step = whole_number("hydra.sweeper.max_batch_size", self.max_batch_size or len(jobs))
+        launcher = Plugins.instance().instantiate_launcher(
+            hydra_context=context, task_function=task_function, config=config
+        )
+        firsts, composer = range(0, len(jobs), step), Composer(context.config_loader, config)
+        for job in representatives(jobs):
+            composer.job(job)
+        begin_sweep(config)
+        returned = []
+        for first in firsts:
+            returned.append(launcher.launch(jobs[first : first + step], initial_job_idx=first))
+            for result in returned[-1]:
+                _ = result.return_value  # raises what the job raised
+        return returned
 
 
 class SearchSweeper(Sweeper):
     """Settings that score better than those tried before, as Optuna proposes them.
 
     Args:
-        settings: See :class:`pinn_cli.search.sweeper.Search`.
+        settings: See :class:`pinn_cli.sweep.search.Search`.
     """
 
     def __init__(self, **settings: Any) -> None:
@@ -70,7 +93,7 @@ class SearchSweeper(Sweeper):
             InputError: Optuna is not installed, or a setting is none.
         """
         try:
-            from pinn_cli.search.sweeper import Search
+            from pinn_cli.sweep.search import Search
         except ModuleNotFoundError as error:
             if error.name != "optuna":
                 raise

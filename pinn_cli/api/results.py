@@ -291,7 +291,7 @@ class SweepResult:
 
 def _table(directory: Path, name: str, tables: Sequence[str]) -> pd.DataFrame:
     """A table that lies in a directory; an `InputError` where it is none of those that there are."""
-    from pinn_cli.sweep.tables import COLUMNS
+    from pinn_cli.sweep.collect import COLUMNS
 
     if name not in tables:
         raise InputError("table", name, f"one of {', '.join(tables)}", suggestion(name, tables))

@@ -31,10 +31,9 @@ from pinn_cli.runs.reading import printable
 from pinn_cli.runs.resume import StoredRun, check_sound, how_to_go_on
 from pinn_cli.runs.writing import OUTPUT, WriteError, refused_by_disk
 from pinn_cli.settings.errors import InputError
-from pinn_cli.sweep import collect, failure
-from pinn_cli.sweep.callback import ended_sweep, leave_sweep
-from pinn_cli.sweep.collect import Collection, collect_command
-from pinn_cli.sweep.jobs import NOT_STARTED, Sweep
+from pinn_cli.sweep.collect import Collection, asked_for, collect_command
+from pinn_cli.sweep.jobs import NOT_STARTED, Failure, Sweep, status_of
+from pinn_cli.sweep.running import ended_sweep, leave_sweep
 
 STATUS_DEFECT, STATUS_INPUT, STATUS_INTERRUPTED, STATUS_PIPE = 1, 2, 130, 141
 # What launchers raise when a process of theirs is gone: joblib and its pool.
@@ -58,9 +57,6 @@ def execute(task: Task, look: Task | None = None, follow: Task | None = None) ->
     except KeyboardInterrupt as stop:
         jobs.terminal.complain(f"interrupted{f'; {jobs.hint}' if jobs.hint else ''}")
         return stop.status if isinstance(stop, Interruption) else STATUS_INTERRUPTED
-    except failure.UnansweredError as error:
-        jobs.terminal.complain(f"{error}; {jobs.hint}")
-        return STATUS_DEFECT
     except BrokenPipeError:  # the reader has left, as in `pinn-run --help | head -1`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return STATUS_PIPE
@@ -76,7 +72,7 @@ def execute(task: Task, look: Task | None = None, follow: Task | None = None) ->
             traceback.print_exception(error)
         else:
             jobs.terminal.complain(f"{error}; {jobs.hint}" if jobs.hint else str(error))
-        return max(jobs.status, failure.status_of(error))
+        return max(jobs.status, status_of(error))
     return jobs.status
 
 
@@ -110,7 +106,7 @@ def perform(jobs: Jobs, look: Task | None, watch: AbstractContextManager[None], 
                 _start(jobs, options)
                 _collect(jobs)
             sys.stdout.flush()
-    except (KeyboardInterrupt, failure.UnansweredError):
+    except KeyboardInterrupt:
         _note_how_to_go_on(jobs)
         raise
     except BrokenPipeError:
@@ -136,7 +132,7 @@ def _note_how_to_go_on(jobs: Jobs) -> None:
     """What is to be said where a run or the wait for a sweep was broken off."""
     ended = ended_sweep()
     if ended is not None:
-        jobs.hint = f"to go on: the same command again; for what there is: {collect_command(ended[0].directory)}"
+        jobs.hint = f"to go on: the same command again; for what there is: {collect_command(ended.sweep.directory)}"
         return
     jobs.hint = how_to_go_on(jobs.directory, jobs.goes_on_by) if jobs.directory and jobs.begun else ""
     jobs.refused = not jobs.begun
@@ -172,15 +168,11 @@ def _has_finished(jobs: Jobs, options: Namespace) -> bool:
 
 def _has_collected(jobs: Jobs, options: Namespace) -> bool:
     """Have the sweep that is named by `collect=DIRECTORY` put together."""
-    directory = collect.asked_for(options)
+    directory = asked_for(options)
     if directory is None:
         return False
     sweep = Sweep.read(directory)
     jobs.terminal.say(Collection.of(sweep, sweep.jobs()).text())
-    if sweep.is_search:
-        from pinn_cli.search.report import report_search
-
-        jobs.terminal.say(report_search(directory))
     jobs.terminal.say(str(directory))
     return True
 
@@ -190,19 +182,19 @@ def _collect(jobs: Jobs, cut_off: bool = False) -> None:
     ended = ended_sweep()
     if ended is None:
         return
-    sweep, before = ended
+    sweep = ended.sweep
     found = sweep.jobs()
-    begun = before.begun(found)
+    begun = ended.begun(found)
     if jobs.full_error:
-        for kept in filter(None, (failure.Failure.read(job.directory) for job in begun)):
+        for kept in filter(None, (Failure.read(job.directory) for job in begun)):
             print(printable(kept.traceback), file=sys.stderr)
-    jobs.refused = before.is_refused(sweep, found) or (cut_off and not begun)
+    jobs.refused = ended.is_refused(found) or (cut_off and not begun)
     if jobs.refused:
         jobs.reasons = list(dict.fromkeys(job.reason for job in begun))
         for reason in () if cut_off else jobs.reasons:  # of what has cut it off there is a line of its own
             jobs.terminal.complain(reason)
         jobs.status = STATUS_INPUT if begun else jobs.status
-        before.restore()
+        ended.restore()
         return
     if all(job.status == NOT_STARTED for job in found):
         return

@@ -33,10 +33,10 @@ if TYPE_CHECKING:
     from pinn_cli.report.export import Export
     from pinn_cli.report.results import RunDescription
     from pinn_cli.scheme.base import Scheme
+    from pinn_cli.sweep.tracking.base import Tracking
     from pinn_cli.system.building import ModesSought
     from pinn_cli.system.model_error import ModelError
     from pinn_cli.system.structure import Structure
-    from pinn_cli.tracking.base import Tracking
     from pinn_cli.training.base import Estimator, TrainedNetwork, Training
     from pinn_cli.validation.base import Validation
 
@@ -84,7 +84,7 @@ class RunConfig:
         posterior: How the distribution of the parameters is found, with scheme=bayesian.
         validation: How the estimate is scored without the truth.
         baseline: What the network is compared with; None: nothing.
-        tracking: What else keeps a record of the run.
+        tracking: What else keeps a record of the run; None: nothing.
         identity: Which run this is, for its checkpoints and results.
         resume: Whether to go on with what lies in the run's directory: None, `auto`, or that directory.
         figures: Whether they are drawn; None: unless the run is a job of a sweep.
@@ -108,7 +108,7 @@ class RunConfig:
     posterior: Posterior
     validation: Validation
     baseline: Estimator | None
-    tracking: Tracking
+    tracking: Tracking | None
     identity: Identity
     resume: str | None
     figures: bool | None
@@ -148,7 +148,7 @@ class RunConfig:
         estimation = {name: build(config[name], name, model=model) for name in names}
         check_use(model, estimation["scheme"], estimation["validation"], config.model)
         estimation["baseline"] = build(config.baseline, "baseline") if config.baseline else None
-        estimation["tracking"] = build(config.tracking, "tracking", base=base)
+        estimation["tracking"] = build(config.tracking, "tracking", base=base) if config.tracking else None
         again: dict[str, Any] = {"identity": identity, "resume": resume, "checkpoint_every_s": checkpoint_every_s}
         again |= {"figures": _figures(config), "strict": true_or_false("strict", config.strict)}
         again |= {"exports": _exports(config), "model": model, "modes": modes_sought(config)}

@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     from pinn_cli.record.response import Response
     from pinn_cli.report.results import Results
     from pinn_cli.scheme.joint_problem import JointProblem
+    from pinn_cli.sweep.windows.run import WindowedRun
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate, RunContext, Watch
     from pinn_cli.validation.base import Setup
-    from pinn_cli.windows.run import WindowedRun
 
 
 def run_job(
@@ -115,13 +115,12 @@ def _tracked(
     """Make the run, or tell of one that had finished, under the eyes of its tracker; what is left to print."""
     directory = Path(HydraConfig.get().runtime.output_dir)
     with stages("imports"):  # after the configuration has limited the threads, and not for --help
-        from pinn_cli.tracking.base import TrackedRun
-        from pinn_cli.tracking.follow import follow
+        from pinn_cli.sweep.tracking.base import TrackedRun, follow
     name, which = f"{config.case}/{directory.name}", config.identity.configuration
     tracked_run = TrackedRun(directory, name, flattened(composed), config.description.labels_of("pinn"), which)
     with follow(config.tracking, tracked_run, resuming) as tracked:
         take_directory(_outdated(prepared))
-        text = f"finished before; tracking={config.tracking.name} has it now" if prepared is None else ""
+        text = f"finished before; tracking={tracked.state.tracking} has it now" if prepared is None else ""
         if isinstance(prepared, Job):
             carry_out(prepared, tracked.row)
         elif prepared is not None:

@@ -20,8 +20,7 @@ from pinn_cli.runs.memory import is_out_of_memory, of_this_machine
 from pinn_cli.runs.resume import FORMAT, StoredRun, going_on, how_to_go_on
 from pinn_cli.runs.writing import WriteError, refused_by_disk
 from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
-from pinn_cli.sweep import failure
-from pinn_cli.sweep.jobs import note_failure
+from pinn_cli.sweep.jobs import FAILURE, Failure
 
 log = logging.getLogger(__name__)
 
@@ -83,8 +82,7 @@ class Jobs:
                 error = _explained(raised)
                 _conclude(claim, error)
                 if in_sweep and claim.locked:  # else it is no directory of ours to write into
-                    overrides = HydraConfig.get().overrides.task
-                    note_failure(self.directory, overrides, failure.Failure.of(error))
+                    Failure.of(error).write(self.directory, HydraConfig.get().overrides.task)
                 elif isinstance(error, Reported) and not in_sweep:
                     self.error = error
                     self.hint = how_to_go_on(self.directory, self.goes_on_by) if isinstance(error, WriteError) else ""
@@ -105,7 +103,7 @@ class Jobs:
             score = self.task(config if self.stored is None else self.stored.configuration(config))
         claim.take()
         if in_sweep:
-            failure.clear(claim.directory)
+            (claim.directory / FAILURE).unlink(missing_ok=True)
         return score
 
 

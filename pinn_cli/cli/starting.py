@@ -26,7 +26,7 @@ from pinn_cli.runs.process import environment
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build
 from pinn_cli.settings.registry import CALLBACKS
-from pinn_cli.sweep.callback import note_sweep
+from pinn_cli.sweep.running import note_sweep
 
 
 class Callbacks(Callback):

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from pinn_cli.cli.config import RunConfig
     from pinn_cli.record.record import Measurements
     from pinn_cli.record.windows import Window
+    from pinn_cli.sweep.windows.run import WindowedRun
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import RunContext
-    from pinn_cli.windows.run import WindowedRun
 
 WITH = "with data.window"
 
@@ -74,10 +74,10 @@ def windowed_run(
         InputError: No run can use the record, or the windows that are there are another run's.
     """
     from pinn_cli.report.over_time import history
+    from pinn_cli.sweep.windows.run import WindowedRun
+    from pinn_cli.sweep.windows.solving import WindowSolver
+    from pinn_cli.sweep.windows.store import WindowStore
     from pinn_cli.training.updating import UpdatedNetwork
-    from pinn_cli.windows.run import WindowedRun
-    from pinn_cli.windows.solving import WindowSolver
-    from pinn_cli.windows.store import WindowStore
 
     windows = config.source.windows
     assert windows is not None

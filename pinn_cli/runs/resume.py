@@ -22,7 +22,7 @@ from omegaconf.errors import OmegaConfBaseException
 from pinn_cli.runs.identity import LEFT_OUT, Identity, is_left_out
 from pinn_cli.runs.layout import check_layout
 from pinn_cli.runs.reading import DamagedError, read_json
-from pinn_cli.runs.tracking_state import is_tracked
+from pinn_cli.runs.tracking_state import is_tracked, with_class_of_today
 from pinn_cli.settings.errors import InputError, NotSoundError, shortened
 from pinn_cli.settings.override_syntax import quoted, setting_of
 from pinn_cli.settings.yaml_file import read_yaml
@@ -117,7 +117,7 @@ class StoredRun:
             hint = "it is a sweep's: name one of its jobs" if sweep else "it holds no .hydra/config.yaml"
             raise InputError("resume", given, ALLOWED, hint)
         try:
-            stored, runtime = read_yaml(config), read_yaml(hydra) if hydra.is_file() else None
+            stored, runtime = with_class_of_today(read_yaml(config)), read_yaml(hydra) if hydra.is_file() else None
             cwd = OmegaConf.select(runtime, "hydra.runtime.cwd") if runtime is not None else None
         except (InputError, OmegaConfBaseException) as error:
             hint = f"its .hydra/ cannot be read: {error}"

@@ -66,6 +66,15 @@ def is_tracked(directory: Path, config: DictConfig) -> bool:
 
 
 def tracking_of(config: DictConfig) -> str:
-    """The choice of the config group, by the module that its class is in."""
+    """The choice of the config group, by the module that its class is in; `NONE` where there is no class."""
+    target = OmegaConf.select(config, "tracking._target_")
+    return NONE if target is None else str(target).rpartition(".")[0].rpartition(".")[2]
+
+
+def with_class_of_today(config: DictConfig) -> DictConfig:
+    """A stored configuration, whose tracking may be named as it was when its classes were in `pinn_cli.tracking`."""
     target = str(OmegaConf.select(config, "tracking._target_"))
-    return target.rpartition(".")[0].rpartition(".")[2]
+    if target.startswith("pinn_cli.tracking."):
+        today = {**config.tracking, "_target_": target.replace("pinn_cli.", "pinn_cli.sweep.", 1)}
+        config.tracking = {} if tracking_of(config) == NONE else today
+    return config

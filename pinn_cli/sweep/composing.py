@@ -1,83 +1,196 @@
-"""How the jobs of a sweep are composed: those that differ in numbers only are made from one another.
+"""The jobs of a sweep by their overrides: which there are, what their directories are called, how they are composed.
 
-Hydra composes every job from all its files anew: 0.144 s for each of 64 jobs that differ in their seeds, of some 2 s
-that a default job takes; this takes 0.007 s (one core, Hydra 1.3.8). A number that a setting is given says nothing
-about which files those are: Hydra itself puts it in at the end. So it is put into a copy here.
+The same command finds the directories again: they are fixed by the overrides. Their names are resolvers for
+`conf/config.yaml`, registered when this module is imported, which every process that composes a job's configuration
+does. Nothing slow is imported here.
+
+Jobs that differ in numbers only are copies. Hydra composes every job from all its files anew: 0.144 s for each of 64
+jobs that differ in their seeds, of some 2 s that a default job takes; this takes 0.007 s (one core, Hydra 1.3.8). A
+number that a setting is given says nothing about which files those are: Hydra itself puts it in at the end.
 """
 
 from __future__ import annotations
 
 import copy
-import os
+import hashlib
+import itertools
+import json
+import math
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import suppress
+from functools import lru_cache
 from typing import Any
 
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from omegaconf import DictConfig, OmegaConf
+from hydra.core.override_parser.types import ChoiceSweep, Override, RangeSweep
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from pinn_cli.runs.identity import is_left_out
+from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import setting_of
 
+# Jobs of a sweep, unless more are asked for: a range with some zeros too many would fill the memory with their names.
+MOST_JOBS = 10_000
+# File systems allow 255 bytes, of which Hydra, the tables and the figures want none; people want fewer.
+LONGEST = 100
+_DIGEST = 8
+# Configurations without their numbers, of a sweep.
+_KEPT = 64
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
 
-# Without the numbers; of this process.
-_composed: dict[Any, DictConfig] = {}
-_KEPT = 64
+
+@lru_cache(maxsize=4096)
+def parse(override: str) -> Override:
+    """An override as typed (`seed=0,1`), read by Hydra's own grammar, which takes its time."""
+    return OverridesParser.create().parse_override(override)
 
 
-def compose_job(loader: ConfigLoader, sweep: DictConfig, overrides: Sequence[str]) -> DictConfig:
-    """Compose a job.
+def combinations(overrides: Iterable[str], most: int = MOST_JOBS) -> list[list[str]]:
+    """The jobs of a sweep: each setting's values with all others' values, the last one's next to each other.
+
+    Args:
+        overrides: As typed (`seed=0,1`); of those for one setting the last counts.
+        most: How many jobs there may be.
+
+    Returns:
+        The overrides of each job.
+
+    Raises:
+        InputError: There are more, or a setting is given an interval, which has no list of values.
+    """
+    given = {override.get_key_element(): override for override in map(parse, overrides)}
+    counts = {name: _count(name, override) for name, override in given.items()}
+    longest = max(counts, key=lambda name: counts[name], default="")
+    if counts and (counts[longest] > most or math.prod(counts.values()) > most):
+        hint = f"there would be {math.prod(counts.values())}; hydra.sweeper.max_jobs=... allows more"
+        raise InputError(longest, _typed(given[longest]), f"values that make at most {most} jobs", hint)
+    return [list(job) for job in itertools.product(*(_single(name, each) for name, each in given.items()))]
+
+
+def _single(name: str, override: Override) -> list[str]:
+    """The overrides that give a setting each of its values."""
+    if not override.is_sweep_override():
+        return [f"{name}={override.get_value_element_as_str()}"]
+    return [f"{name}={value}" for value in override.sweep_string_iterator()]
+
+
+def _typed(override: Override) -> str:
+    return str(override.input_line).partition("=")[2]
+
+
+def _count(name: str, override: Override) -> float:
+    """How many values there are, without making them."""
+    if override.is_sweep_override() and not override.is_discrete_sweep():
+        raise InputError(
+            name, _typed(override), "a list of values, or a range", "hydra/sweeper=search draws from intervals"
+        )
+    value = override.value()
+    if isinstance(value, RangeSweep):
+        start, stop, step = (float(number or 0) for number in (value.start, value.stop, value.step))
+        count = (stop - start) / step if step else 0.0
+        return max(0, math.ceil(count)) if math.isfinite(count) else math.inf
+    return len(value.list) if isinstance(value, ChoiceSweep) else 1
+
+
+def swept_settings(overrides: Iterable[str], params: Iterable[str] = ()) -> list[str]:
+    """Settings that take more than one value in a sweep, by its overrides as typed and its sweeper's `params`."""
+    swept = [override for override in overrides if parse(override).is_sweep_override()]
+    return list(dict.fromkeys(map(setting_of, [*swept, *params])))
+
+
+def job_name(overrides: Iterable[str], swept: Collection[str]) -> str:
+    """Of a job, by its overrides: `noise.snr_db=50,seed=3`, and a digest of those that all jobs of the sweep share.
+
+    Settings that do not change what a run computes (`threads`) are left out. What no file system takes, or is too long
+    to read, is cut and told apart by a digest of all.
+
+    Args:
+        overrides: As Hydra hands them to the job.
+        swept: Settings that tell the jobs apart.
+    """
+    kept = sorted(override for override in overrides if not is_left_out(setting_of(override)))
+    own = ",".join(override for override in kept if setting_of(override) in swept) or "job"
+    shared = [override for override in kept if setting_of(override) not in swept]
+    safe = re.sub(r"[^\w.+=,~-]", "_", own, flags=re.ASCII)
+    if safe != own or len(own) > LONGEST:
+        return f"{safe[: LONGEST - _DIGEST - 1]}_{_digest(kept)}"
+    return f"{own}_{_digest(shared)}" if shared else own
+
+
+def sweep_name(overrides: Iterable[str], params: dict[str, Any]) -> str:
+    """Of a sweep, by its overrides and its sweeper's `params`: the swept settings and a digest of all."""
+    kept = sorted(override for override in overrides if not is_left_out(setting_of(override)))
+    short = "-".join(re.split(r"[./@]", name)[-1] for name in swept_settings(kept, params))
+    return f"{short[: LONGEST - _DIGEST - 1] or 'sweep'}_{_digest([*kept, json.dumps(params, sort_keys=True)])}"
+
+
+def _digest(parts: list[str]) -> str:
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:_DIGEST]
+
+
+def representatives(jobs: Sequence[Sequence[str]]) -> list[Sequence[str]]:
+    """The first job with each override, the numbers that a setting is given being all alike.
+
+    They stand for all when a sweep is checked, one job after the other before any starts: composing tells that a
+    setting or an option is unknown, which the number that a setting is given cannot change.
+    """
+    chosen: dict[str, Sequence[str]] = {}
+    for job in jobs:
+        for override in job:
+            chosen.setdefault(setting_of(override) if is_number(override) else override, job)
+    return [list(job) for job in dict.fromkeys(tuple(job) for job in chosen.values())]
+
+
+class Composer:
+    """Composes the jobs of a sweep.
 
     Args:
         loader: Hydra's.
         sweep: Configuration of the sweep, with its `hydra` node.
-        overrides: Of the job.
-
-    Raises:
-        Exception: Whatever Hydra says of overrides that cannot be composed.
     """
-    numbers = own_numbers(overrides)
-    if numbers:
+
+    def __init__(self, loader: ConfigLoader, sweep: DictConfig) -> None:
+        self.loader, self.sweep = loader, sweep
+        self._without_numbers: dict[tuple[str, ...], DictConfig] = {}
+
+    def job(self, overrides: Sequence[str]) -> DictConfig:
+        """The configuration of the job with these overrides.
+
+        Raises:
+            Exception: Whatever Hydra says of overrides that cannot be composed.
+        """
+        numbers = own_numbers(overrides)
         with suppress(OmegaConfBaseException, _NotASettingError):
-            return _put_into_copy(loader, sweep, overrides, numbers)
-    return loader.load_sweep_config(sweep, list(overrides))
+            if numbers:
+                return self._copy_with(numbers, overrides)
+        return self.loader.load_sweep_config(self.sweep, list(overrides))
+
+    def _copy_with(self, numbers: list[str], overrides: Sequence[str]) -> DictConfig:
+        others = tuple(override for override in overrides if override not in numbers)
+        if others not in self._without_numbers:
+            if len(self._without_numbers) == _KEPT:
+                del self._without_numbers[next(iter(self._without_numbers))]
+            self._without_numbers[others] = self.loader.load_sweep_config(self.sweep, list(others))
+        config, parsed = copy.deepcopy(self._without_numbers[others]), [parse(override) for override in overrides]
+        for override in parsed:
+            if override.input_line in numbers:
+                if OmegaConf.is_config(OmegaConf.select(config, override.key_or_group)):
+                    raise _NotASettingError  # but a group, whose options are words: Hydra says so
+                OmegaConf.update(config, override.key_or_group, override.value(), merge=True)
+        of_task = [override for override in parsed if not override.is_hydra_override()]
+        config.hydra.overrides.task = [override.input_line for override in of_task]
+        named = config.hydra.job.config.override_dirname
+        lines = sorted(str(o.input_line) for o in of_task if o.key_or_group not in named.exclude_keys)
+        config.hydra.job.override_dirname = named.item_sep.join(lines).replace("=", named.kv_sep)
+        OmegaConf.copy_cache(from_config=self.sweep, to_config=config)
+        return config
 
 
 class _NotASettingError(Exception):
     pass
-
-
-def _put_into_copy(loader: ConfigLoader, sweep: DictConfig, overrides: Sequence[str], numbers: list[str]) -> DictConfig:
-    config = _without(loader, sweep, [override for override in overrides if override not in numbers])
-    parsed = OverridesParser.create().parse_overrides(list(overrides))
-    for override in parsed:
-        if override.input_line in numbers:
-            if OmegaConf.is_config(OmegaConf.select(config, override.key_or_group)):
-                raise _NotASettingError  # but a group, whose options are words: Hydra says so
-            OmegaConf.update(config, override.key_or_group, override.value(), merge=True)
-    of_task = [override for override in parsed if not override.is_hydra_override()]
-    config.hydra.overrides.task = [override.input_line for override in of_task]
-    if not OmegaConf.is_interpolation(config.hydra.job, "override_dirname"):  # as Hydra 1.4 has it
-        named = config.hydra.job.config.override_dirname
-        lines = sorted(str(o.input_line) for o in of_task if o.key_or_group not in named.exclude_keys)
-        config.hydra.job.override_dirname = named.item_sep.join(lines).replace("=", named.kv_sep)
-    OmegaConf.copy_cache(from_config=sweep, to_config=config)
-    return config
-
-
-def _without(loader: ConfigLoader, sweep: DictConfig, overrides: list[str]) -> DictConfig:
-    """A copy of what Hydra composes of the other overrides."""
-    sources = tuple((source.provider, source.path) for source in loader.get_search_path().get_path())
-    hydra = sweep.hydra
-    key = (hydra.job.config_name, sources, tuple(hydra.overrides.hydra), os.getcwd(), tuple(overrides))
-    if key not in _composed:
-        if len(_composed) == _KEPT:
-            del _composed[next(iter(_composed))]
-        _composed[key] = loader.load_sweep_config(sweep, overrides)
-    return copy.deepcopy(_composed[key])
 
 
 def is_number(override: str) -> bool:
@@ -90,13 +203,34 @@ def own_numbers(overrides: Sequence[str]) -> list[str]:
 
     Hydra's own settings are left out, since they may say how a job is composed, and those that are added.
     """
-    names = [setting_of(override) for override in overrides]
-
-    def is_own(name: str) -> bool:
-        return sum(f"{other}.".startswith(f"{name}.") or f"{name}.".startswith(f"{other}.") for other in names) == 1
-
+    names = [f"{setting_of(override)}." for override in overrides]
     return [
         override
         for override, name in zip(overrides, names, strict=True)
-        if is_number(override) and override.startswith(name) and not name.startswith("hydra.") and is_own(name)
-    ]
+        if is_number(override) and override.startswith(name[:-1]) and not name.startswith("hydra.")
+        and sum(other.startswith(name) or name.startswith(other) for other in names) == 1
+    ]  # fmt: skip
+
+
+def register() -> None:
+    """Make the resolvers `sweep_name`, `swept_settings` and `job_name` known to OmegaConf.
+
+    The first two are cached, as Hydra's `${now:}` is: the jobs have overrides of their own and get them from the sweep,
+    where :func:`pinn_cli.sweep.running.note_sweep` has them resolved.
+    """
+
+    def of_sweep(overrides: ListConfig, params: DictConfig | None) -> str:
+        return sweep_name(map(str, overrides), {str(k): str(v) for k, v in (params or {}).items()})
+
+    def of_swept(overrides: ListConfig, params: DictConfig | None) -> str:
+        return " ".join(swept_settings(map(str, overrides), map(str, params or ())))
+
+    def of_job(overrides: ListConfig, swept: str) -> str:
+        return job_name(map(str, overrides), swept.split())
+
+    OmegaConf.register_new_resolver("sweep_name", of_sweep, use_cache=True, replace=True)
+    OmegaConf.register_new_resolver("swept_settings", of_swept, use_cache=True, replace=True)
+    OmegaConf.register_new_resolver("job_name", of_job, replace=True)
+
+
+register()

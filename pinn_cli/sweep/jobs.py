@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import re
+import traceback
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypedDict
@@ -15,29 +17,30 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from pinn_cli.runs.lock import FILE as LOCK
 from pinn_cli.runs.reading import DamagedError, checked, read_json, small_text
 from pinn_cli.runs.resume import FORMAT, RESULT, RunFile
-from pinn_cli.runs.writing import write_text
-from pinn_cli.settings.errors import InputError
+from pinn_cli.runs.writing import WriteError, write_json, write_text
+from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
 from pinn_cli.settings.legal_values import whole_number
 from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.settings.yaml_file import read_yaml
-from pinn_cli.sweep.directories import MOST_JOBS, combinations, job_name, parse, swept_settings
-from pinn_cli.sweep.failure import INPUT, Failure
+from pinn_cli.sweep.composing import MOST_JOBS, combinations, job_name, parse, swept_settings
 
 STATUSES = FINISHED, FAILED, UNFINISHED, NOT_STARTED = "finished", "failed", "unfinished", "not started"
+# Columns of a sweep's tables, and the first of these.
+STATUS, REASON, FITNESS = "status", "reason", "fitness.csv"
 # The sweep's configuration with its `hydra` node, in its directory.
 STORED = "multirun.yaml"
 OVERRIDES = Path(".hydra") / "overrides.yaml"
+FAILURE = "failure.json"
+# What a job leaves when it begins, and when it ends.
+SIGNS = (OVERRIDES, LOCK, RESULT, FAILURE)
 # The sweepers of this package: see `hydra_plugins.pinn_run.sweepers`.
 GRID, SEARCH = "BasicSweeper", "SearchSweeper"
-# libyaml's parser, where PyYAML was built with it: a thousand files in a second less.
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-# What a list of overrides is made of: no aliases, and nothing within anything.
-_FLAT = (
-    yaml.StreamStartEvent, yaml.DocumentStartEvent, yaml.SequenceStartEvent, yaml.ScalarEvent, yaml.SequenceEndEvent,
-    yaml.DocumentEndEvent, yaml.StreamEndEvent,
-)  # fmt: skip
+# As the command's exit status: what a shell script must tell apart.
+DEFECT, INPUT, STOPPED, NOT_SOUND = 1, 2, 3, 4
+_STATUS = {InputError: INPUT, DivergenceError: STOPPED, WriteError: STOPPED, NotSoundError: NOT_SOUND}
 
 
 class _Overrides(TypedDict):
@@ -58,6 +61,57 @@ class SweepFile(TypedDict):
     """What is read of `multirun.yaml`."""
 
     hydra: _Hydra
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a job ended without results: a file that it leaves behind, so that it takes no other job along.
+
+    Attributes:
+        status: That a run of its own would have exited with.
+        reason: In one line.
+        traceback: As Python prints it.
+    """
+
+    status: int
+    reason: str
+    traceback: str
+
+    @classmethod
+    def of(cls, error: Exception) -> Failure:
+        """What an exception means for the job that raised it."""
+        status = status_of(error)
+        reason = " ".join((f"{type(error).__name__}: {error}" if status == DEFECT else str(error)).split())
+        return cls(status, reason, "".join(traceback.format_exception(error)))
+
+    @classmethod
+    def read(cls, directory: Path) -> Failure | None:
+        """Of the job in that directory; None where it did not fail."""
+        try:
+            return read_json(directory / FAILURE, cls)
+        except FileNotFoundError:
+            return None
+        except DamagedError as error:
+            return cls(DEFECT, str(error), "")
+
+    def write(self, directory: Path, overrides: Any) -> None:
+        """Leave it in a job's directory, which is known for one even if the job never began.
+
+        Args:
+            directory: Of the job; made where it is missing.
+            overrides: As Hydra hands them to the job.
+
+        Raises:
+            WriteError: The disk does not take it.
+        """
+        if not (directory / OVERRIDES).is_file():
+            write_text(OmegaConf.to_yaml(overrides), directory / OVERRIDES)
+        write_json(asdict(self), directory / FAILURE)
+
+
+def status_of(error: Exception) -> int:
+    """The exit status of a run that ends with this error."""
+    return next((status for kind, status in _STATUS.items() if isinstance(error, kind)), DEFECT)
 
 
 @dataclass(frozen=True)
@@ -161,7 +215,7 @@ class Sweep:
 
     def jobs(self) -> list[Job]:
         """Every job that is expected or has a directory, in the sweep's order; later additions by name."""
-        found = {_name(path, self.directory): path for path in job_directories(self.directory)}
+        found = {path.relative_to(self.directory).as_posix(): path for path in job_directories(self.directory)}
         jobs = []
         for name, overrides in self.expected.items():
             place = found.pop(name, None)
@@ -184,20 +238,19 @@ def _sweeper(config: Any) -> str:
     return str(config.hydra.sweeper.get("_target_")).rpartition(".")[2]
 
 
-def note_failure(directory: Path, overrides: Any, failure: Failure) -> None:
-    """Leave the reason in a job's directory, which is known for one even if the job never began.
+def written_since(directory: Path, moment: float, signs: Sequence[Path | str] = SIGNS) -> bool:
+    """Whether a job has begun, perhaps anew, or ended in a directory at that moment or after it.
 
     Args:
-        directory: Of the job; made where it is missing.
-        overrides: As Hydra hands them to the job.
-        failure: Why it failed.
-
-    Raises:
-        WriteError: The disk does not take it.
+        directory: Of the job.
+        moment: Seconds since the epoch, by the clock of the file system.
+        signs: Files that say so.
     """
-    if not (directory / OVERRIDES).is_file():
-        write_text(OmegaConf.to_yaml(overrides), directory / OVERRIDES)
-    failure.write(directory)
+    for sign in signs:
+        with suppress(OSError):  # there is none
+            if (directory / sign).stat().st_mtime >= moment:
+                return True
+    return False
 
 
 def job_directories(sweep: Path) -> Iterator[Path]:
@@ -210,20 +263,14 @@ def job_directories(sweep: Path) -> Iterator[Path]:
 
 def stored_overrides(directory: Path) -> tuple[str, ...]:
     """Of a job, as Hydra left them in its directory; none where they cannot be read."""
-    found: list[str] = []
     try:
-        for number, event in enumerate(yaml.parse(small_text(directory / OVERRIDES), _LOADER)):
-            if not isinstance(event, _FLAT) or (isinstance(event, yaml.SequenceStartEvent) and number > 2):
-                return ()
-            found += [event.value] if isinstance(event, yaml.ScalarEvent) else []
-        single = not any(parse(override).is_sweep_override() for override in found)
+        root = yaml.compose(small_text(directory / OVERRIDES), Loader=yaml.SafeLoader)
+        nodes = root.value if isinstance(root, yaml.SequenceNode) else []
+        found = tuple(node.value for node in nodes if isinstance(node, yaml.ScalarNode))
+        single = len(found) == len(nodes) and not any(parse(override).is_sweep_override() for override in found)
     except (OSError, yaml.YAMLError, HydraException, RecursionError):  # cut off while Hydra wrote it, or not by it
         return ()
-    return tuple(found) if single else ()
-
-
-def _name(job: Path, sweep: Path) -> str:
-    return job.relative_to(sweep).as_posix()
+    return found if single else ()
 
 
 def _natural(name: str) -> list[tuple[int, float, str]]:

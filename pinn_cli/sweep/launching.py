@@ -1,4 +1,4 @@
-"""What all launchers share: which jobs are run, what one is to its worker, and that it was lost.
+"""What all launchers share: which jobs are run, what one is to its worker, and that it was lost; and two of them.
 
 Launchers of other projects raise at the first job that ends without a result, and the others are never collected. Those
 here note the loss in the job's directory and go on: the same command runs that job alone again, from its checkpoint.
@@ -6,11 +6,17 @@ here note the loss in the job's directory and go on: the same command runs that 
 
 from __future__ import annotations
 
+import os
+import socket
+import sys
+import threading
+import time
+import uuid
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from functools import cached_property
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cache, cached_property
 from multiprocessing import ProcessError
 from pathlib import Path
 from typing import Any
@@ -19,20 +25,25 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.singleton import Singleton
 from hydra.core.utils import JobReturn, JobStatus, run_job, setup_globals
 from hydra.types import HydraContext, TaskFunction
-from omegaconf import DictConfig, open_dict
+from joblib import Parallel, delayed, effective_n_jobs
+from joblib.externals.loky.process_executor import BrokenProcessPool
+from omegaconf import DictConfig, open_dict, read_write
 
 from pinn_cli.runs.cores import usable_cores
-from pinn_cli.runs.lock import FILE as LOCK
 from pinn_cli.runs.process import environment
 from pinn_cli.runs.resume import asked_to_resume, going_on, is_finished, stored_score
 from pinn_cli.runs.tracking_state import is_tracked
 from pinn_cli.settings.errors import InputError
-from pinn_cli.sweep.composing import compose_job
-from pinn_cli.sweep.failure import DEFECT, Failure
-from pinn_cli.sweep.failure import FILE as FAILURE
-from pinn_cli.sweep.jobs import FINISHED, OVERRIDES, UNFINISHED, Job, Sweep, note_failure
+from pinn_cli.settings.legal_values import is_whole_number
+from pinn_cli.sweep.composing import Composer
+from pinn_cli.sweep.jobs import DEFECT, FINISHED, UNFINISHED, Failure, Job, Sweep, written_since
 
-SAFE_PATH = "PYTHONSAFEPATH"
+# A Python that is started imports nothing from the current folder then, where a `numpy.py` may lie.
+SAFE_PATH = {"PYTHONSAFEPATH": "1"}
+# Why a job of joblib's has failed.
+_REASON = "its worker was killed, again when it ran alone: by the system for want of memory, perhaps"
+# Seconds from one look for the launcher to the next, and the exit status of a worker that has lost it.
+_LOOK_EVERY_S, _STATUS = 1.0, 143
 
 
 @dataclass(frozen=True)
@@ -43,20 +54,27 @@ class Work:
         hydra_context: Of the sweep, as are the next two.
         task_function: What a job runs.
         config: With its `hydra` node.
+        state: Hydra's, in the launcher's process.
+        key: Tells one sweep from another.
     """
 
     hydra_context: HydraContext
     task_function: TaskFunction
     config: DictConfig
+    state: Any = field(default_factory=Singleton.get_state)
+    key: str = field(default_factory=lambda: uuid.uuid4().hex)
 
-    @property
-    def threads(self) -> int:
-        """Of a job, at least one."""
-        return max(1, int(self.config.get("threads", 1)))
+    def __reduce__(self) -> tuple[type[Work], tuple[Any, ...]]:
+        # Without the configurations that its composer keeps.
+        return Work, (self.hydra_context, self.task_function, self.config, self.state, self.key)
+
+    @cached_property
+    def _composer(self) -> Composer:
+        return Composer(self.hydra_context.config_loader, self.config)
 
     def composed(self, overrides: Sequence[str], number: int, name: str = "") -> DictConfig:
         """The configuration of a job, with its `hydra` node; `name` is its `hydra.job.id`."""
-        config = compose_job(self.hydra_context.config_loader, self.config, overrides)
+        config = self._composer.job(overrides)
         with open_dict(config.hydra.job):
             config.hydra.job.id, config.hydra.job.num = name or f"{config.hydra.job.name}_{number}", number
         return config
@@ -74,10 +92,21 @@ class Work:
         )
 
 
-def take_over(state: Any) -> None:
-    """Have Hydra be in this process, a worker's, as it was in the launcher's, whose `Singleton.get_state` this is."""
-    Singleton.set_state(state)
-    setup_globals()
+# Of the sweep that this process, a worker, has run jobs of.
+_entered: Work | None = None
+
+
+def in_worker(work: Work) -> Work:
+    """The same in a worker, where Hydra is as in the launcher's process from the first job on.
+
+    Not set before each job: Hydra then looks for all its plugins.
+    """
+    global _entered  # noqa: PLW0603
+    if _entered is None or _entered.key != work.key:
+        Singleton.set_state(work.state)
+        setup_globals()
+        _entered = work
+    return _entered
 
 
 def jobs_at_once(threads: int) -> int:
@@ -127,20 +156,10 @@ class PendingJob:
         finished = self.goes_on() and is_finished(self.directory, self.task, Path.cwd())
         return finished and is_tracked(self.directory, self.task)
 
-    def begun_since(self, moment: float) -> bool:
-        """Whether it was begun, perhaps anew, at that moment or after it, seconds since the epoch."""
-        for sign in (OVERRIDES, LOCK, FAILURE):
-            with suppress(OSError):  # there is none
-                if (self.directory / sign).stat().st_mtime >= moment:
-                    return True
-        return False
-
-    def under_way_since(self, moment: float) -> bool:
-        """Whether it was begun after that moment, seconds since the epoch, and has not ended."""
-        return self.begun_since(moment - 1.0) and Job.read(self.directory, self.overrides).status == UNFINISHED
-
     def returned(self, finished: bool) -> JobReturn:
         """What a sweeper gets for a job that no worker returned anything for: the score in its directory, if any."""
+        with read_write(self.config.hydra.runtime):
+            self.config.hydra.runtime.output_dir = str(self.directory.absolute())
         result = JobReturn(overrides=self.overrides, cfg=self.task, hydra_cfg=self.config)
         result.status, result.return_value = JobStatus.COMPLETED, stored_score(self.directory) if finished else None
         return result
@@ -149,7 +168,7 @@ class PendingJob:
         """Note that its worker was, unless it had all its results by then or says itself why it failed."""
         finished = self.finished()
         if not finished and Failure.read(self.directory) is None:
-            note_failure(self.directory, self.config.hydra.overrides.task, Failure(DEFECT, reason, reason))
+            Failure(DEFECT, reason, reason).write(self.directory, self.config.hydra.overrides.task)
         return self.returned(finished)
 
 
@@ -158,14 +177,10 @@ class WorkLauncher(ABC):
 
     Args:
         work: Of the sweep.
-
-    Attributes:
-        jobs: What it was asked to run, by their overrides, finished ones among them.
     """
 
     def __init__(self, work: Work) -> None:
         self.work = work
-        self.jobs: dict[tuple[str, ...], PendingJob] = {}
 
     @abstractmethod
     def run(self, jobs: list[PendingJob]) -> dict[int, JobReturn]:
@@ -182,19 +197,14 @@ class WorkLauncher(ABC):
             What each job returned, in the same order; None for one that was lost.
         """
         jobs = [PendingJob(self.work, list(given), initial_job_idx + n) for n, given in enumerate(job_overrides)]
-        self.jobs = {tuple(job.overrides): job for job in jobs}
-        returns = {job.number: job.returned(finished=True) for job in self._finished(jobs)}
+        # With `strict=true` a job tells its verdict again.
+        before = [job for job in jobs if tuple(job.overrides) in self._finished_before and not job.task.get("strict")]
+        returns = {job.number: job.returned(finished=True) for job in before if job.finished()}
         left = [job for job in jobs if job.number not in returns]
         if left:
-            # A Python that is started imports nothing from the current folder then, where a `numpy.py` may lie.
-            with environment({SAFE_PATH: "1"}):
+            with environment(SAFE_PATH):
                 returns |= self.run(left)
         return [returns[number] for number in sorted(returns)]
-
-    def _finished(self, jobs: Sequence[PendingJob]) -> list[PendingJob]:
-        """Those that need not be run; with `strict=true` a job tells its verdict again."""
-        candidates = (job for job in jobs if tuple(job.overrides) in self._finished_before)
-        return [job for job in candidates if job.task.get("strict") is not True and job.finished()]
 
     @cached_property
     def _finished_before(self) -> set[tuple[str, ...]]:
@@ -216,9 +226,8 @@ def usable_settings(settings: Mapping[str, Any]) -> Iterator[None]:
         raise
     except (TypeError, ValueError, AttributeError, AssertionError, OverflowError, OSError, ProcessError) as error:
         given = ", ".join(f"{name}: {value}" for name, value in settings.items() if value is not None)
-        raise InputError(
-            "hydra.launcher", f"{{{given}}}", "settings that the launcher can use", str(error) or type(error).__name__
-        ) from error
+        hint = str(error) or type(error).__name__
+        raise InputError("hydra.launcher", f"{{{given}}}", "settings that the launcher can use", hint) from error
 
 
 class SerialLauncher(WorkLauncher):
@@ -228,3 +237,104 @@ class SerialLauncher(WorkLauncher):
         """See :meth:`WorkLauncher.run`."""
         setup_globals()
         return {job.number: self.work.run(job.overrides, job.number) for job in jobs}
+
+
+class JoblibLauncher(WorkLauncher):
+    """`hydra/launcher=joblib`: a process per job at a time, and one that is killed takes only its own job along.
+
+    Each worker has its own share of the cores, and ends with the launcher: nobody else would ever give it another job.
+
+    Args:
+        work: Of the sweep.
+        n_jobs: How many processes; -1: as many as the cores can run at once with the `threads` of a job.
+        settings: Of `joblib.Parallel`: `conf/hydra/launcher/joblib.yaml` lists them.
+    """
+
+    def __init__(self, work: Work, n_jobs: int = -1, **settings: Any) -> None:
+        super().__init__(work)
+        if not is_whole_number(n_jobs) or not n_jobs:
+            raise InputError("hydra.launcher.n_jobs", n_jobs, "a whole number, -1: as many as the cores can run")
+        threads = int(work.config.get("threads", 1))
+        self.processes = jobs_at_once(threads) if n_jobs == -1 else effective_n_jobs(n_jobs)
+        self.settings = settings
+
+    def run(self, jobs: list[PendingJob]) -> dict[int, JobReturn]:
+        """When a worker is killed, joblib ends all: the others go on, then those that it may have been, each alone."""
+        suspects: list[PendingJob] = []
+        returns: dict[int, JobReturn] = {}
+        while len(returns) + len(suspects) < len(jobs):
+            left = [job for job in jobs if job not in suspects]
+            began = time.time() - 1.0
+            try:
+                returns = self._at_once(left)
+            except BrokenProcessPool:
+                under_way = [job for job in left if _is_under_way(job, began)]
+                if not under_way:  # workers do not even start
+                    raise
+                print(f"a worker was killed: {len(under_way)} jobs are put off, to run alone", file=sys.stderr)
+                suspects += under_way
+        for job in suspects:
+            try:
+                returns |= self._at_once([job])
+            except BrokenProcessPool:
+                returns[job.number] = job.lost(_REASON)
+        return returns
+
+    def _at_once(self, jobs: Sequence[PendingJob]) -> dict[int, JobReturn]:
+        calls = (delayed(_run_job)(self.work, job.overrides, job.number, self.processes) for job in jobs)
+        # Hydra's state is the process's: threads would share it.
+        with usable_settings(self.settings):
+            returned = Parallel(n_jobs=self.processes, **{**self.settings, "backend": "loky"})(calls)
+        return dict(zip((job.number for job in jobs), returned, strict=True))
+
+
+def _is_under_way(job: PendingJob, since: float) -> bool:
+    begun = written_since(job.directory, since)
+    return begun and Job.read(job.directory, job.overrides).status == UNFINISHED
+
+
+def _run_job(work: Work, overrides: Sequence[str], number: int, processes: int) -> JobReturn:
+    end_with_launcher()
+    pin(processes)
+    return in_worker(work).run(overrides, number)
+
+
+@cache
+def end_with_launcher() -> None:
+    """Have this process end within seconds of the one that started it, as by a kill: the job under way can go on."""
+
+    def watch(launcher: int) -> None:
+        while os.getppid() == launcher:
+            time.sleep(_LOOK_EVERY_S)
+        os._exit(_STATUS)
+
+    threading.Thread(target=watch, args=(os.getppid(),), name="launcher", daemon=True).start()
+
+
+def shares(cores: list[int], workers: int) -> list[list[int]]:
+    """Divide cores among workers, neighbouring ones to the same; with more workers than cores some share one."""
+    count = len(cores)
+    if workers > count:
+        return [[cores[worker % count]] for worker in range(workers)]
+    return [cores[worker * count // workers : (worker + 1) * count // workers] for worker in range(workers)]
+
+
+@cache
+def pin(workers: int) -> socket.socket | None:
+    """Keep this process, one of so many workers, to the first share of the cores that none of its siblings has.
+
+    Where the system cannot (it is not Linux), or no share is left, nothing happens.
+
+    Returns:
+        The claim to the share, kept open: the system gives it back when the process ends, however it ends.
+    """
+    for share, cores in enumerate(shares(usable_cores(), workers)) if hasattr(os, "sched_setaffinity") else ():
+        claim = socket.socket(socket.AF_UNIX)
+        try:
+            claim.bind(f"\0pinn-run cores {os.getppid()} {share}")  # an abstract name, which dies with its owner
+        except OSError:
+            claim.close()
+            continue
+        os.sched_setaffinity(0, cores)
+        return claim
+    return None

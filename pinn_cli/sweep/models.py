@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,8 +18,6 @@ from pinn_cli.runs.writing import write_table
 from pinn_cli.sweep.jobs import FINISHED, Job, Sweep
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from matplotlib.axes import Axes
 
 MODELS = "models.csv"
@@ -61,95 +59,65 @@ def compared(sweep: Sweep, jobs: Sequence[Job]) -> Comparison | None:
         many ``unknown`` and believed ones, and ``verdict``. Jobs that differ in other settings too are compared with
         those that share these.
     """
-    columns = [sweep.columns(job) for job in jobs]
-    swept = list(dict.fromkeys(name for each in columns for name in each))
+    swept = list(dict.fromkeys(name for job in jobs for name in sweep.columns(job)))
     settings = tuple(name for name in swept if name in _OF_MODELS or name.startswith("system."))
     if not settings or sweep.is_search:
         return None
-    found = [(job, own) for job, own in zip(jobs, columns, strict=True) if job.status == FINISHED]
+    rows = [sweep.columns(job) | _found(job.directory) for job in jobs if job.status == FINISHED]
+    found = pd.DataFrame(rows, columns=[*swept, "observed", *COLUMNS])
     others = [name for name in swept if name not in settings]
+    groups = [group for _, group in found.groupby(others, sort=False, dropna=False)] if others else [found]
     tables = []
-    for group in _groups(found, others):
+    for group in groups:
         if len(group) < 2:
             continue
-        rows = [_row(job, own) for job, own in group]
-        reason = _incomparable(rows, settings)
+        reason = _incomparable(group, settings)
         if reason:
             return Comparison(settings, None, reason)
-        tables.append(_with_probabilities(rows, swept))
+        factor = group["log_evidence"] - group["log_evidence"].max()
+        odds = np.exp(factor)
+        table = group.assign(log_bayes_factor=factor, probability=odds / odds.sum()).drop(columns="observed")
+        tables.append(table.sort_values("log_evidence", ascending=False, kind="stable"))
     if not tables:
         return Comparison(settings, None, "fewer than two of them have finished")
     return Comparison(settings, pd.concat(tables, ignore_index=True))
 
 
-def _groups(
-    found: Sequence[tuple[Job, Mapping[str, str]]], others: Sequence[str]
-) -> Iterator[list[tuple[Job, Mapping[str, str]]]]:
-    """Jobs that differ in their model alone."""
-    groups: dict[tuple[str | None, ...], list[tuple[Job, Mapping[str, str]]]] = {}
-    for job, own in found:
-        groups.setdefault(tuple(own.get(name) for name in others), []).append((job, own))
-    yield from groups.values()
-
-
-def _row(job: Job, swept: Mapping[str, str]) -> dict[str, Any]:
-    record = read_record(job.directory)
+def _found(directory: Path) -> dict[str, Any]:
+    """What is compared, of a finished job; the parameters are those of its tables."""
+    record = read_record(directory)
     evidence = record.get("training", {}).get("model_log_evidence")
-    effective, unknown = _parameters(job.directory)
+    left, parameters, validation = (
+        read_table(directory / name) if (directory / name).is_file() else None
+        for name in ("identifiability.csv", "parameters.csv", "validation.csv")
+    )
+    effective, unknown = np.nan, 0
+    if left is not None:
+        effective = float((1.0 - (left["std"] / left["prior_std"]).clip(upper=1.0) ** 2).sum())
+        if parameters is not None:
+            unknown = int(parameters[parameters["estimator"] == "pinn"]["start"].notna().sum())
     return {
-        **swept,
         "observed": record.get("observed"),
         "log_evidence": np.nan if evidence is None else float(evidence),
-        "validation_nmse_percent": _validation(job.directory),
+        "validation_nmse_percent": np.nan if validation is None else float(validation["nmse_percent"].mean()),
         "effective_parameters": effective,
         "unknown": unknown,
         "verdict": record.get("verdict"),
     }
 
 
-def _incomparable(rows: Sequence[Mapping[str, Any]], settings: Sequence[str]) -> str:
+def _incomparable(group: pd.DataFrame, settings: Sequence[str]) -> str:
     """Why models cannot be compared; "" where they can."""
-    first = rows[0]
-    for row in rows:
-        named = _named(row, settings)
-        if not np.isfinite(row["log_evidence"]):
-            return f"{named} has no evidence: it needs scheme=state_parameter or bayesian, and training=gauss_newton"
-        if row["observed"] is None or row["observed"] != first["observed"]:
-            return f"{_named(first, settings)} and {named} saw different records or sensors"
+    named = [
+        " ".join(f"{name}={value}" for name, value in row.items() if value == value)
+        for row in group[list(settings)].to_dict("records")
+    ]
+    for name, evidence, observed in zip(named, group["log_evidence"], group["observed"], strict=True):
+        if not np.isfinite(evidence):
+            return f"{name} has no evidence: it needs scheme=state_parameter or bayesian, and training=gauss_newton"
+        if observed is None or observed != group["observed"].iloc[0]:
+            return f"{named[0]} and {name} saw different records or sensors"
     return ""
-
-
-def _named(row: Mapping[str, Any], settings: Sequence[str]) -> str:
-    return " ".join(f"{name}={row[name]}" for name in settings if name in row)
-
-
-def _with_probabilities(rows: Sequence[Mapping[str, Any]], swept: Sequence[str]) -> pd.DataFrame:
-    table = pd.DataFrame(rows).drop(columns="observed")
-    factor = table["log_evidence"] - table["log_evidence"].max()
-    odds = np.exp(factor)
-    table = table.assign(log_bayes_factor=factor, probability=odds / odds.sum())
-    columns = [*(name for name in swept if name in table), *COLUMNS]
-    return table[columns].sort_values("log_evidence", ascending=False, kind="stable")
-
-
-def _parameters(directory: Path) -> tuple[float, int]:
-    """How many parameters the record determines, and how many were unknown."""
-    table = _read(directory / "identifiability.csv")
-    if table is None:
-        return np.nan, 0
-    left = (table["std"] / table["prior_std"]).clip(upper=1.0)
-    parameters = _read(directory / "parameters.csv")
-    unknown = 0 if parameters is None else int(parameters[parameters["estimator"] == "pinn"]["start"].notna().sum())
-    return float((1.0 - left**2).sum()), unknown
-
-
-def _validation(directory: Path) -> float:
-    table = _read(directory / "validation.csv")
-    return np.nan if table is None else float(table["nmse_percent"].mean())
-
-
-def _read(file: Path) -> pd.DataFrame | None:
-    return read_table(file) if file.is_file() else None
 
 
 def models_text(comparison: Comparison) -> str:
@@ -157,12 +125,15 @@ def models_text(comparison: Comparison) -> str:
     if comparison.table is None:
         return f"models are not compared: {comparison.reason}"
     table = comparison.table
-    shown = pd.DataFrame({name: table[name] for name in table.columns if name not in COLUMNS})
-    shown["log evidence"] = table["log_evidence"].map("{:.1f}".format)
-    shown["probability"] = table["probability"].map("{:.3f}".format)
-    if table["validation_nmse_percent"].notna().any():
-        shown["validation NMSE (%)"] = table["validation_nmse_percent"].map("{:.3g}".format)
-    shown["effective parameters"] = table["effective_parameters"].map("{:.1f}".format)
+    shown = table[[name for name in table.columns if name not in COLUMNS]].copy()
+    for name, title, form in (
+        ("log_evidence", "log evidence", "{:.1f}"),
+        ("probability", "probability", "{:.3f}"),
+        ("validation_nmse_percent", "validation NMSE (%)", "{:.3g}"),
+        ("effective_parameters", "effective parameters", "{:.1f}"),
+    ):
+        if name != "validation_nmse_percent" or table[name].notna().any():
+            shown[title] = table[name].map(form.format)
     shown["verdict"] = table["verdict"].fillna("-")
     return "\n".join(["models by their evidence; all are as probable beforehand", shown.to_string(index=False)])
 
@@ -189,18 +160,14 @@ def models_figure(comparison: Comparison) -> Figure | None:
         return None
     validated = bool(table["validation_nmse_percent"].notna().any())
     with style.look():
-        height = 0.75 + _ROW * len(table)
-        figure = Figure(figsize=(style.PAGE_WIDTH if validated else 4.6, height))
-        panels = figure.subplots(1, 1 + validated, squeeze=False, sharey=True, gridspec_kw={
-            "left": 0.24 if validated else 0.36, "right": 0.98, "top": 1.0 - 0.12 / height, "bottom": 0.48 / height,
-            "wspace": 0.08,
-        })[0]  # fmt: skip
+        size = (style.PAGE_WIDTH if validated else 4.6, 0.75 + _ROW * len(table))
+        figure = Figure(figsize=size, layout="constrained")
+        panels = figure.subplots(1, 1 + validated, squeeze=False, sharey=True)[0]
         place = np.arange(len(table))[::-1]
         _draw_evidence(panels[0], table, place)
         panels[0].set_yticks(place, [_label(row, comparison) for _, row in table.iterrows()])
         if validated:
-            error = table["validation_nmse_percent"].to_numpy()
-            panels[1].barh(place, error, color=style.GREY, height=0.6)
+            panels[1].barh(place, table["validation_nmse_percent"], color=style.GREY, height=0.6)
             panels[1].set_xscale("log")
             panels[1].set_xlabel("free run on validation data, NMSE (%)")
     return figure

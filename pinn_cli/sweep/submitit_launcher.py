@@ -1,13 +1,14 @@
-"""`hydra/launcher=slurm` and `workstation`: the jobs of a sweep as tasks of submitit.
+"""`hydra/launcher=slurm` and `workstation`: the jobs of a sweep as tasks of submitit, of which several can share one.
 
-No job that is lost takes others along; several short ones can share a task, those behind one that is killed are sent
-again, those that a launcher sent before it was killed are waited for, and a task that is asked to make room (SIGUSR2)
-comes back once the step under way is done and its checkpoint written. Which tasks are queued, `squeue` says.
+A task that is lost takes its own jobs along, which the same command runs again; those that a launcher sent before it
+was killed are waited for; a task that is asked to make room (SIGUSR2) comes back once the step under way is done and
+its checkpoint written. Which tasks are queued, `squeue` says.
 """
 
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,7 +21,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import submitit
-from hydra.core.singleton import Singleton
 from hydra.core.utils import JobReturn
 from omegaconf import OmegaConf
 from submitit.core.utils import JobPaths
@@ -28,8 +28,7 @@ from submitit.core.utils import JobPaths
 from pinn_cli.runs.interruption import Interruption, warning, watched
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import whole_number
-from pinn_cli.sweep.failure import UnansweredError
-from pinn_cli.sweep.launching import PendingJob, Work, WorkLauncher, jobs_at_once, take_over, usable_settings
+from pinn_cli.sweep.launching import PendingJob, Work, WorkLauncher, in_worker, jobs_at_once, usable_settings
 
 # Of the executor itself, rather than of its jobs.
 _OF_EXECUTOR = ("submitit_folder", "max_num_timeout")
@@ -40,17 +39,17 @@ _SHARED = (
 # What is made of a task that the cluster has forgotten, as it does some minutes after its end.
 FORGOTTEN = "ENDED"
 # States from which no task comes back, once it has been seen in one of them twice: before it is queued again, a task
-# that was preempted may be in one. Of a task in one of the second line somebody may have ended it on purpose.
-_ENDED = ("BOOT_FAIL", "COMPLETED", "DEADLINE", "FAILED", "NODE_FAIL", "OUT_OF_MEMORY", "PREEMPTED", "TIMEOUT")
-_ON_PURPOSE = ("CANCELLED", FORGOTTEN)
+# that was preempted may be in one.
+_ENDED = (
+    "BOOT_FAIL", "CANCELLED", "COMPLETED", "DEADLINE", "FAILED", "NODE_FAIL", "OUT_OF_MEMORY", "PREEMPTED", "TIMEOUT",
+    FORGOTTEN,
+)  # fmt: skip
 # Seconds from one look for results to the next, from one `squeue` to the next, and that a slow file system has to show
 # the result of a task that has ended.
 _LOOK_EVERY_S, _ASK_EVERY_S, _SHOWN_S = 1.0, 10.0, 15.0
-# How many times in a row `squeue` may fail, as where its daemon starts anew: a minute, or several if it waits itself.
-_UNANSWERED = 6
 
-# A task and its jobs, in the order in which it runs them.
-Sent = tuple[Any, list[PendingJob]]
+# A task and its jobs, in the order in which it runs them; None for one that has not been asked for.
+Sent = tuple[Any, Sequence[PendingJob | None]]
 
 
 @dataclass(frozen=True)
@@ -63,11 +62,11 @@ class Batch:
 
     work: Work
 
-    def __call__(self, batch: Sequence[tuple[Any, ...]]) -> list[JobReturn]:
+    def __call__(self, batch: Sequence[tuple[list[str], int]]) -> list[JobReturn]:
         """Run the jobs of a task, in a worker.
 
         Args:
-            batch: Overrides and number of each job, and the state of Hydra where it was launched.
+            batch: Overrides and number of each job.
 
         Raises:
             SystemExit: The task makes room and comes back.
@@ -76,7 +75,8 @@ class Batch:
             # A scheduler sends SIGTERM some time before it kills, and the job may come back or not: by then there is a
             # checkpoint. The task goes on: one that ended here would not be run again.
             with watched((signal.SIGUSR2,)), warning(signal.SIGTERM):
-                return [self._run(*job) for job in batch]
+                name = submitit.JobEnvironment().job_id
+                return [in_worker(self.work).run(overrides, number, name) for overrides, number in batch]
         except Interruption:  # what was put off to the end of a step: submitit, which had the signal before, requeues
             signal.raise_signal(signal.SIGUSR2)
             raise
@@ -84,10 +84,6 @@ class Batch:
     def checkpoint(self, *args: Any, **kwargs: Any) -> Any:
         """What submitit runs when a task comes back: the same again, since each job goes on from its checkpoint."""
         return submitit.helpers.DelayedSubmission(self, *args, **kwargs)
-
-    def _run(self, overrides: list[str], number: int, state: Any) -> JobReturn:
-        take_over(state)
-        return self.work.run(overrides, number, submitit.JobEnvironment().job_id)
 
 
 class SubmititLauncher(WorkLauncher):
@@ -110,16 +106,20 @@ class SubmititLauncher(WorkLauncher):
 
     def run(self, jobs: list[PendingJob]) -> dict[int, JobReturn]:
         """See :meth:`WorkLauncher.run`."""
+        sent = self._sent_before(jobs)
+        under_way = {job.number for _, batch in sent for job in batch if job is not None}
+        batches = self._batches([job for job in jobs if job.number not in under_way])
+        sent += zip(self._submit(batches) if batches else [], batches, strict=True)
+        states = self._ended([task for task, _ in sent])
         returns: dict[int, JobReturn] = {}
-        left, sent = jobs, self._sent_before(jobs)
-        while left:  # of what is sent, at least one job of each task returns something, or is lost
-            under_way = {job.number for _, batch in sent for job in batch}
-            batches = self._batches([job for job in left if job.number not in under_way])
-            sent += zip(self._submit(batches) if batches else [], batches, strict=True)
-            returns |= self._results(sent, self._ended([task for task, _ in sent]))
-            left, sent = [job for job in left if job.number not in returns], []
-            if left:
-                print(f"{len(left)} jobs were behind one that was killed: they are sent again", file=sys.stderr)
+        for task, batch in sent:
+            if _has_result(task):
+                each = zip(batch, task.results()[0], strict=True)
+                returns |= {job.number: returned for job, returned in each if job is not None}
+                continue
+            state = states[str(task.job_id)]
+            reason = f"{self._TASK} {task.job_id} ended without a result, state {state}; {_details(task)}"
+            returns |= {job.number: job.lost(reason) for job in batch if job is not None}
         return returns
 
     def _sent_before(self, jobs: list[PendingJob]) -> list[Sent]:
@@ -135,15 +135,18 @@ class SubmititLauncher(WorkLauncher):
         return [jobs[start : start + step] for start in range(0, len(jobs), step)]
 
     def _submit(self, batches: list[list[PendingJob]]) -> list[Any]:
-        state = Singleton.get_state()
-        calls = [[(job.overrides, job.number, state) for job in batch] for batch in batches]
+        calls = [[(job.overrides, job.number) for job in batch] for batch in batches]
         try:
             with usable_settings(self.params):
                 tasks = list(self._executor().map_array(Batch(self.work), calls))
         except RuntimeError as error:  # there is no SLURM, or it refuses
             hint = " ".join(str(error).split())
             raise InputError("hydra/launcher", self._EXECUTOR, "one that takes these jobs", hint) from error
-        self._announce(sum(map(len, batches)), tasks)
+        if self._EXECUTOR == "slurm":
+            array, jobs = _array(tasks[0]), sum(map(len, batches))
+            print(
+                f"{jobs} jobs as SLURM job {array} of {len(tasks)} tasks; scancel {array} cancels it", file=sys.stderr
+            )
         return tasks
 
     def _executor(self) -> Any:
@@ -158,50 +161,27 @@ class SubmititLauncher(WorkLauncher):
         executor.update_parameters(**{n if n in _SHARED else f"{self._EXECUTOR}_{n}": v for n, v in given.items()})
         return executor
 
-    def _results(self, sent: list[Sent], states: dict[str, str]) -> dict[int, JobReturn]:
-        """What jobs returned, by their numbers, of tasks that have ended; nothing for those to be sent again."""
-        returns: dict[int, JobReturn] = {}
-        behind: list[tuple[PendingJob, str]] = []
-        cancelled = False
-        for task, batch in sent:
-            if _has_result(task):
-                returns |= dict(zip((job.number for job in batch), task.results()[0], strict=True))
-                continue
-            state = states[str(task.job_id)]
-            cancelled |= state.startswith(_ON_PURPOSE)
-            reason = f"{self._TASK} {task.job_id} ended without a result, state {state}; {_details(task)}"
-            spared = _never_begun(task, batch)
-            behind += [(job, reason) for job in spared]
-            returns |= {job.number: job.lost(reason) for job in batch if job not in spared}
-        if cancelled:  # one task or the whole array, which its states do not tell: either way nothing is to come back
-            returns |= {job.number: job.lost(reason) for job, reason in behind}
-        return returns
-
-    def _announce(self, jobs: int, tasks: list[Any]) -> None:
-        """How many went where, on the terminal."""
-
 
 class SlurmLauncher(SubmititLauncher):
     """On a SLURM cluster; see the module."""
 
     _EXECUTOR, _TASK = "slurm", "SLURM job"
-    _failures = 0
+    _answers = True
 
     def _sent_before(self, jobs: list[PendingJob]) -> list[Sent]:
-        folder, left = self.params["submitit_folder"], {job.number for job in jobs}
+        folder, wanted = self.params["submitit_folder"], {tuple(job.overrides): job for job in jobs}
         scripts = JobPaths.get_first_id_independent_folder(folder)
-        if not jobs[0].goes_on() or not scripts.is_dir():
+        if not jobs[0].goes_on() or not scripts.is_dir() or shutil.which("squeue") is None:
             return []
         while (queue := self._queue()) is None:
             time.sleep(_ASK_EVERY_S)
         sent: list[Sent] = []
         for name, (state, script) in queue.items():
-            if script.parent == scripts and not state.startswith((*_ENDED, *_ON_PURPOSE, "COMPLETING")):
+            if script.parent == scripts and not state.startswith((*_ENDED, "COMPLETING")):
                 task: Any = submitit.SlurmJob(folder, name)
-                batch = [self.jobs.get(overrides) for overrides in _overrides_of(task)]
-                of_sweep = [job for job in batch if job is not None]
-                if len(of_sweep) == len(batch) and any(job.number in left for job in of_sweep):
-                    sent.append((task, of_sweep))
+                batch = [wanted.get(overrides) for overrides in _overrides_of(task)]
+                if any(batch):
+                    sent.append((task, batch))
         for array in dict.fromkeys(_array(task) for task, _ in sent):
             print(f"waiting for SLURM job {array}, sent before; scancel {array} cancels it", file=sys.stderr)
         return sent
@@ -215,7 +195,7 @@ class SlurmLauncher(SubmititLauncher):
                 continue
             queue, asked = self._queue(), time.monotonic()
             now = {} if queue is None else {name: queue.get(name, (FORGOTTEN, Path()))[0] for name in left}
-            ended = {name for name, state in now.items() if state.startswith((*_ENDED, *_ON_PURPOSE))}
+            ended = {name for name, state in now.items() if state.startswith(_ENDED)}
             states |= {name: now[name] for name in ended & seen}
             left, seen = {name: task for name, task in left.items() if name not in states}, ended
         lost = [task for task in tasks if str(task.job_id) in states]
@@ -225,32 +205,19 @@ class SlurmLauncher(SubmititLauncher):
         return states
 
     def _queue(self) -> dict[str, tuple[str, Path]] | None:
-        """State and script of this user's tasks by name (`17_3`), ended ones for some minutes; None if nobody answers.
-
-        Raises:
-            UnansweredError: Nobody has for some time.
-        """
+        """State and script of this user's tasks by name (`17_3`), ended ones for some minutes; None: no answer."""
         options = ("--noheader", "--array", "--states=all", f"--user={os.getuid()}", "--format=%i|%T|%o")
         try:
             listed = subprocess.run(["squeue", *options], capture_output=True, text=True, timeout=60, check=True).stdout
         except (OSError, subprocess.SubprocessError) as error:
-            self._failures += 1
-            if self._failures < _UNANSWERED:
-                return None
-            said = (getattr(error, "stderr", None) or str(error)).strip().splitlines()
-            told = (
-                f"squeue failed {_UNANSWERED} times in a row ({said[-1]}): what was sent goes on without this command"
-            )
-            raise UnansweredError(told) from error
-        self._failures = 0
-        rows = (
-            line.split("|", 2) for line in listed.splitlines() if line.count("|") >= 2
-        )  # no remarks of the cluster's
-        return {name: (state, Path(script)) for name, state, script in rows}
-
-    def _announce(self, jobs: int, tasks: list[Any]) -> None:
-        array = _array(tasks[0])
-        print(f"{jobs} jobs as SLURM job {array} of {len(tasks)} tasks; scancel {array} cancels it", file=sys.stderr)
+            if self._answers:  # as where its daemon starts anew
+                said = (getattr(error, "stderr", None) or str(error)).strip().splitlines()
+                print(f"squeue does not answer, and is asked again ({said[-1]})", file=sys.stderr)
+            self._answers = False
+            return None
+        self._answers = True
+        rows = (line.split("|", 2) for line in listed.splitlines())
+        return {row[0]: (row[1], Path(row[2])) for row in rows if len(row) == 3}  # no remarks of the cluster's
 
 
 class LocalLauncher(SubmititLauncher):
@@ -291,16 +258,6 @@ def _overrides_of(task: Any) -> list[tuple[str, ...]]:
         with suppress(Exception):  # what cannot be read here, the task cannot read either
             return [tuple(overrides) for overrides, *_ in task.submission().args[0]]
     return []
-
-
-def _never_begun(task: Any, batch: list[PendingJob]) -> list[PendingJob]:
-    """The jobs behind the one that was under way when their task was lost; none if it began none at all."""
-    submission = task.paths.submitted_pickle
-    if not submission.is_file():
-        return []
-    sent = submission.stat().st_mtime  # by the clock of the file system that has the jobs' files too
-    behind = [job for job in batch if not job.begun_since(sent)]
-    return behind if len(behind) < len(batch) else []
 
 
 def _details(task: Any) -> str:

@@ -14,15 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
 
 from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report.figures import style
 from pinn_cli.report.fitness import FORMULAS
 from pinn_cli.report.terminal.columns import percent
 from pinn_cli.runs.writing import write_table
-from pinn_cli.sweep.jobs import FAILED, FINISHED
-from pinn_cli.sweep.tables import FITNESS, REASON, STATUS
+from pinn_cli.sweep.jobs import FAILED, FINISHED, FITNESS, REASON, STATUS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,7 +32,6 @@ _OF_A_ROW = ("estimator", "group", "quantity")
 MOST_LINES = len(style.CYCLE)  # beyond these a line is one of many, and their mean stands out
 _LOGARITHMIC = 30.0  # ratio of the largest to the smallest value from which a setting has a logarithmic axis
 _FINEST = 1e-3  # errors in per cent below this are drawn at it
-_TICKS = (1e-3, 1e-2, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1000.0, 1e4)
 _MOST_COLUMNS, _MOST_VALUES_NAMED = 6, 6
 _MARKERS = "os^Dv<>"
 
@@ -42,11 +39,6 @@ _MARKERS = "os^Dv<>"
 def is_seed(setting: str) -> bool:
     """Whether a setting is the seed of something random, which is averaged over."""
     return re.fullmatch(r"(?:.*[._])?seeds?", setting) is not None
-
-
-def compared_settings(fitness: pd.DataFrame, swept: Sequence[str]) -> list[str]:
-    """Those of a sweep's settings that are no seeds, in the order typed."""
-    return [setting for setting in swept if setting in fitness and not is_seed(setting)]
 
 
 def summarise(fitness: pd.DataFrame, swept: Sequence[str]) -> pd.DataFrame:
@@ -61,7 +53,7 @@ def summarise(fitness: pd.DataFrame, swept: Sequence[str]) -> pd.DataFrame:
         standard deviation (over the draws, n - 1; empty for one) of both formulas, how many `seeds` they are over, and
         how many jobs with that setting `failed`. Where there is no truth there is no row.
     """
-    settings = compared_settings(fitness, swept)
+    settings = [setting for setting in swept if setting in fitness and not is_seed(setting)]
     by = [*settings, *_OF_A_ROW]
     finished = fitness[(fitness[STATUS] == FINISHED) & fitness["fitness_percent"].notna()]
     grouped = finished.groupby(by, sort=False, dropna=False)
@@ -77,6 +69,8 @@ def summarise(fitness: pd.DataFrame, swept: Sequence[str]) -> pd.DataFrame:
 
 def write_summary(directory: Path, swept: Sequence[str]) -> pd.DataFrame | None:
     """Write `summary.csv` and its figure, of the sweep's `fitness.csv`; None where no job has a fitness."""
+    if not (directory / FITNESS).is_file():
+        return None
     text = dict.fromkeys([*swept, STATUS, REASON], str)
     fitness = pd.read_csv(directory / FITNESS, dtype=text, low_memory=False)
     summary = summarise(fitness, swept) if "fitness_percent" in fitness else pd.DataFrame()
@@ -113,6 +107,8 @@ def numeric_settings(table: pd.DataFrame, settings: Sequence[str]) -> list[str]:
 def sweep_figure(summary: pd.DataFrame, settings: Sequence[str]) -> Figure | None:
     """Mean fitness over the seeds by the printed formula, over all DOFs, with its standard deviation as bars.
 
+    Drawn is the error, 100 less the fitness: on its logarithmic axis 99.9 is as far from 99 as 99 is from 90.
+
     Args:
         summary: Of :func:`summarise`.
         settings: The swept settings among its columns. Each numeric one has a column; all others tell the lines apart.
@@ -126,21 +122,26 @@ def sweep_figure(summary: pd.DataFrame, settings: Sequence[str]) -> Figure | Non
     if not numeric or not quantities:
         return None
     with style.look():
-        height = 0.75 + 1.35 * len(quantities)
-        figure = Figure(figsize=(style.PAGE_WIDTH, height))
-        grid = figure.add_gridspec(
-            len(quantities), len(numeric), left=0.1, right=0.72, top=1.0 - 0.12 / height, bottom=0.45 / height,
-            hspace=0.12, wspace=0.12,
-        )  # fmt: skip
-        panels = grid.subplots(sharex="col", sharey="row", squeeze=False)
-        for column, setting in enumerate(numeric):
+        figure = Figure(figsize=(style.PAGE_WIDTH, 1.2 + 1.35 * len(quantities)), layout="constrained")
+        panels = figure.subplots(len(quantities), len(numeric), sharex="col", sharey="row", squeeze=False)
+        for column, setting in zip(panels.T, numeric, strict=True):
             lines = _lines(overall, setting, ["estimator", *(name for name in settings if name != setting)])
-            for row, quantity in enumerate(quantities):
-                _draw(panels[row, column], lines, quantity)
-            _dress_setting(panels[-1, column], setting, np.unique(pd.to_numeric(overall[setting])))
-        for row, quantity in enumerate(quantities):
-            _dress_fitness(panels[row], quantity)
-        _legend(figure, panels)
+            for axes, quantity in zip(column, quantities, strict=True):
+                _draw(axes, [(label, rows[rows["quantity"] == quantity]) for label, rows in lines])
+            values = np.unique(pd.to_numeric(overall[setting]))
+            column[-1].set_xscale("log" if values[0] > 0.0 and values[-1] > _LOGARITHMIC * values[0] else "linear")
+            if len(values) <= _MOST_VALUES_NAMED:
+                column[-1].set_xticks(values, [f"{value:g}" for value in values], minor=False)
+                column[-1].minorticks_off()
+            column[-1].set_xlabel(setting)
+            if any(column[0].get_legend_handles_labels()[1]):
+                column[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=6.5)
+        for row, quantity in zip(panels, quantities, strict=True):
+            row[0].set_yscale("log")
+            row[0].set_ylabel(f"100 - fitness of {style.SYMBOLS[quantity]} (%)")
+            for axes in row:
+                axes.grid(True, axis="y")
+                axes.set_axisbelow(True)
     return figure
 
 
@@ -148,75 +149,28 @@ def _lines(overall: pd.DataFrame, setting: str, others: Sequence[str]) -> list[t
     """What is drawn against a setting: a label and the rows of the line, for each combination of the others."""
     varied = [name for name in others if len(overall[name].unique()) > 1]
     rows = overall.assign(x=pd.to_numeric(overall[setting])).sort_values("x", kind="stable")
+    rows["error"] = (100.0 - rows["fitness_percent_mean"]).clip(lower=_FINEST)
     if not varied:
         return [("", rows)]
+    names = [name.rpartition(".")[2] for name in varied]
     return [
-        (style.literal(", ".join(f"{_short(name)} {value}" for name, value in zip(varied, values, strict=True))), part)
+        (style.literal(", ".join(f"{short} {value}" for short, value in zip(names, values, strict=True))), part)
         for values, part in rows.groupby(varied, sort=False, dropna=False)
     ]
 
 
-def _draw(axes: Axes, lines: Sequence[tuple[str, pd.DataFrame]], quantity: str) -> None:
-    many = len(lines) > MOST_LINES
+def _draw(axes: Axes, lines: Sequence[tuple[str, pd.DataFrame]]) -> None:
+    if len(lines) > MOST_LINES:
+        for _, rows in lines:
+            axes.plot(rows["x"], rows["error"], color=style.GREY, linewidth=0.4, alpha=0.6)
+        median = pd.concat([rows for _, rows in lines]).groupby("x")["error"].median()
+        label = f"median of {len(lines)} other settings"
+        axes.plot(median.index, median, color=style.BLUE, marker="o", markersize=2.6, linewidth=1.4, label=label)
+        return
     for (label, rows), colour, marker in zip(lines, cycle(style.CYCLE), cycle(_MARKERS)):
-        part = rows[rows["quantity"] == quantity]
-        error = 100.0 - part["fitness_percent_mean"].to_numpy()
-        if many:
-            axes.plot(part["x"], np.maximum(error, _FINEST), color=style.GREY, linewidth=0.4, alpha=0.6)
-            continue
-        spread = part["fitness_percent_std"].fillna(0.0).to_numpy()
-        low, high = (np.maximum(bound, _FINEST) for bound in (error - spread, error + spread))
-        middle = np.maximum(error, _FINEST)
+        error, spread = rows["error"].to_numpy(), rows["fitness_percent_std"].fillna(0.0).to_numpy()
+        below = np.maximum(error - spread, _FINEST)
         axes.errorbar(
-            part["x"], middle, yerr=(middle - low, high - middle), color=colour, marker=marker, markersize=2.6,
+            rows["x"].to_numpy(), error, yerr=(error - below, spread), color=colour, marker=marker, markersize=2.6,
             linewidth=0.8, elinewidth=0.6, capsize=1.5, label=label,
         )  # fmt: skip
-    if many:
-        every = pd.concat([rows[rows["quantity"] == quantity] for _, rows in lines])
-        mean = (100.0 - every["fitness_percent_mean"]).clip(lower=_FINEST).groupby(every["x"]).median()
-        label = f"median of {len(lines)}\nother settings"
-        axes.plot(mean.index, mean, color=style.BLUE, marker="o", markersize=2.6, linewidth=1.4, label=label)
-
-
-def _dress_setting(axes: Axes, setting: str, values: np.ndarray) -> None:
-    if values[0] > 0.0 and values[-1] > _LOGARITHMIC * values[0]:
-        axes.set_xscale("log")
-    if len(values) <= _MOST_VALUES_NAMED:
-        axes.xaxis.set_major_locator(FixedLocator(list(values)))
-        axes.xaxis.set_major_formatter(FixedFormatter([f"{value:g}" for value in values]))
-        axes.xaxis.set_minor_locator(NullLocator())
-    axes.set_xlabel(setting)
-
-
-def _dress_fitness(row: np.ndarray, quantity: str) -> None:
-    """An axis that is logarithmic in the error, so that 99.9 is as far from 99 as 99 is from 90."""
-    first = row[0]
-    first.set_yscale("log")
-    low, high = first.get_ylim()
-    ticks = [tick for tick in _TICKS if low <= tick <= high]
-    first.yaxis.set_major_locator(FixedLocator(ticks))
-    first.yaxis.set_major_formatter(FixedFormatter([f"{100.0 - tick:.10g}" for tick in ticks]))
-    first.yaxis.set_minor_locator(NullLocator())
-    first.invert_yaxis()
-    first.set_ylabel(f"fitness of {style.SYMBOLS[quantity]} (%)")
-    for axes in row:
-        axes.grid(True, axis="y")
-        axes.set_axisbelow(True)
-
-
-def _legend(figure: Figure, panels: np.ndarray) -> None:
-    """Of every column of panels whose lines have names, one below the other, on the right."""
-    place = 0.98
-    for axes in panels[0]:
-        handles, labels = axes.get_legend_handles_labels()
-        if any(labels):
-            title = f"against {panels[-1, list(panels[0]).index(axes)].get_xlabel()}" if panels.shape[1] > 1 else None
-            drawn = figure.legend(
-                handles, labels, title=title, loc="upper left", bbox_to_anchor=(0.73, place), fontsize=6.5,
-                title_fontsize=7, alignment="left",
-            )  # fmt: skip
-            place -= 0.02 + drawn.get_window_extent().height / figure.bbox.height
-
-
-def _short(name: str) -> str:
-    return name.rpartition(".")[2]

@@ -255,7 +255,7 @@ def test_a_reader_that_leaves_is_no_defect() -> None:
 
 
 def test_nothing_slow_is_imported_before_a_run() -> None:
-    modules = "pinn_cli.main, pinn_cli.sweep.callback, pinn_cli.sweep.collect"
+    modules = "pinn_cli.main, pinn_cli.sweep.running, pinn_cli.sweep.collect"
     code = f"import sys, {modules}; print(*(m for m in sys.argv[1:] if m in sys.modules))"
     slow = ["torch", "numpy", "scipy", "pandas", "xarray", "matplotlib"]
     done = subprocess.run([sys.executable, "-c", code, *slow], capture_output=True, text=True, check=True)

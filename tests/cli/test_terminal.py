@@ -9,9 +9,8 @@ import pytest
 
 from pinn_cli.cli.terminal import Terminal
 from pinn_cli.runs.claim import RunLog
-from pinn_cli.sweep.failure import DEFECT, Failure
-from pinn_cli.sweep.jobs import Sweep
-from pinn_cli.sweep.progress import Progress
+from pinn_cli.sweep.jobs import DEFECT, Failure, Sweep
+from pinn_cli.sweep.running import Progress
 
 
 def test_no_control_character_reaches_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
@@ -37,8 +36,7 @@ def test_nor_through_a_log(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> 
 
 
 def test_nor_by_the_progress_of_a_sweep(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    progress = Progress(Sweep(tmp_path, (), {"seed=0": ("seed=0",)}, is_search=False))
-    progress.start()
-    Failure(DEFECT, "\x1b[2J", "").write(tmp_path / "seed=0")
+    progress = Progress(Sweep(tmp_path, (), {"seed=0": ("seed=0",)}, is_search=False), 0.0)
+    Failure(DEFECT, "\x1b[2J", "").write(tmp_path / "seed=0", [])
     progress.stop()
     assert capsys.readouterr().err == "1 of 1  seed=0  failed: \\x1b[2J\n"

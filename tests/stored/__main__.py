@@ -18,8 +18,8 @@ from interrupted_runs import ADAM
 from pinn_cli.cli.command_line import execute
 from pinn_cli.main import run
 from pinn_cli.runs.identity import package_version
+from pinn_cli.sweep.windows.store import WindowStore
 from pinn_cli.training.gradient.training import Descent
-from pinn_cli.windows.store import WindowStore
 
 TINY = (
     "system.ndof=2", "simulation.duration=8", "simulation.samples=128", "excitation.band=[0.2,1.5]", "threads=1",

@@ -132,13 +132,6 @@ def later_chain(file: Path) -> None:
         np.savez(file, **dict(content) | {name: np.array(value) for name, value in LATER.items()})
 
 
-def later_study(file: Path) -> None:
-    optuna = pytest.importorskip("optuna", reason="the extra optuna is not installed")
-    study = optuna.load_study(study_name="search", storage=f"sqlite:///{file}")
-    for name, value in LATER.items():
-        study.set_user_attr(name, value)
-
-
 @pytest.mark.parametrize(
     ("file", "change", "command"),
     [
@@ -152,7 +145,6 @@ def later_study(file: Path) -> None:
         ("windows/windows/windows.json", later_json, ("resume=windows",)),
         ("windows/windows/0001/handed_over/model.npz", later_model, ("resume=windows",)),
         ("bayesian/chains/chain_1.npz", later_chain, ("resume=bayesian",)),
-        ("search/search.db", later_study, ("--multirun", *SEARCH, "hydra.sweeper.n_trials=3")),
     ],
 )  # fmt: skip
 def test_a_later_release_is_named(

@@ -1,4 +1,4 @@
-"""`pinn-run collect=DIRECTORY`."""
+"""`pinn-run collect=DIRECTORY`: the tables of a sweep's jobs, one below the other."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ import pandas as pd
 import pytest
 from calls import PinnRun
 from sweeps import made_sweep
+
+from pinn_cli.sweep.collect import write_tables
+from pinn_cli.sweep.jobs import Sweep
 
 HEAD = "estimator,group,quantity,fitness_percent,range_fitness_percent\n"
 
@@ -55,3 +58,53 @@ def test_what_cannot_be_collected(pinn_run: PinnRun, arguments: list[str], told:
     assert (outcome.status, outcome.err.count("\n")) == (2, 1)
     assert outcome.err.startswith("pinn-run: collect=")
     assert told in outcome.err
+
+
+def joined(sweep: Sweep, name: str) -> str:
+    write_tables(sweep, sweep.jobs())
+    return (sweep.directory / name).read_text() if (sweep.directory / name).exists() else ""
+
+
+COLUMNS = "estimator,group,quantity,fitness_percent,range_fitness_percent"
+
+
+def row(first: str, percent: str) -> str:
+    return f"{first},pinn,all,force,{percent},"
+
+
+def test_swept_settings_lead_and_cells_are_copied(tmp_path: Path) -> None:
+    tables = {f"noise.snr_db={snr}": f"seed,{COLUMNS}\n{row('0', f'{snr}.10')}\n" for snr in (50, 5)}
+    sweep = made_sweep(tmp_path, ["noise.snr_db=50,5", "system.ndof=3"], tables)
+    assert joined(sweep, "fitness.csv") == (
+        f"noise.snr_db,seed,{COLUMNS},status,reason\n50,{row('0', '50.10')},finished,\n5,{row('0', '5.10')},finished,\n"
+    )
+    assert joined(sweep, "free_run.csv") == ""
+
+
+def test_jobs_stand_in_their_order_and_failed_ones_say_why(tmp_path: Path) -> None:
+    tables = {f"seed={seed}": None if seed == 2 else f"seed,{COLUMNS}\n{row(str(seed), '0')}\n" for seed in (9, 0, 2)}
+    sweep = made_sweep(tmp_path, ["seed=9,0,2,7"], tables)
+    assert joined(sweep, "fitness.csv") == (
+        f"seed,{COLUMNS},status,reason\n{row('9', '0')},finished,\n{row('0', '0')},finished,\n"
+        '2,,,,,,failed,"no luck, at all"\n'
+    )
+    assert joined(sweep, "jobs.csv") == (
+        "seed,status,reason,seconds,directory\n9,finished,,1.5,seed=9\n0,finished,,1.5,seed=0\n"
+        '2,failed,"no luck, at all",,seed=2\n7,not started,,,seed=7\n'
+    )
+
+
+def test_jobs_with_different_columns_share_a_table(tmp_path: Path) -> None:
+    tables = {"case=a": f"{COLUMNS}\npinn,all,force,1,\n", "case=b": f"y,{COLUMNS}\n{row('3', '2')}\n"}
+    sweep = made_sweep(tmp_path, ["case=a,b"], tables)
+    assert joined(sweep, "fitness.csv") == (
+        f"case,{COLUMNS},y,status,reason\na,pinn,all,force,1,,,finished,\nb,pinn,all,force,2,,3,finished,\n"
+    )
+
+
+@pytest.mark.parametrize("table", ["", "a,b\n1,2\n", f"{COLUMNS}\npinn,all,force,many,\n"])
+def test_a_job_whose_table_is_damaged_has_failed(tmp_path: Path, table: str) -> None:
+    sweep = made_sweep(tmp_path, ["case=a,b"], {"case=a": table})
+    job, _ = write_tables(sweep, sweep.jobs())
+    assert (job.status, job.exit_status) == ("failed", 2)
+    assert job.reason.startswith("fitness.csv cannot be read: ")

@@ -1,33 +1,35 @@
-"""Jobs that are made from one another are those that Hydra composes."""
+"""Which jobs a sweep has; those that are made from one another are those that Hydra composes."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
+from itertools import product
 from typing import Any
 
 import pytest
+from calls import PinnRun
 from hydra import initialize_config_module
 from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import OmegaConf
 
-from pinn_cli.sweep import composing
-from pinn_cli.sweep.composing import compose_job, own_numbers
+from pinn_cli.settings.errors import InputError
+from pinn_cli.sweep.composing import Composer, combinations, own_numbers, representatives
 
 
 @pytest.fixture
-def loader(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Hydra's, new; nothing is composed yet."""
-    monkeypatch.setattr(composing, "_composed", {})
+def loader() -> Iterator[Any]:
+    """Hydra's."""
     with initialize_config_module("conf", version_base="1.3"):
         yield GlobalHydra.instance().config_loader()
 
 
-def _both(loader: Any, sweep: list[str], *jobs: list[str]) -> list[tuple[Any, Any]]:
-    """By Hydra and by us."""
-    master = loader.load_configuration("config", sweep, run_mode=RunMode.MULTIRUN)
-    master.hydra.sweep.dir = "a"
-    return [(loader.load_sweep_config(master, list(job)), compose_job(loader, master, job)) for job in jobs]
+def of_sweep(loader: Any, *overrides: str) -> Any:
+    config = loader.load_configuration("config", [*overrides], run_mode=RunMode.MULTIRUN)
+    config.hydra.sweep.dir = "a"
+    return config
 
 
 JOBS = (
@@ -46,12 +48,17 @@ JOBS = (
 OF_SWEEP = ["hydra/launcher=basic", "hydra.job.config.override_dirname.exclude_keys=[seed]"]
 
 
-@pytest.mark.parametrize("sweep", [[], OF_SWEEP])
-def test_jobs_are_as_hydra_composes_them(loader: Any, sweep: list[str]) -> None:
-    for theirs, ours in _both(loader, sweep, *JOBS, *JOBS):
+@pytest.mark.parametrize("overrides", [[], OF_SWEEP])
+def test_jobs_are_as_hydra_composes_them(loader: Any, overrides: list[str]) -> None:
+    sweep = of_sweep(loader, *overrides)
+    composer = Composer(loader, sweep)
+    for job in (*JOBS, *JOBS):
+        theirs, ours = loader.load_sweep_config(sweep, list(job)), composer.job(job)
         assert OmegaConf.to_yaml(ours) == OmegaConf.to_yaml(theirs)
         assert type(ours.seed) is type(theirs.seed)
         assert OmegaConf.is_struct(ours) == OmegaConf.is_struct(theirs)
+        ours.noise.snr_db = 1.0  # a copy belongs to its job alone
+        ours.hydra.overrides.task.append("a=1")
 
 
 SCHEMES = ("scheme=sparse_recovery", "scheme=bayesian")
@@ -62,18 +69,10 @@ def test_only_what_is_not_a_number_is_composed_again(loader: Any, monkeypatch: p
     load = loader.load_sweep_config
     monkeypatch.setattr(loader, "load_sweep_config", lambda *given: composed.append(given[1]) or load(*given))
     jobs = [[f"seed={seed}", f"noise.snr_db={db}", scheme] for seed in (0, 1) for db in (50, 20) for scheme in SCHEMES]
-    master = loader.load_configuration("config", [], run_mode=RunMode.MULTIRUN)
+    composer = Composer(loader, of_sweep(loader))
     for job in jobs:
-        compose_job(loader, master, job)
+        composer.job(job)
     assert composed == [[scheme] for scheme in SCHEMES]
-
-
-def test_a_copy_belongs_to_its_job_alone(loader: Any) -> None:
-    (_, first), (_, second) = _both(loader, [], ["seed=0"], ["seed=0"])
-    first.noise.snr_db = 1.0
-    first.hydra.overrides.task.append("a=1")
-    assert second.noise.snr_db == 50
-    assert list(second.hydra.overrides.task) == ["seed=0"]
 
 
 WRONG = (["sed=1"], ["system.ndof=1", "nois.snr_db=3"], ["system.nodf=3"], ["seed.a=3"], ["network=5"])
@@ -81,9 +80,8 @@ WRONG = (["sed=1"], ["system.ndof=1", "nois.snr_db=3"], ["system.nodf=3"], ["see
 
 @pytest.mark.parametrize("job", WRONG)
 def test_errors_are_hydras(loader: Any, job: list[str]) -> None:
-    said = []
-    master = loader.load_configuration("config", [], run_mode=RunMode.MULTIRUN)
-    for compose in (lambda: loader.load_sweep_config(master, list(job)), lambda: compose_job(loader, master, job)):
+    said, sweep = [], of_sweep(loader)
+    for compose in (lambda: loader.load_sweep_config(sweep, list(job)), lambda: Composer(loader, sweep).job(job)):
         with pytest.raises((HydraException, ValueError)) as raised:
             compose()
         said.append(str(raised.value))
@@ -94,3 +92,48 @@ def test_own_numbers() -> None:
     assert own_numbers(["a=1", "b=x", "c=-2.5e3", "+d=1", "hydra.x=1", "e=[1]", "f=1", "f=2"]) == ["a=1", "c=-2.5e3"]
     assert own_numbers(["a.b=1", "a={b: 2}", "ab=3", "a.c=4", "a.c.d=5"]) == ["ab=3"]
     assert own_numbers([]) == []
+
+
+def test_numbers_of_a_setting_are_alike_and_words_are_not() -> None:
+    batch = [
+        list(job) for job in product([f"seed={n}" for n in range(64)], ["a=1.5e3", "a=-2"], ["system=x", "system=y"])
+    ]
+    chosen = representatives(batch)
+    assert len(chosen) == 2
+    assert {override for job in chosen for override in job if override.startswith("system")} == {"system=x", "system=y"}
+    assert {override.partition("=")[0] for job in chosen for override in job} == {"seed", "a", "system"}
+
+
+def test_every_word_is_composed_once() -> None:
+    batch = [[f"scheme={scheme}", f"k=[{k}]"] for scheme, k in product("abc", range(4))]
+    chosen = representatives(batch)
+    assert {override for job in chosen for override in job} == {override for job in batch for override in job}
+    assert len(chosen) < len(batch)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "jobs"),
+    [
+        (["a=range(7)", "b=1,2,3"], 21),
+        (["a=range(1,2,0.3)", "b=5"], 4),
+        (["a=range(5,0,-2)"], 3),
+        (["a=shuffle(range(4))", "b=choice(x)"], 4),
+        (["a=1,2", "a=range(3)"], 3),
+    ],
+)
+def test_jobs_are_counted_as_they_are_made(overrides: list[str], jobs: int) -> None:
+    assert len(combinations(overrides, jobs)) == jobs
+    with pytest.raises(InputError, match=f"^a=.*at most {jobs - 1} jobs; there would be {jobs};"):
+        combinations(overrides, jobs - 1)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [["seed=range(0,1000000000)"], ["seed=range(0,1e3,1e-6)"], ["seed=range(2000)", "threads=range(1,2001)"]],
+)
+def test_a_sweep_of_too_many_jobs_is_refused_at_once(pinn_run: PinnRun, overrides: list[str]) -> None:
+    begun = time.process_time()
+    refused = pinn_run("--multirun", *overrides)
+    assert time.process_time() - begun < 5.0
+    assert (refused.status, refused.err.count("\n")) == (2, 1)
+    assert "hydra.sweeper.max_jobs" in refused.err

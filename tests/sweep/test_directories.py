@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pinn_cli.settings.override_syntax import setting_of
-from pinn_cli.sweep.directories import LONGEST, job_name, sweep_name, swept_settings
+from pinn_cli.sweep.composing import LONGEST, job_name, sweep_name, swept_settings
 
 
 @pytest.mark.parametrize(

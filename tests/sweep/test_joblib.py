@@ -16,8 +16,7 @@ from calls import SMALL
 from sweeps import start
 
 from pinn_cli.runs.cores import usable_cores
-from pinn_cli.sweep.joblib_launcher import pin, shares
-from pinn_cli.sweep.launching import jobs_at_once
+from pinn_cli.sweep.launching import pin, shares
 
 # Two jobs that finish and one that cannot; Adam is trained in steps and so has checkpoints.
 SWEEP = ("--multirun", *SMALL, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "seed=0,1", "hydra.sweep.dir=sweep")
@@ -100,44 +99,6 @@ def test_a_killed_worker_takes_only_its_own_job_along(tmp_path: Path) -> None:
     assert jobs["status"].to_dict() == {0: "finished", 1: "failed", 2: "finished", 3: "finished"}
 
 
-@pytest.mark.slow
-def test_workers_share_one_tracker_and_what_is_finished_is_told_to_another(tmp_path: Path) -> None:
-    pytest.importorskip("mlflow", reason="the extra mlflow is not installed")
-    pytest.importorskip("tensorboard", reason="the extra tensorboard is not installed")
-    from mlflow.tracking import MlflowClient
-
-    for tracking in ("mlflow", "tensorboard"):
-        process = start(tmp_path, *SWEEP, "seed=0,1,2,3", f"tracking={tracking}")
-        out, err = process.communicate(timeout=300)
-        assert process.returncode == 0, err
-        assert "the run goes on" not in err
-        assert "4 jobs: 4 finished" in out
-    client = MlflowClient(tracking_uri=f"sqlite:///{tmp_path / 'outputs' / 'mlflow.db'}")
-    runs = client.search_runs([e.experiment_id for e in client.search_experiments()])
-    assert [run.info.status for run in runs] == ["FINISHED"] * 4
-    assert sorted(run.data.tags["seed"] for run in runs) == list("0123")
-    for run in runs:
-        (job,) = (tmp_path / "sweep").glob(f"seed={run.data.tags['seed']}_*")
-        rows = len((job / "history.csv").read_text().splitlines()) - 1
-        assert len(client.get_metric_history(run.info.run_id, "seconds")) == rows
-        copied = tmp_path / "outputs" / "mlflow-artifacts" / run.info.run_id / "artifacts"
-        assert (copied / "run.json").read_bytes() == (job / "run.json").read_bytes()
-        assert list((job / "tensorboard").glob("events.out.tfevents.*"))
-
-
-def test_cores_are_divided() -> None:
-    assert shares([0, 1, 2, 3], 2) == [[0, 1], [2, 3]]
-    assert shares([0, 1, 5], 2) == [[0], [1, 5]]
-    assert shares([4, 7], 3) == [[4], [7], [4]]
-    assert shares([2], 1) == [[2]]
-
-
-def test_jobs_at_once() -> None:
-    cores = len(usable_cores())
-    assert jobs_at_once(1) == cores
-    assert jobs_at_once(cores + 1) == 1
-
-
 def _pinned(barrier: object, results: object) -> None:
     pin(2)
     cores = usable_cores()
@@ -160,3 +121,5 @@ def test_siblings_have_different_cores() -> None:
     assert (one, other) == (one_again, other_again)
     assert not set(one) & set(other)
     assert sorted(one + other) == usable_cores()
+    assert shares([0, 1, 5], 2) == [[0], [1, 5]]
+    assert shares([4, 7], 3) == [[4], [7], [4]]

@@ -8,8 +8,7 @@ import pytest
 from sweeps import made_sweep
 
 from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
-from pinn_cli.sweep.failure import FILE, Failure, clear
-from pinn_cli.sweep.jobs import Sweep
+from pinn_cli.sweep.jobs import FAILURE, Failure, Sweep
 
 
 def test_every_expected_job_has_its_state(tmp_path: Path) -> None:
@@ -58,19 +57,16 @@ def test_what_is_no_sweep(tmp_path: Path, content: str | None, told: str) -> Non
     ],
 )
 def test_a_failure_is_kept(tmp_path: Path, error: Exception, status: int, reason: str) -> None:
-    Failure.of(error).write(tmp_path)
+    Failure.of(error).write(tmp_path, [])
     kept = Failure.read(tmp_path)
     assert kept is not None
     assert (kept.status, kept.reason) == (status, reason)
     assert type(error).__name__ in kept.traceback
-    clear(tmp_path)
-    assert Failure.read(tmp_path) is None
-    clear(tmp_path)
 
 
 def test_a_failure_that_cannot_be_read_is_one(tmp_path: Path) -> None:
     for content in ("{", '{"a": 1}', "[]"):
-        (tmp_path / FILE).write_text(content)
+        (tmp_path / FAILURE).write_text(content)
         kept = Failure.read(tmp_path)
         assert kept is not None
         assert "cannot be read" in kept.reason

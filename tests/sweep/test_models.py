@@ -59,20 +59,13 @@ def test_probabilities_follow_from_evidence(tmp_path: Path) -> None:
 
 
 def test_what_else_is_swept_keeps_models_apart(tmp_path: Path) -> None:
-    models = {
-        f"system={law},data.start={start}": {"evidence": -10.0 * start - (law == "linear"), "observed": str(start)}
-        for start in (1, 2)
-        for law in ("linear", "duffing")
-    }
-    directory = tmp_path / "sweep"
-    names = [key.split(",") for key in models]
-    sweep = made_sweep(directory, ["system=linear,duffing", "data.start=1,2"], {})
+    sweep = made_sweep(tmp_path / "sweep", ["system=linear,duffing", "data.start=1,2"], {})
     for job in sweep.jobs():
-        own = models[",".join(job.overrides)]
-        assert list(job.overrides) in names
         (job.directory / ".hydra").mkdir(parents=True)
         (job.directory / ".hydra" / "overrides.yaml").write_text(json.dumps(list(job.overrides)))
-        record = {"training": {"model_log_evidence": own["evidence"]}, "observed": own["observed"]}
+        start = float(job.overrides[1][-1])
+        evidence = -10.0 * start - ("system=linear" in job.overrides)
+        record = {"training": {"model_log_evidence": evidence}, "observed": str(start)}
         (job.directory / "run.json").write_text(json.dumps(record))
     found = compared(sweep, sweep.jobs())
     assert found is not None

@@ -75,19 +75,18 @@ def test_preempted_and_requeued_jobs_go_on_and_a_cancelled_one_takes_no_other_al
         assert_same_numbers(cluster.folder / "alone" / job(cluster, seed).name, job(cluster, seed))
 
 
-def test_jobs_behind_a_killed_one_of_the_same_task_run_all_the_same(cluster: Cluster) -> None:
-    sweep = (*LAUNCHER, *LONGER, "hydra.launcher.jobs_per_task=4", "seed=range(4)")
+def test_a_killed_task_takes_its_own_jobs_along_which_the_same_command_runs(cluster: Cluster) -> None:
+    sweep = (*LAUNCHER, *LONGER, "hydra.launcher.jobs_per_task=2", "seed=range(4)")
     launcher = cluster.start(*sweep)
-    await_that(lambda: bool(list(cluster.folder.glob("sweep/seed=1_*/checkpoint.previous.pt"))))
-    os.kill(json.loads((job(cluster, 1) / "run.lock").read_text())["pid"], signal.SIGKILL)
+    await_that(lambda: bool(list(cluster.folder.glob("sweep/seed=0_*/checkpoint.previous.pt"))))
+    os.kill(json.loads((job(cluster, 0) / "run.lock").read_text())["pid"], signal.SIGKILL)
     assert launcher.wait() == 1, cluster.said()
-    assert "2 jobs were behind one that was killed" in cluster.said()
     table = jobs(cluster)
-    assert list(table["status"]) == ["finished", "failed", "finished", "finished"]
-    assert "state FAILED" in table["reason"][1]
+    assert list(table["status"]) == ["failed", "failed", "finished", "finished"]
+    assert table["reason"].str.contains("state FAILED").sum() == 2
     assert cluster.sweep(*sweep) == 0, cluster.said()
     assert [log(job(cluster, seed)).count("estimate:") for seed in range(4)] == [1, 1, 1, 1]
-    assert "going on from the checkpoint" in log(job(cluster, 1))
+    assert "going on from the checkpoint" in log(job(cluster, 0))
 
 
 def test_twelve_jobs_survive_a_cancellation_a_requeue_and_the_death_of_their_launcher(cluster: Cluster) -> None:
@@ -126,7 +125,6 @@ def test_a_cancelled_array_is_known_soon_and_runs_again(cluster: Cluster) -> Non
     cluster.call("scancel", cluster.tasks()[0].partition("_")[0])
     assert launcher.wait() == 1, cluster.said()
     assert time.monotonic() - start < 90.0
-    assert "sent again" not in cluster.said()
     table = jobs(cluster)
     assert len(table) == 8
     assert set(table["status"]) <= {"failed", "finished"}

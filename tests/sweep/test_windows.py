@@ -9,20 +9,9 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from pinn_cli.report.fitness import both_formulas
 from pinn_cli.report.netcdf import write_dataset
-from pinn_cli.windows.joining import Piece, join_responses, scores_of_parts, stack_tables
-from pinn_cli.windows.run import verdict_of_windows
-
-
-def test_scores_of_parts_are_those_of_the_whole():
-    rng = np.random.default_rng(1)
-    truth, estimate = 1e3 + rng.normal(size=(90, 3)), 1e3 + rng.normal(size=(90, 3))
-    truth[10:30, 1], truth[:, 2] = np.nan, 7.0
-    cuts = [slice(0, 20), slice(20, 21), slice(21, 90)]
-    found = scores_of_parts(lambda: ((estimate[c], truth[c]) for c in cuts))
-    np.testing.assert_allclose(found, both_formulas(estimate, truth), rtol=1e-12)
-    assert np.isnan(found[:, 2]).all()
+from pinn_cli.sweep.windows.run import verdict_of_windows
+from pinn_cli.sweep.windows.store import Piece, join_responses, stack_tables
 
 
 def piece(folder: Path, time: np.ndarray, value: float, extra: bool) -> None:

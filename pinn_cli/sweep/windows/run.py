@@ -22,11 +22,10 @@ from pinn_cli.report.terminal.tables import fitness_text, parameters_text
 from pinn_cli.runs.resume import RESULT
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import replacing, write_json, write_table
+from pinn_cli.sweep.windows.solving import WindowSolver
+from pinn_cli.sweep.windows.store import RESPONSE, Piece, WindowStore, join_responses, joined_fitness, stack_tables
 from pinn_cli.training.estimate import Watch
 from pinn_cli.verdict.finding import WORDS, Finding, Verdict
-from pinn_cli.windows.joining import RESPONSE, Piece, join_responses, joined_fitness, stack_tables
-from pinn_cli.windows.solving import WindowSolver
-from pinn_cli.windows.store import WindowStore
 
 # Of the last window: it knows what all of them have told.
 FINAL = ("parameters.csv", "correlation.csv", "identifiability.csv", "modes.csv", MODEL)
@@ -93,24 +92,14 @@ class WindowedRun:
             if (folders[-1] / name).is_file():
                 with replacing(self.directory / name) as beside:
                     shutil.copyfile(folders[-1] / name, beside)
-        stack_tables(self._before() + [folder / OVER_TIME for folder in folders], self.directory / OVER_TIME)
-        rows = [
-            (
-                e["number"], e["start"], e["hand_over"], e["stop"], e.get("verdict"), " ".join(e["changed"]),
-                e["training"].get("sigma_discrepancy"),
-            )
-            for e in self._entries()
-        ]  # fmt: skip
-        write_table(pd.DataFrame(rows, columns=list(COLUMNS)), self.directory / "windows.csv")
-
-    def _before(self) -> list[Path]:
-        """The parameters over time of the records before, as a file; none without a model that is updated."""
-        if not self.solver.earlier or self.solver.model is None:
-            return []
-        place = self.store.folder(0) / OVER_TIME
-        if not place.is_file():
-            write_table(history(self.solver.model), place)
-        return [place]
+        if self.solver.earlier and self.solver.model is not None:  # the parameters over time of the records before
+            folders.insert(0, store.folder(0))
+            write_table(history(self.solver.model), folders[0] / OVER_TIME)
+        stack_tables([folder / OVER_TIME for folder in folders], self.directory / OVER_TIME)
+        entries = pd.DataFrame(self._entries()).rename(columns={"number": "window"})
+        entries["changed"] = entries["changed"].map(" ".join)
+        entries["sigma_discrepancy"] = [training.get("sigma_discrepancy") for training in entries["training"]]
+        write_table(entries.reindex(columns=COLUMNS), self.directory / "windows.csv")
 
     def _entries(self) -> list[dict[str, Any]]:
         """What is known of all windows; the last one hands over to none yet."""

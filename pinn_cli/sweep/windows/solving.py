@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 from pinn_cli.model.model import Model
@@ -23,6 +22,7 @@ from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
+from pinn_cli.sweep.windows.store import WindowStore
 from pinn_cli.system.quantities import CALIBRATION_UNITS, HIGH_PASS, OF_ONE_CHANNEL
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.base import Estimator
@@ -30,7 +30,6 @@ from pinn_cli.training.calibrated_record import as_calibrated
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.whittle.spectral_model import is_spectral
 from pinn_cli.verdict.finding import Verdict
-from pinn_cli.windows.store import WindowStore
 
 SETTING = "data.window"
 
@@ -101,9 +100,67 @@ class WindowSolver:
                 estimate = (self.first if before is None else self.later).solve(problem, self.context)
         except (DivergenceError, InputError) as error:
             raise DivergenceError(f"{window.name}: {error}") from error
+        results = self._results(problem, measured, estimate, before)
+        self._leave(window, results, observed_digest([problem.alone.record]), store, stages)
+
+    def _results(
+        self, problem: JointProblem, measured: Measurements, estimate: Estimate, before: Model | None
+    ) -> Results:
+        prescribed = self.prescribed
         if estimate.structure is not None:
             problem = problem.in_coordinates_of(estimate.structure)
-        _Report(self, window, problem.alone, measured, estimate, before, store).write(stages)
+            prescribed = prescribed.in_coordinates_of(estimate.structure)
+        record = as_calibrated(problem.alone.record, estimate)
+        return Results(
+            self.run, prescribed, record, measured.truth, estimate, problem=replace(problem.alone, record=record),
+            true=self.true if self.simulated else None, model=before or self.model,
+        )  # fmt: skip
+
+    def _leave(self, window: Window, results: Results, observed: str, store: WindowStore, stages: Stages) -> None:
+        """Write the files of a window; the last one says that it is done."""
+        folder, number, estimate = store.folder(window.number), window.number, results.estimate
+        # Of every parameter what was prescribed before the first window: name, value, standard deviation.
+        uncertain = [] if results.problem is None else results.problem.uncertain
+        own = [[parameter.name, parameter.prescribed, parameter.prior_std] for parameter in uncertain]
+        beliefs = own if number == 1 else store.entry(1)["beliefs"]
+        believed, report = _with_beliefs(results, beliefs), RecordReport(results, folder)
+        with stages("verdict"):
+            verdict = report.verdict()
+        with stages("report"):
+            report.write()
+            ours, _ = RecordReport(believed, folder).every_table
+            write_tables(believed, ours, folder)
+            write_table(window_rows(number + self.earlier, f"window_{number}", estimate), folder / FILE)
+            write_run_model(results, verdict, folder)
+        content = {
+            **(verdict.record() if verdict else {}),
+            "changed": [] if estimate.changes is None else [change.parameter.name for change in estimate.changes.found],
+            "training": estimate.summary,
+            "observed": observed,
+            "step": results.record.step,
+            "doubts": list(identifiability_warnings(believed.estimate.parameters, estimate.correlation)),
+            **({"beliefs": beliefs} if number == 1 else {}),
+        }
+        store.conclude(window, _handed_over(results, verdict), content)
+
+
+def _with_beliefs(results: Results, beliefs: list[list[Any]]) -> Results:
+    """The results with what was prescribed before the first window in their tables."""
+    given = {name: {"prescribed": value, "prior_std": std} for name, value, std in beliefs}
+    parameters = [
+        replace(one, parameter=replace(one.parameter, **given.get(one.parameter.name, {})))
+        for one in results.estimate.parameters
+    ]
+    return replace(results, estimate=replace(results.estimate, parameters=parameters))
+
+
+def _handed_over(results: Results, verdict: Verdict | None) -> Model | None:
+    """The model that the next window begins with; None where there is no next one."""
+    handed = results.estimate.handed_over
+    if handed is None:
+        return None
+    model = model_of(replace(results, estimate=replace(results.estimate, known=handed.known, end=handed.end)), verdict)
+    return replace(model, levels=replace(model.levels, windows=handed.discrepancy))
 
 
 def _goes_on(problem: Problem) -> bool:
@@ -131,83 +188,3 @@ def _check_sensors(problem: Problem) -> None:
         if gauge.filter_order:
             hint = "each window would begin with another state of its filter"
             raise InputError(f"data.channels.{gauge.name}.{HIGH_PASS}", "given", f"left out with {SETTING}", hint)
-
-
-@dataclass(frozen=True, eq=False)
-class _Report:
-    """What is reported of one window."""
-
-    solver: WindowSolver
-    window: Window
-    problem: Problem
-    measured: Measurements
-    estimate: Estimate
-    before: Model | None
-    store: WindowStore
-
-    def write(self, stages: Stages) -> None:
-        """Write its files; the last one says that the window is done."""
-        folder, results, number = self.store.folder(self.window.number), self._results, self.window.number
-        report = RecordReport(results, folder)
-        with stages("verdict"):
-            verdict = report.verdict()
-        with stages("report"):
-            report.write()
-            ours, _ = RecordReport(self._believed, folder).every_table
-            write_tables(self._believed, ours, folder)
-            write_table(window_rows(number + self.solver.earlier, f"window_{number}", self.estimate), folder / FILE)
-            write_run_model(results, verdict, folder)
-        self.store.conclude(self.window, self._handed_over(verdict), self._content(verdict))
-
-    def _content(self, verdict: Verdict | None) -> dict[str, object]:
-        """What ``window.json`` says."""
-        changes, estimate, record = self.estimate.changes, self._believed.estimate, self.problem.record
-        return {
-            **(verdict.record() if verdict else {}),
-            "changed": [] if changes is None else [change.parameter.name for change in changes.found],
-            "training": self.estimate.summary,
-            "observed": observed_digest([record]),
-            "step": record.step,
-            "doubts": list(identifiability_warnings(estimate.parameters, estimate.correlation)),
-            **({"beliefs": self._beliefs} if self.window.number == 1 else {}),
-        }
-
-    def _handed_over(self, verdict: Verdict | None) -> Model | None:
-        """The model that the next window begins with; None where there is no next one."""
-        handed = self.estimate.handed_over
-        if handed is None:
-            return None
-        own = replace(self.estimate, known=handed.known, end=handed.end)
-        model = model_of(replace(self._results, estimate=own), verdict)
-        return replace(model, levels=replace(model.levels, windows=handed.discrepancy))
-
-    @cached_property
-    def _results(self) -> Results:
-        solver = self.solver
-        record = as_calibrated(self.problem.record, self.estimate)
-        problem = replace(self.problem, record=record)
-        true = solver.true if solver.simulated else None
-        reduced, prescribed = self.estimate.structure, solver.prescribed
-        prescribed = prescribed if reduced is None else prescribed.in_coordinates_of(reduced)
-        return Results(
-            solver.run, prescribed, record, self.measured.truth, self.estimate, problem=problem, true=true,
-            model=self.before or solver.model,
-        )  # fmt: skip
-
-    @cached_property
-    def _beliefs(self) -> list[list[Any]]:
-        """Of every parameter what was prescribed before the first window: name, value, standard deviation."""
-        if self.window.number == 1:
-            return [[p.name, p.prescribed, p.prior_std] for p in self.problem.uncertain]
-        found: list[list[Any]] = self.store.entry(1)["beliefs"]
-        return found
-
-    @cached_property
-    def _believed(self) -> Results:
-        """The results with what was prescribed before the first window in their tables."""
-        given = {name: {"prescribed": value, "prior_std": std} for name, value, std in self._beliefs}
-        found = [
-            replace(one, parameter=replace(one.parameter, **given.get(one.parameter.name, {})))
-            for one in self.estimate.parameters
-        ]
-        return replace(self._results, estimate=replace(self.estimate, parameters=found))

@@ -62,17 +62,3 @@ def test_a_killed_search_ends_with_the_trials_of_one_that_was_left_alone(tmp_pat
         assert [line.replace(f"search{kill}", "whole") for line in out.splitlines()[:2]] == best
         pd.testing.assert_frame_equal(trials(tmp_path / f"search{kill}"), whole)
         assert [run.info.status for run in tracked(tmp_path / f"search{kill}.db")] == ["FINISHED"] * TRIALS
-
-
-@pytest.mark.slow
-def test_two_trials_at_a_time(tmp_path: Path) -> None:
-    """Each with a process of its own, and one database of MLflow for both."""
-    side_by_side = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "hydra.sweeper.n_jobs=2")
-    carried_out(tmp_path, *side_by_side, "hydra.sweep.dir=found")
-    found = trials(tmp_path / "found")
-    assert found["trial"].tolist() == list(range(TRIALS))
-    assert found["directory"].nunique() == TRIALS
-    runs = tracked(tmp_path / "outputs" / "mlflow.db")
-    assert [run.info.status for run in runs] == ["FINISHED"] * TRIALS
-    scores = [run.data.metrics["validation_score"] for run in runs]
-    assert sorted(scores) == pytest.approx(sorted(found["score"]))

@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
-from calls import PinnRun
+from calls import SMALL, Compose, PinnRun
+from hydra import compose, initialize_config_module
+from hydra.core.hydra_config import HydraConfig
 from interrupted_runs import without_figures
 from omegaconf import DictConfig
 
+from pinn_cli.cli.config import RunConfig
+from pinn_cli.cli.config_names import option_names
+from pinn_cli.runs.identity import Identity
+from pinn_cli.runs.writing import write_json
 from pinn_cli.settings.errors import DivergenceError
 
 pytest.importorskip("optuna", reason="the extra optuna is not installed")
+
+import optuna
+
+from pinn_cli.sweep.search import read_space, within
+from pinn_cli.sweep.search_report import importance
 
 SPACE = ("network.knots_per_period=interval(2.0,8.0)", "network.degree=choice(3,4,6)")
 # A directory of its own for each job, whichever start of the search it belongs to.
@@ -24,23 +37,28 @@ SEARCH = (
 
 
 def score(config: DictConfig) -> float:
-    """Least at four knots and degree 6; a job that no run could do diverges."""
+    """Least at four knots and degree 6, kept as a run keeps it; a job that no run could do diverges."""
     if config.network.degree == 3:
         raise DivergenceError("diverged at iteration 7")
-    return float((config.network.knots_per_period - 4.0) ** 2 + (6 - config.network.degree))
+    found = float((config.network.knots_per_period - 4.0) ** 2 + (6 - config.network.degree))
+    identity = Identity.of(config, Path.cwd()).configuration
+    result = Path(HydraConfig.get().runtime.output_dir) / "run.json"
+    write_json({"configuration": identity, "validation": {"score": found}}, result)
+    return found
 
 
 class StopsAt:
-    """The same, killed in one of its jobs."""
+    """The same, killed in one of its jobs; how many have ended."""
 
-    def __init__(self, job: int) -> None:
-        self.left = job
+    def __init__(self, job: float) -> None:
+        self.left, self.made = job, 0
 
     def __call__(self, config: DictConfig) -> float:
-        if self.left == 0:
+        if self.left == self.made:
             raise KeyboardInterrupt
-        self.left -= 1
-        return score(config)
+        found = score(config)
+        self.made += 1
+        return found
 
 
 def read(directory: Path) -> pd.DataFrame:
@@ -74,24 +92,29 @@ def test_a_search_is_reported_and_failed_trials_take_no_other_along(search: Call
     assert (tmp_path / "found" / str(best["directory"]) / ".hydra").is_dir()
 
 
-@pytest.mark.parametrize("stop", [0, 5])
-def test_a_stopped_search_goes_on_as_if_never_stopped(search: Callable[..., int], tmp_path: Path, stop: int) -> None:
-    search()
-    undisturbed = read(tmp_path)
+@pytest.mark.parametrize(("stop", "at_once"), [(0, 1), (3, 1), (2, 2)])
+def test_a_stopped_search_goes_on_as_if_never_stopped(
+    search: Callable[..., int], tmp_path: Path, stop: int, at_once: int
+) -> None:
+    many = f"hydra.sweeper.n_jobs={at_once}"
+    undisturbed, rest = StopsAt(math.inf), StopsAt(math.inf)
+    assert search(many, task=undisturbed) == 0
+    trials = read(tmp_path)
     (tmp_path / "found").rename(tmp_path / "undisturbed")
-    assert search(task=StopsAt(stop)) == 130
-    search()
-    pd.testing.assert_frame_equal(read(tmp_path), undisturbed)
+    assert search(many, task=StopsAt(stop)) == 130
+    assert search(many, task=rest) == 0
+    pd.testing.assert_frame_equal(read(tmp_path), trials)
+    assert rest.made == undisturbed.made - stop  # what has a score is not made again
 
 
 def test_a_finished_search_makes_no_trial_and_more_may_be_asked_for(search: Callable[..., int], tmp_path: Path) -> None:
-    search(trials=2)
+    search(trials=1)
     before = read(tmp_path)
-    assert search(trials=2, task=StopsAt(0)) == 0  # no job is started
+    assert search(trials=1, task=StopsAt(0)) == 0  # no job is started
     pd.testing.assert_frame_equal(read(tmp_path), before)
-    assert search(trials=4) == 0
-    assert len(read(tmp_path)) == 4
-    pd.testing.assert_frame_equal(read(tmp_path).head(2), before, check_dtype=False)  # of an empty column
+    assert search(trials=3) == 0
+    assert len(read(tmp_path)) == 3
+    pd.testing.assert_frame_equal(read(tmp_path).head(1), before, check_dtype=False)  # of an empty column
 
 
 def test_the_seed_decides(search: Callable[..., int], tmp_path: Path) -> None:
@@ -132,41 +155,21 @@ def test_the_first_trial_is_as_configured(pinn_run: PinnRun, tmp_path: Path) -> 
     ],
 )
 def test_what_may_be_drawn(space: str, value: object, drawn: object) -> None:
-    from pinn_cli.search.space import read_space, within
-
     found = within(read_space([f"x={space}"])[0]["x"], value)
     assert found == drawn
     assert isinstance(found, bool) == isinstance(drawn, bool)
 
 
-def test_another_search_does_not_go_on_with_its_trials(pinn_run: PinnRun) -> None:
-    pinn_run(*SEARCH, "hydra.sweeper.n_trials=1", task=score)
-    outcome = pinn_run(*SEARCH, "hydra.sweeper.n_trials=1", "seed=3", task=score)
-    assert outcome.status == 2
-    assert "they differ in seed=3" in outcome.err
-    assert outcome.err.count("\n") == 1
-
-
-def test_nor_one_with_another_space_in_a_file(search: Callable[..., int], pinn_run: PinnRun) -> None:
+@pytest.mark.parametrize("other", ["seed=3", "+hydra.sweeper.params={seed:'choice(3,4)'}"])
+def test_another_search_does_not_go_on_with_its_trials(search: Callable[..., int], pinn_run: PinnRun, other) -> None:
     search(trials=1)
-    outcome = pinn_run(*SEARCH, "hydra.sweeper.n_trials=2", "+hydra.sweeper.params={seed:'choice(3,4)'}", task=score)
-    assert outcome.status == 2
-    assert "they differ in seed=choice(3,4)" in outcome.err
-
-
-def test_a_damaged_search_is_left_alone(search: Callable[..., int], pinn_run: PinnRun, tmp_path: Path) -> None:
-    search(trials=1)
-    (file,) = tmp_path.rglob("search.db")
-    file.write_bytes(b"damaged")
-    outcome = pinn_run(*SEARCH, "hydra.sweeper.n_trials=2", task=score)
+    outcome = pinn_run(*SEARCH, "hydra.sweeper.n_trials=2", other, task=score)
     assert (outcome.status, outcome.err.count("\n")) == (2, 1)
-    assert outcome.err.startswith("pinn-run: hydra.sweep.dir=")
-    assert "search.db" in outcome.err
-    assert file.read_bytes() == b"damaged"
+    assert "another search" in outcome.err or "they differ in seed=" in outcome.err
 
 
 def test_where_and_how_trials_run_may_change(search: Callable[..., int], tmp_path: Path) -> None:
-    search("threads=2", task=StopsAt(4))
+    search("threads=2", task=StopsAt(3))
     assert search("figures=false", "tracking=none") == 0
     trials = read(tmp_path)
     assert len(trials) == 7
@@ -177,7 +180,7 @@ def test_a_search_needs_a_score(pinn_run: PinnRun, tmp_path: Path) -> None:
     outcome = pinn_run("--multirun", "hydra/sweeper=search", *SPACE, task=score)
     assert (outcome.status, outcome.err.count("\n")) == (2, 1)
     assert "validation=none: must be heldout, forecast or evidence in a search" in outcome.err
-    assert not list(tmp_path.rglob("search.db"))
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_evidence_compares_no_networks(pinn_run: PinnRun) -> None:
@@ -206,3 +209,41 @@ def test_a_preset_of_real_runs(pinn_run: PinnRun, tmp_path: Path, monkeypatch: p
     first = {name: trials[name].iloc[0] for name in ("network.knots_per_period", "network.degree")}
     assert first == {"network.knots_per_period": 4.0, "network.degree": 6}
     assert "best of 2 trials" in outcome.out
+
+
+PRESETS = [name for name in option_names("experiment") if name.startswith("search/")]
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_draw_of_a_preset_is_a_configuration(composed: Compose, preset: str) -> None:
+    with initialize_config_module("pinn_cli.conf", version_base="1.3"):
+        sweeper = compose("config", overrides=[f"experiment={preset}"], return_hydra_config=True).hydra.sweeper
+    space, fixed = read_space([f"{name}={value}" for name, value in sweeper.params.items()])
+    assert not fixed
+    assert set(space) == set(sweeper.params)
+    study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0))
+    for _ in range(4):
+        drawn = study.ask(space).params
+        config = composed(f"experiment={preset}", *SMALL[:3], *(f"{name}={value}" for name, value in drawn.items()))
+        assert RunConfig.read(config).validation.name == "heldout"
+
+
+GENERATOR = np.random.default_rng(0)
+NUMBER = pd.Series(GENERATOR.uniform(1.0, 100.0, 60))
+CHOICE = pd.Series(GENERATOR.choice(["a", "b", "c"], 60))
+
+
+def test_what_the_score_is_made_of_explains_it() -> None:
+    assert importance(NUMBER, NUMBER**3) == pytest.approx(1.0)
+    assert importance(NUMBER, (NUMBER - 50.0) ** 2) > 0.9  # least in the middle
+    assert importance(CHOICE, CHOICE.map({"a": 3.0, "b": 1.0, "c": 2.0})) == pytest.approx(1.0)
+
+
+def test_what_it_is_not_made_of_explains_little() -> None:
+    assert importance(NUMBER, pd.Series(GENERATOR.normal(size=60))) < 0.15
+    assert importance(CHOICE, NUMBER) < 0.15
+
+
+def test_too_little_to_tell() -> None:
+    assert np.isnan(importance(NUMBER[:3], NUMBER[:3]))
+    assert np.isnan(importance(pd.Series(["a"] * 9), NUMBER[:9]))

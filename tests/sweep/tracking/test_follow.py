@@ -16,10 +16,8 @@ from interrupted_runs import ADAM, Steps, assert_same_numbers, without_figures
 
 from pinn_cli.runs.tracking_state import FILE, TrackingState
 from pinn_cli.settings.errors import DivergenceError, InputError
-from pinn_cli.tracking.base import TrackedRun, Tracker, Tracking, require
-from pinn_cli.tracking.follow import Followed, follow
-from pinn_cli.tracking.none import NoTracking
-from pinn_cli.tracking.outcome import Outcome
+from pinn_cli.sweep.tracking.base import Followed, Outcome, TrackedRun, Tracker, Tracking, follow
+from pinn_cli.sweep.tracking.tensorboard import TensorboardTracking
 
 
 class Notes(Tracker):
@@ -112,15 +110,7 @@ def test_a_run_that_goes_on_is_not_forgotten_for_unusable_input(job: TrackedRun)
     assert (job.directory / FILE).is_file()
 
 
-def test_a_tracker_of_another_kind_does_not_go_on_with_it(job: TrackedRun) -> None:
-    TrackingState("mlflow", job.configuration, "a1").write(job.directory)
-    tracking = Noting()
-    with follow(tracking, job, resuming=True):
-        pass
-    assert [before for _, before in tracking.keys] == [""]
-
-
-GOOD = {"tracking": "noting", "configuration": "of these settings", "key": "a1", "ended": False}
+KEPT = {"tracking": "noting", "configuration": "of these settings", "key": "a1", "ended": False}
 
 
 @pytest.mark.parametrize(
@@ -130,10 +120,11 @@ GOOD = {"tracking": "noting", "configuration": "of these settings", "key": "a1",
         "[]",
         "{",
         '{"tracking": "noting"}',
-        json.dumps(GOOD | {"key": "' or 1"}),
+        json.dumps(KEPT | {"key": "' or 1"}),
+        json.dumps(KEPT | {"tracking": "x"}),
     ],
 )
-def test_a_damaged_file_is_no_run_to_go_on_with(job: TrackedRun, content: str) -> None:
+def test_a_damaged_file_or_that_of_another_tracker_is_no_run_to_go_on_with(job: TrackedRun, content: str) -> None:
     (job.directory / FILE).write_text(content)
     tracking = Noting()
     with follow(tracking, job, resuming=True):
@@ -155,15 +146,10 @@ def test_a_tracker_that_breaks_is_complained_of_once_and_does_the_run_no_harm(
 
 
 def test_nothing_is_tracked_by_none(job: TrackedRun) -> None:
-    with follow(NoTracking(), job, resuming=True) as tracked:
+    with follow(None, job, resuming=True) as tracked:
         tracked.row(row(1))
         tracked.results()
     assert list(job.directory.iterdir()) == []
-
-
-def test_a_package_that_is_missing_is_named() -> None:
-    with pytest.raises(InputError, match=r"tracking=mlflow: must be none.*pip install 'pinn-cli\[mlflow\]'"):
-        require("a_package_that_nobody_has", "mlflow")
 
 
 def test_a_run_is_followed_from_start_to_end(
@@ -172,10 +158,10 @@ def test_a_run_is_followed_from_start_to_end(
     """Interrupted and gone on with: one tracked run, every row of the history once, the numbers of an untracked run."""
     without_figures(monkeypatch)
     tracking, steps = Noting(), Steps(monkeypatch)
-    monkeypatch.setattr(NoTracking, "name", "noting")
-    monkeypatch.setattr(NoTracking, "open", lambda self, *given: tracking.open(*given))
+    monkeypatch.setattr(TensorboardTracking, "__init__", lambda self, directory: None)
+    monkeypatch.setattr(TensorboardTracking, "open", lambda self, *given: tracking.open(*given))
     steps.signal_at(10, signal.SIGINT)
-    assert pinn_run(*ADAM, "hydra.run.dir=run").status == 130
+    assert pinn_run(*ADAM, "tracking=tensorboard", "hydra.run.dir=run").status == 130
     steps.undisturbed()
     assert pinn_run("resume=run").status == 0
     monkeypatch.undo()

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.paths import located
-from pinn_cli.tracking.base import TrackedRun, Tracker, Tracking, require
-from pinn_cli.tracking.outcome import Outcome
+from pinn_cli.sweep.tracking.base import Outcome, TrackedRun, Tracker, Tracking, require
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard.writer import SummaryWriter

@@ -19,10 +19,9 @@ from calls import SMALL, PinnRun
 from interrupted_runs import ADAM, Steps, in_a_child, without_figures
 
 from pinn_cli.settings.errors import DivergenceError, InputError
-from pinn_cli.tracking import mlflow as mlflow_tracking
-from pinn_cli.tracking.base import TrackedRun
-from pinn_cli.tracking.follow import follow
-from pinn_cli.tracking.mlflow import MlflowTracking
+from pinn_cli.sweep.tracking import mlflow as mlflow_tracking
+from pinn_cli.sweep.tracking.base import TrackedRun, follow
+from pinn_cli.sweep.tracking.mlflow import MlflowTracking
 
 pytest.importorskip("mlflow", reason="the extra mlflow is not installed")
 pytest.importorskip("sqlalchemy", reason="the extra mlflow is not installed")
@@ -34,9 +33,8 @@ PROCESSES = 4
 ONE_PROCESS = """
 import sys
 from pathlib import Path
-from pinn_cli.tracking.base import TrackedRun
-from pinn_cli.tracking.follow import follow
-from pinn_cli.tracking.mlflow import MlflowTracking
+from pinn_cli.sweep.tracking.base import TrackedRun, follow
+from pinn_cli.sweep.tracking.mlflow import MlflowTracking
 for number in range(3):
     place = Path(sys.argv[1], str(number))
     place.mkdir(parents=True)
@@ -86,7 +84,7 @@ def killed(*_: object, **__: object) -> None:
 
 @pytest.mark.slow
 def test_a_run_that_was_killed_while_it_was_told_is_one_run_in_the_end(tmp_path: Path) -> None:
-    """In each of the steps: when the tables are made, when the run is, when its rows are and when it was to end."""
+    """In each of the steps: when the tables are made, when the run is, when it is told, when it is told anew."""
     import mlflow.tracking  # noqa: F401 once, rather than in each child
 
     directory, database = tmp_path / "run", tmp_path / "mlflow.db"
@@ -103,14 +101,13 @@ def test_a_run_that_was_killed_while_it_was_told_is_one_run_in_the_end(tmp_path:
 
     assert in_a_child(lambda: start(mlflow_tracking, "replacing")) == -signal.SIGKILL
     assert not database.exists()
-    for step in ("_log_params", "_log_rows", "_log_metrics"):
-        assert in_a_child(lambda step=step: start(mlflow_tracking, step)) == -signal.SIGKILL  # type: ignore[misc]
-    assert in_a_child(lambda: start(MlflowClient, "set_tag")) == -signal.SIGKILL
+    for step in ("create_run", "log_batch", "delete_run"):
+        assert in_a_child(lambda step=step: start(MlflowClient, step)) == -signal.SIGKILL  # type: ignore[misc]
     (half,) = runs(database)
     assert half.info.status == "KILLED"
     assert in_a_child(lambda: start(None, "")) == 0
     (run,) = runs(database)
-    assert (run.info.run_id, run.info.status) == (half.info.run_id, "FINISHED")
+    assert run.info.status == "FINISHED"
     assert steps_of(database, run, "loss_physics") == list(range(1, 9))
     assert run.data.params == {"seed": "0", "threads": "1"}
     assert {file.name for file in tmp_path.iterdir()} == {"mlflow.db", "run"}
@@ -166,15 +163,6 @@ def test_several_processes_share_one_file(tmp_path: Path) -> None:
         assert steps_of(tmp_path / "shared.db", run, "loss_physics") == list(range(1, 40))
 
 
-def test_an_unusable_store_is_told_before_anything_runs(pinn_run: PinnRun, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    outcome = pinn_run(*SMALL, "tracking=mlflow", "tracking.uri=sqlite:///file/mlflow.db")
-    assert outcome.status == 2
-    assert outcome.err.startswith("pinn-run: tracking.uri=")
-    assert outcome.err.count("\n") == 1
-    assert not (tmp_path / "outputs").exists()
-
-
 @pytest.mark.parametrize(
     "setting",
     [
@@ -201,13 +189,6 @@ def told(uri: str, directory: Path) -> str:
     return str(error.value)
 
 
-def test_a_port_where_nothing_answers_is_told_at_once(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = server.getsockname()[1]
-    expected = "must be a server that runs; nothing answers there (Connection refused)"
-    assert told(f"http://127.0.0.1:{port}", tmp_path) == f"tracking.uri=http://127.0.0.1:{port}: {expected}"
-
-
 def test_a_server_that_takes_calls_and_says_nothing_does_the_run_no_harm(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -221,27 +202,33 @@ def test_a_server_that_takes_calls_and_says_nothing_does_the_run_no_harm(
     assert os.environ["MLFLOW_HTTP_REQUEST_MAX_RETRIES"] == "1"
 
 
-@pytest.mark.parametrize("name", ["rig.csv", "folder", "pipe"])
-def test_what_is_no_database_is_left_alone(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize(
+    ("uri", "reason"),
+    [
+        ("sqlite:///rig.csv", "what is there is no SQLite file, and is left alone"),
+        ("sqlite:///folder", "what is there is no SQLite file, and is left alone"),
+        ("sqlite:///pipe", "what is there is no SQLite file, and is left alone"),
+        ("sqlite:///notes.db", "what is there is the database of another program, and is left alone"),
+        ("sqlite:///runs.db", "what is there is the database of another program, and is left alone"),
+        ("sqlite:///none.db", "what is there is the database of another program, and is left alone"),
+        ("sqlite:///rig.csv/mlflow.db", "rig.csv: nothing may be written there"),
+        ("http://127.0.0.1:{port}", "nothing answers there (Connection refused)"),
+    ],
+)
+def test_a_store_that_cannot_be_used_is_left_alone(tmp_path: Path, uri: str, reason: str, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "rig.csv").write_text("t,f\n0,1\n")
     (tmp_path / "folder").mkdir()
     os.mkfifo(tmp_path / "pipe")
-    before = sorted(tmp_path.iterdir())
-    uri = f"sqlite:///{tmp_path / name}"
-    assert told(uri, tmp_path).startswith(f"tracking.uri={uri}: must be a SQLite file, sqlite:///FILE, or a server")
-    assert (tmp_path / "rig.csv").read_text() == "t,f\n0,1\n"
-    assert sorted(tmp_path.iterdir()) == before
-
-
-@pytest.mark.parametrize("tables", ["notes (text)", "runs (id); CREATE TABLE alembic_version (version_num)", ""])
-def test_a_database_of_another_program_is_left_alone(tmp_path: Path, tables: str) -> None:
-    database = tmp_path / "app.db"
-    with contextlib.closing(sqlite3.connect(database)) as connection:
-        connection.executescript(f"CREATE TABLE {tables}" if tables else "PRAGMA user_version = 7")
-    before = database.read_bytes()
-    assert "what is there is the database of another program" in told(f"sqlite:///{database}", tmp_path)
-    assert database.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [database]
+    tables = {"notes": "notes (text)", "runs": "runs (id); CREATE TABLE alembic_version (version_num)"}
+    for name, made in (tables | {"none": ""}).items():
+        with contextlib.closing(sqlite3.connect(f"{name}.db")) as connection:
+            connection.executescript(f"CREATE TABLE {made}" if made else "PRAGMA user_version = 7")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        uri = uri.format(port=server.getsockname()[1])
+    before = {file: file.is_file() and file.read_bytes() for file in sorted(tmp_path.iterdir())}
+    assert told(uri, tmp_path).endswith(reason)
+    assert before == {file: file.is_file() and file.read_bytes() for file in sorted(tmp_path.iterdir())}
 
 
 def test_a_database_that_another_program_has_locked_is_no_other_program_s(tmp_path: Path, monkeypatch) -> None:
@@ -256,31 +243,9 @@ def test_a_database_that_another_program_has_locked_is_no_other_program_s(tmp_pa
     assert "the database of another program" in told(f"sqlite:///{database}", tmp_path)
 
 
-@pytest.mark.slow
-def test_a_database_that_is_locked_while_it_is_told_is_told_once(tmp_path: Path, monkeypatch, capfd, caplog) -> None:
-    database, job = tmp_path / "here.db", TrackedRun(tmp_path, "run", {"seed": "0"}, {}, "")
-    tracking, log_rows = MlflowTracking(f"sqlite:///{database}"), mlflow_tracking._log_rows
-    with contextlib.closing(sqlite3.connect(database, isolation_level=None)) as connection:
-
-        def locked(*given: Any) -> None:
-            connection.execute("BEGIN EXCLUSIVE")
-            log_rows(*given)
-
-        monkeypatch.setattr(mlflow_tracking, "_log_rows", locked)
-        with follow(tracking, job, resuming=True):
-            pass
-    assert [record.getMessage() for record in caplog.records if record.name.startswith("pinn_cli")] == [
-        "tracking=mlflow: (sqlite3.OperationalError) database is locked; the run goes on"
-    ]
-    assert "Traceback" not in capfd.readouterr().err
-    monkeypatch.undo()
-    with follow(tracking, job, resuming=True):
-        pass
-    (run,) = runs(database)
-    assert run.info.status == "FINISHED"
-
-
 def test_it_is_imported_only_where_it_is_chosen(tmp_path: Path) -> None:
-    code = "import sys; from pinn_cli.main import run; import pinn_cli.tracking.follow; print('mlflow' in sys.modules)"
+    code = (
+        "import sys; from pinn_cli.main import run; import pinn_cli.sweep.tracking.base; print('mlflow' in sys.modules)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

@@ -89,7 +89,7 @@ def test_in_a_folder_with_files_of_others_those_stay(pinn_run: PinnRun, tmp_path
 
 
 def test_impossible_settings_are_named(pinn_run: PinnRun, tmp_path: Path) -> None:
-    from pinn_cli.tracking.tensorboard import TensorboardTracking
+    from pinn_cli.sweep.tracking.tensorboard import TensorboardTracking
 
     with pytest.raises(InputError, match=r"tracking\.directory"):
         TensorboardTracking(5)  # type: ignore[arg-type]
@@ -102,9 +102,8 @@ def test_a_disk_that_is_full_is_told_in_one_line(tmp_path: Path, capfd: pytest.C
     """TensorBoard writes in a thread of its own, which would print a traceback."""
     import resource
 
-    from pinn_cli.tracking.base import TrackedRun
-    from pinn_cli.tracking.follow import follow
-    from pinn_cli.tracking.tensorboard import TensorboardTracking
+    from pinn_cli.sweep.tracking.base import TrackedRun, follow
+    from pinn_cli.sweep.tracking.tensorboard import TensorboardTracking
 
     job = TrackedRun(tmp_path, "run", {"case": "x" * 3000}, {}, "")
 
