@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import OmegaConf
 
-from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.instantiation import construct
-from pinn_cli.settings.registry import plugins_of
-from pinn_cli.settings.suggestion import suggestion
+from pinn_cli.settings.errors import InputError, suggestion
+from pinn_cli.settings.instantiation import construct, plugins_of
 from pinn_cli.system import connection
 from pinn_cli.system.connection.base import Nonlinearity
 

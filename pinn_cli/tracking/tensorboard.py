@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.paths import located
+from pinn_cli.settings.legal_values import located
 from pinn_cli.tracking.base import TrackedRun, Tracker, Tracking, require
 from pinn_cli.tracking.outcome import Outcome
 

@@ -8,7 +8,7 @@ from hydra import compose, initialize_config_module
 from omegaconf import DictConfig
 
 from pinn_cli.cli.config import RunConfig
-from pinn_cli.cli.config_names import option_names
+from pinn_cli.cli.help import option_names
 
 optuna = pytest.importorskip("optuna", reason="the extra optuna is not installed")
 PRESETS = [name for name in option_names("experiment") if name.startswith("search/")]

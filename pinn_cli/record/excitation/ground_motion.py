@@ -14,8 +14,7 @@ from pinn_cli.record.excitation.banded_noise import BandedNoise, sum_of_sinusoid
 from pinn_cli.record.excitation.base import Excitation
 from pinn_cli.record.excitation.recorded_motion import RecordedMotion
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.legal_values import finite_number, non_negative_number, positive_number, whole_number
-from pinn_cli.settings.paths import located
+from pinn_cli.settings.legal_values import finite_number, located, non_negative_number, positive_number, whole_number
 
 log = logging.getLogger(__name__)
 
