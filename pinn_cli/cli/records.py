@@ -90,7 +90,7 @@ def numbered(config: DictConfig, labels: Labels) -> DictConfig:
     if not labels.dofs:
         return config
     plain: Any = OmegaConf.to_container(config)
-    data = plain.get("data") if isinstance(plain.get("data"), dict) else {}
+    data: Any = plain.get("data") if isinstance(plain.get("data"), dict) else {}
     for setting in LISTS:
         if setting == "scheme.unobserved" and "path" in data:
             continue  # of simulated records alone: its default is of the paper's chain
@@ -100,7 +100,8 @@ def numbered(config: DictConfig, labels: Labels) -> DictConfig:
             node = node.get(group) if isinstance(node, dict) else None
         if isinstance(node, dict) and isinstance(node.get(last), list):
             node[last] = [_dof(setting, dof, labels) for dof in node[last]]
-    entries = data.get("records") if isinstance(data.get("records"), list) else []
+    records: Any = data.get("records")
+    entries = records if isinstance(records, list) else []
     nodes = [(0, "data", data), (0, "data.validation", data.get("validation"))]
     for number, group, node in [*nodes, *((i, "data", entry) for i, entry in enumerate(entries, start=1))]:
         if isinstance(node, dict):
@@ -123,7 +124,7 @@ def _number_data(group: str, data: dict[str, Any], labels: Labels) -> None:
                     given, hint = labels.dofs[number - 1], "by its name or by its number"
                     raise InputError(f"{group}.{quantity}", given, "there once only", hint)
                 data[quantity][number] = column
-    channels = data.get("channels")
+    channels: Any = data.get("channels")
     for name, given in channels.items() if isinstance(channels, dict) else ():
         if isinstance(given, dict):
             channels[name] = _numbered_channel(f"{group}.channels.{name}", given, labels)

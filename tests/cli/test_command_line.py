@@ -174,6 +174,7 @@ def test_a_name_is_not_suggested_for_itself(pinn_run: PinnRun, tmp_path: Path) -
         assert outcome.status == 2
         assert "did you mean e?" not in outcome.err
     assert "dufing" in outcome.err
+    assert "did you mean e?" in pinn_run("--config-dir", "own", "experiment=ee", task=judge).err
 
 
 def test_help_lists_groups_and_examples(pinn_run: PinnRun) -> None:
@@ -188,18 +189,6 @@ def test_the_options_are_those_of_hydra(pinn_run: PinnRun) -> None:
     flags = [line.partition(" : ")[0] for line in pinn_run("--hydra-help").out.splitlines() if line.startswith("--")]
     left_out = {"--config-path,-cp", "--config-name,-cn", "--experimental-rerun", "--info,-i", "--shell-completion,-sc"}
     assert sorted({",".join(names) for names in OPTIONS} | left_out) == sorted(flags)
-
-
-def test_config_dir_adds_configs(pinn_run: PinnRun, tmp_path: Path) -> None:
-    folder = tmp_path / "own" / "experiment"
-    folder.mkdir(parents=True)
-    text = "# @package _global_\ndefaults:\n  - override /system: linear\n  - _self_\ncase: my_rig\nseed: 1\n"
-    (folder / "my_rig.yaml").write_text(text)
-    outcome = pinn_run("--config-dir", "own", "experiment=my_rig", "--cfg", "job")
-    assert "case: my_rig" in outcome.out
-    assert "kappa" not in outcome.out
-    outcome = pinn_run("--config-dir", "own", "experiment=my_ring", task=judge)
-    assert "did you mean my_rig?" in outcome.err
 
 
 def test_a_reader_that_leaves_is_no_defect() -> None:

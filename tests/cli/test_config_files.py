@@ -16,10 +16,6 @@ BOMB = "a0: &a0 [x,x,x,x,x,x,x,x,x]\n" + "".join(
 )
 FILES = {
     "alias bomb": (BOMB, ["line 2=*a0", "written out"]),
-    "bomb of interpolations": (
-        "a0: x\n" + "".join(f"a{i}: ${{.a{i - 1}}}${{network.a{i - 1}}}\n" for i in range(1, 40)),
-        ["network.a", "at most 100000 values", "unfold"],
-    ),
     "bomb of interpolated lists": (
         "a0: [x, y]\n" + "".join(f"a{i}: ['${{..a{i - 1}}}', '${{..a{i - 1}}}']\n" for i in range(1, 40)),
         ["network.a", "at most 100000 values", "unfold"],
@@ -46,7 +42,6 @@ FILES = {
     ),
     "interpolated circle": ("depth: ${.width}\nwidth: ${.depth}\n", ["network.depth=${.width}", "names itself"]),
     "name within itself": ("depth: &a\n  b: *a\n", ["line 2=*a", "aliases are not read"]),
-    "a number": ("5\n", ["mine.yaml=5", "settings"]),
     "a list": ("- depth\n", ["mine.yaml=- depth", "settings"]),
     "tab": ("depth: 3\nweights:\n\tphysics: 2\n", ["line 3=physics: 2", "spaces, not with tabs"]),
     "open bracket": ("depth: [1,\nwidth: 2\n", ["line 3", "YAML", "flow sequence of line 1"]),
