@@ -244,11 +244,11 @@ def perform(jobs: Jobs, watch: AbstractContextManager[None], tasks: dict[str, Ta
     except Exception as error:
         with suppress(WriteError):  # of which more has been said
             _collect(jobs, cut_off=True)
-        told = None if type(error).__name__ in LOST_WORKERS else _told(error, jobs, options)
-        jobs.refused = jobs.refused if told is None else isinstance(told, InputError)
-        if told is None or told is error:
+        reported = None if type(error).__name__ in LOST_WORKERS else _as_reported(error, jobs, options)
+        jobs.refused = jobs.refused if reported is None else isinstance(reported, InputError)
+        if reported is None or reported is error:
             raise
-        raise told.with_traceback(error.__traceback__) from None
+        raise reported.with_traceback(error.__traceback__) from None
     finally:
         leave_sweep()
         if jobs.refused:
@@ -283,12 +283,12 @@ def _begin(jobs: Jobs, options: Namespace) -> None:
             return
         jobs.stored.enter()
         overrides, config_dir = jobs.stored.arguments, None
-    from pinn_cli.cli.composing import show_hydra_help, shown, start  # not for --help
+    from pinn_cli.cli.composing import configuration_text, show_hydra_help, start  # not for --help
 
     if options.hydra_help:
         show_hydra_help()
     elif options.cfg:
-        jobs.terminal.say(shown(options, overrides, config_dir))
+        jobs.terminal.say(configuration_text(options, overrides, config_dir))
     else:
         start(jobs, [*overrides, *jobs.of_hydra], config_dir, options.multirun)
         _collect(jobs)
@@ -304,17 +304,17 @@ def _note_how_to_go_on(jobs: Jobs) -> None:
     jobs.refused = not jobs.begun
 
 
-def _told(error: Exception, jobs: Jobs, options: Namespace) -> Exception | None:
+def _as_reported(error: Exception, jobs: Jobs, options: Namespace) -> Exception | None:
     """What to tell of an error that no job reported; None of a defect."""
-    told = error if isinstance(error, WriteError) else refused_by_disk(error)
-    if told is None and isinstance(error, FileNotFoundError) and not jobs.started:  # as below /proc
-        told = WriteError(error.filename, error.strerror or "")
-    if told is None:
+    reported = error if isinstance(error, WriteError) else refused_by_disk(error)
+    if reported is None and isinstance(error, FileNotFoundError) and not jobs.started:  # as below /proc
+        reported = WriteError(error.filename, error.strerror or "")
+    if reported is None:
         return explain(error, options.overrides, options.config_dir, composing=not jobs.started)
-    if jobs.started or told.path == OUTPUT:
-        return told
+    if jobs.started or reported.path == OUTPUT:
+        return reported
     setting = "hydra.sweep.dir" if options.multirun else "hydra.run.dir"
-    return InputError(setting, told.path, "a directory that can be made", told.reason)
+    return InputError(setting, reported.path, "a directory that can be made", reported.reason)
 
 
 def _collect(jobs: Jobs, cut_off: bool = False) -> None:

@@ -256,7 +256,7 @@ def start(task: TaskFunction, overrides: Sequence[str], config_dir: str | None, 
         _ = done.return_value  # raises what the job raised
 
 
-def shown(options: Namespace, overrides: Sequence[str], config_dir: str | None) -> str:
+def configuration_text(options: Namespace, overrides: Sequence[str], config_dir: str | None) -> str:
     """What `--cfg` prints, as YAML: settings of the job, of Hydra, or all; or a package of them.
 
     Raises:
