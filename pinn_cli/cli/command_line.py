@@ -25,7 +25,7 @@ from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from pinn_cli.cli.help import help_text
 from pinn_cli.cli.options import read_options
@@ -115,7 +115,8 @@ class Jobs:
         hydra = HydraConfig.get()
         self.started, self.directory = True, Path(hydra.runtime.output_dir)
         in_sweep = hydra.mode == RunMode.MULTIRUN
-        settings = {  # what `.hydra/` holds, by file: as Hydra itself would have written it, but for when
+        # What `.hydra/` holds, by file: as Hydra itself would have written it, but for when.
+        settings: dict[str, DictConfig | ListConfig] = {
             "hydra.yaml": OmegaConf.create({**stamp(FORMAT), "hydra": hydra}),
             "config.yaml": config,
             "overrides.yaml": OmegaConf.create(hydra.overrides.task),
