@@ -18,8 +18,9 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
+from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.config import RunConfig
-from pinn_cli.cli.prepare import PreparedProblem, compose_config, prepare_problem
+from pinn_cli.cli.prepare import PreparedProblem, prepare_problem
 from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.training.estimate import RunContext

@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING
 LOADED = time.perf_counter()
 
 if TYPE_CHECKING:
-    from pinn_cli.api.record import Record
     from pinn_cli.api.results import Result, SweepResult, load
     from pinn_cli.api.run import run
-    from pinn_cli.api.structure import Structure
+    from pinn_cli.api.structure import Record, Structure
     from pinn_cli.runs.writing import WriteError
     from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
 
@@ -28,7 +27,7 @@ __all__ = [
 # Imported when they are asked for (PEP 562): the command and its every worker import this package.
 _PLACES = {
     "run": "api.run",
-    "Record": "api.record",
+    "Record": "api.structure",
     "Structure": "api.structure",
     "WriteError": "runs.writing",
     **dict.fromkeys(("load", "Result", "SweepResult"), "api.results"),

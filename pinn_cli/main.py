@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig
 
 from pinn_cli import LOADED
-from pinn_cli.cli.command_line import execute
+from pinn_cli.cli.command_line import Terminal, execute
 from pinn_cli.cli.job import Job, inspect, results_of, run_job, shown
-from pinn_cli.cli.terminal import Silence, Terminal
 from pinn_cli.runs.claim import settle_directory
 from pinn_cli.runs.memory import keep_imported
 from pinn_cli.runs.process import is_borrowed
@@ -46,10 +45,7 @@ def carry_out(job: Job, watch: Watch) -> None:
         baseline = baseline_estimate(config.baseline, problem, job.context)
     results = results_of(job, problem, estimate, posterior=posterior, score=score, baseline=baseline)
     report = RunReport(results, job.directory, stages, config.exports)
-    with (
-        report.drawing() if job.draws else nullcontext(),
-        nullcontext() if isinstance(job.terminal, Silence) else shown(report.text(), stages, job.terminal),
-    ):
+    with report.drawing() if job.draws else nullcontext(), shown(report.text, stages, job.terminal):
         report.write()
 
 

@@ -21,7 +21,7 @@ from hydra import compose, initialize_config_module
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.inspecting import Inspected
-from pinn_cli.cli.windows import check_windows
+from pinn_cli.cli.prepare import check_windows
 from pinn_cli.inspection.inspection import inspect_record
 from pinn_cli.record.windows import GrowingWindows
 from pinn_cli.scheme.modal.modal_problem import modal_problem

@@ -15,7 +15,7 @@ from calls import PinnRun
 from omegaconf import OmegaConf
 from scipy.io import mmwrite
 
-from pinn_cli.cli.prepare import compose_config
+from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.source import read_structure
 from pinn_cli.record.simulation import simulate
 from pinn_cli.system.finite_elements import build_finite_elements

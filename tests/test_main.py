@@ -14,8 +14,8 @@ import pytest
 import xarray as xr
 from calls import MEASURED, SMALL, PinnRun
 
+from pinn_cli.cli.command_line import Terminal
 from pinn_cli.cli.job import shown
-from pinn_cli.cli.terminal import Terminal
 from pinn_cli.runs.stages import Stages
 
 TABLES = [f"{name}.csv" for name in ("fitness", "modes", "drift", "energy", "free_run", "parameters", "residuals")]
@@ -84,7 +84,7 @@ def test_a_reader_that_leaves_costs_no_result(monkeypatch: pytest.MonkeyPatch) -
 
     stages, written = Stages(), False
     monkeypatch.setattr(sys, "stdout", Left())
-    with pytest.raises(BrokenPipeError), shown("table", stages, Terminal()):
+    with pytest.raises(BrokenPipeError), shown(lambda: "table", stages, Terminal()):
         written = True
     assert written
     assert "table_at" in stages.seconds

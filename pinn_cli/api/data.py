@@ -11,7 +11,10 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import quoted, setting_of
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from pinn_cli.record.files.table import Table
+    from pinn_cli.record.record import Record
 
 # As `pinn_cli.system.quantities` has them; not from there, so that errors about words come at once.
 _OF_DOFS = ("force", "displacement", "velocity", "acceleration")
@@ -38,16 +41,21 @@ def settings_of(data: Any, overrides: Sequence[str]) -> Iterator[list[str]]:
         yield []
         return
     from pinn_cli.record.files.frame import held, table_of
+    from pinn_cli.record.record import Record
 
+    for override in overrides:
+        name = setting_of(override)
+        if name in ("data", "data.path", "data.format", "data.kind"):
+            hint = "the record is in memory"
+            raise InputError(name, override.partition("=")[2], "left out with data=..., the argument", hint)
     several = isinstance(data, list | tuple)
     given = list(data) if several else [data]
     if not given:
         raise InputError("data", "[]", "a frame, or a list of frames, one for each record")
-    _check_not_a_file(overrides)
     with ExitStack() as stack:
         entries = []
         for number, one in enumerate(given, start=1):
-            columns, own, acting = _columns_of(one)
+            columns, own, acting = settings_of_record(one) if isinstance(one, Record) else (one, {}, [])
             table = table_of(columns, f"data[{number}]" if several else "data")
             stack.enter_context(held(table))
             entries.append(_settings(table, own, acting, overrides))
@@ -59,23 +67,31 @@ def settings_of(data: Any, overrides: Sequence[str]) -> Iterator[list[str]]:
             yield ["data=frame", *(f"data.{name}={value}" for name, value in entries[0].items())]
 
 
-def _columns_of(data: Any) -> tuple[Any, dict[str, str], list[str]]:
-    """Columns; of a record settings of `data` that come with them, and DOFs whose force nobody measured."""
-    from pinn_cli.record.record import Record
+def settings_of_record(given: Record) -> tuple[dict[str, np.ndarray], dict[str, str], list[str]]:
+    """A record as columns by the names that `run` knows.
 
-    if not isinstance(data, Record):
-        return data, {}, []
-    from pinn_cli.api.record import columns_of, unmeasured_forces
+    Returns:
+        The columns, what else the record says as settings of `data`, and DOFs whose force nobody measured.
 
-    return *columns_of(data), unmeasured_forces(data)
+    Raises:
+        InputError: It has sensors that are no columns.
+    """
+    from pinn_cli.record.response import QUANTITIES
 
-
-def _check_not_a_file(overrides: Sequence[str]) -> None:
-    for override in overrides:
-        name = setting_of(override)
-        if name in ("data", "data.path", "data.format", "data.kind"):
-            hint = "the record is in memory"
-            raise InputError(name, override.partition("=")[2], "left out with data=..., the argument", hint)
+    if given.gauges:
+        told = f"a record with the sensors {', '.join(gauge.name for gauge in given.gauges)}"
+        raise InputError("data", told, "one whose sensors are columns", "give a frame")
+    names = [given.dof_name(dof) for dof in range(given.ndof)]
+    columns: dict[str, np.ndarray] = {"t": given.time}
+    for quantity in QUANTITIES:
+        for dof in given.sensors(quantity).nonzero()[0]:
+            columns[f"{quantity}.{names[dof]}"] = getattr(given, quantity)[:, dof]
+    settings: dict[str, str] = {"intersample": given.intersample}
+    if given.ground_acceleration is not None:
+        columns[_GROUND] = given.ground_acceleration
+        settings["frame"] = given.frame
+    acting = (~given.unforced & ~given.sensors("force")).nonzero()[0]
+    return columns, settings, [names[dof] for dof in acting]
 
 
 def _goes_on(overrides: Sequence[str]) -> bool:

@@ -17,8 +17,7 @@ from matplotlib.figure import Figure
 from omegaconf import OmegaConf
 
 from pinn_cli.cli.config import resolved
-from pinn_cli.cli.reuse import chosen_model, structure_beside
-from pinn_cli.cli.source import SIMULATED, read_structure
+from pinn_cli.cli.source import SIMULATED, chosen_model, read_structure
 from pinn_cli.record.record import Record, Truth
 from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.report.figures import record_drawings, run_drawings
@@ -37,13 +36,30 @@ from pinn_cli.training.estimate import ConnectionHistories, Estimate, ParameterE
 
 # Those that figures are drawn from; others may lie in the directory, a user's own among them.
 TABLES = ("history", "parameters", "identifiability", "correlation")
+FIGURES = (
+    "response", "residuals", "error_map", "drift", "hysteresis", "parameters", "correlation", "modes", "structure",
+    "history", "posterior",
+)  # fmt: skip
 
 
 class Plots:
     """``result.plot``: each method returns a matplotlib figure, which a notebook shows.
 
+    - ``response()``: estimated response with 95 % bands, measurements, and the truth where it is known, DOF by DOF
+    - ``residuals()``: what the estimate leaves of every sensor, over time, frequency and lag
+    - ``error_map()``: error, or standard deviation where there is no truth, over time and DOF
+    - ``drift()``: how far every connection is stretched; ``hysteresis()``: loops of those that have memory
+    - ``parameters()``: with 90 % intervals; ``correlation()``: which of them the record cannot tell apart
+    - ``modes()``: shapes with frequencies and damping ratios
+    - ``structure()``: masses and connections of a structure that is no chain
+    - ``history()``: loss terms and weights over the iterations
+    - ``posterior()``: distributions of the parameters, with ``scheme=bayesian``
+
     Args:
         directory: Of the run whose figures they are; of several records solved together those of the first.
+
+    Raises:
+        InputError: The run has nothing for that figure.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -67,49 +83,13 @@ class Plots:
         """Those that the run has something for."""
         return list(self._builders)
 
-    def response(self) -> Figure:
-        """Estimated response with 95 % bands, measurements, and the truth where it is known, DOF by DOF."""
-        return self._drawn("response")
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *FIGURES]
 
-    def residuals(self) -> Figure:
-        """What the estimate leaves of every sensor: over time, frequency and lag."""
-        return self._drawn("residuals")
-
-    def error_map(self) -> Figure:
-        """Error, or standard deviation where there is no truth, over time and DOF."""
-        return self._drawn("error_map")
-
-    def drift(self) -> Figure:
-        """How far every connection is stretched."""
-        return self._drawn("drift")
-
-    def hysteresis(self) -> Figure:
-        """Loops of connections that have memory."""
-        return self._drawn("hysteresis")
-
-    def parameters(self) -> Figure:
-        """Parameters with 90 % intervals."""
-        return self._drawn("parameters")
-
-    def correlation(self) -> Figure:
-        """Which parameters the record cannot tell apart."""
-        return self._drawn("correlation")
-
-    def modes(self) -> Figure:
-        """Mode shapes with frequencies and damping ratios."""
-        return self._drawn("modes")
-
-    def structure(self) -> Figure:
-        """Masses and connections of a structure that is no chain."""
-        return self._drawn("structure")
-
-    def history(self) -> Figure:
-        """Loss terms and weights over the iterations."""
-        return self._drawn("history")
-
-    def posterior(self) -> Figure:
-        """Distributions of the parameters, with ``scheme=bayesian``."""
-        return self._drawn("posterior")
+    def __getattr__(self, name: str) -> Callable[[], Figure]:
+        if name not in FIGURES:
+            raise AttributeError(f"a run has no figure {name!r}")
+        return partial(self._drawn, name)
 
     def _drawn(self, name: str) -> Figure:
         if name not in self._builders:
@@ -166,9 +146,10 @@ def _structures(directory: Path) -> tuple[Structure, Structure, bool]:
     check_classes(config)
     base = OmegaConf.select(read_yaml(directory / ".hydra" / "hydra.yaml"), "hydra.runtime.cwd")
     place = None if base is None else Path(str(base))
-    model = chosen_model(config, place)
-    structure = read_structure(config, place) if model is None else structure_beside(model, config, place)
-    true, prescribed = build(config.model_error, "model_error").structures(structure)
+    model_error = build(config.model_error, "model_error")
+    model = chosen_model(config, model_error, place)
+    structure = read_structure(config, place, model)
+    true, prescribed = model_error.structures(structure)
     return true, prescribed if model is None else model.structure, config.data.get("_target_") == SIMULATED
 
 

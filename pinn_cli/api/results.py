@@ -5,15 +5,14 @@ from __future__ import annotations
 import html
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pinn_cli.runs.reading import check_regular, read_histories, read_json, read_table, undamaged
 from pinn_cli.runs.resume import FORMAT, RESULT, RunFile
-from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.suggestion import suggestion
+from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.sweep.jobs import FINISHED, STORED, Job, Sweep
 
 if TYPE_CHECKING:
@@ -55,7 +54,46 @@ def load(directory: str | os.PathLike[str]) -> Result | SweepResult:
     raise InputError("directory", directory, "the directory of a finished run or of a sweep", hint)
 
 
-class Result:
+class _Tables:
+    """A directory whose tables are read when they are asked for."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+
+    @property
+    def tables(self) -> list[str]:
+        """Names of all its tables; :meth:`table` reads one."""
+        return sorted(file.stem for file in self.directory.glob("*.csv"))
+
+    def table(self, name: str) -> pd.DataFrame:
+        """One of its tables, ``drift.csv`` by the name ``drift``.
+
+        Raises:
+            InputError: It has no such table.
+        """
+        from pinn_cli.sweep.collect import COLUMNS
+
+        if name not in self.tables:
+            raise InputError("table", name, f"one of {', '.join(self.tables)}", suggestion(name, self.tables))
+        with undamaged("directory", self.directory):
+            return read_table(self.directory / f"{name}.csv", *COLUMNS.get(f"{name}.csv", ()))
+
+
+def _table(name: str, text: str) -> cached_property[pd.DataFrame]:
+    """A table as a property."""
+    found = cached_property[Any](lambda result: result.table(name))
+    found.__doc__ = text
+    return found
+
+
+def _optional(name: str, text: str) -> cached_property[pd.DataFrame | None]:
+    """A table that not every run has, as a property."""
+    found = cached_property[Any](lambda result: result.table(name) if name in result.tables else None)
+    found.__doc__ = text
+    return found
+
+
+class Result(_Tables):
     """A finished run, whose files are read when they are asked for.
 
     Args:
@@ -65,8 +103,19 @@ class Result:
         directory: Where its files lie.
     """
 
-    def __init__(self, directory: Path) -> None:
-        self.directory = directory
+    fitness = _table(
+        "fitness", "Fitness by group of DOFs and quantity, of every estimator; NaN where the truth is unknown."
+    )
+    parameters = _table(
+        "parameters", "A row for each: ``estimate``, ``std``, ``lower_90`` and ``upper_90`` beside what was given."
+    )
+    residuals = _table("residuals", "What the estimate leaves of every sensor.")
+    history = _table("history", "A row for each iteration: loss terms and weights.")
+    modes = _optional("modes", "Natural frequencies (Hz), damping ratios and shapes, with 90 % intervals, or None.")
+    free_run = _optional(
+        "free_run", "How well the structure by itself follows, under the measured forces; None where it has not run."
+    )
+    validation = _optional("validation", "The system on data that no estimator has seen; None without such data.")
 
     @cached_property
     def plot(self) -> Plots:
@@ -90,41 +139,6 @@ class Result:
     def reasons(self) -> tuple[str, ...]:
         """Why the verdict is not sound."""
         return tuple(self.run_record.get("reasons", ()))
-
-    @cached_property
-    def fitness(self) -> pd.DataFrame:
-        """Fitness by group of DOFs and quantity, of every estimator; NaN where the truth is unknown."""
-        return self.table("fitness")
-
-    @cached_property
-    def parameters(self) -> pd.DataFrame:
-        """A row for each parameter: ``estimate``, ``std``, ``lower_90`` and ``upper_90`` beside what was given."""
-        return self.table("parameters")
-
-    @cached_property
-    def modes(self) -> pd.DataFrame | None:
-        """Natural frequencies (Hz), damping ratios and shapes, with 90 % intervals; None where there are none."""
-        return self._optional("modes")
-
-    @cached_property
-    def residuals(self) -> pd.DataFrame:
-        """What the estimate leaves of every sensor."""
-        return self.table("residuals")
-
-    @cached_property
-    def free_run(self) -> pd.DataFrame | None:
-        """How well the estimated structure by itself follows, under the measured forces; None where it has not run."""
-        return self._optional("free_run")
-
-    @cached_property
-    def validation(self) -> pd.DataFrame | None:
-        """The identified system on data that no estimator has seen; None without such data."""
-        return self._optional("validation")
-
-    @cached_property
-    def history(self) -> pd.DataFrame:
-        """A row for each iteration: loss terms and weights."""
-        return self.table("history")
 
     @cached_property
     def response(self) -> xr.Dataset:
@@ -158,22 +172,6 @@ class Result:
         plain: Any = OmegaConf.to_container(read_yaml(self.directory / ".hydra" / "config.yaml"), resolve=False)
         return dict(plain)
 
-    @property
-    def tables(self) -> list[str]:
-        """Names of all its tables; :meth:`table` reads one."""
-        return sorted(file.stem for file in self.directory.glob("*.csv"))
-
-    def table(self, name: str) -> pd.DataFrame:
-        """One of its tables, ``drift.csv`` by the name ``drift``.
-
-        Raises:
-            InputError: It has no such table.
-        """
-        return _table(self.directory, name, self.tables)
-
-    def _optional(self, name: str) -> pd.DataFrame | None:
-        return self.table(name) if name in self.tables else None
-
     def __repr__(self) -> str:
         case, verdict = self.run_record.get("case"), self.verdict or "no verdict"
         return f"<Result of {case}: {verdict}; {len(self.parameters)} parameters; {self.directory}>"
@@ -192,7 +190,7 @@ class Result:
         return "\n".join(part for part in parts if part)
 
 
-class SweepResult:
+class SweepResult(_Tables):
     """The runs of a sweep, those that have finished so far.
 
     ``len(sweep)``, ``sweep[0]`` and ``for result in sweep`` are about their results.
@@ -202,18 +200,18 @@ class SweepResult:
 
     Attributes:
         directory: Where its files lie.
+        runs: Of every run that has finished, in the sweep's order.
     """
 
+    fitness = _table("fitness", "Of all runs; see :attr:`pinn_cli.Result.fitness`.")
+    parameters = _table("parameters", "Of all runs; see :attr:`pinn_cli.Result.parameters`.")
+
     def __init__(self, directory: Path) -> None:
-        self.directory = directory
+        super().__init__(directory)
         self._sweep = Sweep.read(directory)
         self._jobs = self._sweep.jobs()
         self._finished = [job for job in self._jobs if job.status == FINISHED]
-
-    @cached_property
-    def runs(self) -> list[Result]:
-        """Of every run that has finished, in the sweep's order."""
-        return [Result(job.directory) for job in self._finished]
+        self.runs = [Result(job.directory) for job in self._finished]
 
     def __len__(self) -> int:
         return len(self.runs)
@@ -230,21 +228,11 @@ class SweepResult:
         import pandas as pd
 
         rows = [
-            self._columns(job)
+            self._swept(job)
             | {"status": job.status, "reason": job.reason, "seconds": job.seconds, "directory": str(job.directory)}
             for job in self._jobs
         ]
         return pd.DataFrame(rows)
-
-    @cached_property
-    def fitness(self) -> pd.DataFrame:
-        """Of all runs; see :attr:`pinn_cli.Result.fitness`."""
-        return self.table("fitness")
-
-    @cached_property
-    def parameters(self) -> pd.DataFrame:
-        """Of all runs; see :attr:`pinn_cli.Result.parameters`."""
-        return self.table("parameters")
 
     @property
     def tables(self) -> list[str]:
@@ -266,17 +254,17 @@ class SweepResult:
         import pandas as pd
 
         if name in self._own or name not in self.tables:
-            return _table(self.directory, name, self.tables)
+            return super().table(name)
         parts = []
         for job, run in zip(self._finished, self.runs, strict=True):
             if name in run.tables:
                 table = run.table(name)
-                swept = {k: v for k, v in self._columns(job).items() if k not in table}
+                swept = {k: v for k, v in self._swept(job).items() if k not in table}
                 parts.append(pd.concat([pd.DataFrame(swept, index=table.index), table], axis="columns"))
         return pd.concat(parts, ignore_index=True)
 
-    def _columns(self, job: Job) -> dict[str, object]:
-        """Swept settings; numbers as such."""
+    def _swept(self, job: Job) -> dict[str, object]:
+        """Its swept settings; numbers as such."""
         return {name: _number(value) for name, value in self._sweep.columns(job).items()}
 
     def __repr__(self) -> str:
@@ -287,16 +275,6 @@ class SweepResult:
         own = "\n".join(f"<b>{html.escape(name)}</b>\n{_as_html(self.table(name))}" for name in self._own)
         jobs = self.jobs.drop(columns="directory")
         return f"{own}\n{_as_html(jobs)}\n<code>{html.escape(str(self.directory))}</code>"
-
-
-def _table(directory: Path, name: str, tables: Sequence[str]) -> pd.DataFrame:
-    """A table that lies in a directory; an `InputError` where it is none of those that there are."""
-    from pinn_cli.sweep.collect import COLUMNS
-
-    if name not in tables:
-        raise InputError("table", name, f"one of {', '.join(tables)}", suggestion(name, tables))
-    with undamaged("directory", directory):
-        return read_table(directory / f"{name}.csv", *COLUMNS.get(f"{name}.csv", ()))
 
 
 def _as_html(table: pd.DataFrame) -> str:

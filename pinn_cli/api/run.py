@@ -16,9 +16,7 @@ from typing import Any, Literal, overload
 
 from pinn_cli.api.data import settings_of
 from pinn_cli.api.results import Result, SweepResult, load
-from pinn_cli.cli.command_line import perform
-from pinn_cli.cli.jobs import REPORTED, Jobs
-from pinn_cli.cli.terminal import Silence
+from pinn_cli.cli.command_line import REPORTED, Jobs, Silence, perform
 from pinn_cli.main import run as run_job
 from pinn_cli.runs.interruption import watched
 from pinn_cli.runs.process import borrowed
@@ -142,7 +140,7 @@ def _performed(arguments: Sequence[str]) -> Path:
     try:
         with borrowed(arguments):
             here = Path.cwd()
-            perform(jobs, None, watched((signal.SIGINT,), ends=False))
+            perform(jobs, watched((signal.SIGINT,), ends=False))
     except REPORTED as error:
         raise error.with_traceback(None) from None  # of use to nobody: it leads through Hydra
     if jobs.refused and jobs.reasons:

@@ -1,20 +1,22 @@
-"""Structures that are built and simulated in Python, without the command."""
+"""Structures and records that are built and simulated in Python, without the command."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from pinn_cli.api.record import Record
+from pinn_cli.api.data import settings_of_record
+from pinn_cli.record import record
 from pinn_cli.record.between_samples import INTERSAMPLE_OF_HOLD, BandLimited
+from pinn_cli.record.response import GROUND, QUANTITIES, Response
+from pinn_cli.record.simulated import Noise, add_noise
 from pinn_cli.record.simulation import simulate
 from pinn_cli.record.steps import substeps_needed
-from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.legal_values import is_whole_number
-from pinn_cli.settings.suggestion import suggestion
 from pinn_cli.system import structure
 from pinn_cli.system.building import build_chain, law_called, law_settings
 from pinn_cli.system.modes import NaturalModes
@@ -26,6 +28,46 @@ if TYPE_CHECKING:
 
 # Steps of Runge-Kutta per sample, at least: laws that are not smooth have harmonics of the structure's frequencies.
 _LEAST_SUBSTEPS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Record(record.Record):
+    """What sensors have measured; see :class:`pinn_cli.record.record.Record`.
+
+    :meth:`pinn_cli.Structure.simulate` makes one, and ``run(..., data=record)`` takes one.
+
+    Example:
+        >>> import numpy as np
+        >>> from pinn_cli import Structure
+        >>> time = np.arange(500) / 50
+        >>> record = Structure.chain(ndof=2, m=10.0, c=5.0, k=4e3).simulate(time, {2: np.sin(9.0 * time)})
+        >>> record.keep({"acceleration": [1]}).with_noise(40.0).to_frame().columns.tolist()
+        ['t', 'acceleration.1', 'force.2']
+    """
+
+    def with_noise(self, snr_db: float, seed: int = 0) -> Self:
+        """The same with white Gaussian noise on every channel.
+
+        Args:
+            snr_db: 10 log10(signal power / noise power) of every channel.
+            seed: The same seed gives the same noise; a channel's does not depend on which others there are.
+
+        Raises:
+            InputError: Naming ``noise.snr_db`` or ``seed``.
+        """
+        Noise(snr_db, seed)  # refuses what is no ratio
+        clean = Response(**{name: getattr(self, name) for name in ("time", *QUANTITIES, GROUND)})
+        return replace(self, **add_noise(clean, snr_db, seed).measurable)
+
+    def to_frame(self) -> pd.DataFrame:
+        """A column for each sensor, ``acceleration.3``, and the times ``t``, SI units: what `run` reads as data.
+
+        Raises:
+            InputError: It has sensors that are no columns.
+        """
+        import pandas as pd
+
+        return pd.DataFrame(settings_of_record(self)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,20 +199,14 @@ class Structure(structure.Structure):
 
     def _acting(self, force: Any, time: np.ndarray) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]:
         """The force at any time, and which DOFs (ndof,) carry one."""
-        if callable(force):
-            sampled = _shaped("force", force(time), (len(time), self.ndof))
-            return force, (sampled != 0.0).any(axis=0)
-        if force is None:
-            force = {}
-        if isinstance(force, Mapping):
+        if force is None or isinstance(force, Mapping):
             samples, forced = np.zeros((len(time), self.ndof)), np.zeros(self.ndof, dtype=bool)
-            for dof, values in force.items():
+            for dof, values in (force or {}).items():
                 place = self._place(dof)
                 samples[:, place], forced[place] = _shaped(f"force[{dof!r}]", values, time.shape), True
-        else:
-            samples = _shaped("force", force, (len(time), self.ndof))
-            forced = (samples != 0.0).any(axis=0)
-        return BandLimited(time, samples), forced
+            return BandLimited(time, samples), forced
+        samples = _shaped("force", force(time) if callable(force) else force, (len(time), self.ndof))
+        return force if callable(force) else BandLimited(time, samples), (samples != 0.0).any(axis=0)
 
     def _place(self, dof: int | str) -> int:
         names = self.labels.dofs

@@ -14,30 +14,163 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 import traceback
 from argparse import Namespace
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, suppress
+from pathlib import Path
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from pinn_cli.cli.help import help_text
-from pinn_cli.cli.jobs import Jobs, Reported, Task
-from pinn_cli.cli.options import FOLLOW, INSPECT, read_options
+from pinn_cli.cli.options import read_options
 from pinn_cli.cli.override_errors import explain
-from pinn_cli.cli.terminal import Terminal
-from pinn_cli.runs.interruption import Interruption, watched
+from pinn_cli.runs.claim import Claim, entered
+from pinn_cli.runs.interruption import Interruption, stop_if_asked, watched
+from pinn_cli.runs.layout import stamp
+from pinn_cli.runs.memory import is_out_of_memory, of_this_machine
 from pinn_cli.runs.ownership import discard
 from pinn_cli.runs.reading import printable
-from pinn_cli.runs.resume import StoredRun, check_sound, how_to_go_on
+from pinn_cli.runs.resume import FORMAT, StoredRun, check_sound, going_on, how_to_go_on
 from pinn_cli.runs.writing import OUTPUT, WriteError, refused_by_disk
-from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
 from pinn_cli.sweep.collect import Collection, asked_for, collect_command
-from pinn_cli.sweep.jobs import NOT_STARTED, Failure, Sweep, status_of
+from pinn_cli.sweep.jobs import FAILURE, NOT_STARTED, Failure, Sweep, status_of
 from pinn_cli.sweep.running import ended_sweep, leave_sweep
+
+log = logging.getLogger(__name__)
 
 STATUS_DEFECT, STATUS_INPUT, STATUS_INTERRUPTED, STATUS_PIPE = 1, 2, 130, 141
 # What launchers raise when a process of theirs is gone: joblib and its pool.
 LOST_WORKERS = ("TerminatedWorkerError", "BrokenProcessPool")
+
+Task = Callable[[DictConfig], float | None]
+
+# Errors that a user can mend, or must know of: one line each.
+REPORTED = (InputError, DivergenceError, WriteError, NotSoundError)
+
+
+class Terminal:
+    """Standard output has results, standard error what a user must know."""
+
+    def say(self, text: str) -> None:
+        """Print results."""
+        print(printable(text))
+
+    def complain(self, text: str) -> None:
+        """Print one line on standard error."""
+        print(printable(f"pinn-run: {' '.join(text.split())}"), file=sys.stderr)
+
+
+class Silence(Terminal):
+    """Nobody listens, as where Python called: what there is to know comes as a value, or is raised."""
+
+    def say(self, text: str) -> None:
+        """Print nothing."""
+
+    complain = say
+
+
+class Jobs:
+    """The task as Hydra calls it, once per job, and what became of the jobs.
+
+    An error of a run that the user can mend is kept in `error` and does not reach Hydra, which would print a line of
+    its own. A job of a sweep, in this process or in a launcher's worker, leaves any error in its directory and takes
+    no other job along; what collects the sweep reports it.
+
+    Args:
+        task: Called with the composed configuration, without its `hydra` node; once per job of a sweep.
+        terminal: Who is told.
+        full_error: Whether tracebacks are printed too.
+        of_hydra: Overrides of Hydra's own settings, put after those of the user.
+
+    Attributes:
+        error: Of the run, one that its user can mend; None where there is none.
+        hint: What to do about it.
+        reasons: Why every job of a sweep was refused.
+        refused: Whether nothing is to be left of it.
+        stored: The run that is gone on with; None: it is another one.
+        directory: Of the last run, or of the sweep that has ended.
+        goes_on_by: What goes on with an interrupted run; "": `pinn-run resume=...`.
+    """
+
+    def __init__(self, task: Task, terminal: Terminal, full_error: bool = False, of_hydra: Sequence[str] = ()) -> None:
+        self.task, self.terminal, self.full_error, self.of_hydra = task, terminal, full_error, of_hydra
+        self.started = self.begun = self.refused = False
+        self.status = 0
+        self.error: Exception | None = None
+        self.hint = self.goes_on_by = ""
+        self.reasons: list[str] = []
+        self.stored: StoredRun | None = None
+        self.directory: Path | None = None
+
+    def __call__(self, config: DictConfig) -> float | None:
+        """Run one job; what it returns reaches Hydra's sweeper: a score, or None where there is none."""
+        hydra = HydraConfig.get()
+        self.started, self.directory = True, Path(hydra.runtime.output_dir)
+        in_sweep = hydra.mode == RunMode.MULTIRUN
+        # What `.hydra/` holds, by file: as Hydra itself would have written it, but for when.
+        settings: dict[str, DictConfig | ListConfig] = {
+            "hydra.yaml": OmegaConf.create({**stamp(FORMAT), "hydra": hydra}),
+            "config.yaml": config,
+            "overrides.yaml": OmegaConf.create(hydra.overrides.task),
+        }
+        setting = "hydra.sweep.dir" if in_sweep else "hydra.run.dir"
+        claim = Claim(self.directory, setting, {} if self.stored else settings)
+        with entered(claim):
+            try:
+                if in_sweep:
+                    claim.lock()  # from here on it is seen to have begun, should it be killed
+                    score = self.task(going_on(config))
+                elif hydra.run.dir:
+                    score = self.task(self.stored.configuration(config) if self.stored else config)
+                else:
+                    raise InputError(setting, hydra.run.dir, "a directory")
+                claim.take()
+                if in_sweep:
+                    (claim.directory / FAILURE).unlink(missing_ok=True)
+                return score
+            except Exception as raised:
+                stop_if_asked()
+                error = _explained(raised)
+                _conclude(claim, error)
+                if in_sweep and claim.locked:  # else it is no directory of ours to write into
+                    Failure.of(error).write(self.directory, hydra.overrides.task)
+                    return None
+                if error is raised and (in_sweep or not isinstance(error, REPORTED)):
+                    raise
+                if in_sweep:
+                    raise error from raised
+                self.error, self.refused = error, isinstance(error, InputError)
+                self.hint = how_to_go_on(self.directory, self.goes_on_by) if isinstance(error, WriteError) else ""
+                return None
+            finally:
+                self.begun = claim.taken
+
+
+def _conclude(claim: Claim, error: Exception) -> None:
+    """A refused run leaves nothing; one that failed in another way leaves its settings and a log that says so."""
+    if isinstance(error, InputError):
+        claim.refuse()
+        return
+    log.info("%s", error if isinstance(error, REPORTED) else "".join(traceback.format_exception(error)))
+    with suppress(InputError):
+        claim.take()
+
+
+def _explained(error: Exception) -> Exception:
+    """The same error, or where memory or the disk ran out one that says so in a user's words."""
+    if not is_out_of_memory(error):
+        full = refused_by_disk(error)
+        return error if full is None else full.with_traceback(error.__traceback__)
+    given = " ".join(HydraConfig.get().overrides.task) or "(none)"
+    allowed = f"such that the run fits into memory; this machine has {of_this_machine() / 2**30:.3g} GiB"
+    return InputError("overrides", given, allowed, str(error).partition("\n")[0]).with_traceback(error.__traceback__)
 
 
 def execute(task: Task, look: Task | None = None, follow: Task | None = None) -> int:
@@ -45,7 +178,7 @@ def execute(task: Task, look: Task | None = None, follow: Task | None = None) ->
 
     Args:
         task: Called with the composed configuration, without its `hydra` node; once per job of a sweep.
-        look: The same, where the command line says `inspect`; None: it must not.
+        look: The same, where the command line says `inspect`.
         follow: The same, where it says `follow`.
 
     Returns:
@@ -53,37 +186,36 @@ def execute(task: Task, look: Task | None = None, follow: Task | None = None) ->
     """
     jobs = Jobs(task, Terminal(), full_error=os.environ.get("HYDRA_FULL_ERROR") == "1")
     try:
-        perform(jobs, look, watched(in_time=True), follow)
+        perform(jobs, watched(in_time=True), {"inspect": look or task, "follow": follow or task})
     except KeyboardInterrupt as stop:
         jobs.terminal.complain(f"interrupted{f'; {jobs.hint}' if jobs.hint else ''}")
         return stop.status if isinstance(stop, Interruption) else STATUS_INTERRUPTED
     except BrokenPipeError:  # the reader has left, as in `pinn-run --help | head -1`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return STATUS_PIPE
-    except Exception as error:
-        if type(error).__name__ in LOST_WORKERS:
-            jobs.terminal.complain(
-                "a worker process was killed, by the system for want of memory perhaps; the same command again goes on"
-            )
-            return STATUS_DEFECT
-        if not isinstance(error, Reported):
-            raise
+    except REPORTED as error:
         if jobs.full_error:
             traceback.print_exception(error)
         else:
             jobs.terminal.complain(f"{error}; {jobs.hint}" if jobs.hint else str(error))
         return max(jobs.status, status_of(error))
+    except Exception as error:
+        if type(error).__name__ not in LOST_WORKERS:
+            raise
+        jobs.terminal.complain(
+            "a worker process was killed, by the system for want of memory perhaps; the same command again goes on"
+        )
+        return STATUS_DEFECT
     return jobs.status
 
 
-def perform(jobs: Jobs, look: Task | None, watch: AbstractContextManager[None], follow: Task | None = None) -> None:
+def perform(jobs: Jobs, watch: AbstractContextManager[None], tasks: dict[str, Task] | None = None) -> None:
     """Do what `sys.argv` says, whoever put it there: a shell or a caller in Python; it stays as it is.
 
     Args:
         jobs: Of this start; says afterwards what became of them.
-        look: See :func:`execute`.
         watch: What is done about signals meanwhile.
-        follow: See :func:`execute`.
+        tasks: Of the subcommands, instead of that of `jobs`.
 
     Raises:
         InputError: Nothing can use the input; nothing is left of it.
@@ -95,16 +227,11 @@ def perform(jobs: Jobs, look: Task | None, watch: AbstractContextManager[None], 
     options = Namespace(overrides=[], config_dir=None)
     try:
         options = read_options(sys.argv[1:])
-        if look is not None and INSPECT.taken_out(options):
-            jobs.task = look
-        if follow is not None and FOLLOW.taken_out(options):
-            jobs.task, jobs.goes_on_by = follow, "the same command"
+        if options.subcommand and tasks:
+            jobs.task = tasks[options.subcommand]
+            jobs.goes_on_by = "the same command" if options.subcommand == "follow" else ""
         with watch:
-            if options.help:
-                jobs.terminal.say(help_text(options.config_dir))
-            elif not _has_collected(jobs, options) and not _has_finished(jobs, options):
-                _start(jobs, options)
-                _collect(jobs)
+            _begin(jobs, options)
             sys.stdout.flush()
     except KeyboardInterrupt:
         _note_how_to_go_on(jobs)
@@ -114,18 +241,50 @@ def perform(jobs: Jobs, look: Task | None, watch: AbstractContextManager[None], 
     except Exception as error:
         with suppress(WriteError):  # of which more has been said
             _collect(jobs, cut_off=True)
-        told = None if type(error).__name__ in LOST_WORKERS else _told(error, jobs, options)
-        if told is not None:
-            jobs.refused = isinstance(told, InputError)
-        if told is None or told is error:
+        reported = None if type(error).__name__ in LOST_WORKERS else _as_reported(error, jobs, options)
+        jobs.refused = jobs.refused if reported is None else isinstance(reported, InputError)
+        if reported is None or reported is error:
             raise
-        raise told.with_traceback(error.__traceback__) from None
+        raise reported.with_traceback(error.__traceback__) from None
     finally:
         leave_sweep()
         if jobs.refused:
             discard()
     if jobs.error is not None:
         raise jobs.error
+
+
+def _begin(jobs: Jobs, options: Namespace) -> None:
+    """Print what is asked for, put a sweep together, or start."""
+    if options.help:
+        jobs.terminal.say(help_text(options.config_dir))
+        return
+    directory = asked_for(options)
+    if directory is not None:
+        sweep = Sweep.read(directory)
+        jobs.terminal.say(Collection.of(sweep, sweep.jobs()).text())
+        jobs.terminal.say(str(directory))
+        return
+    overrides, config_dir = options.overrides, options.config_dir
+    jobs.stored = StoredRun.asked_for(options)
+    if jobs.stored is not None:
+        if jobs.stored.finished():
+            jobs.directory = jobs.stored.directory
+            jobs.terminal.say(f"finished before, nothing to do\n{jobs.stored.directory}")
+            if jobs.stored.strict:
+                check_sound(jobs.stored.directory)
+            return
+        jobs.stored.enter()
+        overrides, config_dir = jobs.stored.arguments, None
+    from pinn_cli.cli.composing import configuration_text, show_hydra_help, start  # not for --help
+
+    if options.hydra_help:
+        show_hydra_help()
+    elif options.cfg:
+        jobs.terminal.say(configuration_text(options, overrides, config_dir))
+    else:
+        start(jobs, [*overrides, *jobs.of_hydra], config_dir, options.multirun)
+        _collect(jobs)
 
 
 def _note_how_to_go_on(jobs: Jobs) -> None:
@@ -138,43 +297,17 @@ def _note_how_to_go_on(jobs: Jobs) -> None:
     jobs.refused = not jobs.begun
 
 
-def _told(error: Exception, jobs: Jobs, options: Namespace) -> Reported | None:
+def _as_reported(error: Exception, jobs: Jobs, options: Namespace) -> Exception | None:
     """What to tell of an error that no job reported; None of a defect."""
-    told = error if isinstance(error, WriteError) else refused_by_disk(error)
-    if told is None and isinstance(error, FileNotFoundError) and not jobs.started:  # as below /proc
-        told = WriteError(error.filename, error.strerror or "")
-    if told is None:
+    reported = error if isinstance(error, WriteError) else refused_by_disk(error)
+    if reported is None and isinstance(error, FileNotFoundError) and not jobs.started:  # as below /proc
+        reported = WriteError(error.filename, error.strerror or "")
+    if reported is None:
         return explain(error, options.overrides, options.config_dir, composing=not jobs.started)
-    if jobs.started or told.path == OUTPUT:
-        return told
+    if jobs.started or reported.path == OUTPUT:
+        return reported
     setting = "hydra.sweep.dir" if options.multirun else "hydra.run.dir"
-    return InputError(setting, told.path, "a directory that can be made", told.reason)
-
-
-def _has_finished(jobs: Jobs, options: Namespace) -> bool:
-    """Have a run that is named by `resume=DIRECTORY` go on, unless it has all its results: that is said in one line."""
-    jobs.stored = StoredRun.asked_for(options)
-    if jobs.stored is None:
-        return False
-    if jobs.stored.finished():
-        jobs.directory = jobs.stored.directory
-        jobs.terminal.say(f"finished before, nothing to do\n{jobs.stored.directory}")
-        if jobs.stored.strict:
-            check_sound(jobs.stored.directory)
-        return True
-    jobs.stored.enter()
-    return False
-
-
-def _has_collected(jobs: Jobs, options: Namespace) -> bool:
-    """Have the sweep that is named by `collect=DIRECTORY` put together."""
-    directory = asked_for(options)
-    if directory is None:
-        return False
-    sweep = Sweep.read(directory)
-    jobs.terminal.say(Collection.of(sweep, sweep.jobs()).text())
-    jobs.terminal.say(str(directory))
-    return True
+    return InputError(setting, reported.path, "a directory that can be made", reported.reason)
 
 
 def _collect(jobs: Jobs, cut_off: bool = False) -> None:
@@ -204,16 +337,3 @@ def _collect(jobs: Jobs, cut_off: bool = False) -> None:
     jobs.directory = sweep.directory
     jobs.terminal.say(collection.text())
     jobs.terminal.say(str(sweep.directory))
-
-
-def _start(jobs: Jobs, options: Namespace) -> None:
-    from pinn_cli.cli.starting import show, start  # not for --help
-
-    if jobs.stored is not None:
-        overrides, config_dir = jobs.stored.arguments, None
-    else:
-        overrides, config_dir = options.overrides, options.config_dir
-    if options.cfg or options.info or options.hydra_help or options.shell_completion:
-        show(options, overrides, config_dir)
-    else:
-        start(jobs, [*overrides, *jobs.of_hydra], config_dir, options.multirun)

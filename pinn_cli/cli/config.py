@@ -9,21 +9,19 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from pinn_cli.cli.dof_names import numbered
-from pinn_cli.cli.reuse import check_use, chosen_model, structure_beside
-from pinn_cli.cli.source import Source, modes_sought, read_source, read_structure
+from pinn_cli.cli.records import numbered
+from pinn_cli.cli.source import Source, check_use, chosen_model, modes_sought, read_source, read_structure
 from pinn_cli.runs.identity import Identity
 from pinn_cli.runs.process import prepare_process
 from pinn_cli.runs.resume import ALLOWED, NEVER
-from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.instantiation import build, check_classes, construct
 from pinn_cli.settings.legal_values import positive_number, true_or_false, whole_number
-from pinn_cli.settings.suggestion import suggestion
 
 if TYPE_CHECKING:
     from pinn_cli.model.model import Model
@@ -42,22 +40,9 @@ if TYPE_CHECKING:
 
 VALUES = ("case", "seed", "device", "threads", "resume", "figures", "strict", "model")
 NODES = (
-    "system",
-    "excitation",
-    "simulation",
-    "noise",
-    "model_error",
-    "data",
-    "scheme",
-    "network",
-    "training",
-    "posterior",
-    "validation",
-    "baseline",
-    "tracking",
-    "report",
-    "follow",
-)
+    "system", "excitation", "simulation", "noise", "model_error", "data", "scheme", "network", "training", "posterior",
+    "validation", "baseline", "tracking", "report", "follow",
+)  # fmt: skip
 
 # Where the file of a training, a user's own perhaps, does not say.
 CHECKPOINT_EVERY_S = 30.0
@@ -133,26 +118,45 @@ class RunConfig:
         config = resolved(config)
         _check_names(config)
         check_classes(config)
-        identity, resume = Identity.of(config, base, grows=follows), _resume(config)
-        checkpoint_every_s = _checkpoint_every_s(config)
-        case, seed = _case(config), whole_number("seed", config.seed, most=2**32 - 1)
-        device, threads = _device(config), whole_number("threads", config.threads, least=1, most=MOST_THREADS)
+        identity, resume, device = Identity.of(config, base, grows=follows), config.resume, config.device
+        if resume is not None and not isinstance(resume, str):
+            raise InputError("resume", resume, ALLOWED)
+        # Taken out of the training's settings: it is the run that keeps checkpoints, whatever the training.
+        every_s = config.training.pop("checkpoint_every_s", CHECKPOINT_EVERY_S)
+        every_s = None if every_s is None else positive_number("training.checkpoint_every_s", every_s)
+        is_name = isinstance(config.case, str | int | float) and not isinstance(config.case, bool)
+        if not is_name or not re.fullmatch(r"[\w+-][\w.+-]*", str(config.case)):
+            raise InputError("case", config.case, "a folder's name: letters, digits, and any of . _ + -")
+        seed = whole_number("seed", config.seed, most=2**32 - 1)
+        if not isinstance(device, str) or not re.fullmatch(r"cpu|cuda(:\d+)?", device):
+            raise InputError("device", device, "cpu, cuda or cuda:N")
+        threads = whole_number("threads", config.threads, least=1, most=MOST_THREADS)
         prepare_process(threads)
         _check_available(device)
         model_error = build(config.model_error, "model_error")
-        model = chosen_model(config, base)
-        structure = read_structure(config, base) if model is None else structure_beside(model, config, base)
+        model = chosen_model(config, model_error, base)
+        structure = read_structure(config, base, model)
         config = numbered(config, structure.labels)
-        source = read_source(config, structure, model_error, seed, base, follows)
-        names = ("scheme", "network", "training", "posterior", "validation")
+        scheme = build(config.scheme, "scheme", model=model)
+        source = read_source(config, structure, model_error, scheme, seed, base, follows)
+        names = ("network", "training", "posterior", "validation")
         estimation = {name: build(config[name], name, model=model) for name in names}
-        check_use(model, estimation["scheme"], estimation["validation"], config.model)
-        estimation["baseline"] = build(config.baseline, "baseline") if config.baseline else None
-        estimation["tracking"] = build(config.tracking, "tracking", base=base) if config.tracking else None
-        again: dict[str, Any] = {"identity": identity, "resume": resume, "checkpoint_every_s": checkpoint_every_s}
-        again |= {"figures": _figures(config), "strict": true_or_false("strict", config.strict)}
-        again |= {"exports": _exports(config), "model": model, "modes": modes_sought(config)}
-        return cls(case, seed, device, threads, structure, model_error, source, **estimation, **again)
+        check_use(model, scheme, estimation["validation"], config.model)
+        if config.figures is not None:
+            true_or_false("figures", config.figures)
+        return cls(
+            str(config.case), seed, device, threads, structure, model_error, source, scheme, **estimation,
+            baseline=build(config.baseline, "baseline") if config.baseline else None,
+            tracking=build(config.tracking, "tracking", base=base) if config.tracking else None,
+            identity=identity,
+            resume=None if resume == NEVER else resume,
+            figures=config.figures,
+            checkpoint_every_s=every_s,
+            strict=true_or_false("strict", config.strict),
+            exports=construct(_exports, config.report, "report"),
+            model=model,
+            modes=modes_sought(config, scheme, estimation["validation"]),
+        )  # fmt: skip
 
     def observe(self, record: Record) -> Record:
         """What the estimator may see: the scheme's choice of simulated sensors, or all of a measured record."""
@@ -194,14 +198,6 @@ class RunConfig:
             self.source.simulated, self.validation.name, "none" if self.baseline is None else self.baseline.name,
         )  # fmt: skip
 
-    def draws(self, in_sweep: bool) -> bool:
-        """Whether there are figures.
-
-        Args:
-            in_sweep: Whether the run is a job of a sweep.
-        """
-        return not in_sweep if self.figures is None else self.figures
-
 
 def resolved(config: DictConfig) -> DictConfig:
     """The same with every interpolation replaced by its value."""
@@ -230,44 +226,10 @@ def _check_names(config: DictConfig) -> None:
             raise InputError(name, config[name], f"a group of settings ({name}.something=...)")
 
 
-def _case(config: DictConfig) -> str:
-    is_name = isinstance(config.case, str | int | float) and not isinstance(config.case, bool)
-    if not is_name or not re.fullmatch(r"[\w+-][\w.+-]*", str(config.case)):
-        raise InputError("case", config.case, "a folder's name: letters, digits, and any of . _ + -")
-    return str(config.case)
-
-
-def _device(config: DictConfig) -> str:
-    if not isinstance(config.device, str) or not re.fullmatch(r"cpu|cuda(:\d+)?", config.device):
-        raise InputError("device", config.device, "cpu, cuda or cuda:N")
-    return config.device
-
-
-def _resume(config: DictConfig) -> str | None:
-    if config.resume is not None and not isinstance(config.resume, str):
-        raise InputError("resume", config.resume, ALLOWED)
-    return None if config.resume == NEVER else config.resume
-
-
-def _figures(config: DictConfig) -> bool | None:
-    if config.figures is not None and not isinstance(config.figures, bool):
-        raise InputError("figures", config.figures, "null, true or false")
-    return config.figures
-
-
-def _exports(config: DictConfig) -> tuple[Export, ...]:
+def _exports(export: list[str]) -> tuple[Export, ...]:
     from pinn_cli.report.export import exports_of
 
-    def read(export: list[str]) -> tuple[Export, ...]:
-        return exports_of(export)
-
-    return construct(read, config.report, "report")
-
-
-def _checkpoint_every_s(config: DictConfig) -> float | None:
-    """Taken out of the training's settings: it is the run that keeps checkpoints, whatever the training."""
-    given = config.training.pop("checkpoint_every_s", CHECKPOINT_EVERY_S)
-    return None if given is None else positive_number("training.checkpoint_every_s", given)
+    return exports_of(export)
 
 
 def _check_available(device: str) -> None:

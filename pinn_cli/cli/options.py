@@ -9,20 +9,17 @@ import re
 import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any, NoReturn
 
-from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.override_syntax import setting_of
-from pinn_cli.settings.suggestion import suggestion
 
-_EXCLUSIVE = ("run", "multirun", "cfg", "info", "shell_completion")
-# Hydra's options, which it has no public list of: `pinn-run --hydra-help` prints them. Long name, short name, and how
-# argparse reads them; those without take no value. Three are left out: --experimental-rerun unpickles the file that it
-# is given, --config-path imports a package, and --config-name would have another main configuration.
-_INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
-_OPTIONS: dict[tuple[str, ...], dict[str, Any]] = {
+# Of ours and of Hydra's, which has no public list of them: `pinn-run --hydra-help` prints them. Long name, short name,
+# and how argparse reads them; those without take no value. Left out are --experimental-rerun, which unpickles the file
+# that it is given, --config-path, which imports a package, --config-name, which would have another main configuration,
+# and --info and --shell-completion, which would act on a configuration before it is checked.
+OPTIONS: dict[tuple[str, ...], dict[str, Any]] = {
     ("--help", "-h"): {},
     ("--hydra-help",): {},
     ("--version",): {},
@@ -31,10 +28,30 @@ _OPTIONS: dict[tuple[str, ...], dict[str, Any]] = {
     ("--package", "-p"): {"nargs": None},
     ("--run", "-r"): {},
     ("--multirun", "-m"): {},
-    ("--shell-completion", "-sc"): {},
     ("--config-dir", "-cd"): {"nargs": None},
-    ("--info", "-i"): {"const": "all", "nargs": "?", "choices": _INFO},
 }
+_EXCLUSIVE = ("run", "multirun", "cfg")
+# Settings that go ill with a subcommand, and what is to be known of it.
+_LEFT_OUT = {
+    # What goes on with a run, or makes several, has nothing to do with a look at a record.
+    "inspect": (("resume", "collect", "model"), "one record is looked at at a time"),
+    "follow": (("resume", "collect"), "one record is followed at a time; the same command goes on where it was"),
+}
+# Of a followed record the same at every start, so that the same command goes on.
+_FOLLOWS_IN = "hydra.run.dir=outputs/${case}/follow"
+
+
+class _Parser(ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        """What argparse says, as setting, value and what is allowed."""
+        unknown = re.match(r"unrecognized arguments: (\S+)", message)
+        if unknown:
+            known = [name for names in OPTIONS for name in names]
+            raise InputError("option", unknown[1], "one that pinn-run --help lists", suggestion(unknown[1], known))
+        choice = re.match(r"argument ([^:]+): invalid choice: '?([^' ]*)'? \(choose from (.*)\)", message)
+        if choice:
+            raise InputError(choice[1], choice[2], f"one of {choice[3]}".replace("'", ""))
+        raise InputError("options", message, "as pinn-run --help shows them")
 
 
 def read_options(arguments: Sequence[str]) -> Namespace:
@@ -44,94 +61,38 @@ def read_options(arguments: Sequence[str]) -> Namespace:
         arguments: Without the name of the program.
 
     Returns:
-        The options as Hydra names them; `overrides` is the list of `setting=value`.
+        The options as Hydra names them; `overrides` is the list of `setting=value`, and `subcommand` the word among
+        them that is one, "": none.
 
     Raises:
-        InputError: An option is unknown, lacks its value, or excludes another.
+        InputError: An option is unknown, lacks its value, or excludes another; or a setting goes ill with a subcommand.
         SystemExit: After printing the version, if that was asked for.
     """
     if "--version" in arguments:
         print(f"pinn-run {version('pinn-cli')}")
         sys.exit(0)
-    options = _parser().parse_intermixed_args(arguments)
+    parser = _Parser(add_help=False)
+    parser.add_argument("overrides", nargs="*")
+    for names, settings in OPTIONS.items():
+        parser.add_argument(*names, **(settings or {"action": "store_true"}))
+    options = parser.parse_intermixed_args(arguments)
     chosen = [name for name in _EXCLUSIVE if getattr(options, name)]
     if len(chosen) > 1:
         raise InputError("options", " ".join(f"--{name}" for name in chosen), "one of them at a time")
+    options.subcommand = next((word for word in _LEFT_OUT if word in options.overrides), "")
+    if options.subcommand:
+        _take_out(options, options.subcommand)
     return options
 
 
-class _Parser(ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        raise _refused(message, [name for names in _OPTIONS for name in names])
-
-
-def _parser() -> _Parser:
-    parser = _Parser(add_help=False)
-    parser.add_argument("overrides", nargs="*")
-    for names, settings in _OPTIONS.items():
-        parser.add_argument(*names, **(settings or {"action": "store_true"}))
-    return parser
-
-
-def _refused(message: str, known: list[str]) -> InputError:
-    """What argparse says, as setting, value and what is allowed."""
-    unknown = re.match(r"unrecognized arguments: (\S+)", message)
-    if unknown:
-        return InputError("option", unknown[1], "one that pinn-run --help lists", suggestion(unknown[1], known))
-    choice = re.match(r"argument ([^:]+): invalid choice: '?([^' ]*)'? \(choose from (.*)\)", message)
-    if choice:
-        return InputError(choice[1], choice[2], f"one of {choice[3]}".replace("'", ""))
-    return InputError("options", message, "as pinn-run --help shows them")
-
-
-@dataclass(frozen=True)
-class Subcommand:
-    """A word among the overrides.
-
-    Attributes:
-        word: It.
-        left_out: Settings that go ill with it.
-        one_at_a_time: Why there is no sweep of it.
-        hint: What to do instead of giving one of those settings.
-        directory: Override of the run's directory, unless the command line has one; "": none.
-    """
-
-    word: str
-    left_out: tuple[str, ...]
-    one_at_a_time: str
-    hint: str = ""
-    directory: str = ""
-
-    def taken_out(self, options: Namespace) -> bool:
-        """Whether the command line says it; the word is taken out of it, and what goes ill with it is refused.
-
-        Args:
-            options: As read, changed in place.
-
-        Raises:
-            InputError: Something else is asked for along with it.
-        """
-        if self.word not in options.overrides:
-            return False
-        if options.multirun:
-            raise InputError("--multirun", self.word, f"left out with {self.word}", self.one_at_a_time)
-        for override in options.overrides:
-            name = setting_of(override)
-            if name in self.left_out:
-                raise InputError(name, override.partition("=")[2], f"left out with {self.word}", self.hint)
-        options.overrides.remove(self.word)
-        if self.directory and not any(setting_of(o) == setting_of(self.directory) for o in options.overrides):
-            options.overrides.append(self.directory)
-        return True
-
-
-# What goes on with a run, or makes several, has nothing to do with a look at a record.
-INSPECT = Subcommand("inspect", ("resume", "collect", "model"), "one record is looked at at a time")
-# Its directory is the same at every start, so that the same command goes on.
-FOLLOW = Subcommand(
-    "follow",
-    ("resume", "collect"),
-    "one record is followed at a time",
-    "the same command goes on where it was",
-    "hydra.run.dir=outputs/${case}/follow",
-)
+def _take_out(options: Namespace, word: str) -> None:
+    """Take a subcommand out of the overrides, and refuse what goes ill with it."""
+    left_out, hint = _LEFT_OUT[word]
+    if options.multirun:
+        raise InputError("--multirun", word, f"left out with {word}", hint)
+    for override in options.overrides:
+        if setting_of(override) in left_out:
+            raise InputError(setting_of(override), override.partition("=")[2], f"left out with {word}", hint)
+    options.overrides.remove(word)
+    if word == "follow" and not any(setting_of(o) == setting_of(_FOLLOWS_IN) for o in options.overrides):
+        options.overrides.append(_FOLLOWS_IN)

@@ -10,10 +10,9 @@ from hydra.errors import HydraException, MissingConfigException, OverrideParseEx
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from pinn_cli.cli.config_names import option_names, options_with, setting_names
-from pinn_cli.settings.errors import InputError
+from pinn_cli.cli.help import option_names, options_with, setting_names
+from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.override_syntax import setting_of
-from pinn_cli.settings.suggestion import suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -47,11 +46,16 @@ def explain(
         if key and "not in struct" in str(cause):
             return _unknown_setting(str(key), overrides, config_dir)
         if key and isinstance(cause, OmegaConfBaseException):
-            return _unresolved(str(key), cause, overrides)
+            for override in overrides:  # case=${nothing}
+                if "${" in override:
+                    name, _, value = override.partition("=")
+                    return InputError(setting_of(name), value, "resolvable", _first_line(cause))
+            return InputError(key, _given(str(key), overrides), "of the type that Hydra expects", _first_line(cause))
     if composing and isinstance(error, RecursionError):
         return _too_deep(overrides, config_dir)
     meant = isinstance(error, HydraException | OmegaConfBaseException | YAMLError)
-    return _in_its_words(error, overrides) if meant or (composing and type(error) is ValueError) else None
+    # Hydra raises a KeyError of a variable that hydra.job.env_copy names and that is not set.
+    return _in_its_words(error, overrides) if meant or (composing and type(error) in (KeyError, ValueError)) else None
 
 
 def _chain(error: BaseException) -> Iterator[BaseException]:
@@ -64,21 +68,15 @@ def _chain(error: BaseException) -> Iterator[BaseException]:
 def _unknown_option(error: MissingConfigException, config_dir: str | None) -> InputError:
     """`system=duffin`: the group exists, the option does not."""
     group, _, option = (error.missing_cfg_file or "").rpartition("/")
-    if not group:
-        return InputError("--config-name", option, "the name of a config file", _first_line(error))
     # experiment=paper/x is told as group experiment/paper; a user types and reads it from the first folder on.
     root, _, folder = group.partition("/")
     if root == "hydra":  # no group of its own, but a folder of groups, whose options Hydra's plug-ins have
-        return _no_option(group, option, sorted(error.options or ()))
-    options = sorted(option_names(root, config_dir))
-    given = f"{folder}/{option}" if folder else option
+        root, given, options = group, option, sorted(error.options or ())
+    else:
+        given, options = f"{folder}/{option}" if folder else option, sorted(option_names(root, config_dir))
     if given in options:
         return InputError(root, given, "such that a configuration follows", _first_line(error))
-    return _no_option(root, given, options)
-
-
-def _no_option(group: str, given: str, options: Sequence[str]) -> InputError:
-    return InputError(group, given, f"one of {', '.join(options)}", suggestion(given, options))
+    return InputError(root, given, f"one of {', '.join(options)}", suggestion(given, options))
 
 
 def _bad_syntax(error: OverrideParseException, overrides: Sequence[str]) -> InputError:
@@ -88,22 +86,16 @@ def _bad_syntax(error: OverrideParseException, overrides: Sequence[str]) -> Inpu
         spaced = error.override in overrides[1:]
         hint = "a value with spaces needs quotes inside quotes: 'data.path=\"my rig.csv\"'" if spaced else ""
         return InputError("override", error.override, "of the form setting=value", hint)
-    return InputError(name, value, "a number, a word, a list [1,2] or a mapping {a:1}", _how_to_write(name, value))
-
-
-def _how_to_write(name: str, value: str) -> str:
-    """What to do about a value that Hydra's grammar does not take."""
+    hint = "brackets, braces and commas need quotes for the shell"
     depth = sum(value.count(bracket) for bracket in "[{(") - sum(value.count(bracket) for bracket in "]})")
+    strange = _NEEDS_QUOTES.findall(value)
     if depth:
-        told = f"{abs(depth)} closing bracket(s) too {'few' if depth > 0 else 'many'}"
-        return f"{told}; brackets, braces and commas need quotes for the shell"
-    quotes = {mark for mark in "'\"" if mark in value}
-    strange = [] if quotes else _NEEDS_QUOTES.findall(value)
-    if strange:
-        return f"the character {strange[0]} needs quotes inside quotes: '{name}=\"{value}\"'"
-    if quotes:
-        return f"quotes go around the whole value, within others for the shell: '{name}=\"...\"'"
-    return "brackets, braces and commas need quotes for the shell"
+        hint = f"{abs(depth)} closing bracket(s) too {'few' if depth > 0 else 'many'}; {hint}"
+    elif "'" in value or '"' in value:
+        hint = f"quotes go around the whole value, within others for the shell: '{name}=\"...\"'"
+    elif strange:
+        hint = f"the character {strange[0]} needs quotes inside quotes: '{name}=\"{value}\"'"
+    return InputError(name, value, "a number, a word, a list [1,2] or a mapping {a:1}", hint)
 
 
 def _too_deep(overrides: Sequence[str], config_dir: str | None) -> InputError:
@@ -126,14 +118,6 @@ def _unknown_setting(key: str, overrides: Sequence[str], config_dir: str | None)
     owners = options_with(name)
     hint = f"it belongs to {', '.join(owners)}" if owners else suggestion(name, known)
     return InputError(name, _given(name, overrides), allowed, hint)
-
-
-def _unresolved(key: str, error: BaseException, overrides: Sequence[str]) -> InputError:
-    """`case=${nothing}`, or a value that Hydra's own settings have no use for."""
-    for override in overrides:
-        if "${" in override:
-            return InputError(setting_of(override), override.partition("=")[2], "resolvable", _first_line(error))
-    return InputError(key, _given(key, overrides), "of the type that Hydra expects", _first_line(error))
 
 
 def _in_its_words(error: BaseException, overrides: Sequence[str]) -> InputError:

@@ -1,24 +1,28 @@
-"""From settings to a problem that is ready to be solved: what every command does before it estimates."""
+"""From settings to a problem, or to a run by windows, that is ready to be solved: what precedes every estimate."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
-from hydra.types import RunMode
-from omegaconf import DictConfig, open_dict
-
-from pinn_cli.cli.composing import CONFIG, checked_hydra, in_folders
+from pinn_cli.cli.records import SETTING
+from pinn_cli.cli.source import measured_by_name
 from pinn_cli.runs.stages import Stages
+from pinn_cli.settings.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from pinn_cli.cli.config import RunConfig
-    from pinn_cli.record.record import Record, Truth
+    from pinn_cli.record.record import Measurements, Record, Truth
     from pinn_cli.record.validation_data import ValidationRecord
+    from pinn_cli.record.windows import Window
     from pinn_cli.scheme.joint_problem import JointProblem
+    from pinn_cli.sweep.windows.run import WindowedRun
     from pinn_cli.system.structure import Structure
+    from pinn_cli.training.base import Estimator, TrainedNetwork
+    from pinn_cli.training.estimate import RunContext
+    from pinn_cli.validation.base import Validation
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +63,7 @@ def prepare_problem(config: RunConfig, stages: Stages | None = None) -> Prepared
 
     stages = stages or Stages()
     with stages("system"):
-        true, prescribed = config.model_error.structures(config.structure)
-        prescribed = prescribed if config.model is None else config.model.structure
+        true, prescribed = _structures(config)
     with stages("record"):
         measurements = config.source.measurements(true)
         records = [config.observe(each.record) for each in measurements]
@@ -78,19 +81,123 @@ def prepare_problem(config: RunConfig, stages: Stages | None = None) -> Prepared
     return PreparedProblem(true, prescribed, records[0], truths[0], problem, truths, validation)
 
 
-def compose_config(overrides: Sequence[str], config_dir: str | None = None) -> DictConfig:
-    """The configuration of ``pinn-run <overrides>``, without a process or a directory of its own.
+def _structures(config: RunConfig) -> tuple[Structure, Structure]:
+    """The true one and the prescribed one."""
+    true, prescribed = config.model_error.structures(config.structure)
+    return true, prescribed if config.model is None else config.model.structure
 
-    Args:
-        overrides: As typed.
-        config_dir: A folder of more configurations.
+
+def check_records(
+    problem: JointProblem, estimator: TrainedNetwork, baseline: Estimator | None, validation: Validation
+) -> None:
+    """Refuse what has one record at a time, where there are several.
 
     Raises:
-        hydra.errors.HydraException: The overrides do not compose.
-        InputError: They choose a class that is not registered.
+        InputError: Naming the setting.
     """
-    with checked_hydra() as loader:
-        config = loader.load_configuration(CONFIG, in_folders(overrides, config_dir), RunMode.RUN, from_shell=False)
-    with open_dict(config):
-        del config["hydra"]
-    return config
+    if len(problem) == 1:
+        return
+    several = f"with the {len(problem)} records of {SETTING}"
+    if not estimator.solves_records:
+        allowed = f"spline or fourier, with training=gauss_newton and inferred weights, {several}"
+        raise InputError("network", estimator.design.name, allowed, "other trainings have one record at a time")
+    if baseline is not None and not baseline.solves_records:
+        raise InputError("baseline", baseline.name, f"none {several}", "it smooths one record")
+    if not validation.scores_records:
+        hint = "it withholds parts of one record"
+        raise InputError("validation", validation.name, f"none or evidence {several}", hint)
+
+
+def check_windows(config: RunConfig) -> None:
+    """Refuse what is about a record as a whole, where it is solved by windows.
+
+    Raises:
+        InputError: Naming the setting.
+    """
+    source = config.source
+    refused = (
+        (not config.scheme.has_windows, "scheme", config.scheme.name, "sparse_recovery, state_parameter or update",
+         "it solves a record as a whole"),
+        (bool(source.further), "data.records", f"{1 + len(source.further)} records", "one",
+         "each record has windows of its own: one run after the other, model=... with scheme=update"),
+        (source.validate is not None, "data.validation", "given", "null",
+         "give data.start and data.stop, and try the run on the rest with scheme=predict"),
+        (config.validation.name != "none", "validation", config.validation.name, "none",
+         "it withholds parts of one record"),
+        (config.baseline is not None, "baseline", getattr(config.baseline, "name", ""), "none",
+         "it smooths one record"),
+        (not config.training.solves_inputs(config.network), "network", config.network.name,
+         "spline, with training=gauss_newton and inferred weights,", "other trainings know no first state"),
+    )  # fmt: skip
+    for is_refused, setting, value, allowed, hint in refused:
+        if is_refused:
+            raise InputError(setting, value, f"{allowed} with data.window", hint)
+
+
+def prepare_windows(
+    config: RunConfig,
+    context: RunContext,
+    stages: Stages,
+    say: Callable[[str], None],
+    *,
+    goes_on: bool,
+    drawn: bool,
+    follows: bool = False,
+) -> WindowedRun:
+    """A run by windows whose first window has been found good.
+
+    Args:
+        config: Of the run.
+        context: What its estimators are given; it has the run's directory.
+        stages: Of the run.
+        say: Called with a line for every window.
+        goes_on: Whether it goes on with windows that are there.
+        drawn: Whether there are figures.
+        follows: Whether its record may still grow.
+
+    Raises:
+        InputError: No run can use the record, or the windows that are there are another run's.
+    """
+    from pinn_cli.report.over_time import history
+    from pinn_cli.sweep.windows.run import WindowedRun
+    from pinn_cli.sweep.windows.solving import WindowSolver
+    from pinn_cli.sweep.windows.store import WindowStore
+    from pinn_cli.training.updating import UpdatedNetwork
+
+    windows, directory = config.source.windows, context.directory
+    assert windows is not None
+    assert directory is not None
+    check_windows(config)
+    with stages("system"):
+        true, prescribed = _structures(config)
+
+    def measured(window: Window) -> Measurements:
+        return measured_by_name(partial(windows.measure, true, window), true.labels)
+
+    last_record = 0
+    if config.model is None:
+        begin = measured(next(windows.after(0)))
+        prescribed = config.scheme.damped(prescribed, [config.observe(begin.record)])
+    elif config.scheme.looks_for_changes:
+        last_record = int(history(config.model)["record"].max())
+    solver = WindowSolver(
+        config.description, config.scheme, config.estimator, UpdatedNetwork(config.training, config.network), true,
+        prescribed, measured, config.observe, config.source.simulated, config.model, context, last_record,
+    )  # fmt: skip
+    store, identity = WindowStore(directory), config.identity.configuration
+    there = store.identity()
+    if there not in (None, identity):
+        if follows:
+            allowed, hint = "one of its own for every record and its settings", "windows of another run lie there"
+            raise InputError("hydra.run.dir", directory, allowed, f"{hint}: case=... or another")
+        if goes_on:
+            hint = "what follow has begun, pinn-run follow goes on with"
+            raise InputError("resume", directory, "windows of this very record and settings", hint)
+    goes_on = (goes_on or follows) and there == identity
+    if not (goes_on and store.done):
+        with stages("record"):
+            first = next(windows.after(0))
+        problem, _ = solver.posed(first, None)
+        for estimator in (solver.first, solver.later):
+            estimator.check(problem.alone)
+    return WindowedRun(solver, windows, directory, identity, goes_on, config.exports, drawn, say, follows)

@@ -1,7 +1,8 @@
-"""What vibrates, and where its record comes from: the structure and the source of a configuration."""
+"""What vibrates, and where its record comes from: the structure, or a finished run's, and the source of the record."""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -10,25 +11,26 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from pinn_cli.cli.dof_names import described, in_names, named
-from pinn_cli.cli.records import data_of_records, of_record
+from pinn_cli.cli.records import data_of_records, in_names, named, of_record
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.instantiation import build, construct
+from pinn_cli.settings.instantiation import CONF, build, construct
+from pinn_cli.settings.yaml_file import read_yaml
 
 if TYPE_CHECKING:
+    from pinn_cli.model.model import Model
     from pinn_cli.record.record import Measurements, Record
     from pinn_cli.record.validation_data import ValidationData, ValidationRecord
     from pinn_cli.record.windows import RecordWindows
+    from pinn_cli.scheme.base import Scheme
     from pinn_cli.system.building import ModesSought
     from pinn_cli.system.model_error import ModelError
+    from pinn_cli.system.parameters import Labels
     from pinn_cli.system.structure import Structure
+    from pinn_cli.validation.base import Validation
 
 SIMULATED = "pinn_cli.record.simulated.Simulated"
-# The scheme whose records have no response.
-PREDICT = "pinn_cli.scheme.predict.Predict"
-# That of modes, and the structure whose modes a record tells.
-NO_VALIDATION = "pinn_cli.validation.none.NoValidation"
-STATE_PARAMETER, MODAL = "pinn_cli.scheme.state_parameter.StateParameter", "modal"
+# The structure whose modes a record tells.
+MODAL = "modal"
 
 
 @dataclass(frozen=True)
@@ -63,18 +65,69 @@ class Source:
         return found
 
 
-def read_structure(config: DictConfig, base: Path | None) -> Structure:
-    """The structure; of a measured one values may be missing, which the scheme then has to be asked for."""
-    from pinn_cli.system.building import build_chain, build_partial_chain
-    from pinn_cli.system.topology import build_partial_structure, build_structure
+def chosen_model(config: DictConfig, model_error: ModelError, base: Path | None) -> Model | None:
+    """The finished run that ``model=RUN`` names; None where it names none.
 
+    Raises:
+        InputError: It is none, or something is asked for that does not go with one.
+    """
+    if config.get("model") is None:
+        return None
+    from pinn_cli.model.file import read_model
+
+    if model_error.name != "none":
+        hint = "the model of a run is what it found"
+        raise InputError("model_error", model_error.name, "none with model=...", hint)
+    return read_model(config.model, base)
+
+
+def check_use(model: Model | None, scheme: Any, validation: Any, given: Any) -> None:
+    """See that a scheme has a use for the model.
+
+    Raises:
+        InputError: It has none.
+    """
+    if model is not None and "model" not in inspect.signature(type(scheme)).parameters:
+        hint = "leave scheme out for the response to a new record, or ask for scheme=update"
+        raise InputError("model", given, f"null with scheme={scheme.name}", hint)
+    if scheme.predicts and validation.name != "none":
+        raise InputError("validation", validation.name, "none with scheme=predict", "there is no response to withhold")
+
+
+def read_structure(config: DictConfig, base: Path | None, model: Model | None = None) -> Structure:
+    """The structure; of a measured one values may be missing, which the scheme then has to be asked for.
+
+    Args:
+        config: Of the run.
+        base: The folder that relative paths start from.
+        model: In its place for a measured record; a simulated one comes from what the settings say.
+
+    Raises:
+        InputError: No structure has these settings, or they are another one than the model's.
+    """
+    simulated = _is_simulated(config)
+    if model is not None:
+        from pinn_cli.model.structure_content import difference, other_dofs
+
+        default = OmegaConf.to_container(read_yaml(CONF / "system" / "duffing.yaml"))
+        if not simulated and OmegaConf.to_container(config.system) == default:  # nobody chose a structure
+            return model.structure
+        structure = read_structure(config, base)
+        differs = other_dofs(structure, model.structure) if simulated else difference(structure, model.structure)
+        if differs:
+            hint = "simulate the structure of that run" if simulated else "leave system out: the run has it"
+            raise InputError("system", differs, f"the structure of the run model={config.model}", hint)
+        return structure if simulated else model.structure
     if config.system.get("kind") == "matrices":
         return _finite_elements(config, base)
     if config.system.get("kind") == MODAL:
         return _modal(config)
+    from pinn_cli.system.building import build_chain, build_partial_chain
+    from pinn_cli.system.topology import build_partial_structure, build_structure
+
     named = config.system.get("kind") == "structure"
     whole, incomplete = (build_structure, build_partial_structure) if named else (build_chain, build_partial_chain)
-    return construct(whole if _is_simulated(config) else incomplete, config.system, "system")
+    return construct(whole if simulated else incomplete, config.system, "system")
 
 
 def _modal(config: DictConfig) -> Structure:
@@ -84,36 +137,7 @@ def _modal(config: DictConfig) -> Structure:
 
     if _is_simulated(config):
         raise InputError("system", MODAL, "another one with data=simulated", "a record tells the modes")
-    nodes = data_of_records(config.data)
-    return construct(
-        build_modal, config.system, "system", measured=[dof for n in nodes for dof in _dofs(n, (FORCE, *MOTION))]
-    )
-
-
-def modes_sought(config: DictConfig) -> ModesSought | None:
-    """Which modes a record is asked for; None: the structure says it all.
-
-    Raises:
-        InputError: They are not asked for as unknown parameters of one record.
-    """
-    if config.system.get("kind") != MODAL:
-        for node in data_of_records(config.data) if config.data.get("band") is not None else []:
-            hint = "the noise of other estimators is white, and a filter leaves none beside its band: data.decimate"
-            raise InputError("data.band", list(node.band), "null but with system=modal", hint)
-        return None
-    from pinn_cli.system.building import ModesSought
-
-    if config.scheme.get("_target_") != STATE_PARAMETER:
-        raise InputError("scheme", config.scheme.get("_target_"), "state_parameter with system=modal")
-    for setting in ("data.window", "scheme.unknown", "model"):
-        if OmegaConf.select(config, setting) is not None:
-            given = OmegaConf.select(config, setting)
-            raise InputError(setting, given, "null with system=modal", "one record tells all modes in its band")
-    if config.validation.get("_target_") != NO_VALIDATION:
-        raise InputError(
-            "validation", config.validation.get("_target_"), "none with system=modal", "see data.validation"
-        )
-    return ModesSought.of(config.system.get("modes"))
+    return construct(build_modal, config.system, "system", measured=_dofs(config, (FORCE, *MOTION)))
 
 
 def _finite_elements(config: DictConfig, base: Path | None) -> Structure:
@@ -128,17 +152,21 @@ def _finite_elements(config: DictConfig, base: Path | None) -> Structure:
     else:
         # With factors the model is reduced anew, sensors included, to coordinates as few as its first ones.
         quantities = (FORCE,) if config.system.get("factors") else (FORCE, *MOTION)
-        loaded = list(dict.fromkeys(dof for node in data_of_records(config.data) for dof in _dofs(node, quantities)))
+        loaded = list(dict.fromkeys(_dofs(config, quantities)))
     structure = construct(build_finite_elements, config.system, "system", base=base, loaded=loaded)
     return whole(structure) if _is_simulated(config) else structure
 
 
-def _dofs(data: DictConfig, quantities: Collection[str]) -> list[Any]:
-    """DOFs on which one measured record has a sensor of some quantities."""
-    columns, channels = [data.get(quantity) for quantity in quantities], data.get("channels")
-    described = [one for one in channels.values() if OmegaConf.is_dict(one)] if OmegaConf.is_dict(channels) else []
-    own = [one.dof for one in described if one.get("dof") is not None and one.get("sensor") in quantities]
-    return [*(dof for column in columns if OmegaConf.is_config(column) for dof in column), *own]
+def _dofs(config: DictConfig, quantities: Collection[str]) -> list[Any]:
+    """DOFs on which any measured record has a sensor of some quantities."""
+    found: list[Any] = []
+    for data in data_of_records(config.data):
+        for columns in map(data.get, quantities):
+            found += columns if OmegaConf.is_config(columns) else ()
+        channels = data.get("channels")
+        described = [one for one in channels.values() if OmegaConf.is_dict(one)] if OmegaConf.is_dict(channels) else []
+        found += [one.dof for one in described if one.get("dof") is not None and one.get("sensor") in quantities]
+    return found
 
 
 def _is_simulated(config: DictConfig) -> bool:
@@ -148,24 +176,35 @@ def _is_simulated(config: DictConfig) -> bool:
     return simulated
 
 
-def _measured(config: DictConfig, structure: Structure, base: Path | None) -> list[Any]:
-    """What measures every record of `data`."""
-    nodes = data_of_records(config.data)
-    measured, responds = [], config.scheme.get("_target_") != PREDICT
-    for number, node in enumerate(nodes, start=1):
-        with of_record(number, len(nodes)), in_names(structure.labels):
-            measured.append(build(node, "data", base=base, responds=responds))
-    return measured
+def modes_sought(config: DictConfig, scheme: Scheme, validation: Validation) -> ModesSought | None:
+    """Which modes a record is asked for; None: the structure says it all.
 
+    Raises:
+        InputError: They are not asked for as unknown parameters of one record.
+    """
+    if config.system.get("kind") != MODAL:
+        for node in data_of_records(config.data) if config.data.get("band") is not None else []:
+            hint = "the noise of other estimators is white, and a filter leaves none beside its band: data.decimate"
+            raise InputError("data.band", list(node.band), "null but with system=modal", hint)
+        return None
+    from pinn_cli.system.building import ModesSought
 
-def _named_record(measured: Any, connections: Sequence[str], true: Structure) -> Measurements:
-    return named(partial(measured.measure, connections=connections), true.ndof, true.labels)
+    if scheme.name != "state_parameter":
+        raise InputError("scheme", scheme.name, "state_parameter with system=modal")
+    for setting in ("data.window", "scheme.unknown", "model"):
+        given = OmegaConf.select(config, setting)
+        if given is not None:
+            raise InputError(setting, given, "null with system=modal", "one record tells all modes in its band")
+    if validation.name != "none":
+        raise InputError("validation", validation.name, "none with system=modal", "see data.validation")
+    return ModesSought.of(config.system.get("modes"))
 
 
 def read_source(
     config: DictConfig,
     structure: Structure,
     model_error: ModelError,
+    scheme: Scheme,
     seed: int,
     base: Path | None,
     follows: bool = False,
@@ -176,6 +215,7 @@ def read_source(
         config: Of the run.
         structure: That it is about.
         model_error: What differs between the true and the prescribed one.
+        scheme: What is asked of the record.
         seed: Of the noise.
         base: The folder that relative paths of data start from.
         follows: Whether a measured record may still grow.
@@ -185,22 +225,12 @@ def read_source(
     """
     from pinn_cli.record.simulated import Noise, check_size
     from pinn_cli.record.simulation import Simulation
-    from pinn_cli.record.validation_data import validation_of
 
     if not _is_simulated(config):
-        measured = _measured(config, structure, base)
         if model_error.name != "none":
             hint = "a measured record brings its own truth; system=... is the model that you prescribe"
             raise InputError("model_error", model_error.name, "none unless data=simulated", hint)
-        labels, count = structure.labels, len(structure.parameters["k"])
-        connections = [labels.connection(i) for i in range(count)]
-        with in_names(structure.labels):
-            held = validation_of(measured)
-        seen = measured if held is None else held.seen
-        first, *further = (partial(_named_record, each, connections) for each in seen)
-        validate = None if held is None else partial(_validation_record, held, connections)
-        windows = _windows_of(config, seen[0], connections, follows)
-        return Source(first, False, None, validate, tuple(further), windows)
+        return _measured_source(config, structure, not scheme.predicts, base, follows)
     simulation = construct(Simulation, config.simulation, "simulation")
     noise = construct(Noise, config.noise, "noise", seed=seed)
     check_size(simulation, structure, noise.repeats)
@@ -209,11 +239,50 @@ def read_source(
     (data,) = data_of_records(config.data)
     simulated = build(data, "data", excitation=excitation, simulation=simulation, noise=noise)
     return Source(
-        lambda true: named(simulated.measure, true.reduced_at(), true.labels),
+        lambda true: measured_by_name(partial(simulated.measure, true.reduced_at()), true.labels),
         simulated=True,
         snr_db=noise.snr_db,
         windows=_windows_of(config, simulated, [], follows),
     )
+
+
+def _measured_source(
+    config: DictConfig, structure: Structure, responds: bool, base: Path | None, follows: bool
+) -> Source:
+    from pinn_cli.record.validation_data import validation_of
+
+    nodes, labels = data_of_records(config.data), structure.labels
+    measured: list[Any] = []
+    for number, node in enumerate(nodes, start=1):
+        with of_record(number, len(nodes)), in_names(labels):
+            measured.append(build(node, "data", base=base, responds=responds))
+    connections = [labels.connection(i) for i in range(len(structure.parameters["k"]))]
+    with in_names(labels):
+        held = validation_of(measured)
+    seen = measured if held is None else held.seen
+
+    def measure(data: Any, true: Structure) -> Measurements:
+        return measured_by_name(partial(data.measure, true.ndof, connections=connections), true.labels)
+
+    first, *further = (partial(measure, data) for data in seen)
+    validate = None if held is None else partial(_validation_record, held, connections)
+    windows = _windows_of(config, seen[0], connections, follows)
+    return Source(first, False, None, validate, tuple(further), windows)
+
+
+def measured_by_name(measure: Callable[[], Measurements], labels: Labels) -> Measurements:
+    """What was measured, DOFs in its record and in errors by the names that the user has given them."""
+    with in_names(labels):
+        measured = measure()
+    return replace(measured, record=named(measured.record, labels))
+
+
+def _validation_record(
+    held: ValidationData, connections: Sequence[str], true: Structure, seen: Sequence[Record]
+) -> ValidationRecord:
+    with in_names(true.labels):
+        found = held.read(seen, true.ndof, connections)
+    return replace(found, record=named(found.record, true.labels))
 
 
 def _windows_of(config: DictConfig, data: Any, connections: list[str], follows: bool) -> RecordWindows | None:
@@ -229,29 +298,19 @@ def _windows_of(config: DictConfig, data: Any, connections: list[str], follows: 
         if overlap is not None:
             raise InputError("data.overlap", overlap, "null without data.window", "both are in seconds")
         return None
-    lengths = checked_lengths(window, overlap)
+    lengths, kind = checked_lengths(window, overlap), config.data.get("kind")
     if follows and not isinstance(data, MeasuredData):
         hint = "follow reads a file that grows, or a folder into which files arrive"
-        raise InputError("data", config.data.get("kind"), "csv or another format of files with follow", hint)
+        raise InputError("data", kind, "csv or another format of files with follow", hint)
     if isinstance(data, Simulated):
         return SimulatedWindows(data, *lengths)
     if not isinstance(data, MeasuredData):
-        hint = "a class of your own measures it as a whole"
-        raise InputError("data.window", window, f"null with data={config.data.get('kind')}", hint)
+        raise InputError("data.window", window, f"null with data={kind}", "a class of your own measures it as a whole")
+    hint = "its filter would have an edge in every window"
     if data.decimate > 1:
-        hint = "its filter would have an edge in every window"
         raise InputError("data.decimate", data.decimate, "1 with data.window", hint)
     if data.band is not None:
-        hint = "its filter would have an edge in every window"
         raise InputError("data.band", list(data.band), "null with data.window", hint)
     if follows:
         return GrowingWindows(data, connections, *lengths, construct(Patience, config.follow, "follow"))
     return MeasuredWindows(data, connections, *lengths)
-
-
-def _validation_record(
-    held: ValidationData, connections: Sequence[str], true: Structure, seen: Sequence[Record]
-) -> ValidationRecord:
-    with in_names(true.labels):
-        found = held.read(seen, true.ndof, connections)
-    return replace(found, record=described(found.record, true.labels))

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from pinn_cli.inspection.consistency import disagreements
-from pinn_cli.inspection.proposal import as_typed, guessed, proposed_command
+from pinn_cli.inspection.proposal import proposed_command
 from pinn_cli.record.channels import clipped_percent, constant_percent
 from pinn_cli.record.cross_spectra import CrossSpectra
 from pinn_cli.record.record import MINIMUM_SAMPLES
-from pinn_cli.record.response import RESPONSE_QUANTITIES
+from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
 from pinn_cli.record.signal import Peak, Sampling, Signal, find_peaks, spectra_of
 from pinn_cli.record.spectrum import noise_level, signal_edges, visible_floor
 from pinn_cli.settings.errors import InputError
@@ -32,6 +32,29 @@ FEWEST = 16
 # Parts of a channel that are worth a word, %; signal to noise below which it shows little, dB; and scatter of the steps
 # in time, % of a step.
 CLIPPED, CONSTANT, QUIET_DB, JITTER = 0.05, 5.0, 10.0, 3.0
+
+# Two sensors of one DOF agree within this part; less coherent than this, they say nothing of each other.
+AGREE, COHERENT = 0.1, 0.5
+# An acceleration whose mean is more than this part of its rms has an offset; gravity is recognised within a fiftieth.
+OFFSET, GRAVITY = 0.1, 9.80665
+# What an acceleration is of that which a displacement or velocity says, where one of the two is in another unit.
+_RATIOS = {
+    1.0 / GRAVITY: "the acceleration is in g?",
+    1e3: "the acceleration is in mm/s^2?",
+    1e2: "the acceleration is in cm/s^2?",
+    1e-3: "the other one is in mm or mm/s?",
+    1e-2: "the other one is in cm or cm/s?",
+    1e-6: "the other one is in um or um/s?",
+    1e-3 / GRAVITY: "the acceleration is in g, the other one in mm or mm/s?",
+}
+# What columns are called, when nobody has said what they are.
+_NAMES = (
+    (GROUND, re.compile(r"ground|base|table|\bag\b|ugdd", re.IGNORECASE)),
+    ("force", re.compile(r"^(f|p)\W*\d*\b|^f[a-z]?\d|forc|load|hammer|shaker|kraft", re.IGNORECASE)),
+    ("acceleration", re.compile(r"^a\W*\d*\b|^a[a-z]?\d|acc|beschl|udd", re.IGNORECASE)),
+    ("velocity", re.compile(r"^v\W*\d*\b|^v[a-z]?\d|vel|geschw", re.IGNORECASE)),
+    ("displacement", re.compile(r"^(u|d|x|y)\W*\d*\b|^[ud][a-z]?\d|disp|lvdt|laser|weg", re.IGNORECASE)),
+)
 
 
 def channel_table(signals: Sequence[Signal], sampling: Sampling) -> pd.DataFrame:
@@ -111,7 +134,6 @@ def inspect_record(
     time: np.ndarray,
     overrides: Sequence[str],
     frequencies: np.ndarray | None,
-    measured: bool = True,
 ) -> Inspection:
     """Look at a record.
 
@@ -120,7 +142,6 @@ def inspect_record(
         time: (N,), s, increasing.
         overrides: That the command was given, for the one that is proposed.
         frequencies: Natural frequencies of the structure, Hz; None: its parameters were not given.
-        measured: Whether the columns are those of a file; else there is nothing to propose.
 
     Raises:
         InputError: There are too few samples, or no column varies.
@@ -141,10 +162,9 @@ def inspect_record(
     peaks = find_peaks(spectra)
     notes = ["what columns are is guessed by their names: see the command below"] if guesses else []
     notes += [note for _, note in converted if note]
-    notes += [*_of_sampling(sampling), *_of_channels(channels), *disagreements(alive, sampling, spectra, peaks)]
-    command = as_typed(overrides)
-    if measured:
-        command = proposed_command(overrides, signals, sampling, highest, len(peaks), frequencies is not None)
+    notes += [*_of_sampling(sampling), *_of_channels(channels), *_offsets(alive, sampling), *_of_one_dof(spectra)]
+    notes += [*_opposed(spectra, peaks), *_against_the_ground(spectra, peaks)]
+    command = proposed_command(overrides, signals, sampling, highest, len(peaks), frequencies is not None)
     return Inspection(sampling, signals, channels, spectra, peak_table(peaks, frequencies), notes, command)
 
 
@@ -152,7 +172,12 @@ def _guesses(signals: Sequence[Signal]) -> list[Signal]:
     """The same by their headers or names, where nobody has said what any of them is; empty where that says nothing."""
     if any(signal.quantity for signal in signals):
         return []
-    found = [guessed(signal) for signal in signals]
+    found = []
+    for signal in signals:
+        quantity = next((quantity for quantity, names in _NAMES if names.search(signal.column)), "")
+        numbers = re.findall(r"\d+", signal.place or signal.column)
+        place = "" if quantity in ("", GROUND) else (numbers[0] if numbers else "1")
+        found.append(Signal(signal.column, signal.values, quantity, place, signal.unit))
     return found if any(signal.quantity in RESPONSE_QUANTITIES for signal in found) else []
 
 
@@ -179,34 +204,113 @@ def _varies(values: np.ndarray) -> bool:
     return len(there) >= MINIMUM_SAMPLES and bool(np.ptp(there) > 0.0)
 
 
-def _of_sampling(sampling: Sampling) -> list[str]:
-    notes = []
+def _of_sampling(sampling: Sampling) -> Iterator[str]:
     if holes := sampling.holes:
-        longest = max(holes, key=lambda hole: hole[1] - hole[0])
-        notes.append(
-            f"{len(holes)} times rows are missing, at most {longest[1] - longest[0]:.4g} s, after {longest[0]:.6g} s"
-        )
+        start, end = max(holes, key=lambda hole: hole[1] - hole[0])
+        yield f"{len(holes)} times rows are missing, at most {end - start:.4g} s, after {start:.6g} s"
     if sampling.jitter_percent > JITTER:
-        notes.append(f"steps in time scatter by {sampling.jitter_percent:.2g} % of a step")
-    return notes
+        yield f"steps in time scatter by {sampling.jitter_percent:.2g} % of a step"
 
 
-def _of_channels(channels: pd.DataFrame) -> list[str]:
-    notes = []
+def _of_channels(channels: pd.DataFrame) -> Iterator[str]:
     for row in channels.to_dict(orient="records"):
         name = row["channel"]
         if row["missing_percent"] > 0.0:
-            notes.append(
-                f"{row['missing_percent']:.2g} % of the samples of {name} are missing, at most"
-                f" {row['longest_gap_s']:.3g} s at a time"
-            )
+            missing, gap = row["missing_percent"], row["longest_gap_s"]
+            yield f"{missing:.2g} % of the samples of {name} are missing, at most {gap:.3g} s at a time"
         if row["least"] == row["largest"]:
-            notes.append(f"{name} reads {row['mean']:g} throughout: a dead sensor?")
+            yield f"{name} reads {row['mean']:g} throughout: a dead sensor?"
             continue
         if row["clipped_percent"] > CLIPPED:
-            notes.append(f"{row['clipped_percent']:.2g} % of {name} sits at its largest or least value: clipped?")
+            yield f"{row['clipped_percent']:.2g} % of {name} sits at its largest or least value: clipped?"
         if row["constant_percent"] > CONSTANT:
-            notes.append(f"{row['constant_percent']:.2g} % of {name} are repeated values: held, or a slower sensor?")
+            yield f"{row['constant_percent']:.2g} % of {name} are repeated values: held, or a slower sensor?"
         if row["snr_db"] < QUIET_DB:
-            notes.append(f"{name} is hardly above its noise: {row['snr_db']:.1f} dB")
-    return notes
+            yield f"{name} is hardly above its noise: {row['snr_db']:.1f} dB"
+
+
+def _offsets(signals: Sequence[Signal], sampling: Sampling) -> Iterator[str]:
+    for signal in signals:
+        if signal.quantity not in ("acceleration", GROUND):
+            continue
+        there = signal.values[np.isfinite(signal.values)]
+        mean, rms = float(there.mean()), float(there.std())
+        gravity = next((g for g in (GRAVITY, 1.0) if abs(abs(mean) / g - 1.0) < 0.02), None)
+        if gravity is not None and abs(mean) > rms:
+            unit = "m/s^2" if gravity == GRAVITY else "g"
+            yield f"the mean of {signal.name} is {mean:.4g}: gravity, in {unit}?"
+        elif abs(mean) > OFFSET * rms:
+            drift = abs(mean) * sampling.duration
+            yield (
+                f"the mean of {signal.name} is {mean:.3g}, {abs(mean) / rms:.0%} of its rms: integrated over the record"
+                f" it is a velocity of {drift:.3g} that nobody had"
+            )
+
+
+def _of_one_dof(spectra: CrossSpectra[Signal]) -> Iterator[str]:
+    """An acceleration against the displacement or velocity of the same DOF."""
+    for i, a in enumerate(spectra.sensors):
+        for j, other in enumerate(spectra.sensors):
+            if a.quantity != "acceleration" or other.order == a.order or a.place != other.place:
+                continue
+            ratio, coherence = _ratio(spectra, j, i)
+            if coherence < COHERENT:
+                yield f"{a.name} and {other.name} have little in common (coherence {coherence:.2f})"
+            elif abs(ratio - 1.0) > AGREE:
+                yield f"{a.name} is {ratio:.3g} times what {other.name} says{_cause(ratio)}"
+
+
+def _ratio(spectra: CrossSpectra[Signal], x: int, a: int) -> tuple[float, float]:
+    """What an acceleration is of a signal's derivative, by least squares over the band of both; and their coherence."""
+    cross, power_x, power_a = spectra.cross[:, a, x], spectra.power[:, x], spectra.power[:, a]
+    turn = (1j * spectra.omega) ** (spectra.orders[a] - spectra.orders[x])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        coherence = np.nan_to_num(np.abs(cross) ** 2 / (power_x * power_a))
+    seen = (coherence > 0.5) & (spectra.frequency > 0)
+    if not seen.any():
+        return np.nan, float(np.max(coherence[1:], initial=0.0))
+    along = np.sum((np.conj(turn) * cross)[seen].real)
+    size = np.sum((np.abs(turn) ** 2 * power_x)[seen])
+    return float(along / size), float(np.average(coherence[seen], weights=power_a[seen]))
+
+
+def _cause(ratio: float) -> str:
+    if ratio < 0.0:
+        sign = "; the sign of one of them is wrong?"
+        return sign if abs(-ratio - 1.0) < AGREE else f"{sign}{_cause(-ratio).replace(';', ' and', 1)}"
+    unit = next((cause for known, cause in _RATIOS.items() if abs(ratio / known - 1.0) < AGREE), "")
+    return f"; {unit}" if unit else "; a gain or a unit is wrong?"
+
+
+def _opposed(spectra: CrossSpectra[Signal], peaks: Sequence[Peak]) -> Iterator[str]:
+    """At a resonance, an accelerometer where the force acts moves ahead of it by a quarter period, never behind."""
+    for j, force in enumerate(spectra.acting):
+        for i, sensor in enumerate(spectra.sensors):
+            if force.quantity != "force" or sensor.place != force.place or not sensor.quantity:
+                continue
+            ahead = []
+            for peak in peaks:
+                k = int(np.argmin(np.abs(spectra.frequency - peak.frequency)))
+                if spectra.coherence[k, i] > max(COHERENT, spectra.chance_coherence()):
+                    response = spectra.response[k, i, j] * (1j * spectra.omega[k]) ** (2 - sensor.order)
+                    ahead.append(float(response.imag / abs(response)))
+            if ahead and np.mean(ahead) < -0.5:
+                yield f"{sensor.name} moves against {force.name}: the sign of one of them is wrong?"
+
+
+def _against_the_ground(spectra: CrossSpectra[Signal], peaks: Sequence[Peak]) -> Iterator[str]:
+    """Far below the first natural frequency the structure moves as the ground does."""
+    if [signal.quantity for signal in spectra.acting] != [GROUND] or not peaks:
+        return
+    f, first = spectra.frequency, peaks[0].frequency
+    for i, sensor in enumerate(spectra.sensors):
+        slow = (f > 0) & (f < first / 4.0) & (spectra.coherence[:, i] > 0.8)
+        if sensor.quantity != "acceleration" or slow.sum() < 3:
+            continue
+        expected = 1.0 / (1.0 - (f[slow] / first) ** 2)
+        gain = float(np.median(spectra.response[slow, i, 0].real / expected))
+        if abs(gain - 1.0) > 2.0 * AGREE:
+            yield (
+                f"far below {first:.3g} Hz {sensor.name} is {gain:.3g} times the ground's{_cause(gain)}"
+                " (or data.frame=relative)"
+            )

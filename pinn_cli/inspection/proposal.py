@@ -15,14 +15,6 @@ from pinn_cli.system.quantities import SUPPORT
 
 # Samples per period of the highest frequency: what a run needs, and more than this are worth decimating.
 NEEDED, PLENTY = 5.0, 12.0
-# What columns are called, when nobody has said what they are.
-_NAMES = (
-    (GROUND, re.compile(r"ground|base|table|\bag\b|ugdd", re.IGNORECASE)),
-    ("force", re.compile(r"^(f|p)\W*\d*\b|^f[a-z]?\d|forc|load|hammer|shaker|kraft", re.IGNORECASE)),
-    ("acceleration", re.compile(r"^a\W*\d*\b|^a[a-z]?\d|acc|beschl|udd", re.IGNORECASE)),
-    ("velocity", re.compile(r"^v\W*\d*\b|^v[a-z]?\d|vel|geschw", re.IGNORECASE)),
-    ("displacement", re.compile(r"^(u|d|x|y)\W*\d*\b|^[ud][a-z]?\d|disp|lvdt|laser|weg", re.IGNORECASE)),
-)
 
 
 def proposed_command(
@@ -50,7 +42,7 @@ def proposed_command(
     given = {setting_of(override) for override in overrides}
     told = any(f"data.{signal.quantity}" in {name.rpartition(".")[0] or name for name in given} | given
                for signal in known)  # fmt: skip
-    added = [] if told else _columns(known)
+    added = [] if told else _assigned(known)
     added += _decimation(known or signals, sampling, highest)
     dofs = max((int(signal.place) for signal in known if signal.place.isdecimal()), default=0)
     if not has_structure:
@@ -61,24 +53,11 @@ def proposed_command(
         if "scheme" not in given:
             added += ["scheme=state_parameter", "scheme.unknown=[k_*,c_*]"]
     kept = [override for override in overrides if setting_of(override) not in {setting_of(text) for text in added}]
-    return as_typed([*kept, *added])
-
-
-def as_typed(overrides: Sequence[str]) -> list[str]:
-    """Words of a command for a shell, those that need quotes in quotes."""
-    plain = (re.sub(r"^\+\+(?=[\w.]+=\{)", "", override) for override in overrides)
+    plain = (re.sub(r"^\+\+(?=[\w.]+=\{)", "", override) for override in (*kept, *added))
     return [shlex.quote(word) for word in ("pinn-run", *plain)]
 
 
-def guessed(signal: Signal) -> Signal:
-    """The same with what its header, or else its name, says that it is; as it was where neither does."""
-    quantity = signal.quantity or next((q for q, names in _NAMES if names.search(signal.column)), "")
-    numbers = re.findall(r"\d+", signal.place or signal.column)
-    place = "" if quantity == GROUND else (numbers[0] if numbers else "1")
-    return Signal(signal.column, signal.values, quantity, place if quantity else "", signal.unit)
-
-
-def _columns(signals: Sequence[Signal]) -> list[str]:
+def _assigned(signals: Sequence[Signal]) -> list[str]:
     """``data.acceleration={1: a1}``, the first column of a quantity and DOF alone."""
     places: dict[str, dict[str, str]] = {}
     for signal in (one for one in signals if one.quantity not in SUPPORT):

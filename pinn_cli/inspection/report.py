@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,23 +24,18 @@ def inspection_text(found: Inspection) -> str:
         *_channels(found),
         "",
         *_peaks(found),
+        *([""] if found.notes else []),
     ]
-    if found.notes:
-        lines += ["", *(line for note in found.notes for line in marked_lines(_sentence(note)))]
-    lines += ["", "To estimate:", *_command(found.command)]
-    return "\n".join(lines)
-
-
-def _command(words: Sequence[str]) -> list[str]:
-    """On lines that end with a backslash between two words."""
-    lines = [f"  {words[0]}"]
-    for word in words[1:]:
+    for note in found.notes:
+        lines += marked_lines(note[0].upper() + note[1:] + ("" if note.endswith("?") else "."))
+    lines += ["", "To estimate:", f"  {found.command[0]}"]
+    for word in found.command[1:]:  # on lines that end with a backslash between two words
         if len(lines[-1]) + len(word) + 3 > WIDTH:
             lines[-1] += " \\"
             lines.append(f"    {word}")
         else:
             lines[-1] += f" {word}"
-    return lines
+    return "\n".join(lines)
 
 
 def _channels(found: Inspection) -> list[str]:
@@ -85,10 +79,6 @@ def _peaks(found: Inspection) -> list[str]:
         columns["structure_hz"] = Column("structure (Hz)", 16, lambda value: number(value, 5))
         columns["difference_percent"] = Column("off (%)", 10, lambda value: number(value, 2))
     return table_lines(columns, found.peaks)
-
-
-def _sentence(note: str) -> str:
-    return note[0].upper() + note[1:] + ("" if note.endswith("?") else ".")
 
 
 def write_inspection(found: Inspection, directory: Path, figures: bool = True) -> str:

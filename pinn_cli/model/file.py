@@ -20,7 +20,7 @@ from pinn_cli.runs.reading import MOST_BYTES, DamagedError, check_regular, check
 from pinn_cli.runs.resume import RESULT, read_record
 from pinn_cli.runs.writing import write_bytes
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.paths import located
+from pinn_cli.settings.legal_values import located
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from pinn_cli.cli.prepare import compose_config
+from pinn_cli.cli.composing import compose_config
 from pinn_cli.report.run_record import package_versions
 from pinn_cli.runs.writing import write_json
 

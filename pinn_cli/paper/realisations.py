@@ -17,8 +17,9 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.baseline.comparison import baseline_estimate
+from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.config import RunConfig
-from pinn_cli.cli.prepare import PreparedProblem, compose_config, prepare_problem
+from pinn_cli.cli.prepare import PreparedProblem, prepare_problem
 from pinn_cli.paper.digests import digest_of, keep, kept, run_digest
 from pinn_cli.report.record_report import EstimatorTables
 from pinn_cli.runs.stages import Stages

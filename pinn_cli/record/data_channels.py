@@ -12,9 +12,8 @@ import numpy as np
 from pinn_cli.record.gauge import Calibration, Gauge, unknown_calibration
 from pinn_cli.record.own_sensor import as_channel
 from pinn_cli.record.units import si_factor
-from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.legal_values import entries, finite_number, is_finite_number, is_whole_number, one_of
-from pinn_cli.settings.suggestion import suggestion
 from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, FORCE, GROUND, HIGH_PASS, MOTION, TILT
 
 SENSORS = (*MOTION, FORCE, GROUND, CONNECTION_FORCE)

@@ -27,11 +27,11 @@ from pinn_cli.settings.legal_values import (
     entries,
     finite_number,
     is_whole_number,
+    located,
     one_of,
     positive_number,
     whole_number,
 )
-from pinn_cli.settings.paths import located
 from pinn_cli.system.quantities import FORCE, SUPPORT
 
 # Part of a step by which a sample may be off the time where it scores.

@@ -11,9 +11,8 @@ import numpy as np
 
 from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.record.record import MINIMUM_SAMPLES, Record
-from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.legal_values import finite_number
-from pinn_cli.settings.suggestion import suggestion
 
 # Settings of ``data`` that another record cannot have of its own.
 FIXED = ("base", "kind", "format", "holdout", "validation", "responds")

@@ -13,7 +13,7 @@ from typing import Any
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from pinn_cli.settings.paths import located
+from pinn_cli.settings.legal_values import located
 
 # Where and how a run is made, which may differ from one start of it to the next.
 LEFT_OUT = (

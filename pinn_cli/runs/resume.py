@@ -96,7 +96,7 @@ class StoredRun:
         if directory in ("", "null", AUTO, NEVER):
             return None
         others = tuple(override for override in options.overrides if override not in named)
-        for name in ("multirun", "cfg", "info"):
+        for name in ("multirun", "cfg"):
             if getattr(options, name):
                 hint = "the same command again goes on with a sweep" if name == "multirun" else ""
                 raise InputError("resume", directory, f"null, auto or never with --{name}", hint)

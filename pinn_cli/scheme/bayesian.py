@@ -31,10 +31,9 @@ from pinn_cli.scheme.unknowns import (
     parameters_called,
     unknown_parameters,
 )
-from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.instantiation import construct
 from pinn_cli.settings.legal_values import finite_number, positive_number
-from pinn_cli.settings.suggestion import suggestion
 from pinn_cli.system.parameters import MASS, PRIOR_WIDTH, Parameter
 from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal, Prior
 from pinn_cli.system.quantities import CALIBRATION_UNITS

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from pinn_cli.record.record import Record
-from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.legal_values import entries, is_finite_number
-from pinn_cli.settings.suggestion import suggestion
 from pinn_cli.system.damping import WHOLE
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter

@@ -1,29 +1,29 @@
 """What the `hydra` node of a configuration may say, checked before Hydra acts on it.
 
 Hydra builds its callbacks, handlers of logs, launchers and sweepers from that node, and a configuration may come from
-somebody else. So each has to be one of ours or of an installed package (`pinn_cli.settings.registry`), a log goes into
-the run's own directory, and what a scheduler passes to a shell is typed by the user. Values are looked at as they are
-written: one that is put together by `${...}` might be another one by the time that Hydra reads it.
+somebody else. So each has to be one of ours or of an installed package (`pinn_cli.settings.instantiation`), logs are
+those of a shipped option, and what a scheduler passes to a shell is typed by the user. Values are looked at as they
+are written: one that is put together by `${...}` might be another one by the time that Hydra reads it.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.instantiation import check_classes
+from pinn_cli.settings.instantiation import CALLBACKS, CONF, check_classes, check_registered
 from pinn_cli.settings.override_syntax import setting_of
-from pinn_cli.settings.registry import CALLBACKS, check_registered
 
+# Options of the two logs, which go to the terminal or nowhere: ours, and of Hydra's those that open no file.
+LOGS = ("pinn_run", "none", "disabled", "stdout")
 # Of the libraries: they choose how a run is computed, and name no file.
 ENVIRONMENT = (
     "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "VECLIB_MAXIMUM_THREADS",
@@ -35,47 +35,12 @@ _WORD = re.compile(r"[\w.,:+=@%*-]*")
 _WORDS = ("name", "partition", "account", "qos", "constraint", "exclude", "comment", "gres")
 
 
-def _is_text(value: object) -> bool:
-    # What begins with a protocol is looked up by Python, and what is interpolated by OmegaConf.
-    return isinstance(value, str) and not re.match(r"\s*[a-z]+://", value) and "${" not in value
-
-
-def _is_level(value: object) -> bool:
-    return isinstance(value, int) or (isinstance(value, str) and re.fullmatch(r"[A-Z]+", value) is not None)
-
-
-def _are_names(value: object) -> bool:
-    return isinstance(value, list) and all(map(_is_text, value))
-
-
-def _is_switch(value: object) -> bool:
-    return isinstance(value, bool)
-
-
-# What logs may be configured to do, `*` being any name. Python's `logging.config` calls whatever a configuration names:
-# `()` of a handler, a `class`, and any value that begins with `ext://`.
-_LOGGER = {"level": _is_level, "handlers": _are_names, "propagate": _is_switch}
-_LOGGING: Mapping[tuple[str, ...], Callable[[Any], bool]] = {
-    ("version",): (1,).__contains__,
-    ("disable_existing_loggers",): _is_switch,
-    ("formatters", "*", "format"): _is_text,
-    ("formatters", "*", "datefmt"): _is_text,
-    ("handlers", "*", "class"): ("logging.StreamHandler",).__contains__,
-    ("handlers", "*", "formatter"): _is_text,
-    ("handlers", "*", "level"): _is_level,
-    ("handlers", "*", "stream"): ("ext://sys.stdout", "ext://sys.stderr").__contains__,
-    **{("loggers", "*", name): allowed for name, allowed in _LOGGER.items()},
-    **{("root", name): allowed for name, allowed in _LOGGER.items()},
-}
-
-
 def check_hydra(config: DictConfig, given: Sequence[str]) -> None:
     """Refuse a `hydra` node that would run code, write elsewhere, or reach other programs.
 
-    Launchers and sweepers are marked such that Hydra builds them alone and no node within them.
-
     Args:
-        config: As Hydra composed it, with its `hydra` node; changed in place by those marks.
+        config: As Hydra composed it, with its `hydra` node. Launchers and sweepers are marked in it such that Hydra
+            builds them alone, and no node within them.
         given: The overrides that it was composed under.
 
     Raises:
@@ -86,46 +51,32 @@ def check_hydra(config: DictConfig, given: Sequence[str]) -> None:
     if sorted(typed) != sorted(given):
         raise InputError("hydra.overrides", typed, "left out of files", "it is the command line that has overrides")
     for name in ("hydra_logging", "job_logging"):
-        _check_logging(f"hydra.{name}", hydra[name])
+        chosen = hydra["runtime"]["choices"].get(f"hydra/{name}")
+        if chosen not in LOGS or hydra[name] != _shipped_log(name, chosen):
+            hint = "logs go to the terminal, and call nothing; a run writes its pinn-run.log itself"
+            raise InputError(f"hydra.{name}", hydra[name], f"chosen by hydra/{name}={'|'.join(LOGS)} alone", hint)
     _check_callbacks(hydra["callbacks"])
     for name in ("launcher", "sweeper"):
         _check_plugin(name, hydra[name], typed)
-    _check_environment(hydra["job"])
-    _check_places(hydra)
-    _check_verbose(hydra["verbose"])
-    _build_alone(config.hydra)
+        if OmegaConf.get_type(config.hydra[name]) is dict:
+            with open_dict(config.hydra[name]):
+                config.hydra[name]["_recursive_"] = False
+    _check_job(hydra["job"])
+    if hydra["output_subdir"] is not None:
+        hint = "a run writes .hydra/ itself, once it is checked"
+        raise InputError("hydra.output_subdir", hydra["output_subdir"], "null", hint)
+    verbose = hydra["verbose"]
+    for name in verbose if isinstance(verbose, list) and verbose else [verbose]:
+        if not isinstance(name, bool) and not re.fullmatch(r"(pinn_cli|hydra)(\.\w+)*", str(name)):
+            allowed = "true, false, or names of loggers, such as pinn_cli.training or hydra"
+            raise InputError("hydra.verbose", verbose, allowed)
 
 
-def _check_logging(setting: str, node: object, kind: tuple[str, ...] = ()) -> None:
-    """Refuse logs that call something or are written elsewhere than to the terminal.
-
-    Args:
-        setting: `hydra.job_logging` or `hydra.hydra_logging`, and what is within.
-        node: Plain, as it is written.
-        kind: Its place in `_LOGGING`.
-    """
-    if node is None or (kind in _LOGGING and _LOGGING[kind](node)):
-        return
-    if not isinstance(node, dict) or kind not in {known[: len(kind)] for known in _LOGGING if len(known) > len(kind)}:
-        hint = "logs of these settings go to the terminal, and call nothing; a run writes its pinn-run.log itself"
-        raise InputError(setting, node, "one of the settings of a logging.StreamHandler, written out", hint)
-    for name, value in node.items():
-        is_named = kind in (("formatters",), ("handlers",), ("loggers",))
-        _check_logging(f"{setting}.{name}", value, (*kind, "*" if is_named else name))
-
-
-def check_search_path(places: object) -> None:
-    """Refuse folders of configurations that are Python packages, which are imported when they are searched.
-
-    Args:
-        places: What `hydra.searchpath` is given.
-
-    Raises:
-        InputError: One is no folder.
-    """
-    for place in places if isinstance(places, list) else [(places,)]:
-        if not isinstance(place, str) or not re.match(r"(file|folder)://|(?!.*://)", place):
-            raise InputError("hydra.searchpath", place, "a list of folders, file://FOLDER", "or --config-dir FOLDER")
+@cache
+def _shipped_log(name: str, option: str) -> Any:
+    own = CONF / "hydra" / name / f"{option}.yaml"
+    file = own if own.is_file() else files("hydra.conf") / "hydra" / name / f"{option}.yaml"
+    return OmegaConf.to_container(OmegaConf.create(file.read_text(encoding="utf-8"))) if file.is_file() else None
 
 
 def _check_callbacks(callbacks: object) -> None:
@@ -147,7 +98,8 @@ def _check_plugin(name: str, node: object, typed: Sequence[str]) -> None:
     setting = f"hydra.{name}"
     if not isinstance(node, dict):
         raise InputError(setting, node, "a group of settings")
-    if node.get("_target_") != _built_in(name):
+    store = ConfigStore.instance()
+    if node.get("_target_") != store.load(f"{setting.replace('.', '/')}/basic.yaml").node["_target_"]:
         check_registered(setting, node.get("_target_"))
     _check_within(setting, node)
     if name == "sweeper":
@@ -160,7 +112,7 @@ def _check_plugin(name: str, node: object, typed: Sequence[str]) -> None:
 
 
 def _check_within(setting: str, node: Mapping[str, Any]) -> None:
-    """What stands in the node of a class of Hydra's besides its target."""
+    """What stands in the node of a class of Hydra's besides its target: no class that is not registered."""
     if node.get("_recursive_", False) is not False:
         raise InputError(f"{setting}._recursive_", node["_recursive_"], "false")
     check_classes({key: value for key, value in node.items() if key != "_target_"}, setting)
@@ -175,18 +127,11 @@ def _is_harmless(path: str, value: object) -> bool:
 @cache
 def _shipped_launchers() -> frozenset[tuple[str, object]]:
     """Every setting of a launcher, with its value, in the program's own files and in installed plug-ins."""
-    folder, store = Path(str(files("pinn_cli.conf") / "config.yaml")).parent, ConfigStore.instance()
-    nodes = [OmegaConf.load(file) for file in folder.glob("hydra/launcher/*.yaml")]
+    store = ConfigStore.instance()
+    nodes = [OmegaConf.load(file) for file in CONF.glob("hydra/launcher/*.yaml")]
     nodes += [store.load(f"hydra/launcher/{name}").node for name in store.list("hydra/launcher")]
     plain = (OmegaConf.to_container(node, resolve=False) for node in nodes)
     return frozenset(leaf for node in plain for leaf in _leaves(node, "hydra.launcher"))
-
-
-@cache
-def _built_in(name: str) -> str:
-    """The target of Hydra's own launcher, or of the sweeper that `hydra_plugins` tells Hydra of."""
-    node: Any = ConfigStore.instance().load(f"hydra/{name}/basic.yaml").node
-    return str(node["_target_"])
 
 
 def _leaves(node: object, setting: str) -> Iterator[tuple[str, Any]]:
@@ -203,34 +148,13 @@ def _leaves(node: object, setting: str) -> Iterator[tuple[str, Any]]:
         yield setting, node
 
 
-def _check_environment(job: Mapping[str, Any]) -> None:
-    """`env_copy` is in `env_set` by now, with what this process has."""
+def _check_job(job: Mapping[str, Any]) -> None:
+    """The name of its log, and its environment: `env_copy` is in `env_set` by now, with what this process has."""
+    if not isinstance(job["name"], str) or not re.fullmatch(r"\w[\w.+-]*", job["name"]):
+        raise InputError("hydra.job.name", job["name"], "a file's name: letters, digits, and any of . _ + -")
     if not isinstance(job["env_set"], dict):
         raise InputError("hydra.job.env_set", job["env_set"], "a mapping of names to values")
     for name, value in job["env_set"].items():
         if name not in ENVIRONMENT and os.environ.get(name) != value:
             hint = "set it in the shell that starts pinn-run"
             raise InputError(f"hydra.job.env_set.{name}", value, f"one of the variables {', '.join(ENVIRONMENT)}", hint)
-
-
-def _check_places(hydra: Mapping[str, Any]) -> None:
-    """The name of the log, and the folder of what Hydra stores."""
-    name, subdirectory = hydra["job"]["name"], hydra["output_subdir"]
-    if not isinstance(name, str) or not re.fullmatch(r"\w[\w.+-]*", name):
-        raise InputError("hydra.job.name", name, "a file's name: letters, digits, and any of . _ + -")
-    if subdirectory is not None:
-        raise InputError("hydra.output_subdir", subdirectory, "null", "a run writes .hydra/ itself, once it is checked")
-
-
-def _check_verbose(verbose: object) -> None:
-    for name in verbose if isinstance(verbose, list) and verbose else [verbose]:
-        if not isinstance(name, bool) and not re.fullmatch(r"(pinn_cli|hydra)(\.\w+)*", str(name)):
-            allowed = "true, false, or names of loggers, such as pinn_cli.training or hydra"
-            raise InputError("hydra.verbose", verbose, allowed)
-
-
-def _build_alone(hydra: DictConfig) -> None:
-    for node in (hydra.launcher, hydra.sweeper):
-        if not OmegaConf.is_missing(node, "_target_") and OmegaConf.get_type(node) is dict:
-            with open_dict(node):
-                node["_recursive_"] = False

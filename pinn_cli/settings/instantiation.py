@@ -1,21 +1,96 @@
-"""Building an object from a node of the configuration: of the class that it names (`_target_`), or the caller does.
+"""Building an object from a node of the configuration, of a class that the node names (`_target_`).
 
-A configuration may come from somebody else, so it may choose among registered classes but run nothing: a target is
-compared with `pinn_cli.settings.registry` before its module is imported.
+A configuration may come from somebody else, so it may choose among registered classes but run nothing. Importing a
+module runs it, so a target is compared with a list before anything is imported. The list is that of the files in
+`conf/` that come with the program: what `conf/network/` names are the networks. A package that is installed beside it
+adds its own by entry points of the group `pinn_cli.plugins`, which are read as text, too::
+
+    [project.entry-points."pinn_cli.plugins"]
+    "network.chebyshev" = "my_pinn.chebyshev:Chebyshev"
+
+The name begins with the place, and what follows is free; the target is then `my_pinn.chebyshev.Chebyshev`.
 """
 
 from __future__ import annotations
 
 import importlib
 import inspect
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.registry import check_registered
-from pinn_cli.settings.suggestion import suggestion
+from pinn_cli.settings.errors import InputError, suggestion
+
+PLUGINS = "pinn_cli.plugins"
+CALLBACKS = "hydra.callbacks"
+# The configurations that come with the program.
+CONF = Path(str(files("pinn_cli.conf") / "config.yaml")).parent
+_TARGET = re.compile(r"^ *_target_: *(\S+)", re.MULTILINE)
+
+
+def place_of(setting: str) -> str:
+    """The place that a setting belongs to, as a user types it: `system` of `system.connections[2].law`."""
+    parts = re.split(r"[.\[]", setting)
+    return ".".join(parts[:2]) if parts[0] == "hydra" else parts[0]
+
+
+def registered(place: str) -> set[str]:
+    """Dotted names of the classes that a place accepts."""
+    declared = (point.value.replace(" ", "").replace(":", ".") for point in plugins_of(place).values())
+    return {*shipped().get(place, ()), *declared}
+
+
+def check_registered(setting: str, target: object) -> None:
+    """Refuse a target that its place does not accept; nothing is imported.
+
+    Args:
+        setting: Of the node that has the target: `network`.
+        target: What stands there as `_target_`.
+
+    Raises:
+        InputError: It is none of the registered classes.
+    """
+    place = place_of(setting)
+    if isinstance(target, str) and (target in shipped().get(place, ()) or target in registered(place)):
+        return
+    name = f"{setting}._target_" if setting else "_target_"
+    known = sorted(registered(place))
+    if not known and place != CALLBACKS:
+        raise InputError(name, target, "left out", "no class belongs here: the settings are numbers and words")
+    hint = suggestion(str(target), known) or (
+        f"a configuration runs no other code; an installed package registers a class by the entry point"
+        f" {place}.NAME of {PLUGINS} (docs/extending.md)"
+    )
+    raise InputError(
+        name, target, f"a class that is registered for {place}: {', '.join(known) or 'there is none'}", hint
+    )
+
+
+@cache
+def shipped() -> Mapping[str, frozenset[str]]:
+    """The classes that the program itself brings, by place."""
+    found: dict[str, set[str]] = {}
+    for file in (*CONF.glob("*/*.yaml"), *CONF.glob("hydra/*/*.yaml")):
+        # A regular expression: to read all files as YAML would take longer than to start the program.
+        targets = _TARGET.findall(file.read_text(encoding="utf-8"))
+        found.setdefault(".".join(file.parent.relative_to(CONF).parts), set()).update(targets)
+    return {place: frozenset(targets) for place, targets in found.items()}
+
+
+def plugins_of(place: str) -> dict[str, EntryPoint]:
+    """What installed packages declare for a place, by what follows it in the name; nothing is imported."""
+    start = f"{place}."
+    return {
+        point.name.removeprefix(start): point
+        for point in entry_points(group=PLUGINS)
+        if place_of(point.name) == place and point.name.startswith(start)
+    }
 
 
 def check_classes(node: object, setting: str = "") -> None:
@@ -55,7 +130,8 @@ def build(node: DictConfig, setting: str, /, **arguments: Any) -> Any:
     target = node.get("_target_")
     if target is None:
         raise InputError(f"{setting}._target_", "(missing)", "the class that the node describes")
-    return construct(_located(target), node, setting, **arguments)
+    module, _, name = target.rpartition(".")
+    return construct(getattr(importlib.import_module(module), name), node, setting, **arguments)
 
 
 def construct(make: Callable[..., Any], node: DictConfig, setting: str, /, **arguments: Any) -> Any:
@@ -79,10 +155,3 @@ def _entry(value: Any, setting: str) -> Any:
     if isinstance(value, DictConfig) and "_target_" in value:
         return build(value, setting)
     return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
-
-
-def _located(target: str) -> Callable[..., Any]:
-    """The class of a registered name."""
-    module_name, _, name = target.rpartition(".")
-    found: Callable[..., Any] = getattr(importlib.import_module(module_name), name)
-    return found

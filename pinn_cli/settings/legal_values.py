@@ -1,4 +1,4 @@
-"""What counts as a number, a whole number or a choice in a setting; anything else is one line for the user.
+"""What counts as a number, a whole number, a choice or a path in a setting; anything else is one line for the user.
 
 A bool is no number here, although Python thinks so: ``system.ndof=true`` is a mistake.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from numbers import Integral, Real
+from pathlib import Path
 from typing import Any
 
 from pinn_cli.settings.errors import InputError
@@ -87,6 +88,18 @@ def one_of(setting: str, value: Any, choices: Sequence[str]) -> str:
     if value not in choices:
         raise InputError(setting, value, f"one of {', '.join(choices)}")
     return str(value)
+
+
+def located(path: str | Path, base: Path | None = None) -> Path:
+    """The path with ``~`` spelled out, as a shell would; a relative one starts at ``base``, None: where we are.
+
+    A ``~`` that names nobody's home is taken as it stands: there will be no such file, and that is said of it.
+    """
+    try:
+        path = Path(path).expanduser()
+    except RuntimeError:
+        path = Path(path)
+    return (base or Path()) / path
 
 
 def _number(setting: str, value: Any, allowed: str, least: float) -> float:

@@ -186,7 +186,7 @@ def asked_for(options: Namespace) -> Path | None:
         return None
     directory = named[-1].partition("=")[2].strip("'\"")
     others = [override for override in options.overrides if override not in named]
-    others += [f"--{name}" for name in ("multirun", "cfg", "info") if getattr(options, name)]
+    others += [f"--{name}" for name in ("multirun", "cfg") if getattr(options, name)]
     if others:
         raise InputError("collect", directory, "given alone", f"drop {' '.join(others)}")
     return Path(directory)

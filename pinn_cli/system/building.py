@@ -16,11 +16,9 @@ import torch
 from omegaconf import OmegaConf
 from scipy.sparse import csr_matrix
 
-from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.instantiation import construct
+from pinn_cli.settings.errors import InputError, suggestion
+from pinn_cli.settings.instantiation import construct, plugins_of
 from pinn_cli.settings.legal_values import USABLE, entries, is_finite_number, is_usable_number, whole_number
-from pinn_cli.settings.registry import plugins_of
-from pinn_cli.settings.suggestion import suggestion
 from pinn_cli.system import connection
 from pinn_cli.system.connection.base import Nonlinearity
 from pinn_cli.system.connection.linear import Linear

@@ -12,9 +12,8 @@ import numpy as np
 import torch
 from scipy.sparse import csc_matrix, csr_matrix
 
-from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.legal_values import entries, is_finite_number, is_whole_number, whole_number
-from pinn_cli.settings.suggestion import suggestion
 from pinn_cli.system.building import checked_names, damped
 from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.connection_groups import ConnectionGroup

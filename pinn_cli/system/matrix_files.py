@@ -14,7 +14,7 @@ from scipy.io.matlab import MatReadError
 from scipy.sparse import csc_matrix, issparse, load_npz
 
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.paths import located
+from pinn_cli.settings.legal_values import located
 
 SUFFIXES = (".npz", ".npy", ".mtx", ".mat")
 # What numpy and scipy raise for files that are not what their names say.

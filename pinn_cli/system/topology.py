@@ -12,9 +12,8 @@ import numpy as np
 import torch
 from scipy.sparse import csr_matrix
 
-from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.legal_values import USABLE, entries, is_finite_number, is_usable_number
-from pinn_cli.settings.suggestion import suggestion
 from pinn_cli.system.building import GROUND, check_name, checked_names, damped, law_called, law_settings
 from pinn_cli.system.connection.base import Nonlinearity
 from pinn_cli.system.connection_groups import ConnectionGroup

@@ -12,8 +12,8 @@ import pytest
 
 from pinn_cli import InputError, Record, Structure, load, run
 from pinn_cli.api.data import settings_of
+from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.config import RunConfig
-from pinn_cli.cli.prepare import compose_config
 from pinn_cli.record import record
 from pinn_cli.record.files.frame import table_of
 
@@ -79,7 +79,7 @@ def test_a_frame_a_record_and_arrays_are_one_record(simulated: Record, frame: pd
             np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
-def test_columns_are_named_by_what_they_measure(frame: pd.DataFrame) -> None:
+def test_columns_are_named_by_what_they_measure(simulated: Record, frame: pd.DataFrame) -> None:
     table = table_of(frame)
     found = settings(frame)
     assert found[:2] == ["data=frame", f"data.path='{table.path.name}'"]
@@ -93,23 +93,16 @@ def test_columns_are_named_by_what_they_measure(frame: pd.DataFrame) -> None:
     assert "data.displacement={roof: 'displacement.roof'}" in found
     assert not any("force" in setting for setting in found)
     assert "data.ground_acceleration='ground_acceleration'" in settings({"ground_acceleration": [0.0]})
-
-
-def test_overrides_that_name_columns_are_alone(frame: pd.DataFrame) -> None:
+    assert "data.force={2: null}" in settings(simulated.without_load_cells())
+    # Overrides that name columns are alone.
     found = settings(frame, "data.acceleration={1: acceleration.2}", "data.sampling_rate=50")
-    assert len(found) == 2
-    assert not any("data.time" in setting or "data.force" in setting for setting in found)
+    assert found == ["data=frame", f"data.path='{table.path.name}'"]
 
 
 def test_several_frames_are_several_records(frame: pd.DataFrame) -> None:
     shorter = frame.iloc[:300].drop(columns="acceleration.1")
     result = run(*CHAIN, data=[frame, shorter], keep=False)
     assert result.table("records")["samples"].tolist() == [400, 300]
-
-
-def test_a_force_that_nobody_measured_is_known_to_act(simulated: Record) -> None:
-    found = settings(simulated.without_load_cells())
-    assert "data.force={2: null}" in found
 
 
 def test_times_may_be_the_index() -> None:
@@ -139,14 +132,11 @@ def test_units_are_kept(frame: pd.DataFrame) -> None:
         np.testing.assert_array_equal(found.force, expected.force)
 
 
-def test_matrices_and_columns_of_several_levels() -> None:
+def test_matrices_columns_of_several_levels_and_cells_that_are_no_numbers() -> None:
     table = table_of({"acceleration": np.arange(6.0).reshape(3, 2)})
     np.testing.assert_array_equal(table.columns["acceleration.2"], [1.0, 3.0, 5.0])
     frame = pd.DataFrame({("force", 1): [1.0], ("force", 2): [2.0]})
     assert list(table_of(frame).columns) == ["force.1", "force.2"]
-
-
-def test_what_cells_are_no_numbers_is_told_as_of_a_file() -> None:
     table = table_of(pd.DataFrame({"a": ["1.5", "off", None, True]}))
     np.testing.assert_array_equal(table.columns["a"], [1.5, np.nan, np.nan, np.nan])
     assert table.odd_cells["a"] == {1: "off", 3: "True"}
@@ -169,14 +159,12 @@ def test_the_name_says_the_content(frame: pd.DataFrame) -> None:
     ("data", "overrides", "told"),
     [
         (3, (), r"data=<int>: must be a pandas DataFrame"),
-        ({}, (), "it has no columns"),
         ([], (), "a list of frames"),
         ({"t": [0, 1], "force.1": [1]}, (), "arrays of one length"),
         ({"a1": [0, 1]}, (), r"data='a1': must be columns such as force.1"),
         ({"force.1": [0], "force_1": [0]}, (), r"the only column of data.force.1"),
         ({"a": np.zeros((2, 2, 2))}, (), r"an array of shape \(2, 2, 2\)"),
         (pd.DataFrame([[1, 2]], columns=["a", "a"]), (), "different names"),
-        ({"force.1": [0]}, ("data.path=rig.csv",), "left out with data=..., the argument"),
         ({"force.1": [0]}, ("data=csv",), "the record is in memory"),
         ({"t": [0.0, 0.1], "acceleration.2": [0.0, 1.0]}, CHAIN, "must be a window of at least 16 samples"),
         ({"acceleration.1": np.arange(20.0)}, CHAIN, r"data.time='t': must be a column of frame-\w+, which has"),

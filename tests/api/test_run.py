@@ -11,7 +11,6 @@ import random
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -46,12 +45,9 @@ def refused(*overrides: str, **given: object) -> str:
     return str(caught.value)
 
 
-def test_the_package_imports_nothing_slow() -> None:
+def test_every_name_is_there_and_nothing_slow_is_imported_for_it() -> None:
     code = "import sys, pinn_cli; dir(pinn_cli); print([m for m in ('numpy', 'torch', 'hydra') if m in sys.modules])"
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
-
-
-def test_every_name_is_there() -> None:
     assert all(getattr(pinn_cli, name) is not None and name in dir(pinn_cli) for name in pinn_cli.__all__)
     with pytest.raises(AttributeError, match="sweeep"):
         pinn_cli.sweeep  # noqa: B018
@@ -97,10 +93,12 @@ def test_a_process_is_given_back_as_it_was_and_runs_again(tmp_path: Path) -> Non
     logging.getLogger().addHandler(own)
     logging.getLogger().setLevel(logging.WARNING)
     before, frozen = state(), gc.get_freeze_count()
-    first = run(*QUICK, directory="first")
+    first = run(*QUICK, "case=small")
     assert state() == before
     assert gc.get_freeze_count() <= frozen  # what other tests froze may have gone
-    second = run(*QUICK, directory="second")
+    assert first.directory.parts[-3:-1] == ("outputs", "small")  # where the command puts them
+    assert run(f"resume={first.directory}").directory == first.directory
+    second = run(*QUICK, "case=small", directory="second")
     assert state() == before
     assert refused("system.ndof=-1") == "system.ndof=-1: must be a whole number >= 1"
     assert state() == before
@@ -125,13 +123,6 @@ def test_within_hydra_of_one_s_own_from_a_running_event_loop_and_from_another_th
     assert not Path("outputs").exists()
     del here
     assert not place.parent.exists()
-
-
-def test_results_lie_where_the_command_puts_them_and_go_on_from_there() -> None:
-    result = run(*QUICK, "case=small")
-    assert result.directory.parts[-3:-1] == ("outputs", "small")
-    again = run(f"resume={result.directory}")
-    assert again.directory == result.directory
 
 
 def test_a_sweep_returns_its_runs(capfd: pytest.CaptureFixture[str]) -> None:
@@ -165,24 +156,17 @@ def test_errors_are_the_command_s_one_line(overrides: tuple[str, ...], given: di
     assert told in refused(*overrides, **given)
 
 
-def test_other_ends_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    from pinn_cli.api import run as api
+@pytest.mark.parametrize("error", [DivergenceError("far"), NotSoundError("doubtful"), ZeroDivisionError("a defect")])
+def test_other_ends_of_a_run(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    def job(*_: object, **__: object) -> None:
+        raise error
 
-    def ending(error: Exception) -> Callable[..., None]:
-        def job(*_: object, **__: object) -> None:
-            raise error
-
-        return job
-
-    for error in (DivergenceError("far away"), NotSoundError("doubtful"), ZeroDivisionError("a defect")):
-        monkeypatch.setattr(api, "run_job", ending(error))
-        with pytest.raises(type(error), match=str(error)):
-            run(*QUICK)
+    monkeypatch.setattr("pinn_cli.api.run.run_job", job)
+    with pytest.raises(type(error), match=str(error)):
+        run(*QUICK)
 
 
 def test_an_interruption_ends_the_run_and_a_second_one_not_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    from pinn_cli.api import run as api
-
     def job(*_: object, **__: object) -> None:
         with deferred():  # as in a step of a training
             os.kill(os.getpid(), signal.SIGINT)
@@ -191,7 +175,7 @@ def test_an_interruption_ends_the_run_and_a_second_one_not_the_process(monkeypat
         steps.append("not reached")
 
     steps: list[object] = []
-    monkeypatch.setattr(api, "run_job", job)
+    monkeypatch.setattr("pinn_cli.api.run.run_job", job)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with pytest.raises(KeyboardInterrupt):

@@ -9,21 +9,13 @@ import pytest
 from calls import PinnRun
 
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.yaml_file import MOST_BYTES, MOST_ENTRIES, MOST_LEVELS, read_yaml
+from pinn_cli.settings.yaml_file import MOST_BYTES, MOST_LEVELS, read_yaml
 
 BOMB = "a0: &a0 [x,x,x,x,x,x,x,x,x]\n" + "".join(
     f"a{i}: &a{i} [{','.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 12)
 )
 FILES = {
-    "alias bomb": (BOMB, ["line 6", f"at most {MOST_ENTRIES} entries", "aliases written out"]),
-    "bomb of merged keys": (
-        "a0: &a0 {x: 1}\n" + "".join(f"a{i}: &a{i} {{<<: [{','.join([f'*a{i - 1}'] * 9)}]}}\n" for i in range(1, 12)),
-        [f"at most {MOST_ENTRIES} entries"],
-    ),
-    "bomb of interpolations": (
-        "a0: x\n" + "".join(f"a{i}: ${{.a{i - 1}}}${{network.a{i - 1}}}\n" for i in range(1, 40)),
-        ["network.a", "at most 100000 values", "unfold"],
-    ),
+    "alias bomb": (BOMB, ["line 2=*a0", "written out"]),
     "bomb of interpolated lists": (
         "a0: [x, y]\n" + "".join(f"a{i}: ['${{..a{i - 1}}}', '${{..a{i - 1}}}']\n" for i in range(1, 40)),
         ["network.a", "at most 100000 values", "unfold"],
@@ -49,9 +41,7 @@ FILES = {
         ["at most 100000 values"],
     ),
     "interpolated circle": ("depth: ${.width}\nwidth: ${.depth}\n", ["network.depth=${.width}", "names itself"]),
-    "name within itself": ("depth: &a\n  b: *a\n", ["line 1", "alias"]),
-    "a number": ("5\n", ["mine.yaml=5", "settings"]),
-    "a text": ("depth\n", ["mine.yaml=depth", "settings"]),
+    "name within itself": ("depth: &a\n  b: *a\n", ["line 2=*a", "aliases are not read"]),
     "a list": ("- depth\n", ["mine.yaml=- depth", "settings"]),
     "tab": ("depth: 3\nweights:\n\tphysics: 2\n", ["line 3=physics: 2", "spaces, not with tabs"]),
     "open bracket": ("depth: [1,\nwidth: 2\n", ["line 3", "YAML", "flow sequence of line 1"]),
@@ -59,8 +49,7 @@ FILES = {
     "Python object": ("depth: !!python/object/apply:os.system [ls]\n", ["line 1", "YAML"]),
     "control character": ("depth: 1\n# \x01\n", ["line 2", "'\\x01'"]),
     "half an interpolation": ("depth: ${\n", ["mine.yaml", "settings"]),
-    "deeply nested": (f"depth: {'[' * 60}{']' * 60}\n", [f"at most {MOST_LEVELS} levels"]),
-    "very deeply nested": (f"depth: {'[' * 9000}{']' * 9000}\n", [f"at most {MOST_LEVELS} levels"]),
+    "deeply nested": (f"depth: {'[' * 9000}{']' * 9000}\n", [f"at most {MOST_LEVELS} levels"]),
     "itself included": ("defaults: [mine]\n", ["mine.yaml, defaults=mine", "another file"]),
     "circle of files": ("defaults: [theirs]\n", ["network=mine", "include each other in a circle"]),
     "defaults that are none": ("defaults: 5\n", ["network=mine", "must be a list"]),
@@ -120,7 +109,7 @@ def test_stored_files_of_somebody_else(pinn_run: PinnRun, tmp_path: Path, stored
     assert time.monotonic() - begun < 20
     assert (outcome.status, outcome.err.count("\n")) == (2, 1), outcome.err
     assert outcome.err.startswith(f"pinn-run: {asked}=")
-    assert f"{Path(stored).name}, line 6" in outcome.err
+    assert f"{Path(stored).name}, line 2" in outcome.err
 
 
 def test_folders_of_one_s_own_work_in_every_way(pinn_run: PinnRun, folder: Path) -> None:

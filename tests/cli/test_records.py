@@ -1,19 +1,20 @@
-"""`data.records`: what every record has of its own, what all have in common, and what is refused in one line."""
+"""`data.records`, what every record has of its own and in common; and names of DOFs where settings ask for DOFs."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from calls import Compose
+import xarray as xr
+from calls import Compose, PinnRun
 from omegaconf import OmegaConf
 
 from pinn_cli.cli.config import RunConfig
-from pinn_cli.cli.dof_names import numbered
-from pinn_cli.cli.prepare import prepare_problem
-from pinn_cli.cli.records import check_records, data_of_records
+from pinn_cli.cli.prepare import check_records, prepare_problem
+from pinn_cli.cli.records import data_of_records, numbered
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
 from pinn_cli.runs.identity import Identity
@@ -28,6 +29,7 @@ from pinn_cli.validation.forecast import Forecast
 from pinn_cli.validation.none import NoValidation
 
 COMMON = {"_target_": "x", "kind": "csv", "path": None, "force": {3: "f"}, "acceleration": {1: "a", 2: "b"}}
+WEIGHTS = ("observation", "physics", "continuity")
 CHAIN = ("data=csv", "system=linear", "system.ndof=3", "system.m=2000", "system.c=3000", "system.k=1e6")
 
 
@@ -45,8 +47,7 @@ def test_an_entry_goes_before_what_all_have_in_common():
 @pytest.mark.parametrize(
     ("records", "said"),
     [
-        ("a.csv", "data.records=a.csv: must be a list of maps"),
-        ({"path": "a.csv"}, "must be a list of maps"),
+        ({"path": "a.csv"}, "data.records=.*: must be a list of maps"),
         ([{"path": "a.csv"}, "b.csv"], "record 2: data.records=b.csv: must be a map"),
         ([{}], "record 1: data.records"),
         ([{"acc": {}}], "record 1: data.records=acc: must be one of path, force, acceleration"),
@@ -87,10 +88,6 @@ def test_an_error_says_which_record_it_is_about(composed: Compose, tmp_path: Pat
     config = RunConfig.read(composed(*CHAIN, records))
     with pytest.raises(InputError, match=r"^record 2: data\.acceleration\.2='zz': must be a column"):
         prepare_problem(config)
-    records = f"data.records=[{{path: '{a}', holdout: [2]}}, {{path: '{b}'}}]"
-    config = composed(*CHAIN, "+data.acceleration={1: a1}", records)
-    with pytest.raises(InputError, match=r"^record 1: data\.holdout"):
-        RunConfig.read(config)
 
 
 def test_data_to_try_the_system_on_beside_several_records(composed: Compose, tmp_path: Path) -> None:
@@ -101,18 +98,6 @@ def test_data_to_try_the_system_on_beside_several_records(composed: Compose, tmp
     assert [len(problem.record.time) for problem in prepared.problem] == [200, 200]
     assert prepared.validation.of == 1
     assert prepared.validation.record.sensors("acceleration").tolist() == [False, True, True]
-
-
-def test_dofs_of_an_entry_go_by_their_names():
-    labels = Labels(("floor", "roof"), ("a", "b"))
-    entry = {"path": "b.csv", "acceleration": {"roof": "a"}, "channels": {"x": {"sensor": "force", "dof": "floor"}}}
-    config = OmegaConf.create({"data": {"force": {"roof": "f"}, "records": [{"path": "a.csv"}, entry]}})
-    found = OmegaConf.to_container(numbered(config, labels))["data"]["records"][1]
-    assert found["acceleration"] == {2: "a"}
-    assert found["channels"]["x"]["dof"] == 1
-    config.data.records[1].acceleration = {"attic": "a"}
-    with pytest.raises(InputError, match=r"^record 2: data\.acceleration=attic"):
-        numbered(config, labels)
 
 
 def test_another_content_of_any_record_is_another_run(tmp_path: Path):
@@ -136,14 +121,7 @@ def problem(records: int) -> JointProblem:
     ("network", "training", "baseline", "validation", "setting"),
     [
         (Mlp(), GaussNewton(), None, NoValidation(), "network=mlp"),
-        (Spline(), Adam(), None, NoValidation(), "network=spline"),
-        (
-            Spline(),
-            GaussNewton(weights={"observation": 1, "physics": 1, "continuity": 1}),
-            None,
-            NoValidation(),
-            "netw",
-        ),
+        (Spline(), GaussNewton(weights=dict.fromkeys(WEIGHTS, 1)), None, NoValidation(), "network=spline"),
         (Spline(), GaussNewton(), TrainedNetwork(Adam(), Mlp()), NoValidation(), "baseline=pinn"),
         (Spline(), GaussNewton(), None, Forecast(), "validation=forecast"),
     ],
@@ -152,7 +130,88 @@ def test_what_has_one_record_at_a_time_is_refused(network, training, baseline, v
     with pytest.raises(InputError, match=f"^{setting}.*2 records of data.records"):
         check_records(problem(2), TrainedNetwork(training, network), baseline, validation)
     check_records(problem(1), TrainedNetwork(training, network), baseline, validation)
-
-
-def test_splines_and_the_evidence_have_several():
     check_records(problem(3), TrainedNetwork(GaussNewton(), Spline()), None, EvidenceScore())
+
+
+LABELS = Labels(("ground_floor", "mezzanine", "roof"), ("a", "b", "c"))
+CONNECTIONS = (
+    "storey_1: {between: [ground, ground_floor], law: linear, c: 4500, k: 1.5e6}",
+    "storey_2: {between: [ground_floor, mezzanine], law: linear, c: 4200, k: 1.4e6}",
+    "storey_3: {between: [mezzanine, roof], law: linear, c: 3600, k: 1.2e6}",
+    "brace: {between: [ground, mezzanine], law: linear, c: 0, k: 4e5}",
+)
+FRAME = (
+    "system=structure",
+    "system.dofs=[ground_floor,mezzanine,roof]",
+    "system.mass=2000",
+    f"system.connections={{{', '.join(CONNECTIONS)}}}",
+)
+
+
+def test_names_and_numbers_are_the_same_dofs():
+    channels = {"x": {"sensor": "force", "dof": "roof"}, "y": {"between": ["roof", "ground"], "weights": None}}
+    data = {"acceleration": {"roof": "a3", "1": "a1"}, "force": {2: "f", "roof": None}, "holdout": ["roof", 1]}
+    data |= {"records": [{"path": "a.csv"}, {"path": "b.csv", "acceleration": {"roof": "a"}, "channels": channels}]}
+    config = OmegaConf.create(
+        {"data": data, "excitation": {"dofs": ["mezzanine"], "force": None}, "scheme": {"unobserved": "every_2nd"}}
+    )
+    found = numbered(config, LABELS)
+    entry = found.data.records[1]
+    assert (entry.acceleration, entry.channels.x.dof, entry.channels.y.between) == ({3: "a"}, 3, [3, "ground"])
+    assert found.data.acceleration == {3: "a3", 1: "a1"}
+    assert found.data.force == {2: "f", 3: None}
+    assert (found.data.holdout, found.excitation.dofs, found.scheme.unobserved) == ([3, 1], [2], "every_2nd")
+    assert numbered(config, Labels()) is config
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"data": {"acceleration": {"rof": "a"}}}, "data.acceleration=rof: must be one of the DOFs ground_floor, mezz"),
+        ({"data": {"records": [{"force": {"rof": "a"}}, {}]}}, "record 1: data.force=rof: must be one of the DOFs"),
+        ({"data": {"force": {"roof": "a", 3: "b"}}}, "data.force=roof: must be there once only"),
+        ({"data": {"holdout": [4]}}, "data.holdout=4: must be one of the DOFs"),
+        ({"excitation": {"dofs": [0]}}, "or its number from 1 to 3"),
+        ({"scheme": {"unobserved": [True]}}, "scheme.unobserved=True: must be one of the DOFs"),
+        ({"excitation": {"force": {"dofs": ["attic"]}}}, "excitation.force.dofs=attic"),
+    ],
+)
+def test_a_dof_that_there_is_not_is_answered_with_the_names(given, message):
+    with pytest.raises(InputError) as error:
+        numbered(OmegaConf.create(given), LABELS)
+    assert message in str(error.value)
+
+
+def test_messages_about_a_file_name_the_dof_as_the_user_does(composed: Compose, tmp_path: Path) -> None:
+    sensors = ("+data.force={roof: f}", "+data.acceleration={roof: a1, mezzanine: none}")
+    frame = [setting.replace("system.connections", "++system.connections") for setting in FRAME]
+    config = composed(*frame, "data=csv", f"data.path={write(tmp_path, 'a.csv')}", *sensors)
+    with pytest.raises(InputError, match="data.acceleration.mezzanine='none'"):
+        prepare_problem(RunConfig.read(config))
+
+
+def test_files_and_sentences_of_a_run_have_the_names(pinn_run: PinnRun, tmp_path: Path) -> None:
+    record = ("simulation.duration=8", "simulation.samples=512", "excitation.band=[1,10]", "excitation.rms=1e3")
+    made = pinn_run(*FRAME, *record, "excitation.dofs=[roof]", "scheme.unobserved=[mezzanine]")
+    assert made.status == 0, made.err
+    with xr.open_dataset(made.directory / "response.nc") as dataset:
+        assert dataset["dof_name"].values.tolist() == ["ground_floor", "mezzanine", "roof"]
+        assert dataset["observed"].values.astype(bool).tolist() == [True, False, True]
+        assert dataset["unforced"].values.astype(bool).tolist() == [True, True, False]
+        accelerations = dataset["acceleration_true"].values
+        columns = {"t": dataset["time"].values, "f": dataset["force_observed"].values[:, 2]}
+    parameters = pd.read_csv(made.directory / "parameters.csv")["parameter"]
+    assert {"k_storey_1", "k_brace", "c_storey_3"} <= set(parameters)
+    assert {"dof_1", "dof_3"} <= set(pd.read_csv(made.directory / "fitness.csv")["group"])
+    drawn = {figure.name for figure in (made.directory / "figures").iterdir()}
+    assert {"structure.png", "structure.pdf", "response.png", "parameters.pdf", "residuals.png"} <= drawn
+    # A sensor with the wrong sign is told by its DOF's name.
+    accelerations = accelerations * [1, 1, -1] + np.random.default_rng(1).normal(0, 1e-3, accelerations.shape)
+    columns |= {f"a{i + 1}": accelerations[:, i] for i in range(3)}
+    pd.DataFrame(columns).to_csv(tmp_path / "signs.csv", index=False)
+    outcome = pinn_run(
+        *FRAME, "data=csv", f"data.path={tmp_path / 'signs.csv'}", "data.force={roof: f}", "figures=false",
+        "data.acceleration={ground_floor: a1, mezzanine: a2, roof: a3}",
+    )  # fmt: skip
+    reasons = " ".join(json.loads((outcome.directory / "run.json").read_text())["reasons"])
+    assert "acceleration of DOF roof" in reasons

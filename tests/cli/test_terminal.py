@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pinn_cli.cli.terminal import Terminal
+from pinn_cli.cli.command_line import Terminal
 from pinn_cli.runs.claim import RunLog
 from pinn_cli.sweep.jobs import DEFECT, Failure, Sweep
 from pinn_cli.sweep.running import Progress

@@ -76,7 +76,7 @@ STEPPING = (
 @cache
 def setting_names() -> tuple[str, ...]:
     """Every setting of the default configuration."""
-    from pinn_cli.cli.prepare import compose_config
+    from pinn_cli.cli.composing import compose_config
     from pinn_cli.runs.identity import flattened
 
     return tuple(sorted(name for name in flattened(compose_config(())) if "_target_" not in name))

@@ -18,9 +18,9 @@ from fuzz.trial import Trial, put
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.override_errors import explain
-from pinn_cli.cli.prepare import compose_config
 from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.runs.checkpoint import FORMAT, Checkpoints, OtherRunError
 from pinn_cli.runs.checkpoint_files import LAST, PREVIOUS, sealed

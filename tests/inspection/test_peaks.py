@@ -54,12 +54,8 @@ def test_modes_without_a_measured_force(chain):
 
 @pytest.mark.parametrize("force", [True, False])
 def test_noise_has_no_modes(force):
-    random = np.random.default_rng(0)
-    quantity = "force" if force else "acceleration"
-    noise = [
-        Signal("x", random.normal(size=6000), quantity, "1"),
-        Signal("a", random.normal(size=6000), "acceleration", "2"),
-    ]
+    random, quantity = np.random.default_rng(0), "force" if force else "acceleration"
+    noise = [Signal(q, random.normal(size=6000), q, dof) for q, dof in ((quantity, "1"), ("acceleration", "2"))]
     assert len(find_peaks(spectra_of(noise, Sampling(np.arange(6000) / 50.0)))) <= 1
 
 
@@ -79,10 +75,7 @@ def test_two_forces_at_once(chain):
 
 def test_chance_reaches_the_coherence_that_it_is_said_to():
     random = np.random.default_rng(1)
-    noise = [
-        Signal("f", random.normal(size=200_000), "force", "1"),
-        Signal("a", random.normal(size=200_000), "acceleration", "1"),
-    ]
+    noise = [Signal(q[0], random.normal(size=200_000), q, "1") for q in ("force", "acceleration")]
     spectra = spectra_of(noise, Sampling(np.arange(200_000) / 100.0))
     share = np.mean(spectra.coherence > spectra.chance_coherence(0.1))
     assert 0.05 < share < 0.2

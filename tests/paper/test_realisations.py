@@ -6,8 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.config import RunConfig
-from pinn_cli.cli.prepare import compose_config, prepare_problem
+from pinn_cli.cli.prepare import prepare_problem
 from pinn_cli.paper import realisations as realised
 from pinn_cli.paper.realisations import Realisation, Scores, read_scores, solve, solve_missing
 from pinn_cli.paper.seeds import seed_realisations

@@ -8,8 +8,8 @@ import re
 import pandas as pd
 import pytest
 
+from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.config import RunConfig
-from pinn_cli.cli.prepare import compose_config
 from pinn_cli.paper.cases import TABLES
 from pinn_cli.paper.commands import make_table
 from pinn_cli.paper.comparison import (

@@ -14,7 +14,7 @@ from interrupted_runs import ADAM, Steps, assert_same_numbers, contents, in_a_ch
 from omegaconf import DictConfig, OmegaConf
 
 from pinn_cli.cli.config import RunConfig
-from pinn_cli.cli.config_names import option_names
+from pinn_cli.cli.help import option_names
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.report import netcdf
 from pinn_cli.runs import identity

@@ -13,39 +13,11 @@ from calls import PinnRun
 from pinn_cli.settings.errors import InputError
 
 HEADER = "t,f1,a1,a2\n"
-CSV = [
-    "data=csv",
-    "data.path=rig.csv",
-    "data.time=t",
-    "data.force={1: f1}",
-    "data.acceleration={1: a1, 2: a2}",
-    "system.ndof=2",
-]
+COLUMNS = ("data.time=t", "data.force={1: f1}", "data.acceleration={1: a1, 2: a2}", "system.ndof=2")
 
 
 def rows(count: int, step: float = 0.01) -> list[str]:
     return [f"{i * step:.4f},{i % 7},{i % 5},{i % 3}\n" for i in range(count)]
-
-
-SETTINGS = {
-    "ndof below 1": (["system.ndof=0"], "system.ndof=0"),
-    "wrong list length": (["system.k=[1,2,3]"], "system.k=[1"),
-    "SNR not finite": (["noise.snr_db=inf"], "noise.snr_db=inf"),
-    "all DOFs unobserved": (["scheme.unobserved=[1,2,3,4,5,6]"], "scheme.unobserved="),
-    "band above Nyquist": (["excitation.band=[1,50]"], "excitation.band="),
-    "record too short for its band": (["simulation.duration=2", "excitation.band=[0.05,0.3]"], "excitation.band="),
-    "another package's target": (["scheme._target_=os.system"], "scheme._target_=os.system"),
-    "no such CUDA device": (["device=cuda:99"], "device=cuda:99"),
-    "training without iterations": (["training.iterations=0"], "training.iterations=0"),
-}
-
-
-@pytest.mark.parametrize(("overrides", "told"), SETTINGS.values(), ids=SETTINGS.keys())
-def test_settings(pinn_run: PinnRun, tmp_path: Path, overrides: list[str], told: str) -> None:
-    outcome = pinn_run(*overrides)
-    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
-    assert outcome.err.startswith(f"pinn-run: {told}")
-    assert list(tmp_path.iterdir()) == []
 
 
 FILES = {
@@ -64,7 +36,7 @@ def test_files(pinn_run: PinnRun, tmp_path: Path, lines: list[str] | None, told:
     if lines is not None:
         (tmp_path / "rig.csv").write_text("".join(lines))
     before = sorted(tmp_path.rglob("*"))
-    outcome = pinn_run(*CSV)
+    outcome = pinn_run("data=csv", "data.path=rig.csv", *COLUMNS)
     assert (outcome.status, outcome.err.count("\n")) == (2, 1), outcome.err
     for part in told:
         assert part in outcome.err
@@ -74,19 +46,14 @@ def test_files(pinn_run: PinnRun, tmp_path: Path, lines: list[str] | None, told:
 def test_a_process_ends_with_2(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "pinn_cli.main", "system.ndof=0"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith("pinn-run: system.ndof=0: must be a whole number")
-    assert done.stderr.count("\n") == 1
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert done.stderr.startswith("pinn-run: system.ndof=0: must be")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_input_errors_cross_processes() -> None:
+def test_an_error_crosses_processes_and_is_cut() -> None:
     error = InputError("system.ndof", 0, ">= 1", "a chain has a mass")
-    copy = pickle.loads(pickle.dumps(error))
-    assert str(copy) == str(error) == "system.ndof=0: must be >= 1; a chain has a mass"
-
-
-def test_a_long_value_is_cut() -> None:
+    assert str(pickle.loads(pickle.dumps(error))) == "system.ndof=0: must be >= 1; a chain has a mass"
     told = str(InputError("case", "a" * 6000, "a name", "b" * 6000))
     assert told.startswith(f"case={'a' * 500}... (6000 characters): must be a name; bbb")
     assert len(told) < 1100

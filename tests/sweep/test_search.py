@@ -16,7 +16,7 @@ from interrupted_runs import without_figures
 from omegaconf import DictConfig
 
 from pinn_cli.cli.config import RunConfig
-from pinn_cli.cli.config_names import option_names
+from pinn_cli.cli.help import option_names
 from pinn_cli.runs.identity import Identity
 from pinn_cli.runs.writing import write_json
 from pinn_cli.settings.errors import DivergenceError

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from pinn_cli.settings import registry
+from pinn_cli.settings import instantiation
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Linear
@@ -180,8 +180,8 @@ class Rubber(Linear):
 
 
 def test_laws_of_installed_packages_are_found_by_their_entry_points(monkeypatch):
-    point = EntryPoint("system.rubber", f"{__name__}:Rubber", registry.PLUGINS)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [point] if group == registry.PLUGINS else [])
+    point = EntryPoint("system.rubber", f"{__name__}:Rubber", instantiation.PLUGINS)
+    monkeypatch.setattr(instantiation, "entry_points", lambda group: [point] if group == instantiation.PLUGINS else [])
     rubber = {"between": ["x1", "x2"], "law": "rubber", "c": 0, "k": 0, "k_a": 1.0}
     structure = build_structure(**frame(pad=rubber))
     assert structure.groups[-1].nonlinearity.name == "rubber"

@@ -19,11 +19,11 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import (
     LARGEST,
     finite_number,
+    located,
     non_negative_number,
     positive_number,
     whole_number,
 )
-from pinn_cli.settings.paths import located
 
 log = logging.getLogger(__name__)
 

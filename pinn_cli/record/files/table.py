@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.legal_values import LARGEST, SMALLEST, USABLE
-from pinn_cli.settings.suggestion import suggestion
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.paths import located
+from pinn_cli.settings.legal_values import located
 from pinn_cli.sweep.tracking.base import Outcome, TrackedRun, Tracker, Tracking, require
 
 if TYPE_CHECKING:
