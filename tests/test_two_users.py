@@ -13,8 +13,8 @@ import pandas as pd
 import pytest
 from calls import SMALL, PinnRun
 
+from pinn_cli.runs import claim
 from pinn_cli.runs import lock as run_lock
-from pinn_cli.runs import ownership
 from pinn_cli.runs.lock import FILE, SWEEP_FILE, held
 
 HOLD = """
@@ -83,14 +83,14 @@ def test_a_sweep_waits_for_the_one_in_its_directory(other, pinn_run: PinnRun, tm
 def test_a_refused_command_takes_no_directory_from_another(other, tmp_path: Path, name: str) -> None:
     """Both found it missing, and made it."""
     place = tmp_path / "outputs" / "place"
-    ownership.note_new(place)
+    claim.note_new(place)
     place.parent.mkdir()
     first = other(place, name)
-    ownership.discard()
+    claim.discard()
     assert (place / name).is_file()
     first.kill()
     first.wait()
-    ownership.discard()
+    claim.discard()
     assert not place.parent.exists()
 
 
@@ -98,7 +98,7 @@ def test_who_waits_for_a_directory_that_goes_makes_it_anew(tmp_path: Path, monke
     monkeypatch.setattr(run_lock, "EVERY_S", 0.02)
     place = tmp_path / "place"
     place.mkdir()
-    ownership.note_new(tmp_path / "x")
+    claim.note_new(tmp_path / "x")
     entered = threading.Event()
 
     def second() -> None:

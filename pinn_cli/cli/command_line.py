@@ -25,8 +25,8 @@ from pinn_cli.cli.jobs import Jobs, Reported, Task
 from pinn_cli.cli.options import FOLLOW, INSPECT, read_options
 from pinn_cli.cli.override_errors import explain
 from pinn_cli.cli.terminal import Terminal
+from pinn_cli.runs.claim import discard
 from pinn_cli.runs.interruption import Interruption, watched
-from pinn_cli.runs.ownership import discard
 from pinn_cli.runs.reading import printable
 from pinn_cli.runs.resume import StoredRun, check_sound, how_to_go_on
 from pinn_cli.runs.writing import OUTPUT, WriteError, refused_by_disk

@@ -19,13 +19,19 @@ from pinn_cli.cli.inspecting import Inspected
 from pinn_cli.cli.records import check_records
 from pinn_cli.cli.terminal import Silence, Terminal
 from pinn_cli.cli.windows import windowed_run
-from pinn_cli.runs.claim import leave_directory, lock_directory, settle_directory, take_directory
+from pinn_cli.runs.claim import current
 from pinn_cli.runs.identity import flattened
-from pinn_cli.runs.memory import collect_rarely
-from pinn_cli.runs.process import is_borrowed
-from pinn_cli.runs.resume import RESULT, asked_to_resume, check_sound, is_finished, stored_score
+from pinn_cli.runs.process import collect_rarely, is_borrowed
+from pinn_cli.runs.resume import (
+    CHECKPOINTS,
+    RESULT,
+    asked_to_resume,
+    check_sound,
+    is_finished,
+    is_tracked,
+    stored_score,
+)
 from pinn_cli.runs.stages import Stages, signs_of_life
-from pinn_cli.runs.tracking_state import is_tracked
 
 if TYPE_CHECKING:
     from pinn_cli.cli.prepare import PreparedProblem
@@ -69,9 +75,9 @@ def run_job(
         resuming = asked_to_resume(composed, directory)
         config = None if _is_done(resuming, composed, directory, base) else RunConfig.read(composed, base, follows)
     if config is not None:
-        lock_directory()
+        current().lock()
     if config is None or _is_done(resuming, composed, directory, base):  # by the process that was in there
-        leave_directory()
+        current().left = True
         return _judged(composed, directory, "finished before, nothing to do", terminal)
     finished = resuming and is_finished(directory, composed, base)
     with nullcontext() if in_sweep or follows else signs_of_life(stages):
@@ -97,8 +103,8 @@ def inspect(composed: DictConfig) -> None:
             found = inspect_record(
                 inspected.signals, inspected.time, overrides, inspected.frequencies, inspected.measured
             )
-        lock_directory()
-        take_directory()
+        current().lock()
+        current().take()
         with stages("report"):
             text = write_inspection(found, directory, composed.get("figures") is not False)
     Terminal().say(f"{text}\n{directory}")
@@ -120,12 +126,12 @@ def _tracked(
     name, which = f"{config.case}/{directory.name}", config.identity.configuration
     tracked_run = TrackedRun(directory, name, flattened(composed), config.description.labels_of("pinn"), which)
     with follow(config.tracking, tracked_run, resuming) as tracked:
-        take_directory(_outdated(prepared))
+        current().take(_outdated(prepared))
         text = f"finished before; tracking={config.tracking.name} has it now" if prepared is None else ""
         if isinstance(prepared, Job):
             carry_out(prepared, tracked.row)
         elif prepared is not None:
-            settle_directory()
+            current().settle()
             text = prepared.carry_out(stages, tracked.row)
         with stages("tracking"):
             tracked.results()
@@ -231,7 +237,7 @@ def _outdated(prepared: Job | WindowedRun | None) -> list[str]:
     if not isinstance(prepared, Job):
         return [] if prepared is None else [RESULT]
     checkpoints = prepared.context.checkpoints
-    return [RESULT, *([] if checkpoints is None or checkpoints.taken_up else checkpoints.files.NAMES)]
+    return [RESULT, *([] if checkpoints is None or checkpoints.taken_up else CHECKPOINTS)]
 
 
 @contextmanager

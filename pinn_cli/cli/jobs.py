@@ -15,8 +15,8 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from pinn_cli.cli.terminal import Terminal
 from pinn_cli.runs.claim import Claim, entered
 from pinn_cli.runs.interruption import stop_if_asked
-from pinn_cli.runs.layout import stamp
-from pinn_cli.runs.memory import is_out_of_memory, of_this_machine
+from pinn_cli.runs.machine import is_out_of_memory, of_this_machine
+from pinn_cli.runs.reading import stamp
 from pinn_cli.runs.resume import FORMAT, StoredRun, going_on, how_to_go_on
 from pinn_cli.runs.writing import WriteError, refused_by_disk
 from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError

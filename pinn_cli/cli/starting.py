@@ -21,7 +21,7 @@ from omegaconf import DictConfig, OmegaConf, flag_override
 
 from pinn_cli.cli.composing import CONFIG, CheckedLoader, as_hydra_reads, checked_hydra, in_folders
 from pinn_cli.cli.terminal import Terminal
-from pinn_cli.runs.ownership import note_new
+from pinn_cli.runs.claim import note_new
 from pinn_cli.runs.process import environment
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build

@@ -15,8 +15,7 @@ import numpy as np
 from pinn_cli.model.knowledge import DiscrepancyEvidence, EndState, Levels, Misfit, ParameterKnowledge
 from pinn_cli.model.model import Model
 from pinn_cli.model.structure_content import structure_content, structure_of
-from pinn_cli.runs.layout import NUMBER, check_layout, stamp
-from pinn_cli.runs.reading import MOST_BYTES, DamagedError, check_regular, checked
+from pinn_cli.runs.reading import MOST_BYTES, NUMBER, DamagedError, check_layout, check_regular, checked, stamp
 from pinn_cli.runs.resume import RESULT, read_record
 from pinn_cli.runs.writing import write_bytes
 from pinn_cli.settings.errors import InputError

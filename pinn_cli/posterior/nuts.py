@@ -18,7 +18,7 @@ from torch import Tensor
 
 from pinn_cli.posterior.target import Target
 from pinn_cli.runs.identity import package_version
-from pinn_cli.runs.layout import NUMBER, WRITER, check_layout, stamp
+from pinn_cli.runs.reading import NUMBER, WRITER, check_layout, stamp
 from pinn_cli.runs.writing import replacing
 from pinn_cli.settings.errors import DivergenceError, InputError
 

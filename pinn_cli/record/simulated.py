@@ -11,7 +11,7 @@ import numpy as np
 from pinn_cli.record.between_samples import INTERSAMPLE_OF_HOLD
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Measurements, Record, Truth, check_frame
 from pinn_cli.record.steps import at_rest, fastest_rates
-from pinn_cli.runs.memory import of_this_machine
+from pinn_cli.runs.machine import of_this_machine
 from pinn_cli.settings.errors import InputError
 
 if TYPE_CHECKING:

@@ -18,8 +18,7 @@ from optuna.study import Study
 from optuna.trial import FrozenTrial
 
 from pinn_cli.runs.identity import is_left_out
-from pinn_cli.runs.layout import check_layout, stamp
-from pinn_cli.runs.reading import check_regular
+from pinn_cli.runs.reading import check_layout, check_regular, stamp
 from pinn_cli.runs.resume import read_record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import setting_of

@@ -20,7 +20,7 @@ from hydra.core.utils import JobReturn
 from joblib import Parallel, delayed, effective_n_jobs
 from joblib.externals.loky.process_executor import BrokenProcessPool
 
-from pinn_cli.runs.cores import usable_cores
+from pinn_cli.runs.machine import usable_cores
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.sweep.launching import PendingJob, Work, WorkLauncher, jobs_at_once, take_over, usable_settings

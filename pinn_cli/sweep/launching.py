@@ -21,11 +21,10 @@ from hydra.core.utils import JobReturn, JobStatus, run_job, setup_globals
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, open_dict
 
-from pinn_cli.runs.cores import usable_cores
 from pinn_cli.runs.lock import FILE as LOCK
+from pinn_cli.runs.machine import usable_cores
 from pinn_cli.runs.process import environment
-from pinn_cli.runs.resume import asked_to_resume, going_on, is_finished, stored_score
-from pinn_cli.runs.tracking_state import is_tracked
+from pinn_cli.runs.resume import asked_to_resume, going_on, is_finished, is_tracked, stored_score
 from pinn_cli.settings.errors import InputError
 from pinn_cli.sweep.composing import compose_job
 from pinn_cli.sweep.failure import DEFECT, Failure

@@ -14,7 +14,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from pinn_cli.runs.tracking_state import FILE, NONE, TrackingState
+from pinn_cli.runs.resume import NONE, TrackingState
+from pinn_cli.runs.resume import TRACKING as FILE
 from pinn_cli.runs.writing import content_of, put_back
 from pinn_cli.settings.errors import InputError
 from pinn_cli.tracking.base import FAILED, FINISHED, INTERRUPTED, TrackedRun, Tracker, Tracking

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pinn_cli.runs.tracking_state import NONE
+from pinn_cli.runs.resume import NONE
 from pinn_cli.tracking.base import TrackedRun, Tracking
 
 

@@ -10,8 +10,8 @@ import pandas as pd
 from pinn_cli.report.fitness import FORMULAS
 from pinn_cli.runs.lock import FILE as LOCK
 from pinn_cli.runs.reading import read_table
+from pinn_cli.runs.resume import TRACKING as STATE
 from pinn_cli.runs.resume import read_record
-from pinn_cli.runs.tracking_state import FILE as STATE
 
 # Not copied: what only this program reads, and is large or gone when the run is, and what other trackers wrote.
 LEFT_OUT = ("checkpoint.pt", "checkpoint.previous.pt", STATE, LOCK, "tensorboard", "chains")

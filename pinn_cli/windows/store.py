@@ -16,8 +16,7 @@ from typing import Any, TypedDict
 from pinn_cli.model.file import stored_model, write_model
 from pinn_cli.model.model import Model
 from pinn_cli.record.windows import Window
-from pinn_cli.runs.layout import stamp
-from pinn_cli.runs.reading import DamagedError, read_histories, read_json, read_table
+from pinn_cli.runs.reading import DamagedError, read_histories, read_json, read_table, stamp
 from pinn_cli.runs.writing import tidy, write_json
 from pinn_cli.verdict.finding import Word
 

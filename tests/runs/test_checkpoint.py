@@ -6,18 +6,20 @@ import logging
 import os
 import random
 import signal
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from pinn_cli.runs.checkpoint import Checkpoints, OtherRunError
-from pinn_cli.runs.checkpoint_files import (
+from pinn_cli.runs.checkpoint import (
     LAST,
     PREVIOUS,
     CheckpointFiles,
+    Checkpoints,
     DamagedCheckpointError,
+    OtherRunError,
     sealed,
     unsealed,
 )
@@ -110,7 +112,7 @@ class Evil:
 
 
 def reseal(data: bytes) -> bytes:
-    from pinn_cli.runs.checkpoint_files import _seal
+    from pinn_cli.runs.checkpoint import _seal
 
     return data[:-64] + _seal(data[:-66])
 
@@ -279,7 +281,7 @@ GOOD_STATE = {"sum": torch.zeros(3), "done": 1}
 )
 def test_a_forged_state_is_an_error_of_the_input(trainings, tmp_path):
     kept = checkpoints(tmp_path)
-    kept.write(sealed({"format": 1, "identity": IDENTITY.content, "trainings": trainings, "random": {}}))
+    kept.write(sealed({"format": 1, "identity": asdict(IDENTITY), "trainings": trainings, "random": {}}))
     kept.take_up()
     with pytest.raises(InputError, match="resume=.*checkpoint.pt: must be a checkpoint of this training"):
         walk(RandomWalk(), kept)

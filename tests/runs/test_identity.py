@@ -50,12 +50,6 @@ def test_a_file_counts_by_what_is_in_it(composed: Compose, tmp_path: Path) -> No
     assert Identity.of(config, tmp_path).settings["data.path"] == "rig.csv"
 
 
-def test_what_is_written_is_read(composed: Compose) -> None:
-    identity = Identity.of(composed())
-    assert Identity.read(identity.content) == identity
-    assert identity.versions["torch"] != "unknown"
-
-
 def test_a_file_in_the_home_folder_counts_by_what_is_in_it(
     composed: Compose, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,7 +9,7 @@ import pytest
 from calls import PinnRun
 from interrupted_runs import ADAM, contents
 
-from pinn_cli.runs.ownership import check_destination
+from pinn_cli.runs.claim import check_destination
 from pinn_cli.settings.errors import InputError
 
 QUICK = (*ADAM, "training.iterations=1", "figures=false")

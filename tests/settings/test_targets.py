@@ -29,8 +29,8 @@ def node(**entries: object) -> DictConfig:
         "builtins.eval",
         "pinn_cli",
         "pinn_cli_evil.Class",
-        "pinn_cli.runs.ownership.shutil.rmtree",
-        "pinn_cli.runs.ownership.Path",
+        "pinn_cli.runs.claim.shutil.rmtree",
+        "pinn_cli.runs.claim.Path",
         "pinn_cli.runs.claim.RunLog",  # ours, at another place
         "pinn_cli.network.mlp.Mlp",
         DUFFING.lower(),

@@ -15,7 +15,7 @@ import pytest
 from calls import SMALL
 from sweeps import start
 
-from pinn_cli.runs.cores import usable_cores
+from pinn_cli.runs.machine import usable_cores
 from pinn_cli.sweep.joblib_launcher import pin, shares
 from pinn_cli.sweep.launching import jobs_at_once
 

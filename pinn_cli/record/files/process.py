@@ -24,7 +24,7 @@ import numpy as np
 
 from pinn_cli.record.files.on_disk import damaged
 from pinn_cli.record.files.table import SensorHint, Table
-from pinn_cli.runs.memory import of_this_machine
+from pinn_cli.runs.machine import of_this_machine
 from pinn_cli.settings.errors import InputError
 
 # Bytes that libraries map before they read anything, three times those of pyarrow; and of the memory, the part that a
