@@ -26,7 +26,7 @@ from pinn_cli.settings.legal_values import positive_number, true_or_false, whole
 from pinn_cli.settings.suggestion import suggestion
 
 if TYPE_CHECKING:
-    from pinn_cli.model.model import Model
+    from pinn_cli.model.knowledge import Model
     from pinn_cli.network.base import NetworkDesign
     from pinn_cli.posterior.base import Posterior
     from pinn_cli.record.record import Record

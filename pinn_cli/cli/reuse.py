@@ -14,7 +14,7 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.yaml_file import read_yaml
 
 if TYPE_CHECKING:
-    from pinn_cli.model.model import Model
+    from pinn_cli.model.knowledge import Model
     from pinn_cli.system.structure import Structure
 
 SETTING = "model"

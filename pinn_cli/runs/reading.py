@@ -19,11 +19,13 @@ from io import StringIO
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints, is_typeddict
+from zipfile import ZipFile
 
 from pinn_cli.runs.identity import package_version
 from pinn_cli.settings.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
     import pandas
     import xarray
 
@@ -31,6 +33,8 @@ T = TypeVar("T")
 
 # Far more than any of ours has; a device or a pipe has no end. Tables and histories have a row for each iteration.
 MOST_BYTES, MOST_OF_TABLE = 64 * 2**20, 256 * 2**20
+# Of arrays when unpacked: a file that somebody made to be far larger than it looks is not read.
+MOST_UNFOLDED = 16 * MOST_BYTES
 NUMBER, WRITER = "format", "written_by"
 # Columns of a table: a shape of a mode is the widest that there is.
 MOST_COLUMNS = 100_000
@@ -174,6 +178,27 @@ def read_histories(file: Path, group: str | None = None) -> xarray.Dataset:
             return stored.load()
     except Exception as error:  # libraries raise dozens of kinds
         raise DamagedError(file, str(error) or type(error).__name__) from None
+
+
+def read_arrays(file: Path) -> dict[str, np.ndarray]:
+    """Arrays by name, of an archive as `numpy.savez` writes it: numbers and texts, nothing that is executed.
+
+    Raises:
+        DamagedError: It is no such file, or unfolds to more than any of ours does.
+    """
+    import numpy as np
+
+    try:
+        check_regular(file, MOST_UNFOLDED)
+        with ZipFile(file) as archive:
+            if sum(member.file_size for member in archive.infolist()) > MOST_UNFOLDED:
+                raise ValueError("it is larger than any of ours")
+        with np.load(file, allow_pickle=False) as content:
+            return dict(content)
+    except Exception as error:  # of archives and arrays that may be anything
+        raise DamagedError(
+            file, str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
+        ) from error
 
 
 @contextmanager

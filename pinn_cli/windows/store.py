@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 from pinn_cli.model.file import stored_model, write_model
-from pinn_cli.model.model import Model
+from pinn_cli.model.knowledge import Model
 from pinn_cli.record.windows import Window
 from pinn_cli.runs.reading import DamagedError, read_histories, read_json, read_table, stamp
 from pinn_cli.runs.writing import tidy, write_json
