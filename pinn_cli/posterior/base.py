@@ -28,8 +28,8 @@ class PosteriorSamples:
         sigma_force: (chains, draws, F), N, noise of the F measured forces.
         force_dofs: (F,), DOFs of those, counted from 1.
         prior: (draws, p).
-        statistics: ArviZ's names of sample statistics (``diverging``, ``acceptance_rate``, ``n_steps``, ``tree_depth``,
-            ``lp``, ...) to (chains, draws); empty where nothing was sampled step by step (``laplace``).
+        statistics: ArviZ's names of sample statistics (``lp``, ``step_size``, ``n_steps``, ``tree_depth``,
+            ``diverging``) to (chains, draws); empty where nothing was sampled step by step (``laplace``).
         warmup: Iterations before the first draw kept, of each chain.
         seconds: (chains,), of sampling.
     """

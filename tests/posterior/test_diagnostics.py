@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pinn_cli.posterior.base import PosteriorSamples
-from pinn_cli.posterior.diagnostics import diagnose, divergences, verdict
+from pinn_cli.posterior.result import diagnose, divergences, verdict
 
 COLUMNS = ["parameter", "mean", "std", "lower_90", "upper_90", "r_hat", "ess_bulk", "ess_tail", "mcse_mean"]
 

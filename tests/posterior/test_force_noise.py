@@ -8,8 +8,8 @@ import storeys
 from solved_records import model
 
 from pinn_cli.network.spline import Spline
-from pinn_cli.posterior.diagnostics import diagnose
 from pinn_cli.posterior.marginal import Marginal
+from pinn_cli.posterior.result import diagnose
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gauss_newton import GaussNewton

@@ -7,8 +7,7 @@ import pytest
 from scipy import optimize
 from toy_likelihoods import Everywhere, GaussianLikelihood, RegressionLikelihood, correlated, slopes
 
-from pinn_cli.posterior.target import Target
-from pinn_cli.posterior.whitening import Softplus
+from pinn_cli.posterior.target import Softplus, Target
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal
 

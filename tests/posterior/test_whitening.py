@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from toy_likelihoods import correlated
 
-from pinn_cli.posterior.whitening import Softplus, Whitening
+from pinn_cli.posterior.target import Softplus, Whitening
 
 MODE = np.array([0.5, 3.0, -1.0, 0.2])
 COVARIANCE = correlated([1.0, 0.5, 2.0, 0.1], 0.8)
