@@ -7,8 +7,7 @@ import pytest
 import torch
 from small_problems import accelerations, measured, small_chain, sped_up
 
-from pinn_cli.network.embedding import FourierFeatures, embedding
-from pinn_cli.network.mlp import Mlp
+from pinn_cli.network.mlp import FourierFeatures, Mlp, embedding
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
 
