@@ -152,15 +152,6 @@ def test_a_damaged_file_is_told_in_one_line_and_the_previous_is_used(harm, tmp_p
         unsealed(harm(last))
 
 
-def test_the_last_two_are_kept_and_nothing_else(tmp_path):
-    files = CheckpointFiles(tmp_path)
-    assert files.read() is None
-    for number in range(4):
-        files.write(sealed({"number": number}))
-    assert sorted(os.listdir(tmp_path)) == [PREVIOUS, LAST]
-    assert [content(tmp_path / name)["number"] for name in (PREVIOUS, LAST)] == [2, 3]
-
-
 @pytest.mark.parametrize("moment", ["before any name is changed", "between the two"])
 def test_a_kill_while_writing_leaves_a_good_one(moment, tmp_path, monkeypatch):
     files = CheckpointFiles(tmp_path)
