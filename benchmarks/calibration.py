@@ -77,9 +77,8 @@ def draws(method: str, found: ParameterLikelihoods, problem: JointProblem, run: 
     """A posterior found in one of the ways."""
     assert problem.priors
     ways = {"marginal": Marginal, "conditional": Conditional}
-    way = ways.get(method, Laplace)()
-    first = found.conditional if method == "conditional_laplace" else found.marginal
-    return way.sample(first, found.conditional, problem.priors, run)
+    likelihood = found.conditional if method.startswith("conditional") else found.marginal
+    return ways.get(method, Laplace)().sample(likelihood, problem.priors, run)
 
 
 def scored(samples: PosteriorSamples, parameters: Sequence[Parameter], truth: Truth) -> pd.DataFrame:

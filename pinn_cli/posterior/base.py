@@ -15,6 +15,7 @@ from pinn_cli.training.likelihood import ParameterLikelihood
 if TYPE_CHECKING:
     from pinn_cli.scheme.problem import Problem
     from pinn_cli.training.estimate import RunContext
+    from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihoods
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,20 +67,17 @@ class Posterior(ABC):
             InputError: It is such.
         """
 
+    def likelihood(self, known: ParameterLikelihoods) -> ParameterLikelihood:
+        """That it draws from: with the network's weights integrated out."""
+        return known.marginal
+
     @abstractmethod
-    def sample(
-        self,
-        marginal: ParameterLikelihood,
-        conditional: ParameterLikelihood,
-        priors: Sequence[Prior],
-        run: RunContext,
-    ) -> PosteriorSamples:
+    def sample(self, likelihood: ParameterLikelihood, priors: Sequence[Prior], run: RunContext) -> PosteriorSamples:
         """Draws of the parameters and of the force's noise.
 
         Args:
-            marginal: The likelihood with the network's weights integrated out.
-            conditional: That with the network's states held as they were trained.
-            priors: Of the likelihoods' parameters, in their order.
+            likelihood: See :meth:`likelihood`.
+            priors: Of its parameters, in their order.
             run: Seed, directory and whether to draw a progress bar.
 
         Raises:

@@ -9,6 +9,8 @@ from pinn_cli.settings.errors import InputError
 
 if TYPE_CHECKING:
     from pinn_cli.scheme.problem import Problem
+    from pinn_cli.training.likelihood import ParameterLikelihood
+    from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihoods
 
 
 class Conditional(Marginal):
@@ -22,6 +24,10 @@ class Conditional(Marginal):
     """
 
     name = "conditional"
+
+    def likelihood(self, known: ParameterLikelihoods) -> ParameterLikelihood:
+        """That with the network's states held as they were trained."""
+        return known.conditional
 
     def check(self, problem: Problem) -> None:
         """See :meth:`Posterior.check`: the force that a held motion takes says nothing about a sensor."""

@@ -49,18 +49,12 @@ class Marginal(Posterior):
         self.draws = whole_number("posterior.draws", draws, least=FEWEST_DRAWS)
         self.target_accept = fraction("posterior.target_accept", target_accept, "0.8 is usual")
 
-    def sample(
-        self,
-        marginal: ParameterLikelihood,
-        conditional: ParameterLikelihood,
-        priors: Sequence[Prior],
-        run: RunContext,
-    ) -> PosteriorSamples:
+    def sample(self, likelihood: ParameterLikelihood, priors: Sequence[Prior], run: RunContext) -> PosteriorSamples:
         """See :meth:`Posterior.sample`. The run's directory, where there is one, keeps every finished chain."""
         # Pyro takes a third of a second to import, which a run that samples nothing need not wait for.
         from pinn_cli.posterior.nuts import STATISTICS, ChainStore, NutsSettings, sample_chain
 
-        target = Target({"marginal": marginal, "conditional": conditional}[self.name], priors)
+        target = Target(likelihood, priors)
         settings = NutsSettings(self.warmup, self.draws, self.target_accept)
         numbers = range(1, self.chains + 1)
         store = None if run.directory is None else ChainStore.of(run.directory, target, settings, run.seed)

@@ -81,7 +81,7 @@ def posterior_result(
     if not problem.priors or estimate.likelihoods is None:
         return None
     likelihoods = estimate.likelihoods
-    samples = posterior.sample(likelihoods.marginal, likelihoods.conditional, problem.priors, run)
+    samples = posterior.sample(posterior.likelihood(likelihoods), problem.priors, run)
     table = diagnose(samples)
     repeats = 1 if problem.first.record.repeats is None else problem.first.record.repeats.count
     predictive = force_predictive(likelihoods, samples, run.seed, repeats) if len(samples.force_dofs) else None
