@@ -22,10 +22,7 @@ from pinn_cli.training.likelihood import ParameterLikelihood
 from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihoods, parameter_likelihoods
 
 # Priors that pull: about as narrow as the likelihood, and off the truth.
-PULLING = {
-    "k": {"kind": "normal", "mean": 15.5, "std": 0.4},
-    "c": {"kind": "normal", "mean": 0.8, "std": 0.2},
-}
+PULLING = {"k": {"kind": "normal", "mean": 15.5, "std": 0.4}, "c": {"kind": "normal", "mean": 0.8, "std": 0.2}}
 VAGUE = {
     "k": {"kind": "normal", "mean": 15.0, "std": 100.0},
     "c": {"kind": "normal", "mean": 1.0, "std": 10.0},

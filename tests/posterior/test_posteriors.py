@@ -30,11 +30,7 @@ PRIORS = (HalfNormal(5.0), Gamma(2.0, 0.1))
 
 @pytest.mark.parametrize(
     ("posterior", "likelihood"),
-    [
-        (Marginal(1, 100, 300), WIDE),
-        (Conditional(1, 100, 300), NARROW),
-        (Laplace(4000), WIDE),
-    ],
+    [(Marginal(1, 100, 300), WIDE), (Conditional(1, 100, 300), NARROW), (Laplace(4000), WIDE)],
     ids=["marginal", "conditional", "laplace"],
 )
 def test_each_samples_its_own_likelihood(posterior, likelihood):

@@ -11,14 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pinn_cli.runs.writing import (
-    WriteError,
-    put_back,
-    replacing,
-    replacing_by_large,
-    write_json,
-    write_table,
-)
+from pinn_cli.runs.writing import WriteError, put_back, replacing, replacing_by_large, write_json, write_table
 
 
 def _fail_halfway(place: Path) -> None:
