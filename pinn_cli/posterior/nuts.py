@@ -18,9 +18,9 @@ from torch import Tensor
 
 from pinn_cli.posterior.target import Target
 from pinn_cli.runs.identity import package_version
-from pinn_cli.runs.reading import DamagedError, check_layout, read_arrays, stamp
+from pinn_cli.runs.reading import check_layout, read_arrays, stamp
 from pinn_cli.runs.writing import replacing
-from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.settings.errors import DivergenceError, InputError
 
 SITE, MAX_TREE_DEPTH = "q", 10
 # Width of the starts over that of the posterior: R-hat compares chains, which tells something if they began apart.
@@ -215,7 +215,9 @@ class ChainStore:
             if (str(found["digest"]), int(found["chain"])) == (self.digest, chain):
                 statistics = {name: found[name] for name in STATISTICS}
                 return ChainDraws(found["q"], statistics, float(found["seconds"]))
-        except (DamagedError, KeyError, TypeError):
+        except InputError:
+            raise
+        except (KeyError, TypeError, ValueError):  # it is sampled again
             pass
         log.warning("%s is damaged or of another run: chain %d is sampled again", place, chain)
         return None

@@ -22,7 +22,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from pinn_cli.runs.lock import held, if_free
 from pinn_cli.runs.reading import printable, small_text
-from pinn_cli.runs.writing import WriteError, content_of, put_back, tidy, write_text
+from pinn_cli.runs.writing import WriteError, content_of, put_back, replacing, tidy
 from pinn_cli.settings.errors import InputError
 
 LOG, FORMAT = "pinn-run.log", "[%(asctime)s][%(name)s][%(levelname)s] %(message)s"
@@ -205,8 +205,10 @@ class Claim:
             with self._one_line():
                 tidy(self.directory)
                 self._before = {place: content_of(place) for place in (*written, self.directory / LOG)}
-                for place, content in written.items():
-                    write_text(OmegaConf.to_yaml(content), place)
+                with ExitStack() as files:  # all, or none: the mark of the directory is there at any moment
+                    for place, content in written.items():
+                        beside = files.enter_context(replacing(place))
+                        beside.write_text(OmegaConf.to_yaml(content), encoding="utf-8")
                 for place in (self.directory / name for name in outdated):
                     if place.is_file():
                         # As a file that is being written: should the process be killed, :func:`tidy` removes it.

@@ -108,7 +108,8 @@ class SharedOutItems(Items[T]):
         self.close = weakref.finalize(self, _end, os.getpid(), self.ends, processes)
         for _ in self.shares:
             mine, its = fork.Pipe()
-            copy = fork.Process(target=_serve, args=(self.items, its, [mine, *_ends], os.getpid(), behind))
+            # Of a daemon no process waits for the end.
+            copy = fork.Process(target=_serve, args=(self.items, its, [mine, *_ends], os.getpid(), behind), daemon=True)
             copy.start()
             its.close()
             _ends.add(mine)
@@ -198,28 +199,31 @@ def shared_out(sizes: Sequence[int], copies: int) -> list[list[int]]:
 
 def _serve(items: Sequence[Any], questions: Connection, others: Sequence[Connection], owner: int, behind: bool) -> None:
     """What a copy does until nobody asks any more."""
-    # Linux kills it when its owner is gone: it would go on to hold its locks and write its files.
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != owner:  # it was gone before
-        os._exit(1)
-    signal.set_wakeup_fd(-1)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one that asks
-    for number in (signal.SIGTERM, signal.SIGALRM):
-        signal.signal(number, signal.SIG_DFL)
-    for other in others:
-        other.close()
-    os.nice(_BEHIND if behind else 0)
-    gc.freeze()
-    if "torch" in sys.modules:
-        sys.modules["torch"].set_num_threads(1)  # other threads are not copied
-    kept = dict(enumerate(items))
-    with suppress(EOFError, BrokenPipeError):
-        while True:
-            function, tasks, forgotten = pickle.loads(questions.recv_bytes())
-            for gone in forgotten:
-                kept.pop(gone, None)
-            questions.send_bytes(_answer(kept, function, tasks))
-    os._exit(0)  # and not through what this process was about to do at its end
+    try:
+        # Linux kills it when its owner is gone: it would go on to hold its locks and write its files.
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != owner:  # it was gone before
+            return
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one that asks
+        for number in (signal.SIGTERM, signal.SIGALRM):
+            signal.signal(number, signal.SIG_DFL)
+        current_process().daemon = False  # it may have copies of its own
+        for other in others:
+            other.close()
+        os.nice(_BEHIND if behind else 0)
+        gc.freeze()
+        if "torch" in sys.modules:
+            sys.modules["torch"].set_num_threads(1)  # other threads are not copied
+        kept = dict(enumerate(items))
+        with suppress(EOFError, BrokenPipeError):
+            while True:
+                function, tasks, forgotten = pickle.loads(questions.recv_bytes())
+                for gone in forgotten:
+                    kept.pop(gone, None)
+                questions.send_bytes(_answer(kept, function, tasks))
+    finally:
+        os._exit(0)  # and not through what this process was about to do at its end
 
 
 def _answer(
