@@ -137,7 +137,7 @@ def sample_chain(
         torch.default_generator.manual_seed(torch_seed)
         sampler.run()
     columns = zip(STATISTICS.items(), zip(*rows, strict=True), strict=True)
-    statistics = {name: np.array(values, dtype=kind) for (name, kind), values in columns}
+    statistics: dict[str, np.ndarray] = {name: np.array(values, dtype=kind) for (name, kind), values in columns}
     return ChainDraws(sampler.get_samples()[SITE].numpy(), statistics, time.perf_counter() - started)
 
 

@@ -71,7 +71,7 @@ def run_facts(
 
 
 def _sampling(posterior: PosteriorResult) -> dict[str, Any]:
-    samples, worst = posterior.samples, posterior.result
+    samples, worst = posterior.samples, posterior.diagnostics
     chains, draws = samples.draws.shape[:2]
     return {
         "method": samples.method,

@@ -157,7 +157,7 @@ class RunReport:
             tables.fitness_text(ours.fitness, results.record.observed, published.fitness_of(self.labels)),
             tables.free_run_text(*free) if scored else tables.free_run_line(*free),
             findings.stories_text(estimate.stories),
-            "" if posterior is None else tables.diagnostics_text(posterior.result, posterior.verdict),
+            "" if posterior is None else tables.diagnostics_text(posterior.diagnostics, posterior.verdict),
             "" if self.validation is None else tables.validation_text(*self.validation),
             findings.changes_text(estimate.changes),
             findings.peaks_text(estimate.peaks),
@@ -293,6 +293,6 @@ def write_posterior(results: Results, directory: Path) -> dict[str, xr.Dataset]:
     drawn = [found.parameter for found in results.estimate.parameters]
     groups = posterior_groups(posterior, results.record, drawn, labels)
     write_posterior_data(groups, directory / "posterior.nc")
-    diagnostics = posterior.result[list(parameters.DIAGNOSTICS)]
+    diagnostics = posterior.diagnostics[list(parameters.DIAGNOSTICS)]
     write_table(with_labels(diagnostics, labels), directory / "diagnostics.csv")
     return groups

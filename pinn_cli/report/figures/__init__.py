@@ -127,7 +127,7 @@ def write_posterior_figures(results: Results, groups: Mapping[str, xr.Dataset], 
     parameters = [found.parameter for found in results.estimate.parameters]
     figures = {"posterior_pairs": posterior_pairs_figure(draws, parameters, results.truth.parameters)}
     if "sample_stats" in groups:
-        worst = worst_sampled(posterior.result.head(len(parameters)), IN_TRACES)
+        worst = worst_sampled(posterior.diagnostics.head(len(parameters)), IN_TRACES)
         shown = [parameter for parameter in parameters if parameter.name in worst]
         figures["trace"] = trace_figure(draws, groups["sample_stats"], shown, len(parameters))
         figures["ranks"] = rank_figure(draws, shown, len(parameters))
