@@ -145,7 +145,8 @@ def _model(words: ModelFile, arrays: Mapping[str, np.ndarray], directory: Path) 
             words["parameters"], known.mean, known.first_std, strict=True
         )
     )  # fmt: skip
-    levels = Levels(_part("sigma", arrays), *(arrays[f"level_{name}"].item() for name in _LEVELS), windows=told)
+    discrepancy, step, force, features = (arrays[f"level_{name}"].item() for name in _LEVELS)
+    levels = Levels(_part("sigma", arrays), discrepancy, step, force, features, told)
     verdict, reason, draws = words["verdict"], words["reason"], arrays.get("draws")
     return Model(structure, parameters, known, levels, end, verdict, reason, draws, directory, misfit)
 

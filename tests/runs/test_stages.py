@@ -1,7 +1,9 @@
-"""Seconds by stage, and what a run that takes long says of itself."""
+"""Seconds by stage, what a run that takes long says of itself, and that imported objects are no garbage."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 
 import pytest
@@ -35,3 +37,25 @@ def test_the_stage_and_the_seconds_are_told_less_and_less_often(caplog: pytest.L
     assert all(text == "still running after 0 s, now in imports" for text in told)
     time.sleep(0.1)
     assert len([record for record in caplog.records if record.levelname == "WARNING"]) == len(told)
+
+
+IMPORTING = """
+import gc
+from pinn_cli.runs.process import collect_rarely, keep_imported
+usual = gc.get_threshold()
+collect_rarely()
+rarely = gc.get_threshold()
+kept = [[] for _ in range(1000)]
+keep_imported()
+print(rarely[0] > 10 * usual[0], gc.get_threshold() == usual, gc.get_freeze_count() >= 1000)
+before = gc.get_freeze_count()
+more = [[] for _ in range(1000)]
+collect_rarely()
+keep_imported()
+print(gc.get_threshold() == usual, gc.get_freeze_count() == before)
+"""
+
+
+def test_imported_objects_are_not_looked_through_and_later_ones_are() -> None:
+    said = subprocess.run([sys.executable, "-c", IMPORTING], capture_output=True, check=True, text=True).stdout
+    assert said.split() == ["True"] * 5
