@@ -41,7 +41,7 @@ def structure_beside(model: Model, config: DictConfig, base: Path | None) -> Str
     Raises:
         InputError: `system` is another structure than the model's.
     """
-    from pinn_cli.model.structure_content import difference, other_dofs
+    from pinn_cli.model.file import difference, other_dofs
 
     measured = config.data.get("_target_") != SIMULATED
     if measured and _is_untouched(config.system):
