@@ -26,9 +26,9 @@ from benchmarks.written import ROOT, markdown, write
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.posterior.base import PosteriorSamples
 from pinn_cli.posterior.conditional import Conditional
-from pinn_cli.posterior.diagnostics import diagnose
 from pinn_cli.posterior.laplace import Laplace
 from pinn_cli.posterior.marginal import Marginal
+from pinn_cli.posterior.result import diagnose
 from pinn_cli.record.record import Truth
 from pinn_cli.report.parameters import true_value
 from pinn_cli.scheme.joint_problem import JointProblem
@@ -77,9 +77,8 @@ def draws(method: str, found: ParameterLikelihoods, problem: JointProblem, run: 
     """A posterior found in one of the ways."""
     assert problem.priors
     ways = {"marginal": Marginal, "conditional": Conditional}
-    way = ways.get(method, Laplace)()
-    first = found.conditional if method == "conditional_laplace" else found.marginal
-    return way.sample(first, found.conditional, problem.priors, run)
+    likelihood = found.conditional if method.startswith("conditional") else found.marginal
+    return ways.get(method, Laplace)().sample(likelihood, problem.priors, run)
 
 
 def scored(samples: PosteriorSamples, parameters: Sequence[Parameter], truth: Truth) -> pd.DataFrame:

@@ -15,8 +15,7 @@ from tempfile import TemporaryDirectory
 from hydra import compose, initialize_config_module
 
 from pinn_cli.cli.config import RunConfig
-from pinn_cli.runs.checkpoint import Checkpoints, Resumable
-from pinn_cli.runs.checkpoint_files import LAST
+from pinn_cli.runs.checkpoint import LAST, Checkpoints, Resumable
 from pinn_cli.runs.identity import Identity
 from pinn_cli.training.estimate import RunContext
 

@@ -16,9 +16,8 @@ from omegaconf import DictConfig
 from pinn_cli import LOADED
 from pinn_cli.cli.command_line import Terminal, execute
 from pinn_cli.cli.job import Job, inspect, results_of, run_job, shown
-from pinn_cli.runs.claim import settle_directory
-from pinn_cli.runs.memory import keep_imported
-from pinn_cli.runs.process import is_borrowed
+from pinn_cli.runs.claim import current
+from pinn_cli.runs.process import is_borrowed, keep_imported
 
 if TYPE_CHECKING:
     from pinn_cli.training.estimate import Watch
@@ -36,7 +35,7 @@ def carry_out(job: Job, watch: Watch) -> None:
     with stages("estimate"):
         estimate = config.estimator.solve(problem, replace(job.context, watch=watch))
     problem = problem if estimate.structure is None else problem.in_coordinates_of(estimate.structure)
-    settle_directory()
+    current().settle()
     with stages("posterior"):
         posterior = posterior_result(config.posterior, problem, estimate, job.context)
     with stages("validation"):

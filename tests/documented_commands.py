@@ -20,8 +20,7 @@ from hydra.core.override_parser.types import IntervalSweep
 from wings import wing, wing_record, write_wing
 
 from pinn_cli.model.file import write_model
-from pinn_cli.model.knowledge import Levels, ParameterKnowledge
-from pinn_cli.model.model import Model
+from pinn_cli.model.knowledge import Levels, Model, ParameterKnowledge
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 

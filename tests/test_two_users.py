@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import signal
 import subprocess
 import sys
 import threading
@@ -12,9 +15,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from calls import SMALL, PinnRun
+from filelock import FileLock
 
+from pinn_cli.runs import claim
 from pinn_cli.runs import lock as run_lock
-from pinn_cli.runs import ownership
 from pinn_cli.runs.lock import FILE, SWEEP_FILE, held
 
 HOLD = """
@@ -65,32 +69,93 @@ def other() -> Iterator[Callable[[Path, str], subprocess.Popen[str]]]:
         process.wait()
 
 
-def test_a_sweep_waits_for_the_one_in_its_directory(other, pinn_run: PinnRun, tmp_path: Path, monkeypatch) -> None:
-    sweep = tmp_path / "sweep"
-    first = other(sweep, SWEEP_FILE)
+def test_nothing_is_left_behind(tmp_path: Path) -> None:
+    with held(tmp_path):
+        assert f'"pid": {os.getpid()}' in (tmp_path / FILE).read_text()
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(ValueError, match="away"), held(tmp_path):
+        raise ValueError("away")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_second_waits_until_the_first_is_killed(other, tmp_path: Path, monkeypatch, caplog) -> None:
+    first = other(tmp_path, FILE)
+    monkeypatch.setattr(run_lock, "EVERY_S", 0.02)
+    threading.Timer(0.3, first.send_signal, [signal.SIGKILL]).start()
+    start = time.perf_counter()
+    with held(tmp_path):
+        assert time.perf_counter() - start > 0.25
+        assert first.wait() == -signal.SIGKILL
+    (told,) = caplog.messages
+    assert told.startswith(f"waiting for another process to leave {tmp_path}: ")
+    assert f'"pid": {first.pid}' in told
+
+
+def test_many_come_in_one_by_one(tmp_path: Path, monkeypatch) -> None:
+    """Also across the moment at which the one before removes the file."""
+    monkeypatch.setattr(run_lock, "EVERY_S", 1e-4)
+    inside: list[int] = []
+    most: list[int] = []
+
+    def come_in(number: int) -> None:
+        for _ in range(30):
+            with held(tmp_path):
+                inside.append(number)
+                most.append(len(inside))
+                time.sleep(1e-4)
+                inside.remove(number)
+
+    threads = [threading.Thread(target=come_in, args=[number]) for number in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert (len(most), max(most)) == (180, 1)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_system_without_locks_is_told_of(tmp_path: Path, monkeypatch, caplog) -> None:
+    def refuse(lock: FileLock, **_: object) -> None:
+        raise OSError(errno.ENOLCK, "no locks available")
+
+    monkeypatch.setattr(FileLock, "acquire", refuse)
+    with held(tmp_path):
+        assert not list(tmp_path.iterdir())
+    assert "file system without locks" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [(FILE, ("hydra.run.dir=place",)), (SWEEP_FILE, ("--multirun", "seed=0,1", "hydra.sweep.dir=place"))],
+    ids=["a run", "a sweep"],
+)
+def test_a_command_waits_for_the_one_in_its_directory(
+    other, pinn_run: PinnRun, tmp_path: Path, monkeypatch, name: str, given: tuple[str, ...]
+) -> None:
+    place = tmp_path / "place"
+    first = other(place, name)
     monkeypatch.setattr(run_lock, "EVERY_S", 0.02)
     monkeypatch.setattr(run_lock, "_owner", lambda file: first.terminate())  # asked for once, when it has to wait
-    seen: list[tuple[int | None, bool]] = []
-    task = lambda config: seen.append((first.poll(), (sweep / SWEEP_FILE).is_file()))  # noqa: E731
-    done = pinn_run("--multirun", "seed=0,1", "hydra.sweep.dir=sweep", task=task)
-    assert done.status == 0, done.err
-    assert seen == [(-15, True)] * 2
-    assert done.err.startswith("pinn-run: waiting for another process to leave sweep: ")
-    assert not (sweep / SWEEP_FILE).exists()
+    seen: list[bool] = []
+    done = pinn_run(*given, task=lambda config: seen.append((place / name).is_file()))
+    assert (done.status, first.wait()) == (0, -signal.SIGTERM), done.err
+    assert set(seen) == {True}
+    assert "waiting for another process to leave" in done.err
+    assert not (place / name).exists()
 
 
 @pytest.mark.parametrize("name", [FILE, SWEEP_FILE])
 def test_a_refused_command_takes_no_directory_from_another(other, tmp_path: Path, name: str) -> None:
     """Both found it missing, and made it."""
     place = tmp_path / "outputs" / "place"
-    ownership.note_new(place)
+    claim.note_new(place)
     place.parent.mkdir()
     first = other(place, name)
-    ownership.discard()
+    claim.discard()
     assert (place / name).is_file()
     first.kill()
     first.wait()
-    ownership.discard()
+    claim.discard()
     assert not place.parent.exists()
 
 
@@ -98,7 +163,7 @@ def test_who_waits_for_a_directory_that_goes_makes_it_anew(tmp_path: Path, monke
     monkeypatch.setattr(run_lock, "EVERY_S", 0.02)
     place = tmp_path / "place"
     place.mkdir()
-    ownership.note_new(tmp_path / "x")
+    claim.note_new(tmp_path / "x")
     entered = threading.Event()
 
     def second() -> None:

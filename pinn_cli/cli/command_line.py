@@ -30,12 +30,10 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from pinn_cli.cli.help import help_text
 from pinn_cli.cli.options import read_options
 from pinn_cli.cli.override_errors import explain
-from pinn_cli.runs.claim import Claim, entered
+from pinn_cli.runs.claim import Claim, discard, entered
 from pinn_cli.runs.interruption import Interruption, stop_if_asked, watched
-from pinn_cli.runs.layout import stamp
-from pinn_cli.runs.memory import is_out_of_memory, of_this_machine
-from pinn_cli.runs.ownership import discard
-from pinn_cli.runs.reading import printable
+from pinn_cli.runs.machine import is_out_of_memory, of_this_machine
+from pinn_cli.runs.reading import printable, stamp
 from pinn_cli.runs.resume import FORMAT, StoredRun, check_sound, going_on, how_to_go_on
 from pinn_cli.runs.writing import OUTPUT, WriteError, refused_by_disk
 from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError

@@ -25,7 +25,7 @@ from hydra.core.utils import configure_log, run_job
 from hydra.types import HydraContext, RunMode, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from pinn_cli.runs.ownership import note_new
+from pinn_cli.runs.claim import note_new
 from pinn_cli.runs.process import environment
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.hydra_node import check_hydra

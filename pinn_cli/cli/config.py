@@ -24,7 +24,7 @@ from pinn_cli.settings.instantiation import build, check_classes, construct
 from pinn_cli.settings.legal_values import positive_number, true_or_false, whole_number
 
 if TYPE_CHECKING:
-    from pinn_cli.model.model import Model
+    from pinn_cli.model.knowledge import Model
     from pinn_cli.network.base import NetworkDesign
     from pinn_cli.posterior.base import Posterior
     from pinn_cli.record.record import Record

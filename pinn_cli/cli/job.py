@@ -17,13 +17,19 @@ from pinn_cli.cli.command_line import Silence, Terminal
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.inspecting import Inspected
 from pinn_cli.cli.prepare import check_records, prepare_problem, prepare_windows
-from pinn_cli.runs.claim import leave_directory, lock_directory, settle_directory, take_directory
+from pinn_cli.runs.claim import current
 from pinn_cli.runs.identity import flattened
-from pinn_cli.runs.memory import collect_rarely
-from pinn_cli.runs.process import is_borrowed
-from pinn_cli.runs.resume import RESULT, asked_to_resume, check_sound, is_finished, stored_score
+from pinn_cli.runs.process import collect_rarely, is_borrowed
+from pinn_cli.runs.resume import (
+    CHECKPOINTS,
+    RESULT,
+    asked_to_resume,
+    check_sound,
+    is_finished,
+    is_tracked,
+    stored_score,
+)
 from pinn_cli.runs.stages import Stages, signs_of_life
-from pinn_cli.runs.tracking_state import is_tracked
 
 if TYPE_CHECKING:
     from pinn_cli.cli.prepare import PreparedProblem
@@ -62,7 +68,7 @@ class Job:
     def outdated(self) -> list[str]:
         """Files of an earlier run whose place this one takes: its result, and checkpoints that it does not use."""
         checkpoints = self.context.checkpoints
-        return [RESULT, *([] if checkpoints is None or checkpoints.taken_up else checkpoints.files.NAMES)]
+        return [RESULT, *([] if checkpoints is None or checkpoints.taken_up else CHECKPOINTS)]
 
 
 def run_job(
@@ -105,10 +111,10 @@ def run_job(
         done = finished() and is_tracked(directory, composed)
         config = None if done else RunConfig.read(composed, base, follows)
     if config is not None:
-        lock_directory()
+        current().lock()
         done = finished() and is_tracked(directory, composed)  # by the process that was in there
     if config is None or done:
-        leave_directory()
+        current().left = True
         text = "finished before, nothing to do"
     else:
         with nullcontext() if in_sweep or follows else signs_of_life(stages):
@@ -179,14 +185,14 @@ def _tracked(
     with follow(config.tracking, tracked_run, resuming) as tracked:
         text = ""
         if prepared is None:
-            take_directory()
+            current().take()
             text = f"finished before; tracking={tracked.state.tracking} has it now"
         elif isinstance(prepared, Job):
-            take_directory(prepared.outdated)
+            current().take(prepared.outdated)
             carry_out(prepared, tracked.row)
         else:
-            take_directory([RESULT])
-            settle_directory()
+            current().take([RESULT])
+            current().settle()
             text = prepared.carry_out(stages, tracked.row)
         with stages("tracking"):
             tracked.results()
@@ -260,8 +266,8 @@ def inspect(composed: DictConfig) -> None:
         with stages("inspection"):
             overrides = list(HydraConfig.get().overrides.task)
             found = inspect_record(looked_at.signals, looked_at.time, overrides, looked_at.frequencies)
-        lock_directory()
-        take_directory()
+        current().lock()
+        current().take()
         with stages("report"):
             text = write_inspection(found, directory, composed.get("figures") is not False)
     Terminal().say(f"{text}\n{directory}")

@@ -17,7 +17,7 @@ from pinn_cli.settings.instantiation import CONF, build, construct
 from pinn_cli.settings.yaml_file import read_yaml
 
 if TYPE_CHECKING:
-    from pinn_cli.model.model import Model
+    from pinn_cli.model.knowledge import Model
     from pinn_cli.record.record import Measurements, Record
     from pinn_cli.record.validation_data import ValidationData, ValidationRecord
     from pinn_cli.record.windows import RecordWindows
@@ -107,7 +107,7 @@ def read_structure(config: DictConfig, base: Path | None, model: Model | None = 
     """
     simulated = _is_simulated(config)
     if model is not None:
-        from pinn_cli.model.structure_content import difference, other_dofs
+        from pinn_cli.model.file import difference, other_dofs
 
         default = OmegaConf.to_container(read_yaml(CONF / "system" / "duffing.yaml"))
         if not simulated and OmegaConf.to_container(config.system) == default:  # nobody chose a structure

@@ -1,41 +1,52 @@
-"""``model.npz``: arrays and one text of JSON, nothing that is executed when it is read."""
+"""``model.npz``: arrays and one text of JSON, nothing that is executed when it is read.
+
+A run's directory holds all of its structure, as plain words and arrays, whatever files that came from.
+"""
 
 from __future__ import annotations
 
+import inspect
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, TypedDict, TypeVar
 
 import numpy as np
+import torch
+from scipy.sparse import csr_matrix
 
-from pinn_cli.model.knowledge import DiscrepancyEvidence, EndState, Levels, Misfit, ParameterKnowledge
-from pinn_cli.model.model import Model
-from pinn_cli.model.structure_content import structure_content, structure_of
-from pinn_cli.runs.layout import NUMBER, check_layout, stamp
-from pinn_cli.runs.reading import MOST_BYTES, DamagedError, check_regular, checked
+from pinn_cli.model.knowledge import DiscrepancyEvidence, EndState, Levels, Misfit, Model, ParameterKnowledge
+from pinn_cli.runs.reading import NUMBER, DamagedError, check_layout, checked, read_arrays, stamp
 from pinn_cli.runs.resume import RESULT, read_record
 from pinn_cli.runs.writing import write_bytes
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import located
-from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.building import law_called
+from pinn_cli.system.connection.base import Nonlinearity
+from pinn_cli.system.connection_groups import ConnectionGroup
+from pinn_cli.system.damping import MassProportional, ModalRatios, StiffnessProportional, StructuralDamping
+from pinn_cli.system.incidence import Incidence, Pairs
+from pinn_cli.system.parameters import Labels
+from pinn_cli.system.shapes import Shapes
 from pinn_cli.system.structure import Structure
+from pinn_cli.system.substructures import Substructure
 
+P = TypeVar("P")
 NAME, SETTING = "model.npz", "model"
 ALLOWED = "null, or the directory of a finished run"
 # Of the file's layout; those before had less.
 FORMAT = 2
-# Of the arrays when unpacked: a file that somebody made to be far larger than it looks is not read.
-MOST_UNPACKED = 16 * MOST_BYTES
-# Of a parameter, what the structure itself does not say.
-_OWN = ("unknown", "positive")
-# Of what the record needed, numbers.
-LEVELS = ("discrepancy", "step", "force", "features")
+# Of a parameter, what the structure itself does not say; and of what the record needed, numbers.
+_OWN, _LEVELS = ("unknown", "positive"), ("discrepancy", "step", "force", "features")
 # Arrays that have no gaps, by how their names begin.
 _KNOWN = ("structure_", "parameters_mean", "parameters_told", "parameters_weight", "end_", "misfit_", "draws")
+
+# What the law of a finite-element model's parts is called here; no connection can be given it.
+PART = "part"
+# Likewise damping of the whole.
+DAMPING = {law.kind: law for law in (ModalRatios, MassProportional, StiffnessProportional)}
 
 
 class ModelFile(TypedDict):
@@ -50,22 +61,27 @@ class ModelFile(TypedDict):
 
 def write_model(model: Model, directory: Path) -> Path:
     """Write ``model.npz`` into a run's directory, whole or not at all."""
-    words, arrays = structure_content(model.structure)
+    words, structure = structure_content(model.structure)
     words |= {
         **stamp(FORMAT),
         "parameters": [[p.kind, p.index, *(bool(getattr(p, name)) for name in _OWN)] for p in model.parameters],
         "verdict": model.verdict,
         "reason": model.reason,
     }
-    arrays = {f"structure_{name}": values for name, values in arrays.items()}
-    arrays |= _arrays("parameters_", model.known)
-    arrays |= {f"sigma_{quantity}": np.asarray(values) for quantity, values in model.levels.sensors.items()}
-    arrays |= {f"level_{name}": np.array(getattr(model.levels, name)) for name in LEVELS}
-    arrays |= _arrays("told_", model.levels.windows) | _arrays("end_", model.end) | _arrays("misfit_", model.misfit)
+    parts = {
+        "structure": structure,
+        "sigma": model.levels.sensors,
+        "level": {name: getattr(model.levels, name) for name in _LEVELS},
+        "parameters": _attributes(model.known),
+        "told": _attributes(model.levels.windows),
+        "end": _attributes(model.end),
+        "misfit": _attributes(model.misfit),
+    }
+    arrays = {f"{part}_{name}": np.asarray(x) for part, held in parts.items() for name, x in held.items()}
     if model.draws is not None:
         arrays["draws"] = model.draws
-    content = BytesIO()
     arrays["content"] = np.frombuffer(json.dumps(words, allow_nan=False).encode(), dtype=np.uint8)
+    content = BytesIO()
     np.savez_compressed(content, **arrays)  # type: ignore[arg-type]
     return write_bytes(content.getbuffer(), directory / NAME)
 
@@ -85,8 +101,7 @@ def read_model(given: Any, base: Path | None = None) -> Model:
     directory = located(given, base)
     if not directory.is_dir():
         raise InputError(SETTING, given, ALLOWED, "there is no such directory")
-    record = read_record(directory)
-    if "configuration" not in record:
+    if "configuration" not in read_record(directory):
         sweep = (directory / "multirun.yaml").is_file()
         began = (directory / ".hydra").is_dir()
         unfinished = "the run in it has not finished: pinn-run resume=... goes on with it"
@@ -111,86 +126,189 @@ def stored_model(directory: Path) -> Model:
         InputError: A later release wrote it.
         DamagedError: It is not as it was written.
     """
+    file = directory / NAME
+    arrays = read_arrays(file)
     try:
-        return _read(directory)
+        words = json.loads(bytes(arrays.pop("content")).decode())
+        check_layout({NUMBER: words.get("version", 1)} | words, FORMAT, file, oldest=FORMAT)
+        return _model(checked(words, ModelFile), arrays, directory)
     except InputError:
         raise
-    except Exception as error:  # of archives, arrays, texts and structures that may be anything
+    except Exception as error:  # of arrays, texts and structures that may be anything
         reason = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
-        raise DamagedError(directory / NAME, reason) from error
+        raise DamagedError(file, reason) from error
 
 
-def _read(directory: Path) -> Model:
-    file = directory / NAME
-    check_regular(file, MOST_UNPACKED)
-    with zipfile.ZipFile(file) as archive:
-        if sum(member.file_size for member in archive.infolist()) > MOST_UNPACKED:
-            raise ValueError("it is larger than any model")
-    with np.load(file, allow_pickle=False) as content:
-        arrays = {name: content[name] for name in content.files}
-    words = json.loads(bytes(arrays.pop("content")).decode())
-    check_layout({NUMBER: words.get("version", 1)} | words, FORMAT, file, oldest=FORMAT)
-    words = checked(words, ModelFile)
+def _model(words: ModelFile, arrays: Mapping[str, np.ndarray], directory: Path) -> Model:
     for name, values in arrays.items():
         if values.dtype.kind not in "biuf" or (name.startswith(_KNOWN) and not np.isfinite(values).all()):
             raise ValueError(f"{name} holds other things than numbers")
-    structure = structure_of(words, _of("structure_", arrays))
-    known = ParameterKnowledge(**_fields("parameters_", arrays))
-    _check(known, len(words["parameters"]))
-    means = zip(words["parameters"], known.mean, known.first_std, strict=True)
-    parameters = tuple(_parameter(structure, own, mean, std) for own, mean, std in means)
-    windows, end, misfit = (_fields(prefix, arrays) for prefix in ("told_", "end_", "misfit_"))
-    discrepancy, step, force, features = (arrays[f"level_{name}"].item() for name in LEVELS)
-    told = DiscrepancyEvidence(**windows) if windows else None
-    levels = Levels(_of("sigma_", arrays), discrepancy, step, force, features, told)
-    if misfit:
-        _check_history(misfit["history"], structure.coordinates)
-    return Model(
-        structure,
-        parameters,
-        known,
-        levels,
-        EndState(**end) if end else None,
-        str(words["verdict"]),
-        str(words["reason"]),
-        arrays.get("draws"),
-        directory,
-        misfit=Misfit(**misfit) if misfit else None,
-    )
-
-
-def _arrays(prefix: str, part: Any) -> dict[str, np.ndarray]:
-    """What a dataclass of numbers and arrays holds, by its fields' names after a prefix; nothing of None."""
-    if part is None:
-        return {}
-    held = {field.name: getattr(part, field.name) for field in fields(part)}
-    return {f"{prefix}{name}": np.asarray(value) for name, value in held.items() if value is not None}
-
-
-def _fields(prefix: str, arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """What :func:`_arrays` wrote."""
-    return {name: values if values.ndim else values.item() for name, values in _of(prefix, arrays).items()}
-
-
-def _check_history(history: np.ndarray, coordinates: int) -> None:
-    if history.ndim != 2 or history.shape[1] != coordinates or len(history) < 2 or not np.isfinite(history).all():
-        raise ValueError("the force that it leaves out is none of its coordinates")
-
-
-def _check(known: ParameterKnowledge, count: int) -> None:
-    shapes = {(count,)} if count else {(0,)}
-    vectors = {values.shape for values in (known.mean, known.told, known.weight, known.first_std)}
-    if known.prescribed is not None:
-        vectors |= {known.prescribed.shape}
-    if vectors != shapes or known.covariance.shape != (count, count):
+    structure = structure_of(words, _part("structure", arrays))
+    known = ParameterKnowledge(**_fields("parameters", arrays))
+    told, end = _made(DiscrepancyEvidence, "told", arrays), _made(EndState, "end", arrays)
+    misfit = _made(Misfit, "misfit", arrays)
+    count = len(words["parameters"])
+    own = (known.mean, known.told, known.weight, known.first_std, known.prescribed)
+    vectors = [values for values in own if values is not None]
+    if {values.shape for values in vectors} != {(count,)} or known.covariance.shape != (count, count):
         raise ValueError(f"its {count} parameters have arrays of other sizes")
+    history = None if misfit is None else misfit.history
+    if history is not None and (history.ndim != 2 or history.shape[1] != structure.coordinates or len(history) < 2):
+        raise ValueError("the force that it leaves out is none of its coordinates")
+    parameters = tuple(
+        replace(
+            structure.parameter(str(kind), int(index)), prescribed=float(mean), prior_std=float(std),
+            unknown=bool(unknown), positive=bool(positive),
+        )
+        for (kind, index, unknown, positive), mean, std in zip(
+            words["parameters"], known.mean, known.first_std, strict=True
+        )
+    )  # fmt: skip
+    discrepancy, step, force, features = (arrays[f"level_{name}"].item() for name in _LEVELS)
+    levels = Levels(_part("sigma", arrays), discrepancy, step, force, features, told)
+    verdict, reason, draws = words["verdict"], words["reason"], arrays.get("draws")
+    return Model(structure, parameters, known, levels, end, verdict, reason, draws, directory, misfit)
 
 
-def _parameter(structure: Structure, words: list[Any], mean: float, std: float) -> Parameter:
-    kind, index, unknown, positive = words
-    own = structure.parameter(str(kind), int(index))
-    return replace(own, prescribed=float(mean), prior_std=float(std), unknown=bool(unknown), positive=bool(positive))
+def _attributes(part: Any) -> dict[str, Any]:
+    """Of a dataclass of numbers and arrays, without those that are None; nothing of None."""
+    held = {} if part is None else {field.name: getattr(part, field.name) for field in fields(part)}
+    return {name: value for name, value in held.items() if value is not None}
 
 
-def _of(prefix: str, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    return {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}
+def _part(name: str, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {key.removeprefix(f"{name}_"): values for key, values in arrays.items() if key.startswith(f"{name}_")}
+
+
+def _fields(name: str, arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """What :func:`_attributes` gave: a value by itself is a number."""
+    return {key: values if values.ndim else values.item() for key, values in _part(name, arrays).items()}
+
+
+def _made(kind: type[P], name: str, arrays: Mapping[str, np.ndarray]) -> P | None:
+    held = _fields(name, arrays)
+    return kind(**held) if held else None
+
+
+def structure_content(structure: Structure) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Words and arrays that :func:`structure_of` makes the same structure of."""
+    words: dict[str, Any] = {
+        "dofs": list(structure.labels.dofs),
+        "connections": list(structure.labels.connections),
+        "modes": list(structure.labels.modes),
+        "supports": list(structure.labels.supports),
+        "groups": [_group_words(group) for group in structure.groups],
+        "kinds": list(structure.parameters),
+    }
+    shapes = structure.shapes if structure.is_modal else None
+    if shapes is not None:
+        words["residual"], words["below"] = shapes.residual, shapes.below
+    if structure.pairs is not None:
+        words["pairs"] = list(structure.pairs.names)
+    matrices = {
+        **{f"value_{kind}": values for kind, values in structure.parameters_like(np.empty(0)).items()},
+        **{f"group_{number}": group.incidence.matrix for number, group in enumerate(structure.groups)},
+        "influence": None if structure.influence is None else np.asarray(structure.influence, dtype=float),
+        "shapes": None if shapes is None else shapes.matrix,
+        "shapes_exact_at": None if shapes is None else shapes.exact_at,
+        "shapes_with_ground": None if shapes is None else shapes.with_ground,
+        "shapes_stretch": None if shapes is None else shapes.stretch,
+        "by_supports": structure.by_supports,
+        "pairs": None if structure.pairs is None else structure.pairs.weights,
+    }
+    arrays: dict[str, np.ndarray] = {}
+    for name, matrix in matrices.items():
+        if isinstance(matrix, csr_matrix):
+            parts = {part: getattr(matrix, part) for part in ("data", "indices", "indptr")}
+            arrays |= {f"{name}_{part}": values for part, values in (parts | {"shape": np.array(matrix.shape)}).items()}
+        elif matrix is not None:
+            arrays[name] = matrix
+    return words, arrays
+
+
+def structure_of(words: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Structure:
+    """The structure of what :func:`structure_content` gave.
+
+    Raises:
+        KeyError, ValueError, TypeError, InputError: It is no such content.
+    """
+    groups = tuple(
+        ConnectionGroup(_law(own), Incidence(_matrix(f"group_{number}", arrays)), _parts(own))
+        for number, own in enumerate(words["groups"])
+    )
+    labels = Labels(*(tuple(map(str, words.get(name, ()))) for name in ("dofs", "connections", "modes", "supports")))
+    parameters = {str(k): torch.tensor(np.asarray(arrays[f"value_{k}"], dtype=float)) for k in words["kinds"]}
+    stretch, by_supports, weights = (
+        _matrix(name, arrays) if f"{name}_shape" in arrays else None
+        for name in ("shapes_stretch", "by_supports", "pairs")
+    )
+    modes = None
+    if "shapes" in arrays:
+        own = arrays["shapes"], arrays.get("shapes_with_ground"), stretch, int(words["residual"])
+        modes = Shapes(*own, below=int(words.get("below", 0)), exact_at=arrays.get("shapes_exact_at"))
+    pairs = None if weights is None else Pairs(tuple(words["pairs"]), weights)
+    return Structure(parameters, groups, labels, arrays.get("influence"), modes, pairs, by_supports=by_supports)
+
+
+def difference(structure: Structure, other: Structure) -> str:
+    """What tells two structures apart beside the values of their parameters; "" where nothing does.
+
+    Masses count as values: whoever simulates a change may change them.
+    """
+    if other_dofs(structure, other):
+        return other_dofs(structure, other)
+    if other.shapes.exact_at is not None:
+        structure = structure.reduced_at(other.shapes.exact_at)
+    if structure.nonlinearity_name != other.nonlinearity_name or [g.kinds for g in structure.groups] != [
+        g.kinds for g in other.groups
+    ]:
+        return f"{structure.nonlinearity_name} connections, not {other.nonlinearity_name}"
+    if [_group_words(group) for group in structure.groups] != [_group_words(group) for group in other.groups]:
+        return f"{structure.nonlinearity_name} connections of other settings"
+    if structure.labels != other.labels:
+        return "other names of connections"
+    mine, theirs = (_stretch(one) for one in (structure, other))
+    if mine.shape != theirs.shape or abs(mine - theirs).max() > 1e-9 * abs(theirs).max():
+        return "other connections"
+    return ""
+
+
+def _stretch(structure: Structure) -> csr_matrix:
+    """(C', n + S), of the connections that are no damping of the whole; that stands behind them."""
+    return structure.stretch.matrix[: sum(g.incidence.shape[0] for g in structure.groups if not g.damps_whole)]
+
+
+def other_dofs(structure: Structure, other: Structure) -> str:
+    """What tells the DOFs of two structures apart; "" where nothing does."""
+    if structure.ndof != other.ndof:
+        return f"{structure.ndof} DOFs, not {other.ndof}"
+    if structure.labels.dofs != other.labels.dofs:
+        return f"DOFs {', '.join(structure.labels.dofs or ('by number',))}"
+    return ""
+
+
+def _group_words(group: ConnectionGroup) -> dict[str, Any]:
+    law = group.nonlinearity
+    if isinstance(law, Substructure | StructuralDamping):
+        name = PART if isinstance(law, Substructure) else law.kind
+        return {"law": name, "settings": {}, "parts": list(group.parts or ())}
+    settings = {name: getattr(law, name) for name in inspect.signature(type(law)).parameters if hasattr(law, name)}
+    plain = {name: list(value) if isinstance(value, tuple) else value for name, value in settings.items()}
+    return {"law": law.name, "settings": plain, "parts": None if group.parts is None else list(group.parts)}
+
+
+def _law(words: Mapping[str, Any]) -> Nonlinearity:
+    if words["law"] in DAMPING:
+        return DAMPING[words["law"]]()
+    return Substructure() if words["law"] == PART else law_called(words["law"], words["settings"], "model")
+
+
+def _parts(words: Mapping[str, Any]) -> tuple[int, ...] | None:
+    return None if words["parts"] is None else tuple(int(part) for part in words["parts"])
+
+
+def _matrix(name: str, arrays: Mapping[str, np.ndarray]) -> csr_matrix:
+    data, indices, indptr, shape = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr", "shape"))
+    matrix = csr_matrix((data, indices, indptr), shape=tuple(int(x) for x in shape))
+    matrix.check_format(full_check=True)  # indices beyond the shape would be read beyond the memory
+    return matrix

@@ -1,14 +1,20 @@
-"""What a record leaves known: of the parameters, the motion at its end, the noise, and the force left out."""
+"""What a record leaves known of a structure: parameters, the motion at its end, the noise, and the force left out."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from pinn_cli.model.truncated_gaussian import TruncatedGaussian
+
+if TYPE_CHECKING:
+    from pinn_cli.system.parameters import Parameter
+    from pinn_cli.system.structure import Structure
 
 # Numbers of a misfit's history that are kept, 4 MB: of a longer record the last part stands for all of it.
 MOST_KEPT = 2**20
@@ -204,3 +210,37 @@ class Misfit:
         """Of a history (N, n), of which no more than can be kept is."""
         most = max(2, MOST_KEPT // max(history.shape[1], 1))
         return cls(step, history[-most:].astype(np.float32), acting, rest, at_motion)
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """An identified structure: no truth is in it, only what was prescribed and what was found.
+
+    Attributes:
+        structure: With the estimates in place.
+        parameters: Those that were uncertain, p of them; ``prescribed`` is their mean.
+        known: Of them; its covariance is NaN where the training told no standard deviations.
+        draws: (D, p), of a sampled posterior; None without one.
+        misfit: The force that the model leaves out; None where the training does not say.
+        levels: Noise that was found.
+        end: Where the motion ended; None where nobody knows.
+        verdict: On the run, and the first reason for it; "" without one.
+        reason: Likewise.
+        directory: Of the run.
+    """
+
+    structure: Structure
+    parameters: tuple[Parameter, ...]
+    known: ParameterKnowledge
+    levels: Levels
+    end: EndState | None
+    verdict: str
+    reason: str
+    draws: np.ndarray | None = None
+    directory: Path = Path()
+    misfit: Misfit | None = None
+
+    @property
+    def lower(self) -> np.ndarray:
+        """(p,), least values of the parameters; -inf without one."""
+        return np.array([0.0 if p.positive else -np.inf for p in self.parameters])

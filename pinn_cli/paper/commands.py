@@ -13,7 +13,7 @@ from pinn_cli.paper.realisations import Solver, solve, solve_missing
 from pinn_cli.paper.report import write_report
 from pinn_cli.paper.runs import FinishedRun, Runner, make_runs, read_runs, run_case
 from pinn_cli.paper.seeds import SeedScores, seed_realisations
-from pinn_cli.runs.cores import usable_cores
+from pinn_cli.runs.machine import usable_cores
 
 
 def make_paper(output: Path, runner: Runner = run_case) -> int:

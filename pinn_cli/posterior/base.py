@@ -15,6 +15,7 @@ from pinn_cli.training.likelihood import ParameterLikelihood
 if TYPE_CHECKING:
     from pinn_cli.scheme.problem import Problem
     from pinn_cli.training.estimate import RunContext
+    from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihoods
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +29,8 @@ class PosteriorSamples:
         sigma_force: (chains, draws, F), N, noise of the F measured forces.
         force_dofs: (F,), DOFs of those, counted from 1.
         prior: (draws, p).
-        statistics: ArviZ's names of sample statistics (``diverging``, ``acceptance_rate``, ``n_steps``, ``tree_depth``,
-            ``lp``, ...) to (chains, draws); empty where nothing was sampled step by step (``laplace``).
+        statistics: ArviZ's names of sample statistics (``lp``, ``step_size``, ``n_steps``, ``tree_depth``,
+            ``diverging``) to (chains, draws); empty where nothing was sampled step by step (``laplace``).
         warmup: Iterations before the first draw kept, of each chain.
         seconds: (chains,), of sampling.
     """
@@ -66,20 +67,17 @@ class Posterior(ABC):
             InputError: It is such.
         """
 
+    def likelihood(self, known: ParameterLikelihoods) -> ParameterLikelihood:
+        """That it draws from: with the network's weights integrated out."""
+        return known.marginal
+
     @abstractmethod
-    def sample(
-        self,
-        marginal: ParameterLikelihood,
-        conditional: ParameterLikelihood,
-        priors: Sequence[Prior],
-        run: RunContext,
-    ) -> PosteriorSamples:
+    def sample(self, likelihood: ParameterLikelihood, priors: Sequence[Prior], run: RunContext) -> PosteriorSamples:
         """Draws of the parameters and of the force's noise.
 
         Args:
-            marginal: The likelihood with the network's weights integrated out.
-            conditional: That with the network's states held as they were trained.
-            priors: Of the likelihoods' parameters, in their order.
+            likelihood: See :meth:`likelihood`.
+            priors: Of its parameters, in their order.
             run: Seed, directory and whether to draw a progress bar.
 
         Raises:

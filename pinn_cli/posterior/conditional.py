@@ -4,24 +4,30 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pinn_cli.posterior.sampled import SampledPosterior
+from pinn_cli.posterior.marginal import Marginal
 from pinn_cli.settings.errors import InputError
 
 if TYPE_CHECKING:
     from pinn_cli.scheme.problem import Problem
+    from pinn_cli.training.likelihood import ParameterLikelihood
+    from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihoods
 
 
-class Conditional(SampledPosterior):
+class Conditional(Marginal):
     """NUTS on the likelihood with the states locked at those of the trained network: the paper's scheme.
 
     It takes the estimated motion for the true one, so it is overconfident: its standard deviations were 2 to 14 times
     too small, and its 90 % intervals covered the truth in 36 to 50 % of all cases over 40 noise seeds. It is here to
-    be compared with; :class:`pinn_cli.posterior.marginal.Marginal` is the one to use.
+    be compared with; :class:`Marginal` is the one to use.
 
-    Settings: see :class:`pinn_cli.posterior.sampled.SampledPosterior`.
+    Settings: see :class:`Marginal`.
     """
 
     name = "conditional"
+
+    def likelihood(self, known: ParameterLikelihoods) -> ParameterLikelihood:
+        """That with the network's states held as they were trained."""
+        return known.conditional
 
     def check(self, problem: Problem) -> None:
         """See :meth:`Posterior.check`: the force that a held motion takes says nothing about a sensor."""

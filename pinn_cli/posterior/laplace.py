@@ -36,16 +36,10 @@ class Laplace(Posterior):
     def __init__(self, draws: int = 4000) -> None:
         self.draws = whole_number("posterior.draws", draws, least=1)
 
-    def sample(
-        self,
-        marginal: ParameterLikelihood,
-        conditional: ParameterLikelihood,
-        priors: Sequence[Prior],
-        run: RunContext,
-    ) -> PosteriorSamples:
+    def sample(self, likelihood: ParameterLikelihood, priors: Sequence[Prior], run: RunContext) -> PosteriorSamples:
         """See :meth:`Posterior.sample`; one chain."""
         started = time.perf_counter()
-        target = Target(marginal, priors)
+        target = Target(likelihood, priors)
         q = np.random.default_rng([run.seed, 1]).standard_normal((1, self.draws, target.size))
         seconds = np.array([time.perf_counter() - started])
         return target.samples(self.name, target.whitening.coordinates(q), run.seed, seconds)

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pinn_cli.model.file import write_model
-from pinn_cli.model.knowledge import Levels, ParameterKnowledge
-from pinn_cli.model.model import Model
+from pinn_cli.model.knowledge import Levels, Model, ParameterKnowledge
 from pinn_cli.record.response import GROUND, QUANTITIES
 from pinn_cli.report.results import Results
 from pinn_cli.system.quantities import CALIBRATION_UNITS

@@ -14,7 +14,7 @@ from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.training.central_interval import HALF_WIDTH_90
 
 if TYPE_CHECKING:
-    from pinn_cli.model.model import Model
+    from pinn_cli.model.knowledge import Model
     from pinn_cli.system.parameters import Parameter
     from pinn_cli.training.estimate import Estimate
 

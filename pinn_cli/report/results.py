@@ -11,7 +11,7 @@ import pandas as pd
 from pinn_cli.training.calibrated_record import as_calibrated
 
 if TYPE_CHECKING:
-    from pinn_cli.model.model import Model
+    from pinn_cli.model.knowledge import Model
     from pinn_cli.posterior.result import PosteriorResult
     from pinn_cli.record.record import Record, Truth
     from pinn_cli.record.response import Response

@@ -17,7 +17,7 @@ import numpy as np
 
 from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.runs.identity import package_version
-from pinn_cli.runs.layout import stamp
+from pinn_cli.runs.reading import stamp
 from pinn_cli.runs.resume import FORMAT
 
 if TYPE_CHECKING:

@@ -1,40 +1,46 @@
-"""The state of a run's trainings, kept on disk and taken up again."""
+"""The state of a run's trainings, kept on disk and taken up again; nothing in it is ever executed.
+
+The last two checkpoints lie in the run's directory. Each is what `torch.save` writes, with the SHA-256 of its bytes as
+the comment of the zip archive that it is: `torch.load(file, weights_only=True)` reads it. This seal is checked before
+anything is unpacked.
+"""
 
 from __future__ import annotations
 
 import copy
+import hashlib
 import logging
+import math
+import os
 import random
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 import torch
+from torch.serialization import default_restore_location
 
-from pinn_cli.runs.checkpoint_files import LAST, PREVIOUS, CheckpointFiles, sealed
 from pinn_cli.runs.identity import Identity
 from pinn_cli.runs.interruption import warned
-from pinn_cli.runs.layout import check_layout, stamp
-from pinn_cli.runs.resume import AUTO
+from pinn_cli.runs.reading import check_layout, check_regular, stamp
+from pinn_cli.runs.resume import AUTO, CHECKPOINTS
+from pinn_cli.runs.writing import replacing
 from pinn_cli.settings.errors import InputError
 
 log = logging.getLogger(__name__)
 
-FORMAT = 1
+LAST, PREVIOUS = CHECKPOINTS
+FORMAT, SEAL_LENGTH = 1, 64
 # What may come of a file whose seal is right but whose content is none of ours.
 FORGED = (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError)
 
 
-class Resumable(Protocol):
-    """Whose state can be kept."""
-
-    def state_dict(self) -> dict[str, Any]:
-        """Tensors, numbers, strings, None, and dicts, lists and tuples of them."""
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from there."""
+class DamagedCheckpointError(ValueError):
+    """A file that is no whole checkpoint, or that was changed after it was written."""
 
 
 class OtherRunError(ValueError):
@@ -49,6 +55,64 @@ class OtherRunError(ValueError):
         self.changes = changes
 
 
+class Resumable(Protocol):
+    """Whose state can be kept."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Tensors, numbers, strings, None, and dicts, lists and tuples of them."""
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from there."""
+
+
+class CheckpointFiles:
+    """`checkpoint.pt` and the one before it in a run's directory.
+
+    Args:
+        directory: Of the run.
+        device: Where tensors that were saved on a GPU are put; those of the CPU stay there.
+    """
+
+    def __init__(self, directory: Path, device: str = "cpu") -> None:
+        self.directory, self.device = directory, device
+        self._last_is_good = False
+
+    def read(self) -> dict[str, Any] | None:
+        """The content of the last good one, None where there is none; a damaged file gets a line in the log."""
+        for name, otherwise in ((LAST, "the previous checkpoint is tried"), (PREVIOUS, "training starts over")):
+            place = self.directory / name
+            try:
+                check_regular(place, math.inf)
+                content = unsealed(place.read_bytes(), self.device)
+            except FileNotFoundError:
+                continue
+            except (OSError, DamagedCheckpointError) as error:
+                log.warning("%s is damaged (%s): %s", place, error, otherwise)
+                continue
+            self._last_is_good = name == LAST
+            return content
+        return None
+
+    def write(self, data: bytes) -> None:
+        """Put sealed content on the disk; it is there, whole, when this returns.
+
+        The last one becomes the previous one. Whenever the process ends, one of the two is good.
+        """
+        last, previous = self.directory / LAST, self.directory / PREVIOUS
+        with replacing(last) as beside:
+            with beside.open("wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            if self._last_is_good:  # a damaged one, or another run's, must not take a good one's place
+                os.replace(last, previous)
+        self._last_is_good = True
+        if os.name != "nt":  # have the names on the disk too
+            handle = os.open(self.directory, os.O_RDONLY)
+            os.fsync(handle)
+            os.close(handle)
+
+
 class Checkpoints:
     """Those of one run, whose trainings come one after the other.
 
@@ -58,6 +122,9 @@ class Checkpoints:
         every_s: Seconds from one to the next; None: none but on a signal and at the end.
         device: Of the run.
         clock: In seconds.
+
+    Attributes:
+        taken_up: Whether the trainings go on from what lies in the directory.
     """
 
     def __init__(
@@ -68,17 +135,12 @@ class Checkpoints:
         device: str = "cpu",
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.directory, self.identity, self.every_s, self.clock = directory, identity, every_s, clock
-        self.files = CheckpointFiles(directory, device)
+        self.identity, self.every_s, self.clock = identity, every_s, clock
+        self.files, self.taken_up = CheckpointFiles(directory, device), False
         self._ended: list[dict[str, Any]] = []
         self._kept: list[dict[str, Any]] = []
         self._random: dict[str, Any] = {}
         self._last = clock()
-
-    @property
-    def taken_up(self) -> bool:
-        """Whether the trainings go on from what lies in the directory."""
-        return bool(self._kept)
 
     def take_up(self) -> bool:
         """Have the trainings go on where the last good checkpoint left them; False where there is none.
@@ -90,15 +152,15 @@ class Checkpoints:
         content = self.files.read()
         if content is None:
             return False
-        check_layout(content, FORMAT, self.directory / LAST)
+        check_layout(content, FORMAT, self.files.directory / LAST)
         try:
-            identity, kept, states = Identity.read(content["identity"]), list(content["trainings"]), content["random"]
+            identity, kept, states = Identity(**content["identity"]), list(content["trainings"]), content["random"]
+            changes = self.identity.changes_from(identity)
         except FORGED as error:
             raise OtherRunError([f"a checkpoint that pinn-run did not write ({error!r})"]) from error
-        changes = self.identity.changes_from(identity)
         if changes:
             raise OtherRunError(changes)
-        self._kept, self._random = kept, states
+        self._kept, self._random, self.taken_up = kept, states, bool(kept)
         return True
 
     def begin(self, training: Resumable) -> bool:
@@ -117,27 +179,24 @@ class Checkpoints:
             if number == len(self._kept) - 1:
                 set_random_states(self._random)
         except FORGED as error:
-            hint = f"{error!r}; remove checkpoint*.pt to start over"
-            raise InputError("resume", self.directory / LAST, "a checkpoint of this training", hint) from error
+            hint, place = f"{error!r}; remove checkpoint*.pt to start over", self.files.directory / LAST
+            raise InputError("resume", place, "a checkpoint of this training", hint) from error
         if ended:
             self._ended.append(state)
         return bool(ended)
 
     def due(self) -> bool:
         """Whether it is time for the next one: the interval is over, or a scheduler has warned that it will kill."""
-        if warned():
-            return True
-        return self.every_s is not None and self.clock() - self._last >= self.every_s
+        return warned() or (self.every_s is not None and self.clock() - self._last >= self.every_s)
 
     def packed(self, training: Resumable, ended: bool = False) -> bytes:
         """The state of everything, as it is now."""
         self._last = self.clock()
-        now = {"ended": ended, "state": training.state_dict()}
-        before = [{"ended": True, "state": state} for state in self._ended]
+        states = [*((True, state) for state in self._ended), (ended, training.state_dict())]
         content = {
             **stamp(FORMAT),
-            "identity": self.identity.content,
-            "trainings": [*before, now],
+            "identity": asdict(self.identity),
+            "trainings": [{"ended": over, "state": state} for over, state in states],
             "random": random_states(),
         }
         return sealed(content)
@@ -170,22 +229,54 @@ def open_checkpoints(
             later release wrote it.
     """
     checkpoints = Checkpoints(directory, identity, every_s, device)
-    found = any((directory / name).is_file() for name in (LAST, PREVIOUS))
     if resume is None:
-        if found:
+        if any((directory / name).is_file() for name in CHECKPOINTS):
             log.warning("%s holds a checkpoint, which this run replaces: resume=auto would go on from it", directory)
-    else:
-        try:
-            if checkpoints.take_up():
-                log.info("going on from the checkpoint in %s", directory)
-                return checkpoints
-            log.info("%s holds no checkpoint to go on from: training starts over", directory)
-        except OtherRunError as error:
-            if resume != AUTO:
-                allowed, hint = "a run whose checkpoint is its own", "remove checkpoint*.pt there to start over"
-                raise InputError("resume", resume, f"{allowed}, but {error}", hint) from error
-            log.warning("the checkpoint in %s is of another run: training starts over; %s", directory, error)
+        return checkpoints
+    try:
+        if checkpoints.take_up():
+            log.info("going on from the checkpoint in %s", directory)
+            return checkpoints
+        log.info("%s holds no checkpoint to go on from: training starts over", directory)
+    except OtherRunError as error:
+        if resume != AUTO:
+            allowed, hint = "a run whose checkpoint is its own", "remove checkpoint*.pt there to start over"
+            raise InputError("resume", resume, f"{allowed}, but {error}", hint) from error
+        log.warning("the checkpoint in %s is of another run: training starts over; %s", directory, error)
     return Checkpoints(directory, identity, every_s, device)
+
+
+def sealed(content: dict[str, Any]) -> bytes:
+    """The bytes of a file that holds tensors, numbers, strings, None, and dicts, lists and tuples of them."""
+    buffer = BytesIO()
+    torch.save(content, buffer)
+    body = buffer.getvalue()[:-2]  # before the length of the comment, of which torch writes none
+    return body + SEAL_LENGTH.to_bytes(2, "little") + _seal(body)
+
+
+def unsealed(data: bytes, device: str = "cpu") -> dict[str, Any]:
+    """What was sealed, tensors included; those of a GPU on ``device``.
+
+    Raises:
+        DamagedCheckpointError: It is not as it was sealed, or holds something else than plain values and tensors.
+    """
+    if data[-SEAL_LENGTH:] != _seal(data[: -SEAL_LENGTH - 2]):
+        raise DamagedCheckpointError("cut short or changed: its checksum is wrong")
+
+    def place(storage: Any, saved_on: str) -> Any:
+        return default_restore_location(storage, saved_on if saved_on == "cpu" else device)
+
+    try:
+        content = torch.load(BytesIO(data), map_location=place, weights_only=True)
+    except Exception as error:  # zip, pickle or whatever else a file made by hand may break
+        raise DamagedCheckpointError(f"not plain values and tensors: {type(error).__name__}") from error
+    if not isinstance(content, dict):
+        raise DamagedCheckpointError("not a checkpoint")
+    return content
+
+
+def _seal(body: bytes) -> bytes:
+    return hashlib.sha256(body).hexdigest().encode()
 
 
 def random_states() -> dict[str, Any]:

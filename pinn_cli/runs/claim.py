@@ -1,13 +1,17 @@
 """A run's directory is checked, then locked, then written to: a command that is refused or waits changes nothing in it.
 
-Hydra only makes the directory. The settings (`.hydra/`) and the log are written here, once the run's input has been
-found good and no other process is at work there. Nothing slow is imported here.
+A run, or a sweep, writes only where nothing lies, or where `pinn-run` has written before. Hydra only makes the
+directory. The settings (`.hydra/`) and the log are written here, once the run's input has been found good and no other
+process is at work there. What a refused run has replaced is put back. Nothing slow is imported here.
 """
 
 from __future__ import annotations
 
 import logging
 import os
+import re
+import shutil
+import stat
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -16,15 +20,95 @@ from pathlib import Path
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from pinn_cli.runs.lock import held
-from pinn_cli.runs.ownership import SETTINGS, check_destination, made
-from pinn_cli.runs.reading import printable
+from pinn_cli.runs.lock import held, if_free
+from pinn_cli.runs.reading import printable, small_text
 from pinn_cli.runs.writing import WriteError, content_of, put_back, replacing, tidy
 from pinn_cli.settings.errors import InputError
 
 LOG, FORMAT = "pinn-run.log", "[%(asctime)s][%(name)s][%(levelname)s] %(message)s"
+SETTINGS = ".hydra"
+# The files of a run's and of a sweep's directory that carry the mark: the name of the package, among Hydra's settings.
+MARKED, MARK = (f"{SETTINGS}/hydra.yaml", "multirun.yaml"), "pinn_cli"
+# What may lie in a directory that was prepared and never begun: by pattern, with files that were being written.
+_PREPARED = re.compile(r"(run|sweep)\.lock|failure\.json|\.submitit|\.(failure|multirun)\.\d+\.partial\.(json|yaml)")
+_PREPARED_SETTINGS = re.compile(r"overrides\.yaml|\.(hydra|config|overrides)\.\d+\.partial\.yaml")
+_FILES = re.compile(r".*\.(csv|db|json|pt|nc|log|lock|yaml)")
+_FOLDERS = (SETTINGS, "figures", "chains", "tensorboard")
+ALLOWED = "a new or empty directory, or one that pinn-run made"
 
 log = logging.getLogger(__name__)
+
+
+def check_destination(directory: Path, setting: str) -> None:
+    """See to it that a run, or a sweep, may write into a directory, which is made where it is missing.
+
+    Args:
+        directory: Which.
+        setting: That named it.
+
+    Raises:
+        InputError: It cannot be made, or holds files that are not of `pinn-run`, or something else in the place of one.
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        entries = sorted(directory.iterdir())
+    except OSError as error:
+        raise InputError(setting, directory, "a directory that can be made", error.strerror or str(error)) from error
+    if not any(_carries_mark(directory / name) for name in MARKED):
+        foreign = [entry.name for entry in entries if not is_prepared(entry)]
+        if foreign:
+            named = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
+            hint = f"files of yours might be replaced there ({named}): name another directory"
+            raise InputError(setting, directory, ALLOWED, hint)
+    settings = directory / SETTINGS
+    for entry in [*entries, *(sorted(settings.iterdir()) if settings.is_dir() else ())]:
+        # Where a run would write a file there must be a file or nothing: no folder, FIFO or link to another place.
+        kind = entry.lstat().st_mode
+        if entry.name in _FOLDERS and not stat.S_ISDIR(kind):
+            raise InputError(setting, entry.parent, ALLOWED, f"{entry.name} there is no directory")
+        if _FILES.fullmatch(entry.name) and not stat.S_ISREG(kind):
+            raise InputError(setting, entry.parent, ALLOWED, f"{entry.name} there is no regular file")
+
+
+def _carries_mark(file: Path) -> bool:
+    try:
+        return MARK in small_text(file)
+    except OSError:
+        return False
+
+
+def is_prepared(entry: Path) -> bool:
+    """Whether an entry of a directory is one that a run, or a job, leaves before it has begun."""
+    if entry.name == SETTINGS and entry.is_dir():
+        return all(_PREPARED_SETTINGS.fullmatch(inner.name) for inner in entry.iterdir())
+    return _PREPARED.fullmatch(entry.name) is not None
+
+
+# Directories that did not exist before the run or sweep that was started last, its own first.
+_new: list[Path] = []
+
+
+def note_new(directory: Path) -> None:
+    """Note the directory of a run or of a sweep, and its parents, as far as they are missing: see :func:`discard`."""
+    path = directory.absolute()
+    _new[:] = [p for p in (path, *path.parents) if not os.path.lexists(p)]
+
+
+def discard() -> None:
+    """Remove what unusable input left: directories that are new, and in which nobody is nor any run was begun."""
+    for directory in _new[:1]:
+        if _is_unused(directory):
+            with if_free(directory) as free:
+                if free and _is_unused(directory):
+                    shutil.rmtree(directory)
+    for directory in _new[1:]:
+        with suppress(OSError):  # it holds something, or was not made
+            directory.rmdir()
+
+
+def _is_unused(directory: Path) -> bool:
+    # `Path.is_dir` raises where a name is too long
+    return os.path.isdir(directory) and all(map(is_prepared, directory.iterdir()))
 
 
 class RunLog(MemoryHandler):
@@ -45,7 +129,8 @@ class RunLog(MemoryHandler):
         Raises:
             OSError: The file cannot be opened.
         """
-        file = _LogFile(path, encoding="utf-8")
+        file = logging.FileHandler(path, encoding="utf-8")
+        file.handleError = lambda record: None  # type: ignore[method-assign]  # a full disk ends no run
         file.setFormatter(logging.Formatter(FORMAT))
         self.setTarget(file)
         self.flushLevel = logging.NOTSET
@@ -69,11 +154,6 @@ def _write_out(record: logging.LogRecord) -> bool:
     return True
 
 
-class _LogFile(logging.FileHandler):
-    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
-        """A disk that takes no more ends no run: the line is lost."""
-
-
 class Claim:
     """The directory of the run that this process is about to make.
 
@@ -81,6 +161,10 @@ class Claim:
         directory: Of the run; absolute, made by Hydra.
         setting: Name of the setting that named it.
         settings: What `.hydra/` is to hold, by file; empty for a run that goes on with those that lie there.
+
+    Attributes:
+        locked, taken: Whether :meth:`lock` and :meth:`take` were called.
+        left: There is nothing to do here, and the directory is to stay as it is.
     """
 
     def __init__(self, directory: Path, setting: str, settings: Mapping[str, DictConfig | ListConfig]) -> None:
@@ -88,9 +172,8 @@ class Claim:
         self.log = RunLog()
         self.taken = self.left = self.locked = False
         self._held = ExitStack()
+        self._before: dict[Path, bytes | None] = {}
         self._aside: dict[Path, Path] = {}
-        self._replaced: dict[Path, bytes | None] = {}
-        self._logged: int | None = None
 
     def lock(self) -> None:
         """Wait until no other process is at work in the directory, and keep others out from then on.
@@ -100,7 +183,7 @@ class Claim:
         """
         if self.locked:
             return
-        check_destination(made(self.directory, self.setting), self.setting)
+        check_destination(self.directory, self.setting)
         with self._one_line():
             self._held.enter_context(held(self.directory))
         self.locked = True
@@ -117,21 +200,26 @@ class Claim:
         if self.taken or self.left:
             return
         self.lock()
+        written = {self.directory / SETTINGS / name: content for name, content in self.settings.items()}
         try:
             with self._one_line():
                 tidy(self.directory)
-                self._write_settings()
-                for name in outdated:
-                    self._set_aside(self.directory / name)
-                self._begin_log()
+                self._before = {place: content_of(place) for place in (*written, self.directory / LOG)}
+                with ExitStack() as files:  # all, or none: the mark of the directory is there at any moment
+                    for place, content in written.items():
+                        beside = files.enter_context(replacing(place))
+                        beside.write_text(OmegaConf.to_yaml(content), encoding="utf-8")
+                for place in (self.directory / name for name in outdated):
+                    if place.is_file():
+                        # As a file that is being written: should the process be killed, :func:`tidy` removes it.
+                        aside = place.with_name(f".{place.stem}.before.{os.getpid()}.partial{place.suffix}")
+                        os.replace(place, aside)
+                        self._aside[place] = aside
+                self.log.open(self.directory / LOG)
         except BaseException:
             self.refuse()
             raise
         self.taken = True
-
-    def leave(self) -> None:
-        """There is nothing to do here: the directory stays as it is."""
-        self.left = True
 
     def settle(self) -> None:
         """Remove what was set aside: the input has stood every test, and nothing leads back to the earlier run."""
@@ -142,15 +230,14 @@ class Claim:
 
     def refuse(self) -> None:
         """Put everything back as it was before the directory was taken, if it was."""
-        for place, content in self._replaced.items():
-            put_back(place, content)
-        self._replaced.clear()
+        self.log.close()
+        for place, content in self._before.items():
+            with suppress(WriteError):
+                put_back(place, content)
+        self._before.clear()
         for place, aside in self._aside.items():
             os.replace(aside, place)
         self._aside.clear()
-        self.log.close()
-        if self._logged is not None:
-            _cut(self.directory / LOG, self._logged)
         with suppress(OSError):  # it holds something, or was not made
             (self.directory / SETTINGS).rmdir()
 
@@ -160,88 +247,36 @@ class Claim:
         self.log.close()
         self._held.close()
 
-    def _set_aside(self, place: Path) -> None:
-        """A name as of a file that is being written: should the process be killed, :func:`tidy` removes it."""
-        if place.is_file():
-            aside = place.with_name(f".{place.stem}.before.{os.getpid()}.partial{place.suffix}")
-            os.replace(place, aside)
-            self._aside[place] = aside
-
-    def _write_settings(self) -> None:
-        """All of its files, or none; the mark of the directory is among them, and is there at any moment."""
-        places = {self.directory / SETTINGS / name: content for name, content in self.settings.items()}
-        before = {place: content_of(place) for place in places}
-        with ExitStack() as files:
-            for place, content in places.items():
-                files.enter_context(replacing(place)).write_text(OmegaConf.to_yaml(content), encoding="utf-8")
-            self._replaced = before
-
-    def _begin_log(self) -> None:
-        place = self.directory / LOG
-        self._logged = place.stat().st_size if place.exists() else 0
-        self.log.open(place)
-
     @contextmanager
     def _one_line(self) -> Iterator[None]:
         try:
             yield
         except (OSError, WriteError) as error:
-            raise InputError(
-                self.setting, self.directory, "a directory that can be written to", reason(error)
-            ) from error
-
-
-def _cut(file: Path, size: int) -> None:
-    with suppress(OSError):
-        if size:
-            os.truncate(file, size)
-        else:
-            file.unlink(missing_ok=True)
+            allowed = "a directory that can be written to"
+            raise InputError(self.setting, self.directory, allowed, reason(error)) from error
 
 
 def reason(error: BaseException) -> str:
     """What the system says, without the number of the error."""
-    if isinstance(error, WriteError):
-        return error.reason
-    return error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return getattr(error, "reason", "") or getattr(error, "strerror", "") or str(error)
 
 
 # Of this process, which makes one run at a time.
-_current: Claim | None = None
+_claims: list[Claim] = []
 
 
 @contextmanager
 def entered(claim: Claim) -> Iterator[None]:
-    """Make a run in the block, which :func:`lock_directory` and its like are then about."""
-    global _current  # noqa: PLW0603
-    _current = claim
+    """Make a run in the block, whose claim is :func:`current` meanwhile."""
+    _claims.append(claim)
     claim.log.attach()
     try:
         yield
     finally:
-        _current = None
+        _claims.remove(claim)
         claim.release()
 
 
-def lock_directory() -> None:
-    """:meth:`Claim.lock` of the run that is being made in this process, if it is made by the command."""
-    if _current is not None:
-        _current.lock()
-
-
-def take_directory(outdated: Iterable[str] = ()) -> None:
-    """:meth:`Claim.take` of the run that is being made in this process, if it is made by the command."""
-    if _current is not None:
-        _current.take(outdated)
-
-
-def leave_directory() -> None:
-    """:meth:`Claim.leave` of the run that is being made in this process, if it is made by the command."""
-    if _current is not None:
-        _current.leave()
-
-
-def settle_directory() -> None:
-    """:meth:`Claim.settle` of the run that is being made in this process, if it is made by the command."""
-    if _current is not None:
-        _current.settle()
+def current() -> Claim:
+    """Of the run that is being made in this process."""
+    return _claims[-1]

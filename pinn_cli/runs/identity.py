@@ -63,18 +63,10 @@ class Identity:
             contents = [_content(located(str(path), base)) for path in paths]
             if contents and all(contents):
                 settings[name] = ", ".join(map(str, contents))
-        settings |= _of_model(config, base)
+        if config.get("model") is not None:  # which the run begins with
+            given = str(config.model)
+            settings["model"] = _content(located(given, base) / "model.npz") or given
         return cls(settings, {name: package_version(name) or "unknown" for name in PACKAGES})
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any]) -> Identity:
-        """From what `content` returned."""
-        return cls(dict(content["settings"]), dict(content["versions"]))
-
-    @property
-    def content(self) -> dict[str, dict[str, str]]:
-        """The attributes as plain mappings, for a file."""
-        return {"settings": self.settings, "versions": self.versions}
 
     @property
     def configuration(self) -> str:
@@ -119,14 +111,6 @@ def _text(value: Any) -> str:
     if isinstance(value, int | float) and not isinstance(value, bool):
         return repr(int(value)) if value == value // 1 else repr(float(value))
     return "null" if value is None else str(value)
-
-
-def _of_model(config: DictConfig, base: Path | None) -> dict[str, str]:
-    """The model that a run begins with, by what is in it; nothing where there is none, as before there were any."""
-    given = config.get("model")
-    if given is None:
-        return {}
-    return {"model": _content(located(str(given), base) / "model.npz") or str(given)}
 
 
 def _content(file: Path) -> str | None:

@@ -23,7 +23,7 @@ PATIENCE_S, GRACE_S = 2.5, 4.5
 # whether one came that only warns.
 _deferring = 0
 _asked: int | None = None
-_warned = False
+_warnings: list[int] = []
 _ends_at_second = True
 
 
@@ -156,7 +156,7 @@ def asked() -> bool:
 @contextmanager
 def warning(number: int) -> Iterator[None]:
     """Have a signal ask for a checkpoint and stop nothing: schedulers send one some time before they kill."""
-    before = signal.signal(number, _note)
+    before = signal.signal(number, lambda *_: _warnings.append(number))
     try:
         yield
     finally:
@@ -165,14 +165,9 @@ def warning(number: int) -> Iterator[None]:
 
 def warned() -> bool:
     """Whether such a signal came since this was asked last."""
-    global _warned
-    came, _warned = _warned, False
+    came = bool(_warnings)
+    _warnings.clear()
     return came
-
-
-def _note(number: int, frame: FrameType | None) -> None:
-    global _warned  # noqa: PLW0603
-    _warned = True
 
 
 def _receive(number: int, frame: FrameType | None) -> None:

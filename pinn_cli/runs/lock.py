@@ -15,12 +15,8 @@ import socket
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pinn_cli.runs.reading import small_text
-
-if TYPE_CHECKING:
-    from filelock import BaseFileLock
 
 log = logging.getLogger(__name__)
 
@@ -69,12 +65,19 @@ def locked(file: Path, waiting: str = "", every_s: float = 0.1) -> Iterator[None
         waiting: What the log is told where the process has to wait; empty: nothing.
         every_s: Seconds from one look to the next.
     """
-    from filelock import FileLock  # not for --help
+    from filelock import FileLock, Timeout  # not for --help
 
     # No marker in place of a lock, which a kill would leave behind.
     lock = FileLock(file, thread_local=False, fallback_to_soft=False)
     try:
-        _acquire(lock, waiting, every_s)
+        try:
+            lock.acquire(blocking=False)
+        except Timeout:
+            if waiting:
+                log.warning("%s: %s", waiting, _owner(file))
+            while not lock.is_locked:
+                with suppress(FileNotFoundError):  # who was in there took the folder along: it is made anew
+                    lock.acquire(poll_interval=every_s)
     except OSError as error:
         if error.errno not in _NONE:
             raise
@@ -82,8 +85,9 @@ def locked(file: Path, waiting: str = "", every_s: float = 0.1) -> Iterator[None
         log.warning("%s is on a file system without locks: have no two processes write there", file.parent)
     try:
         if lock.is_locked:
+            job = {"slurm_job": os.environ["SLURM_JOB_ID"]} if "SLURM_JOB_ID" in os.environ else {}
             with suppress(OSError):  # on a full disk nobody learns who is in there
-                file.write_text(json.dumps(_this_process()), encoding="utf-8")
+                file.write_text(json.dumps({"host": socket.gethostname(), "pid": os.getpid(), **job}), encoding="utf-8")
         yield
     finally:
         if lock.is_locked:
@@ -92,26 +96,8 @@ def locked(file: Path, waiting: str = "", every_s: float = 0.1) -> Iterator[None
             lock.release()
 
 
-def _acquire(lock: BaseFileLock, waiting: str, every_s: float) -> None:
-    from filelock import Timeout
-
-    try:
-        lock.acquire(blocking=False)
-    except Timeout:
-        if waiting:
-            log.warning("%s: %s", waiting, _owner(Path(lock.lock_file)))
-        while not lock.is_locked:
-            with suppress(FileNotFoundError):  # who was in there took the folder along: it is made anew
-                lock.acquire(poll_interval=every_s)
-
-
 def _owner(file: Path) -> str:
     """As the owner wrote it: for a person to read, and nothing depends on it."""
     with suppress(OSError):  # it has left meanwhile
         return small_text(file) or "one that has just begun"
     return "one that has just begun"
-
-
-def _this_process() -> dict[str, object]:
-    job = os.environ.get("SLURM_JOB_ID")
-    return {"host": socket.gethostname(), "pid": os.getpid(), **({"slurm_job": job} if job else {})}

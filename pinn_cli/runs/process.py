@@ -6,21 +6,24 @@ The command ends with its run. A process that is borrowed goes on, so that each 
 
 from __future__ import annotations
 
+import atexit
+import gc
 import logging
 import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import cache
 
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.version import VersionBase
 
-from pinn_cli.runs.memory import leave_without_collecting
-
 PACKAGE = "pinn_cli"
 # Read by the linear algebra libraries when they are loaded.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+# New objects after which Python looks for garbage: as it comes, and while libraries are imported.
+_USUAL, _NEW_OBJECTS = gc.get_threshold()[0], 50_000
 
 # What is to be put back; None: the process is the command's own, or a worker's.
 _borrowed: ExitStack | None = None
@@ -33,16 +36,21 @@ def is_borrowed() -> bool:
 
 @contextmanager
 def borrowed(arguments: Sequence[str]) -> Iterator[None]:
-    """Have the process be as if it were the command's own within the block.
+    """Have the process be as if it were the command's own within the block, and as it was after it.
 
     Args:
         arguments: As `sys.argv` is to have them meanwhile.
     """
     global _borrowed  # noqa: PLW0603
+    from pinn_cli.runs.checkpoint import random_states, set_random_states  # not for --help, which reads this file
+
     with ExitStack() as stack:
-        for lent in (_arguments(arguments), _folder(), _random_states(), _hydra(), _logs()):
-            stack.enter_context(lent)
-        _borrowed = stack
+        stack.callback(setattr, sys, "argv", sys.argv)
+        stack.callback(_enter, os.getcwd())
+        stack.callback(set_random_states, random_states())
+        stack.enter_context(_hydra())
+        stack.enter_context(_logs())
+        sys.argv, _borrowed = list(arguments), stack
         try:
             yield
         finally:
@@ -50,31 +58,23 @@ def borrowed(arguments: Sequence[str]) -> Iterator[None]:
 
 
 def prepare_process(threads: int) -> None:
-    """Limit the threads of torch and of the linear algebra: a run begins."""
-    if _borrowed is None:
-        leave_without_collecting()
+    """Limit the threads of torch and of the linear algebra, whose last digits depend on them: a run begins."""
+    variables = dict.fromkeys(THREAD_VARIABLES, str(threads))
+    if _borrowed is not None:
+        # What is loaded later would keep for good the number that the environment then has.
+        import scipy.linalg  # noqa: F401
+        from threadpoolctl import threadpool_limits
+
+        _borrowed.enter_context(environment(variables))
+        _borrowed.enter_context(threadpool_limits(threads, "blas"))
     else:
-        _borrowed.enter_context(_threads(threads))
-    os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
+        _leave_without_collecting()
+    os.environ.update(variables)
     import torch
 
+    if _borrowed is not None:
+        _borrowed.callback(torch.set_num_threads, torch.get_num_threads())
     torch.set_num_threads(threads)
-
-
-@contextmanager
-def _threads(threads: int) -> Iterator[None]:
-    """As many threads of the linear algebra as a run has, whose last digits depend on it."""
-    # What is loaded later would keep for good the number that the environment then has.
-    import scipy.linalg  # noqa: F401
-    import torch
-    from threadpoolctl import threadpool_limits
-
-    before = torch.get_num_threads()
-    try:
-        with environment(dict.fromkeys(THREAD_VARIABLES, str(threads))), threadpool_limits(threads, "blas"):
-            yield
-    finally:
-        torch.set_num_threads(before)
 
 
 @contextmanager
@@ -90,34 +90,31 @@ def environment(variables: Mapping[str, str]) -> Iterator[None]:
             os.environ.update({} if value is None else {name: value})
 
 
-@contextmanager
-def _arguments(arguments: Sequence[str]) -> Iterator[None]:
-    before, sys.argv = sys.argv, list(arguments)
-    try:
-        yield
-    finally:
-        sys.argv = before
+@cache  # once in a process, however many jobs it runs: the first imports what there is to import
+def collect_rarely() -> None:
+    """Have Python look for garbage less often, until :func:`keep_imported`: while libraries are imported.
+
+    They make half a million objects that stay, and it would look at them again and again: half a second.
+    """
+    gc.set_threshold(_NEW_OBJECTS)
 
 
-@contextmanager
-def _folder() -> Iterator[None]:
-    before = os.getcwd()
-    try:
-        yield
-    finally:
-        if os.getcwd() != before:  # a run that goes on enters the folder that it was started in
-            os.chdir(before)
+@cache  # once: what a sweep's jobs leave behind is to be found
+def keep_imported() -> None:
+    """Have Python look for garbage as usual again, but not among the objects that there are."""
+    gc.set_threshold(_USUAL)
+    gc.freeze()
 
 
-@contextmanager
-def _random_states() -> Iterator[None]:
-    from pinn_cli.runs.checkpoint import random_states, set_random_states  # not for --help, which reads this file
+@cache  # once is enough, however many jobs a process runs
+def _leave_without_collecting() -> None:
+    """Have the process not look for garbage when it ends: half a second. The system takes all memory back anyway."""
+    atexit.register(gc.freeze)
 
-    before = random_states()
-    try:
-        yield
-    finally:
-        set_random_states(before)
+
+def _enter(folder: str) -> None:
+    if os.getcwd() != folder:  # a run that goes on enters the folder that it was started in
+        os.chdir(folder)
 
 
 @contextmanager

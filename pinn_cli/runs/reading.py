@@ -2,7 +2,8 @@
 
 A file is opened if it is a regular one of a size that such files have, and what it holds is checked once, here, against
 a type: a dataclass or a `TypedDict` that stands where the file is written. Its texts come in as they can be printed.
-Nothing slow is imported here.
+Each such file has the number of its layout and the release that wrote it. A reader takes every layout up to the one
+that is written here, and refuses a later one: it may mean something else. Nothing slow is imported here.
 """
 
 from __future__ import annotations
@@ -18,11 +19,13 @@ from io import StringIO
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints, is_typeddict
+from zipfile import ZipFile
 
-from pinn_cli.runs.layout import check_layout
+from pinn_cli.runs.identity import package_version
 from pinn_cli.settings.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
     import pandas
     import xarray
 
@@ -30,6 +33,9 @@ T = TypeVar("T")
 
 # Far more than any of ours has; a device or a pipe has no end. Tables and histories have a row for each iteration.
 MOST_BYTES, MOST_OF_TABLE = 64 * 2**20, 256 * 2**20
+# Of arrays when unpacked: a file that somebody made to be far larger than it looks is not read.
+MOST_UNFOLDED = 16 * MOST_BYTES
+NUMBER, WRITER = "format", "written_by"
 # Columns of a table: a shape of a mode is the widest that there is.
 MOST_COLUMNS = 100_000
 _NAMES: dict[Any, str] = {
@@ -43,6 +49,37 @@ class DamagedError(ValueError):
 
     def __init__(self, file: Path, reason: str) -> None:
         super().__init__(f"{file.name} cannot be read: {printable(reason).partition(chr(10))[0]}")
+
+
+def this_release() -> str:
+    """Name and version of this package."""
+    return f"pinn-cli {package_version('pinn-cli') or 'unknown'}"
+
+
+def stamp(number: int) -> dict[str, Any]:
+    """What a file says of itself that is written in the layout of that number."""
+    return {NUMBER: number, WRITER: this_release()}
+
+
+def check_layout(content: Mapping[str, Any], known: int, file: Path, oldest: int = 1) -> None:
+    """Refuse a file of a later release.
+
+    Args:
+        content: Of the file; without a number it is as old as files can be.
+        known: The last layout that is known here.
+        file: Which.
+        oldest: The first one.
+
+    Raises:
+        InputError: It is none of these; the release that reads it is told.
+    """
+    number = content.get(NUMBER, oldest)
+    if isinstance(number, int) and oldest <= number <= known:
+        return
+    readable = f"of format {known}" if oldest == known else f"of format {oldest} to {known}"
+    writer = str(content.get(WRITER, "another release")).encode("unicode_escape").decode()
+    hint = f"{writer} wrote it and reads it; this is {this_release()}"
+    raise InputError(str(file), f"format {number!a}", readable, hint)
 
 
 def check_regular(file: Path, most: float = MOST_BYTES) -> None:
@@ -141,6 +178,27 @@ def read_histories(file: Path, group: str | None = None) -> xarray.Dataset:
             return stored.load()
     except Exception as error:  # libraries raise dozens of kinds
         raise DamagedError(file, str(error) or type(error).__name__) from None
+
+
+def read_arrays(file: Path) -> dict[str, np.ndarray]:
+    """Arrays by name, of an archive as `numpy.savez` writes it: numbers and texts, nothing that is executed.
+
+    Raises:
+        DamagedError: It is no such file, or unfolds to more than any of ours does.
+    """
+    import numpy as np
+
+    try:
+        check_regular(file, MOST_UNFOLDED)
+        with ZipFile(file) as archive:
+            if sum(member.file_size for member in archive.infolist()) > MOST_UNFOLDED:
+                raise ValueError("it is larger than any of ours")
+        with np.load(file, allow_pickle=False) as content:
+            return dict(content)
+    except Exception as error:  # of archives and arrays that may be anything
+        raise DamagedError(
+            file, str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
+        ) from error
 
 
 @contextmanager

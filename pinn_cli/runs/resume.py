@@ -1,8 +1,8 @@
-"""`resume=`: going on with a run that was interrupted, with the configuration that lies in its directory.
+"""Whether a run has finished, and `resume=`: going on with one that was interrupted, as its directory has it.
 
 `pinn-run resume=DIRECTORY` is handled here, before Hydra makes a new directory; `resume=auto` is a setting like any
 other. Either way the run's own files say which run they are of (:class:`pinn_cli.runs.identity.Identity`): `.hydra/`
-may be of a run that was killed before it wrote any. Nothing slow is imported here.
+may be of a run that was killed before it wrote any. Nothing slow is imported here: every job of a sweep is asked.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import shlex
 from argparse import Namespace
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -20,20 +20,22 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from pinn_cli.runs.identity import LEFT_OUT, Identity, is_left_out
-from pinn_cli.runs.layout import check_layout
-from pinn_cli.runs.reading import DamagedError, read_json
-from pinn_cli.runs.tracking_state import is_tracked, with_class_of_today
+from pinn_cli.runs.reading import DamagedError, check_layout, read_json, stamp
+from pinn_cli.runs.writing import write_json
 from pinn_cli.settings.errors import InputError, NotSoundError, shortened
 from pinn_cli.settings.override_syntax import quoted, setting_of
 from pinn_cli.settings.yaml_file import read_yaml
 
 AUTO, NEVER, RESULT = "auto", "never", "run.json"
-# Of the layouts of that file and of `.hydra/`.
+# What a run's directory says of its tracked run; and the choice of the config group under which nothing is tracked.
+TRACKING, NONE = "tracking.json", "none"
+# Of the layouts of both files and of `.hydra/`.
 FORMAT = 1
 ALLOWED = "null, auto, never, or the directory of a run"
 # What a run that goes on takes up, in its directory: checkpoints of a training in steps, finished chains of NUTS, and
 # windows of a record.
-KEPT = ("checkpoint.pt", "checkpoint.previous.pt", "chains", "windows")
+CHECKPOINTS = ("checkpoint.pt", "checkpoint.previous.pt")
+KEPT = (*CHECKPOINTS, "chains", "windows")
 # What may be given with it: where and how a run is made, not what it computes.
 BESIDE = tuple(name for name in LEFT_OUT if name != "resume")
 
@@ -66,6 +68,111 @@ class RunFile(TypedDict, total=False):
     reasons: list[str]
     validation: Scored
     baseline: dict[str, Any]
+
+
+def is_finished(directory: Path, config: DictConfig, base: Path) -> bool:
+    """Whether all results of a run lie there: the last file written says so.
+
+    Args:
+        directory: Of the run.
+        config: Composed, without its `hydra` node.
+        base: The folder that relative paths of its data start from.
+    """
+    kept = read_record(directory).get("configuration")
+    try:
+        return kept is not None and kept == Identity.of(config, base).configuration
+    except (ValueError, OmegaConfBaseException):  # the run itself says what is wrong with its configuration
+        return False
+
+
+def read_record(directory: Path) -> RunFile:
+    """What `run.json` says of the run in a directory; empty where there is none, or it is damaged.
+
+    Raises:
+        InputError: A later release wrote it.
+    """
+    try:
+        return read_json(directory / RESULT, RunFile, FORMAT)
+    except (OSError, DamagedError):
+        return {}
+
+
+def stored_score(directory: Path) -> float | None:
+    """The validation score of a finished run; None where it has none."""
+    return read_record(directory).get("validation", {}).get("score")
+
+
+def check_sound(directory: Path) -> None:
+    """See to it that the verdict on a finished run is sound.
+
+    Raises:
+        NotSoundError: It is not, or the run has none; its first reason is told.
+    """
+    content = read_record(directory)
+    if content.get("verdict") != "sound":
+        reason = next(iter(content.get("reasons", ())), "run.json has no verdict: resume=never runs it again")
+        raise NotSoundError(f"the verdict is {content.get('verdict')}, and strict=true: {shortened(reason)}")
+
+
+@dataclass(frozen=True)
+class TrackingState:
+    """The tracked run of a run.
+
+    Attributes:
+        tracking: Name of the config group's choice.
+        configuration: Digest of the run's settings (`pinn_cli.runs.identity.Identity.configuration`).
+        key: What finds it again; it is written down before the tracker hears of it, so that a kill leaves no orphan.
+        ended: Whether the tracker has everything of a run that has finished.
+    """
+
+    tracking: str
+    configuration: str
+    key: str
+    ended: bool = False
+
+    @classmethod
+    def read(cls, directory: Path) -> TrackingState | None:
+        """Of the run in a directory; None where nothing was tracked, or the file is damaged.
+
+        Raises:
+            InputError: A later release wrote it.
+        """
+        try:
+            found = read_json(directory / TRACKING, cls, FORMAT)
+        except (OSError, DamagedError):
+            return None
+        return found if found.key.isalnum() else None
+
+    def write(self, directory: Path) -> None:
+        """Put it into the run's directory."""
+        write_json(stamp(FORMAT) | asdict(self), directory / TRACKING)
+
+
+def is_tracked(directory: Path, config: DictConfig) -> bool:
+    """Whether the tracker that a configuration asks for has everything of the finished run in a directory.
+
+    Args:
+        directory: Of the run.
+        config: Composed, without its `hydra` node.
+    """
+    name = tracking_of(config)
+    state = TrackingState.read(directory)
+    return name == NONE or (state is not None and state.tracking == name and state.ended)
+
+
+def tracking_of(config: DictConfig) -> str:
+    """The choice of the config group, by the module that its class is in; `NONE` where there is no class."""
+    target = OmegaConf.select(config, "tracking._target_")
+    return NONE if target is None else str(target).rpartition(".")[0].rpartition(".")[2]
+
+
+def with_class_of_today(config: DictConfig) -> DictConfig:
+    """A stored configuration, whose tracking may be named as it was when its classes were in `pinn_cli.tracking`."""
+    target = str(OmegaConf.select(config, "tracking._target_"))
+    if target.startswith("pinn_cli.tracking."):
+        today = {**config.tracking, "_target_": target.replace("pinn_cli.", "pinn_cli.sweep.", 1)}
+        config.tracking = {} if tracking_of(config) == NONE else today
+    return config
 
 
 @dataclass(frozen=True)
@@ -157,50 +264,6 @@ class StoredRun:
         """Make its paths mean what they meant, if that folder is still there."""
         if self.cwd.is_dir():
             os.chdir(self.cwd)
-
-
-def is_finished(directory: Path, config: DictConfig, base: Path) -> bool:
-    """Whether all results of a run lie there: the last file written says so.
-
-    Args:
-        directory: Of the run.
-        config: Composed, without its `hydra` node.
-        base: The folder that relative paths of its data start from.
-    """
-    kept = read_record(directory).get("configuration")
-    try:
-        return kept is not None and kept == Identity.of(config, base).configuration
-    except (ValueError, OmegaConfBaseException):  # the run itself says what is wrong with its configuration
-        return False
-
-
-def read_record(directory: Path) -> RunFile:
-    """What `run.json` says of the run in a directory; empty where there is none, or it is damaged.
-
-    Raises:
-        InputError: A later release wrote it.
-    """
-    try:
-        return read_json(directory / RESULT, RunFile, FORMAT)
-    except (OSError, DamagedError):
-        return {}
-
-
-def stored_score(directory: Path) -> float | None:
-    """The validation score of a finished run; None where it has none."""
-    return read_record(directory).get("validation", {}).get("score")
-
-
-def check_sound(directory: Path) -> None:
-    """See to it that the verdict on a finished run is sound.
-
-    Raises:
-        NotSoundError: It is not, or the run has none; its first reason is told.
-    """
-    content = read_record(directory)
-    if content.get("verdict") != "sound":
-        reason = next(iter(content.get("reasons", ())), "run.json has no verdict: resume=never runs it again")
-        raise NotSoundError(f"the verdict is {content.get('verdict')}, and strict=true: {shortened(reason)}")
 
 
 def going_on(config: DictConfig) -> DictConfig:

@@ -1,9 +1,12 @@
 """Work on several items alike, such as records: one after the other, or side by side on the cores.
 
-Threads would wait for each other: much of the work are short steps of Python. So the items are shared out among copies
-of this process, which stay as long as what holds them does: what a function changes of an item stays changed there, and
-there alone. Every item's numbers are computed in the same way wherever that is, and come in the items' order: they do
-not depend on how many cores there are.
+Threads would wait for each other: much of the work are short steps of Python. So the items are shared out among forked
+copies of this process, which stay as long as what holds them does: what a function changes of an item stays changed
+there, and there alone. Every item's numbers are computed in the same way wherever that is, and come in the items'
+order: they do not depend on how many cores there are.
+
+`concurrent.futures` does not carry this: a question to one of its processes took ten times as long as to one behind a
+pipe, the interpreter waited for a busy one at its end, and one whose owner was killed stayed for ever (Python 3.11).
 """
 
 from __future__ import annotations
@@ -18,19 +21,18 @@ import traceback
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from itertools import count
-from multiprocessing import Pipe, current_process
+from multiprocessing import Process, current_process, get_context
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
-from pinn_cli.runs.cores import usable_cores
+from pinn_cli.runs.machine import usable_cores
 from pinn_cli.runs.writing import WriteError
 from pinn_cli.settings.errors import DivergenceError, InputError
 
 R = TypeVar("R")
 T = TypeVar("T")
-# Which item, the arguments, and the number under which the answer is kept; None: it is sent.
-_Task = tuple[int, tuple[Any, ...], int | None]
 
 # Of Linux's prctl; and how much less of a busy core such copies take: two thirds of what this process does.
 _PR_SET_PDEATHSIG, _BEHIND = 1, 2
@@ -62,7 +64,7 @@ class Items(Generic[T]):
 
     def begin(self, function: Callable[..., R], *arguments: Sequence[Any]) -> Callable[[], list[R]]:
         """Begin with what :meth:`each` does; what is returned waits for the answers, and is to be called."""
-        return lambda: self.map(function, self.items, *arguments)
+        return lambda: self.map(function, self.held, *arguments)
 
     def map(self, function: Callable[..., R], *arguments: Sequence[Any]) -> list[R]:
         """What a function makes of arguments where the items are; each has one entry for every item."""
@@ -73,23 +75,11 @@ class Items(Generic[T]):
         return self.map(function, *arguments)
 
 
+@dataclass(frozen=True)
 class Kept:
-    """Something that a copy keeps for as long as this object lives.
+    """Something that a copy keeps under this number, for as long as the object lives that :meth:`keep` returned."""
 
-    Args:
-        number: Which.
-        forgotten: Takes the number then.
-    """
-
-    def __init__(self, number: int, forgotten: list[int] | None = None) -> None:
-        self.number, self.forgotten = number, forgotten
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Kept, (self.number,)
-
-    def __del__(self) -> None:
-        if self.forgotten is not None:
-            self.forgotten.append(self.number)
+    number: int
 
 
 # The ends of all pipes to copies that are alive: a copy must not keep those of others open.
@@ -110,17 +100,21 @@ class SharedOutItems(Items[T]):
         self, items: Sequence[T], copies: int, sizes: Sequence[int] | None = None, behind: bool = False
     ) -> None:
         super().__init__(items)
-        self.niceness = _BEHIND if behind else 0
         self.shares = shared_out([1] * len(items) if sizes is None else sizes, copies)
         self.held = [Kept(i) for i in range(len(items))]
         self._numbers, self._forgotten = count(len(items)), list[int]()
         self.ends: list[Connection] = []
-        pids: list[int] = []
+        fork, processes = get_context("fork"), list[Process]()
+        self.close = weakref.finalize(self, _end, os.getpid(), self.ends, processes)
         for _ in self.shares:
-            pid, end = self._copy()
-            pids.append(pid)
-            self.ends.append(end)
-        self.close = weakref.finalize(self, _end, os.getpid(), self.ends, pids)
+            mine, its = fork.Pipe()
+            # Of a daemon no process waits for the end.
+            copy = fork.Process(target=_serve, args=(self.items, its, [mine, *_ends], os.getpid(), behind), daemon=True)
+            copy.start()
+            its.close()
+            _ends.add(mine)
+            self.ends.append(mine)
+            processes.append(copy)  # type: ignore[arg-type]
 
     def begin(self, function: Callable[..., R], *arguments: Sequence[Any]) -> Callable[[], list[R]]:
         """See :meth:`Items.begin`; what the copies do meanwhile goes on at once."""
@@ -134,8 +128,10 @@ class SharedOutItems(Items[T]):
 
     def keep(self, function: Callable[..., Any], *arguments: Sequence[Any]) -> list[Any]:
         """See :meth:`Items.keep`."""
-        kept = [Kept(next(self._numbers), self._forgotten) for _ in self.items]
-        self._ask(function, arguments, [own.number for own in kept])
+        kept = [Kept(next(self._numbers)) for _ in self.items]
+        for one in kept:
+            weakref.finalize(one, self._forgotten.append, one.number).atexit = False
+        self._ask(function, arguments, [one.number for one in kept])
         self._answers()
         return kept
 
@@ -143,18 +139,20 @@ class SharedOutItems(Items[T]):
         self, function: Callable[..., Any], arguments: Sequence[Sequence[Any]], numbers: Sequence[int | None]
     ) -> None:
         """Ask the copies, and tell them what to forget; what has a number is kept."""
-        tasks = list(zip(*arguments, strict=True))
+        tasks = list(zip(range(len(self.items)), zip(*arguments, strict=True), numbers, strict=True))
         forgotten = [self._forgotten.pop() for _ in range(len(self._forgotten))]
         with self._answering():
             for end, share in zip(self.ends, self.shares, strict=True):
-                own = [(i, tasks[i], numbers[i]) for i in share]
-                end.send_bytes(pickle.dumps((function, own, forgotten), pickle.HIGHEST_PROTOCOL))
+                end.send_bytes(pickle.dumps((function, [tasks[i] for i in share], forgotten), pickle.HIGHEST_PROTOCOL))
 
     def _answers(self) -> list[Any]:
         found: dict[int, Any] = {}
         with self._answering():
             for end in self.ends:
-                found.update(_received(end))
+                answer = pickle.loads(end.recv_bytes())
+                if isinstance(answer, BaseException):
+                    raise answer
+                found.update(answer)
         return [found[i] for i in range(len(self.items))]
 
     @contextmanager
@@ -167,16 +165,6 @@ class SharedOutItems(Items[T]):
         except BaseException:
             self.close()  # whatever is still on its way belongs to no question any more
             raise
-
-    def _copy(self) -> tuple[int, Connection]:
-        mine, its = Pipe()
-        owner = os.getpid()
-        pid = os.fork()
-        if pid == 0:
-            _serve(self.items, its, [mine, *_ends], owner, self.niceness)
-        its.close()
-        _ends.add(mine)
-        return pid, mine
 
 
 def side_by_side(items: Sequence[T], sizes: Sequence[int] | None = None, copied: bool = True) -> Items[T]:
@@ -209,55 +197,39 @@ def shared_out(sizes: Sequence[int], copies: int) -> list[list[int]]:
     return [sorted(share) for share in shares]
 
 
-def _received(end: Connection) -> dict[int, Any]:
-    answer = pickle.loads(end.recv_bytes())
-    if isinstance(answer, BaseException):
-        raise answer
-    return dict(answer)
-
-
-def _serve(
-    items: Sequence[Any], questions: Connection, others: Sequence[Connection], owner: int, niceness: int
-) -> None:
-    """What a copy does until nobody asks any more; it never returns to what this process was about."""
-    status = 1
+def _serve(items: Sequence[Any], questions: Connection, others: Sequence[Connection], owner: int, behind: bool) -> None:
+    """What a copy does until nobody asks any more."""
     try:
-        _end_with(owner)
-        os.nice(niceness)
+        # Linux kills it when its owner is gone: it would go on to hold its locks and write its files.
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != owner:  # it was gone before
+            return
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one that asks
         for number in (signal.SIGTERM, signal.SIGALRM):
             signal.signal(number, signal.SIG_DFL)
+        current_process().daemon = False  # it may have copies of its own
         for other in others:
             other.close()
+        os.nice(_BEHIND if behind else 0)
         gc.freeze()
         if "torch" in sys.modules:
             sys.modules["torch"].set_num_threads(1)  # other threads are not copied
         kept = dict(enumerate(items))
         with suppress(EOFError, BrokenPipeError):
-            for function, tasks, forgotten in _asked(questions):
+            while True:
+                function, tasks, forgotten = pickle.loads(questions.recv_bytes())
                 for gone in forgotten:
                     kept.pop(gone, None)
                 questions.send_bytes(_answer(kept, function, tasks))
-        status = 0
     finally:
-        os._exit(status)
+        os._exit(0)  # and not through what this process was about to do at its end
 
 
-def _end_with(owner: int) -> None:
-    """Have Linux kill this process when its owner is gone: it would go on to hold its locks and write its files."""
-    if sys.platform.startswith("linux"):
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != owner:  # it was gone before
-        os._exit(1)
-
-
-def _asked(questions: Connection) -> Iterator[tuple[Callable[..., Any], list[_Task], list[int]]]:
-    while True:
-        yield pickle.loads(questions.recv_bytes())
-
-
-def _answer(kept: dict[int, Any], function: Callable[..., Any], tasks: Sequence[_Task]) -> bytes:
+def _answer(
+    kept: dict[int, Any], function: Callable[..., Any], tasks: Sequence[tuple[int, tuple[Any, ...], int | None]]
+) -> bytes:
+    """Of every task, the item's place, the arguments, and the number to keep the answer under; None: it is sent."""
     try:
         found = []
         for i, given, number in tasks:
@@ -270,12 +242,11 @@ def _answer(kept: dict[int, Any], function: Callable[..., Any], tasks: Sequence[
         return pickle.dumps(RuntimeError(f"{error}\n{traceback.format_exc()}"))
 
 
-def _end(owner: int, ends: Sequence[Connection], pids: Sequence[int]) -> None:
+def _end(owner: int, ends: Sequence[Connection], processes: Sequence[Process]) -> None:
     if os.getpid() != owner:  # a copy of another one
         return
     for end in ends:
         end.close()
-    for pid in pids:
-        with suppress(ProcessLookupError, ChildProcessError):
-            os.kill(pid, signal.SIGKILL)
-            os.waitpid(pid, 0)
+    for process in processes:
+        process.kill()
+        process.join()

@@ -130,7 +130,7 @@ def put_back(file: Path, content: bytes | None) -> None:
         if file.is_file() and not file.is_symlink():  # a pipe or a link there is somebody's
             file.unlink()
     elif content_of(file) != content:
-        file.write_bytes(content)
+        write_bytes(content, file)
 
 
 def write_table(table: pandas.DataFrame, path: Path | str) -> Path:

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar
 
-from pinn_cli.model.model import Model
+from pinn_cli.model.knowledge import Model
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.inputs import UNKNOWN_FORCES
 from pinn_cli.scheme.joint_problem import JointProblem

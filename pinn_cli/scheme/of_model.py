@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pinn_cli.model.knowledge import ParameterKnowledge
-from pinn_cli.model.model import Model
+from pinn_cli.model.knowledge import Model, ParameterKnowledge
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.inputs import inputs_of

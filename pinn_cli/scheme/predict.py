@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.model.model import Model
+from pinn_cli.model.knowledge import Model
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.base import Scheme

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from pinn_cli.model.model import Model
+from pinn_cli.model.knowledge import Model
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import EstimationScheme
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS

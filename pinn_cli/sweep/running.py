@@ -14,9 +14,8 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from pinn_cli.runs.claim import reason
+from pinn_cli.runs.claim import check_destination, is_prepared, reason
 from pinn_cli.runs.lock import SWEEP_FILE, held
-from pinn_cli.runs.ownership import check_destination, is_prepared, made
 from pinn_cli.runs.reading import printable
 from pinn_cli.runs.resume import RESULT
 from pinn_cli.runs.writing import WriteError, content_of, put_back, write_text
@@ -114,7 +113,7 @@ class RunningSweep:
     def restore(self) -> None:
         """Have the directory be as it was, but for jobs that had begun."""
         for file, content in self.contents.items():
-            with suppress(OSError):  # a place that is none has nothing
+            with suppress(OSError, WriteError):  # a place that is none has nothing
                 put_back(file, content)
         for entry in _entries(self.sweep.directory) - self.entries:
             scheduler = _SUBMITTED in (entry.name, entry.parent.name)
@@ -151,7 +150,7 @@ def begin_sweep(config: Any) -> None:
     if not config.hydra.sweep.dir:
         raise InputError(setting, config.hydra.sweep.dir, "a directory")
     sweep = Sweep.of(config, directory)
-    check_destination(made(directory, setting), setting)
+    check_destination(directory, setting)
     stored = directory / STORED
     try:
         _held.enter_context(held(directory, SWEEP_FILE))

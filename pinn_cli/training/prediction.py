@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from pinn_cli.model.model import Model
+from pinn_cli.model.knowledge import Model
 from pinn_cli.record.ensemble import Members, Replay, affordable_members, distance, followed_members
 from pinn_cli.record.free_run import NoFreeRunError, free_run
 from pinn_cli.record.inputs import SupportErrors, input_force

@@ -9,13 +9,13 @@ file to tests/fuzz/corpus, and `make test` replays it for ever.
 from __future__ import annotations
 
 import argparse
-import csv as table
 import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 
+import pandas as pd
 from fuzz import bombs, directories, files, launchers, overrides
 from fuzz.judge import Judge, Outcome, import_everything
 from fuzz.starts import Starts
@@ -46,14 +46,10 @@ def tried(family: str, count: int, number: int, call: Callable[[Trial], None]) -
     """Call a function with so many different inputs of a family."""
     seen: set[str] = set()
 
+    every = {"phases": [Phase.generate], "database": None, "deadline": None, "suppress_health_check": list(HealthCheck)}
+
     @seed(number)
-    @settings(
-        max_examples=2 * count,
-        phases=[Phase.generate],
-        database=None,
-        deadline=None,
-        suppress_health_check=list(HealthCheck),
-    )
+    @settings(max_examples=2 * count, **every)
     @given(FAMILIES[family])
     def each(trial: Trial) -> None:
         if trial.name in seen or len(seen) == count:
@@ -83,16 +79,9 @@ def row(family: str, count: int, number: int, judge: Judge, failed: Path) -> dic
     tried(family, count, number, call)
     seconds = [outcome.seconds for outcome in outcomes]
     of = {status: sum(outcome.status == status for outcome in outcomes) for status in (0, 2, 3)}
-    figures = (
-        len(outcomes),
-        len(outcomes) - faults,
-        of[2],
-        of[0],
-        of[3],
-        round(median(seconds), 2),
-        round(max(seconds), 2),
-    )
-    return dict(zip(COLUMNS, (family, *figures), strict=True))
+    counts = (len(outcomes), len(outcomes) - faults, of[2], of[0], of[3])
+    times = round(median(seconds), 2), round(max(seconds), 2)
+    return dict(zip(COLUMNS, (family, *counts, *times), strict=True))
 
 
 def main() -> int:
@@ -110,11 +99,9 @@ def main() -> int:
         for family in given_.family or FAMILIES:
             rows.append(row(family, given_.each, given_.seed, judge, ROOT / "outputs" / "fuzz"))
             print("  ".join(f"{name}={value}" for name, value in rows[-1].items()), flush=True)
-    with (ROOT / "outputs" / "fuzz.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = table.DictWriter(file, COLUMNS)
-        writer.writeheader()
-        writer.writerows(rows)
-    tried_all, passed = (sum(int(str(row[name])) for row in rows) for name in ("tried", "passed"))
+    table = pd.DataFrame(rows, columns=COLUMNS)
+    table.to_csv(ROOT / "outputs" / "fuzz.csv", index=False)
+    tried_all, passed = table["tried"].sum(), table["passed"].sum()
     print(f"{passed} of {tried_all} passed")
     return int(passed < tried_all)
 

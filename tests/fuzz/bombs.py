@@ -67,16 +67,8 @@ def bombs(draw: st.DrawFn) -> Trial:
     first = draw(st.integers(2, len(rows) - 2))
     for row in rows[first:]:
         row[0] = f"{float(row[0]) + jump:.2f}"
-    extra = draw(
-        st.sampled_from(
-            (
-                (),
-                ("scheme=state_parameter", "scheme.unknown=[k_1]"),
-                ("data.time_unit=ms",),
-                ("data.window=4", "data.overlap=1"),
-            )
-        )
-    )
+    unknown, windows = ("scheme=state_parameter", "scheme.unknown=[k_1]"), ("data.window=4", "data.overlap=1")
+    extra = draw(st.sampled_from(((), unknown, ("data.time_unit=ms",), windows)))
     files = {"rig.csv": ("text", "\n".join(",".join(row) for row in rows))}
     if draw(st.integers(0, 3)) == 0:
         return Trial("bombs", ("inspect", "data=csv", "data.path=rig.csv"), files)

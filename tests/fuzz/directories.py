@@ -207,11 +207,6 @@ def terminal(draw: st.DrawFn) -> Trial:
         {"acceleration": {1: named}}, {"channels": [{"column": named, "quantity": "acceleration", "dof": 1}]},
     )))  # fmt: skip
     text = "# @package _global_\n" + json.dumps({"data": form})
-    arguments = (
-        *own,
-        "--config-dir",
-        "conf",
-        "experiment=named",
-        draw(st.sampled_from(("figures=true", "figures=false"))),
-    )
+    figures = draw(st.sampled_from(("figures=true", "figures=false")))
+    arguments = (*own, "--config-dir", "conf", "experiment=named", figures)
     return Trial("terminal", arguments, {**rig_csv, "conf/experiment/named.yaml": ("text", text)})

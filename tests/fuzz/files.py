@@ -16,19 +16,8 @@ CELLS = (
     "5/1/2024", "\x00", "ä", "1e30", "9" * 400, "#", "=1+1", "1;2", " 1 ", "1\t2", "None", "1.5.2", "١",
 )  # fmt: skip
 HEADERS = (
-    "",
-    "t;f;a",
-    "t\tf\ta",
-    "t,f",
-    "t,f,a,a",
-    "f,f,a",
-    "T,F,A",
-    "t ,f ,a ",
-    '"t","f","a"',
-    "0,0,0",
-    "t,f,a,",
-    "﻿t,f,a",
-)
+    "", "t;f;a", "t\tf\ta", "t,f", "t,f,a,a", "f,f,a", "T,F,A", "t ,f ,a ", '"t","f","a"', "0,0,0", "t,f,a,", "﻿t,f,a",
+)  # fmt: skip
 ENCODINGS = ("utf-16", "utf-32", "latin-1", "utf-8-sig", "cp037")
 FRAGMENTS = (
     "case: x", "seed: 3", "seed: [1", "system: {ndof: 2}", "system:\n\tndof: 2", "noise: {snr_db: .nan}", "- 1", "3",
@@ -142,10 +131,7 @@ def yaml(draw: st.DrawFn) -> Trial:
     fragments = st.one_of(st.sampled_from(FRAGMENTS), st.text(max_size=20))
     text = "\n".join(draw(st.lists(fragments, min_size=1, max_size=2)))
     head = draw(st.sampled_from(("# @package _global_\n", "# @package _global_\n", "", "# @package nothing.x\n")))
-    place = draw(
-        st.sampled_from(("experiment/bad", "experiment/bad", "network/bad", "system/bad", "hydra/launcher/bad"))
-    )
-    group = place.rpartition("/")[0]
+    group = draw(st.sampled_from(("experiment", "experiment", "network", "system", "hydra/launcher")))
     content = (head + text).encode("utf-8", "replace")
     match draw(st.sampled_from(("whole",) * 6 + ("utf-16", "byte", "folder", "cycle"))):
         case "utf-16":
@@ -158,7 +144,7 @@ def yaml(draw: st.DrawFn) -> Trial:
             form = ("link", "bad.yaml")
         case _:
             form = ("text", content.decode())
-    return Trial("yaml", (*QUICK, "--config-dir", "conf", f"{group}=bad"), {f"conf/{place}.yaml": form})
+    return Trial("yaml", (*QUICK, "--config-dir", "conf", f"{group}=bad"), {f"conf/{group}/bad.yaml": form})
 
 
 @st.composite
@@ -181,15 +167,9 @@ def resume(draw: st.DrawFn) -> Trial:
     )
     files = {f"{below}/{name}": draw(forms) for name in names}
     again = {"finished": FINISHED, "stopped": STOPPED}.get(start, ())
-    if start == "swept":
-        arguments = draw(st.sampled_from((("collect=sweep",), ("resume=sweep",), ("collect=sweep/seed=0",))))
-    else:
-        arguments = draw(
-            st.sampled_from(
-                (("resume=run",), (*again, "resume=auto"), ("collect=run",), ("resume=run", "seed=1"), again)
-            )
-        )
-    return Trial("resume", arguments, files, start)
+    of_run = (("resume=run",), (*again, "resume=auto"), ("collect=run",), ("resume=run", "seed=1"), again)
+    of_sweep = (("collect=sweep",), ("resume=sweep",), ("collect=sweep/seed=0",))
+    return Trial("resume", draw(st.sampled_from(of_sweep if start == "swept" else of_run)), files, start)
 
 
 @st.composite
@@ -220,8 +200,7 @@ def disk(draw: st.DrawFn) -> Trial:
         case "case":
             return Trial("disk", (*QUICK, f"case={draw(st.sampled_from(PLACES))}"), files)
     name = draw(st.sampled_from((*RUN_FILES, "figures", "figures/x", "validation.csv")))
-    form = draw(
-        st.sampled_from((("folder", None), ("pipe", None), ("link", "../there"), ("text", "mine"), ("link", "x")))
-    )
+    forms = (("folder", None), ("pipe", None), ("link", "../there"), ("text", "mine"), ("link", "x"))
+    form = draw(st.sampled_from(forms))
     start, arguments = draw(st.sampled_from((("finished", FINISHED), ("stopped", (*STOPPED, "resume=auto")))))
     return Trial("disk", arguments, {"there": files["there"], f"run/{name}": form}, start)

@@ -27,13 +27,8 @@ SEARCHED = (
     "network.degree=3,4,5", "hydra.sweeper.n_trials=3", "hydra.sweep.dir=sweep",
 )  # fmt: skip
 WINDOWED = (
-    *MEASURED,
-    "scheme=state_parameter",
-    "scheme.unknown=[k_1]",
-    "data.window=4",
-    "data.overlap=1",
-    "hydra.run.dir=run",
-)
+    *MEASURED, "scheme=state_parameter", "scheme.unknown=[k_1]", "data.window=4", "data.overlap=1", "hydra.run.dir=run",
+)  # fmt: skip
 STARTS = {"finished": FINISHED, "stopped": STOPPED, "swept": SWEPT, "searched": SEARCHED, "windowed": WINDOWED}
 # Of a run that was killed: what it would have written next.
 UNWRITTEN = {"stopped": ("run.json",), "windowed": ("run.json", "windows/0002/window.json")}

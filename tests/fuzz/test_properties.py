@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import pickle
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,7 @@ from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.override_errors import explain
 from pinn_cli.record.measured_data import MeasuredData
-from pinn_cli.runs.checkpoint import FORMAT, Checkpoints, OtherRunError
-from pinn_cli.runs.checkpoint_files import LAST, PREVIOUS, sealed
+from pinn_cli.runs.checkpoint import FORMAT, LAST, PREVIOUS, Checkpoints, OtherRunError, sealed
 from pinn_cli.runs.identity import Identity
 from pinn_cli.settings.errors import InputError
 
@@ -103,7 +103,7 @@ def test_a_checkpoint_is_taken_up_or_refused(form: str, part: float, data: bytes
         kept = Checkpoints(Path(folder), IDENTITY, None)
         kept.write(kept.packed(training))
         if form == "sealed":
-            within = {"format": FORMAT, "identity": IDENTITY.content, "trainings": [], "random": {}}
+            within = {"format": FORMAT, "identity": asdict(IDENTITY), "trainings": [], "random": {}}
             place.write_bytes(
                 sealed({**within, **content} if isinstance(content, dict) else within | {"trainings": content})
             )

@@ -12,8 +12,7 @@ import pytest
 from structures import braced
 
 from pinn_cli.model.file import NAME, read_model, write_model
-from pinn_cli.model.knowledge import MOST_KEPT, DiscrepancyEvidence, EndState, Levels, Misfit, ParameterKnowledge
-from pinn_cli.model.model import Model
+from pinn_cli.model.knowledge import MOST_KEPT, DiscrepancyEvidence, EndState, Levels, Misfit, Model, ParameterKnowledge
 from pinn_cli.settings.errors import InputError
 
 

@@ -12,7 +12,7 @@ from beams import beam, beam_part, deflection
 from scipy.io import mmwrite
 from structures import braced, hysteretic, modal, shuffled
 
-from pinn_cli.model.structure_content import difference, structure_content, structure_of
+from pinn_cli.model.file import difference, structure_content, structure_of
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.connection.friction import Friction

@@ -1,4 +1,4 @@
-"""The multilayer perceptron: its size, its weights and where they start."""
+"""The multilayer perceptron: its size, its weights and where they start, and the features of the time before it."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 import torch
-from small_problems import accelerations, measured, small_chain
+from small_problems import accelerations, measured, small_chain, sped_up
 
-from pinn_cli.network.mlp import Mlp
+from pinn_cli.network.mlp import FourierFeatures, Mlp, embedding
 from pinn_cli.record.channels import motion_amplitudes, record_band
 from pinn_cli.record.record import Record
 
@@ -75,3 +75,84 @@ def test_a_silent_record_has_an_amplitude(record):
 def test_the_width_follows_the_number_of_dofs(ndof, width):
     network = Mlp(1, None, "sine").build(accelerations(measured(small_chain(ndof=ndof), snr_db=40.0).record))
     assert network.weights[0].shape[0] == width
+
+
+def test_features_reach_the_records_band_and_fall_off(record):
+    features = embedding("fourier", record, torch.float64)
+    assert isinstance(features, FourierFeatures)
+    highest = float(features.omega[-1]) / (2.0 * np.pi) / record.duration
+    assert highest == pytest.approx(record_band(record), rel=0.1)
+    assert (features.amplitude.diff() < 0).all()
+    assert float(features.amplitude.square().sum()) == pytest.approx(1.0)
+
+
+def test_features_follow_the_records_own_speed(record):
+    fast = embedding("fourier", sped_up(record, 50.0), torch.float64)
+    torch.testing.assert_close(fast.amplitude, embedding("fourier", record, torch.float64).amplitude)
+
+
+def test_an_embedded_network_starts_around_rest(record):
+    network = Mlp(1, 20, "sine", "exact", "fourier").build(record)
+    network.reset(3)
+    motion = network(torch.tensor(record.time)).displacement / network.amplitude
+    assert float(motion.mean(0).abs().max()) < 0.1
+    assert float(motion.abs().max()) < 1.0
+    again = Mlp(1, 20, "sine", "exact", "fourier").build(record)
+    again.reset(3)
+    torch.testing.assert_close(dict(again.named_parameters()), dict(network.named_parameters()), rtol=0, atol=0)
+
+
+def test_points_tell_features_beyond_the_band_apart(record):
+    band = embedding("fourier", record, torch.float64).count
+    assert embedding("fourier", record, torch.float64, 10 * band).count == 2 * np.ceil(1.5 * band / 2)
+    few = int(1.2 * band)
+    assert band < embedding("fourier", record, torch.float64, few).count < few
+    assert embedding("fourier", record, torch.float64, band // 2).count == band
+
+
+def test_a_network_made_nearly_linear_is_linear_in_its_weights(record):
+    """Half a step of its weights makes half the change, to a few thousandths."""
+    network = Mlp(1, 20, "sine", "exact", "fourier").build(record)
+    gain = network.make_nearly_linear()
+    time = torch.tensor(record.time)
+    slopes = network.mean_slopes(time)[0][0]
+    gram = slopes @ slopes.T
+    torch.testing.assert_close(
+        gram, float(gram[0, 0]) * torch.eye(len(gram)).to(gram), rtol=1e-3, atol=1e-3 * float(gram[0, 0])
+    )
+    motions = []
+    with torch.no_grad():
+        direction = torch.randn(network.weights[0].shape, generator=torch.Generator().manual_seed(0)).double() / gain
+        for share in (0.0, 0.5, 1.0):
+            network.weights[0].add_((0.5 if share else 0.0) * 0.1 * direction)
+            motions.append(network(time).displacement)
+    whole, half = motions[2] - motions[0], motions[1] - motions[0]
+    assert float((whole - 2.0 * half).abs().max()) < 3e-3 * float(whole.abs().max())
+    assert float((motions[0] / network.amplitude).mean(0).abs().max()) < 0.1
+
+
+@pytest.mark.parametrize(("depth", "activation"), [(1, "sine"), (2, "silu"), (3, "tanh")])
+def test_mean_slopes_are_what_a_nearly_linear_network_does_with_its_weights(record, depth, activation):
+    network = Mlp(depth, 14, activation, "exact", "fourier").build(record)
+    network.make_nearly_linear()
+    time = torch.tensor(record.time)[::5]
+    slopes, means = network.mean_slopes(time)
+    for layer in range(depth + 1):
+        weight = network.weights[layer]
+        generator = torch.Generator().manual_seed(layer)
+        change = 1e-6 * torch.randn(weight.shape, generator=generator, dtype=torch.float64)
+        with torch.no_grad():
+            before = network.jet(time, 0)[0] / network.amplitude
+            weight.add_(change)
+            after = network.jet(time, 0)[0] / network.amplitude
+            weight.sub_(change)
+        expected = slopes[layer] @ change @ means[layer]
+        difference = (after - before).mean(0)
+        torch.testing.assert_close(difference, expected, rtol=0.02, atol=0.02 * float(expected.abs().max()))
+
+
+def test_a_network_of_the_time_alone_is_left_as_it_is(record):
+    network = Mlp(2, 8, "sine", "exact").build(record)
+    before = [weight.clone() for weight in network.parameters()]
+    assert network.make_nearly_linear() == 1.0
+    assert all(torch.equal(a, b) for a, b in zip(before, network.parameters(), strict=True))

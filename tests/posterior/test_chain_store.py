@@ -23,7 +23,7 @@ SETTINGS = {"warmup": 20, "draws": 15, "target_accept": 0.8}
 
 def run(directory, likelihood=LIKELIHOOD, priors=PRIORS, count=4, settings=SETTINGS, seed=0):
     posterior = Marginal(count, **settings)
-    return posterior.sample(likelihood, likelihood, priors, RunContext(seed=seed, directory=directory))
+    return posterior.sample(likelihood, priors, RunContext(seed=seed, directory=directory))
 
 
 @pytest.fixture(scope="module")

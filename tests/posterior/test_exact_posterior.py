@@ -22,10 +22,7 @@ from pinn_cli.training.likelihood import ParameterLikelihood
 from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihoods, parameter_likelihoods
 
 # Priors that pull: about as narrow as the likelihood, and off the truth.
-PULLING = {
-    "k": {"kind": "normal", "mean": 15.5, "std": 0.4},
-    "c": {"kind": "normal", "mean": 0.8, "std": 0.2},
-}
+PULLING = {"k": {"kind": "normal", "mean": 15.5, "std": 0.4}, "c": {"kind": "normal", "mean": 0.8, "std": 0.2}}
 VAGUE = {
     "k": {"kind": "normal", "mean": 15.0, "std": 100.0},
     "c": {"kind": "normal", "mean": 1.0, "std": 10.0},
@@ -104,7 +101,7 @@ def test_laplace_against_the_closed_form_under_normal_priors(unknown):
 
 def assert_found(posterior, which: str, unknown, tolerance: float, of_noise: float | None = None) -> None:
     both, priors = likelihoods(unknown), example(unknown).problem.priors
-    samples = posterior.sample(both.marginal, both.conditional, priors, RunContext(seed=5))
+    samples = posterior.sample(posterior.likelihood(both), priors, RunContext(seed=5))
     mean, std = conjugate(getattr(both, which), priors_of(example(unknown)))
     found_mean, found_std = moments(samples)
     off = np.abs(found_mean - mean) / std
@@ -223,7 +220,7 @@ def test_a_duffing_chain_against_an_exact_sampler_over_all_weights_and_parameter
     # Of this noise the load cell's is found above what its spectrum shows, below which it is not looked for.
     found = solved(posed(small_chain("duffing", ndof=2), scheme, samples=257, duration=15.0, rms=6.0, seed=2), 75)
     both = parameter_likelihoods(found.evidence, found.trained)
-    samples = Marginal(2, 300, 2000).sample(both.marginal, both.conditional, found.problem.priors, RunContext())
+    samples = Marginal(2, 300, 2000).sample(both.marginal, found.problem.priors, RunContext())
     draws = hamiltonian(JointDensity(found), 8000, 0)[200:, -len(both.marginal.names) - 1 :]
     exact_mean, exact_std = draws.mean(axis=0), draws.std(axis=0)
     mean, std = moments(samples)

@@ -8,8 +8,8 @@ import storeys
 from solved_records import model
 
 from pinn_cli.network.spline import Spline
-from pinn_cli.posterior.diagnostics import diagnose
 from pinn_cli.posterior.marginal import Marginal
+from pinn_cli.posterior.result import diagnose
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
@@ -24,7 +24,7 @@ def test_short_chains_draw_it_as_well_as_the_parameters():
     scales = np.linspace(-5.0, 5.0, 101) * found.marginal.s_std
     values = [found.marginal.evaluate(found.marginal.peak, s)[0] for s in scales]
     assert abs(scales[np.argmax(values)]) < found.marginal.s_std
-    samples = Marginal(4, 150, 200).sample(found.marginal, found.conditional, problem.priors, RunContext())
+    samples = Marginal(4, 150, 200).sample(found.marginal, problem.priors, RunContext())
     noise = diagnose(samples).set_index("parameter").loc["sigma_force_3"]
     assert noise["r_hat"] < 1.02
     assert min(noise["ess_bulk"], noise["ess_tail"]) > 400.0

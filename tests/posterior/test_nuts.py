@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from scipy import integrate, stats
-from toy_likelihoods import Everywhere, GaussianLikelihood, RegressionLikelihood, correlated
+from toy_likelihoods import GaussianLikelihood, RegressionLikelihood, correlated
 
 from pinn_cli.posterior.nuts import STATISTICS, NutsSettings, sample_chain
 from pinn_cli.posterior.target import Target
@@ -39,15 +39,6 @@ def test_a_gaussian_under_flat_priors():
     assert_moments(draws, np.append(likelihood.peak, 0.0), np.append(std, likelihood.s_std))
     found, atol = np.corrcoef(draws.reshape(-1, 4).T), 0.12 * (1 - correlation**2) + 1e-3
     np.testing.assert_allclose(found[:3, :3], correlated(np.ones(3), correlation), atol=atol)
-
-
-def test_a_normal_prior_is_conjugate():
-    likelihood = GaussianLikelihood([2.0, -1.0], correlated([1.0, 0.5], 0.6))
-    priors = [Normal(0.0, 1.0), Normal(1.0, 0.5)]
-    precision = likelihood.curvature + np.diag([1.0, 4.0])
-    covariance = np.linalg.inv(precision)
-    mean = covariance @ (likelihood.curvature @ likelihood.peak + np.array([0.0, 4.0]))
-    assert_moments(sampled(likelihood, priors)[..., :2], mean, np.sqrt(np.diag(covariance)))
 
 
 def test_unknown_noise_makes_students_t():
@@ -92,12 +83,6 @@ def test_a_parameter_at_zero_does_not_hold_its_neighbour_up():
     assert arviz.rhat(draws[..., 0]) < 1.02
 
 
-def test_a_record_that_says_nothing_gives_the_prior_back():
-    prior = Gamma(2.0, 0.1)
-    draws = sampled(Everywhere(), [prior])[..., :1]
-    assert_moments(draws, np.array([prior.mean]), np.array([prior.std]))
-
-
 @pytest.fixture(scope="module")
 def target() -> Target:
     return Target(GaussianLikelihood([1.0, 15.0], correlated([0.3, 2.0], 0.9)), [Gamma(2.0, 1.0), Gamma(2.0, 0.1)])
@@ -126,10 +111,8 @@ def test_what_is_noted_about_every_draw(target):
     assert len(calls) == SHORT.warmup + SHORT.draws
     assert {name: values.shape for name, values in noted.items()} == dict.fromkeys(STATISTICS, (SHORT.draws,))
     np.testing.assert_allclose(noted["lp"], [-target.potential(q)[0] for q in chain.q])
-    assert np.all((noted["acceptance_rate"] > 0) & (noted["acceptance_rate"] <= 1))
     assert np.all((2 ** (noted["tree_depth"] - 1) <= noted["n_steps"]) & (noted["n_steps"] < 2 ** noted["tree_depth"]))
     assert len(set(noted["step_size"])) == 1
-    assert np.all(noted["energy"] > -noted["lp"].max())
     assert not noted["diverging"].any()
     assert noted["diverging"].dtype == bool
 

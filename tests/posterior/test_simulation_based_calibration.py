@@ -47,7 +47,7 @@ def rank_and_distance(chain: Structure, seed: int) -> dict[str, tuple[float, flo
     scheme = Bayesian(priors={kind: PRIORS[kind] for kind in chain.parameters if kind != "m"})
     problem, run = posed(chain, scheme, seed=seed, rms=6.0), RunContext(seed=seed)
     likelihoods = GaussNewton().solve(JointProblem.of(problem), DESIGN, run).likelihoods
-    samples = Laplace(DRAWS).sample(likelihoods.marginal, likelihoods.conditional, problem.priors, run)
+    samples = Laplace(DRAWS).sample(likelihoods.marginal, problem.priors, run)
     out = {}
     for parameter, draws in zip(problem.uncertain, samples.draws[0].T, strict=True):
         truth = float(chain.parameters[parameter.kind][parameter.index])

@@ -7,8 +7,7 @@ import pytest
 from scipy import optimize
 from toy_likelihoods import Everywhere, GaussianLikelihood, RegressionLikelihood, correlated, slopes
 
-from pinn_cli.posterior.target import Target
-from pinn_cli.posterior.whitening import Softplus
+from pinn_cli.posterior.target import Softplus, Target, Whitening
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal
 
@@ -103,11 +102,6 @@ def test_a_posterior_without_a_value_at_its_start_is_told():
         Target(Nowhere([0.0], [[1.0]]), [Normal(0.0, 10.0)])
 
 
-def test_the_forces_noise_and_its_dofs(target):
-    x = np.array([[0.0, 0.0, 0.0, 0.0, np.log(2.0)]])
-    np.testing.assert_allclose(target.sigma_force(x), [[0.2]])
-
-
 def test_softplus_is_its_own_inverse_and_has_these_slopes():
     softplus = Softplus(np.array([0.1, 1.0, 20.0]))
     x = np.array([-0.7, 3.0, 5.0])
@@ -122,3 +116,49 @@ def test_softplus_is_its_own_inverse_and_has_these_slopes():
     np.testing.assert_allclose(
         bend, slopes(lambda x: softplus.slopes(softplus.parameters(x))[1].sum(), x, steps), rtol=1e-5
     )
+
+
+MODE = np.array([0.5, 3.0, -1.0, 0.2])
+COVARIANCE = correlated([1.0, 0.5, 2.0, 0.1], 0.8)
+NEAR = np.array([3, 0])
+
+
+@pytest.fixture(params=[0, 1, 2], ids="{} near zero".format)
+def whitening(request) -> Whitening:
+    near = NEAR[: request.param]
+    return Whitening(MODE, np.linalg.inv(COVARIANCE), near, Softplus(np.sqrt(np.diag(COVARIANCE))[near]))
+
+
+def jacobian(whitening: Whitening, q: np.ndarray) -> np.ndarray:
+    """dx/dq (d, d) by central differences."""
+    steps = 1e-5 * np.eye(len(q))
+    return np.array([(whitening.coordinates(q + h) - whitening.coordinates(q - h)) / 2e-5 for h in steps]).T
+
+
+def test_the_origin_is_the_mode_and_white(whitening):
+    np.testing.assert_allclose(whitening.coordinates(np.zeros(4)), MODE)
+    at_mode = jacobian(whitening, np.zeros(4))
+    np.testing.assert_allclose(at_mode @ at_mode.T, COVARIANCE, rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_slope_is_the_chain_rules_and_the_determinant_constant(whitening, seed):
+    generator = np.random.default_rng(seed)
+    q, by_x = 2 * generator.standard_normal(4), generator.standard_normal(4)
+    there = jacobian(whitening, q)
+    np.testing.assert_allclose(whitening.slope(whitening.coordinates(q), by_x), by_x @ there, rtol=1e-6, atol=1e-8)
+    assert np.linalg.det(there) ** 2 == pytest.approx(np.linalg.det(COVARIANCE), rel=1e-6)
+
+
+def test_many_at_once(whitening):
+    q = np.random.default_rng(0).standard_normal((2, 3, 4))
+    together = whitening.coordinates(q)
+    np.testing.assert_allclose(together[1, 2], whitening.coordinates(q[1, 2]), rtol=1e-14)
+
+
+def test_far_below_zero_nothing_else_moves():
+    softplus = Softplus(np.array([1.0]))
+    whitening = Whitening(MODE, np.linalg.inv(COVARIANCE), np.array([0]), softplus)
+    far, further = (whitening.coordinates(np.array([q, 0.0, 0.0, 0.0])) for q in (-30.0, -31.0))
+    assert further[0] < far[0] - 0.5
+    np.testing.assert_allclose(further[1:], far[1:], atol=1e-10)

@@ -17,7 +17,7 @@ from small_estimates import parameter_estimate, results_of
 
 from pinn_cli.report import figures, run_report
 from pinn_cli.report.results import LABELS
-from pinn_cli.runs.cores import usable_cores
+from pinn_cli.runs.machine import usable_cores
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import WriteError
 

@@ -72,10 +72,6 @@ def test_a_disk_that_is_full_from_the_start(tmp_path: Path, monkeypatch) -> None
     assert not list(tmp_path.iterdir())
 
 
-def make_fifo(place: Path) -> None:
-    os.mkfifo(place)
-
-
 PLACES = {
     "a file above": (lambda: Path("outputs").touch(), ("seed=0",)),
     "a file": (lambda: Path("run").touch(), ("hydra.run.dir=run",)),
@@ -100,21 +96,6 @@ def test_places_that_are_none(pinn_run: PinnRun, tmp_path: Path, make, given: tu
     assert (outcome.status, outcome.err.count("\n")) == (2, 1), outcome.err
     assert "dir=" in outcome.err or "resume=" in outcome.err or "collect=" in outcome.err
     assert sorted(tmp_path.rglob("*")) == before
-
-
-@pytest.mark.parametrize("name", ["checkpoint.pt", "run.json"])
-def test_something_else_in_the_place_of_a_file(pinn_run: PinnRun, tmp_path: Path, monkeypatch, name: str) -> None:
-    without_figures(monkeypatch)
-    assert pinn_run(*ADAM, "training.iterations=1", "hydra.run.dir=run").status == 0
-    place = tmp_path / "run" / name
-    for make in (Path.mkdir, os.mkfifo):
-        place.rmdir() if place.is_dir() else place.unlink()
-        make(place)
-        (tmp_path / "run" / "run.json").unlink() if name != "run.json" and place.is_dir() else None
-        for given in (("resume=run",), (*ADAM, "hydra.run.dir=run", "resume=auto")):
-            outcome = pinn_run(*given)
-            assert (outcome.status, outcome.err.count("\n")) == (2, 1), outcome.err
-            assert f"{name} there is no regular file" in outcome.err
 
 
 def test_a_directory_that_cannot_be_written_to(pinn_run: PinnRun, tmp_path: Path, monkeypatch) -> None:

@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from pinn_cli.runs import reading
 from pinn_cli.runs.reading import (
     MOST_BYTES,
     DamagedError,
     checked,
     printable,
+    read_arrays,
     read_histories,
     read_json,
     read_table,
@@ -149,6 +151,18 @@ def test_histories_are_no_more_than_the_file(tmp_path: Path) -> None:
     zeros.to_netcdf(file, engine="h5netcdf", encoding={"u": {"zlib": True, "complevel": 9}})
     with pytest.raises(DamagedError, match="unfolds to more than was written"):
         read_histories(file)
+
+
+def test_arrays_are_numbers_and_no_more_than_any_of_ours(tmp_path: Path, monkeypatch) -> None:
+    file = tmp_path / "x.npz"
+    np.savez_compressed(file, zeros=np.zeros(10**5), word=np.array("a"))
+    assert read_arrays(file)["zeros"].shape == (10**5,)
+    monkeypatch.setattr(reading, "MOST_UNFOLDED", 10**5)
+    with pytest.raises(DamagedError, match="larger than any of ours"):
+        read_arrays(file)
+    np.savez(file, things=np.array([object()]))
+    with pytest.raises(DamagedError, match="allow_pickle"):
+        read_arrays(file)
 
 
 def test_what_does_not_fit_together_is_told_as_input() -> None:

@@ -53,10 +53,7 @@ def interrupted(pinn_run: PinnRun, steps: Steps, tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize(
     ("number", "status", "how"),
-    [
-        (signal.SIGINT, 130, ("resume=run",)),
-        (signal.SIGTERM, 143, (*ADAM, "hydra.run.dir=run", "resume=auto")),
-    ],
+    [(signal.SIGINT, 130, ("resume=run",)), (signal.SIGTERM, 143, (*ADAM, "hydra.run.dir=run", "resume=auto"))],
     ids=["SIGINT, by directory", "SIGTERM, auto"],
 )
 def test_an_interrupted_run_goes_on(

@@ -11,15 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pinn_cli.runs.writing import (
-    WriteError,
-    put_back,
-    replacing,
-    replacing_by_large,
-    write_json,
-    write_table,
-    write_text,
-)
+from pinn_cli.runs.writing import WriteError, put_back, replacing, replacing_by_large, write_json, write_table
 
 
 def _fail_halfway(place: Path) -> None:
@@ -35,12 +27,6 @@ def test_an_interrupted_file_leaves_the_old_one(tmp_path):
         _fail_halfway(place)
     assert place.read_text() == "old"
     assert list(tmp_path.iterdir()) == [place]
-
-
-def test_an_interrupted_new_file_leaves_nothing(tmp_path):
-    with pytest.raises(KeyboardInterrupt):
-        _fail_halfway(tmp_path / "new.csv")
-    assert not list(tmp_path.iterdir())
 
 
 def test_the_file_beside_keeps_its_suffix_and_folder(tmp_path):
@@ -73,10 +59,6 @@ def test_json_refuses_what_it_cannot_hold(tmp_path):
     with pytest.raises(TypeError, match="cannot hold"):
         write_json({"x": object()}, tmp_path / "run.json")
     assert not list(tmp_path.iterdir())
-
-
-def test_text_ends_in_one_newline(tmp_path):
-    assert write_text("a\n\n", tmp_path / "t.md").read_text() == "a\n"
 
 
 def test_what_was_no_file_is_not_removed_when_it_is_put_back(tmp_path):

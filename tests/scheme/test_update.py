@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from storeys import C, K, M, cut, record
 
-from pinn_cli.model.knowledge import Levels
-from pinn_cli.model.model import Model
+from pinn_cli.model.knowledge import Levels, Model
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter

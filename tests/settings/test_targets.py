@@ -28,7 +28,7 @@ def node(**entries: object) -> DictConfig:
         "os.system",
         "builtins.eval",
         "pinn_cli_evil.Class",
-        "pinn_cli.runs.ownership.shutil.rmtree",
+        "pinn_cli.runs.claim.shutil.rmtree",
         "pinn_cli.network.mlp.Mlp",  # ours, at another place
         DUFFING.lower(),
         f" {DUFFING}",

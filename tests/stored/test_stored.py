@@ -15,9 +15,9 @@ import yaml
 from calls import PinnRun
 
 from pinn_cli import InputError, load
-from pinn_cli.runs.checkpoint_files import CheckpointFiles, sealed
+from pinn_cli.runs.checkpoint import CheckpointFiles, sealed
 from pinn_cli.runs.identity import PACKAGES, package_version
-from pinn_cli.runs.layout import this_release
+from pinn_cli.runs.reading import this_release
 from stored.__main__ import RUNS, SEARCH, SWEEP, TINY
 
 ARCHIVES = sorted(Path(__file__).parent.glob("*.zip"))

@@ -15,7 +15,7 @@ import pytest
 from calls import SMALL
 from sweeps import start
 
-from pinn_cli.runs.cores import usable_cores
+from pinn_cli.runs.machine import usable_cores
 from pinn_cli.sweep.launching import pin, shares
 
 # Two jobs that finish and one that cannot; Adam is trained in steps and so has checkpoints.

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.linalg import eigh
 
-from pinn_cli.model.structure_content import structure_content, structure_of
+from pinn_cli.model.file import structure_content, structure_of
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain, build_partial_chain
 from pinn_cli.system.connection import Duffing, Linear

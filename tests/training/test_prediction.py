@@ -10,8 +10,7 @@ from independent_records import IndependentRecord, measured, random_force
 from independent_records import Structure as Circuit
 from storeys import C, K, M, record, response
 
-from pinn_cli.model.knowledge import Levels, Misfit, ParameterKnowledge
-from pinn_cli.model.model import Model
+from pinn_cli.model.knowledge import Levels, Misfit, Model, ParameterKnowledge
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.predict import Predict

@@ -8,7 +8,7 @@ import zlib
 from io import BytesIO
 from pathlib import Path
 
-from pinn_cli.runs.memory import of_this_machine
+from pinn_cli.runs.machine import of_this_machine
 from pinn_cli.settings.errors import InputError
 
 # Of the memory, at most this part: text, cells and numbers of a file take some ten times its size.

@@ -19,8 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
-from pinn_cli.posterior.diagnostics import import_arviz, two_chains
-from pinn_cli.posterior.result import ForcePredictive
+from pinn_cli.posterior.result import ForcePredictive, import_arviz, two_chains
 from pinn_cli.record.record import Record
 from pinn_cli.report.estimates import Histories
 from pinn_cli.report.figures import histories, style

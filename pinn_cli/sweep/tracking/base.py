@@ -22,8 +22,8 @@ import pandas as pd
 from pinn_cli.report.fitness import FORMULAS
 from pinn_cli.runs.lock import FILE as LOCK
 from pinn_cli.runs.reading import read_table
-from pinn_cli.runs.resume import read_record
-from pinn_cli.runs.tracking_state import FILE, NONE, TrackingState
+from pinn_cli.runs.resume import NONE, TrackingState, read_record
+from pinn_cli.runs.resume import TRACKING as FILE
 from pinn_cli.runs.writing import content_of, put_back
 from pinn_cli.settings.errors import InputError
 

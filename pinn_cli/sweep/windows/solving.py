@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pinn_cli.model.model import Model
+from pinn_cli.model.knowledge import Model
 from pinn_cli.record.record import Measurements, Record
 from pinn_cli.record.windows import Window
 from pinn_cli.report.model import model_of, write_run_model

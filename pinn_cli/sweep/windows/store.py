@@ -19,13 +19,12 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.model.file import stored_model, write_model
-from pinn_cli.model.model import Model
+from pinn_cli.model.knowledge import Model
 from pinn_cli.record.response import QUANTITIES
 from pinn_cli.record.windows import Window
 from pinn_cli.report.fitness import both_formulas, fitness_rows
 from pinn_cli.report.results import with_labels
-from pinn_cli.runs.layout import stamp
-from pinn_cli.runs.reading import DamagedError, read_histories, read_json, read_table
+from pinn_cli.runs.reading import DamagedError, read_histories, read_json, read_table, stamp
 from pinn_cli.runs.writing import replacing_by_large, tidy, write_json, write_text
 from pinn_cli.verdict.finding import Word
 

@@ -17,9 +17,8 @@ from torch import Tensor
 
 from pinn_cli.model.truncated_gaussian import TruncatedGaussian
 from pinn_cli.network.base import NetworkDesign
-from pinn_cli.network.embedding import BAND_MARGIN
 from pinn_cli.network.linear_readout import Segments
-from pinn_cli.network.mlp import Mlp
+from pinn_cli.network.mlp import BAND_MARGIN, Mlp
 from pinn_cli.physics import Targets, estimated_response, targets
 from pinn_cli.record.between_samples import evenly_spaced
 from pinn_cli.record.response import QUANTITIES, Response
