@@ -14,8 +14,8 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.image import AxesImage
 
-from pinn_cli.paper.cases import BESIDE, SMOOTHER
 from pinn_cli.paper.realisations import PINN, Realisation, ScoredRealisations
+from pinn_cli.paper.runs import BESIDE, SMOOTHER
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.report.figures import style
 from pinn_cli.runs.writing import write_table
@@ -89,11 +89,7 @@ class NonlinearityScores:
 
 
 def nonlinearity_figure(summary: pd.DataFrame) -> Figure:
-    """Draw the scores.
-
-    Args:
-        summary: Of `NonlinearityScores`; cells that it lacks are left empty.
-    """
+    """Draw the summary of `NonlinearityScores`; cells that it lacks are left empty."""
     positive = summary.loc[summary["strength"] > 0.0, "strength"]
     edge = 0.3 * float(positive.min()) if len(positive) else 1e-6  # where kappa = 0 stands on a logarithmic axis
     models = [name for name in _TITLES if name in set(summary["model_error"])]

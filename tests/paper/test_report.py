@@ -12,10 +12,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from pinn_cli.paper.__main__ import main
-from pinn_cli.paper.commands import make_all, make_figures, make_paper, make_seeds
-from pinn_cli.paper.figures import copy_figures, paper_figures
-from pinn_cli.paper.report import fitness_reason, over_seeds, parameter_reason
+from pinn_cli.paper.__main__ import main, make_figures, make_paper, make_seeds
+from pinn_cli.paper.report import copy_figures, fitness_reason, over_seeds, paper_figures, parameter_reason
 from pinn_cli.paper.runs import CaseFailedError
 
 VOID = {"meta", "img", "br"}
@@ -90,11 +88,11 @@ def test_figures_alone_need_only_their_runs(tmp_path, runner):
 
 @pytest.mark.usefixtures("quick")
 def test_failed_cases_and_values_that_are_worse_are_told(tmp_path, runner):
-    runner.failing = {"sr_20dof_snr50": CaseFailedError("sr_20dof_snr50, fixed parameters: exit status 3")}
+    runner.failing = {"sr_20dof_snr50": CaseFailedError("exit status 3")}
     runner.offset = -0.2
     assert make_paper(tmp_path, runner) == 1
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "exit status 3" in text
+    assert "sr_20dof_snr50_fixed: exit status 3" in text
     assert "Not drawn: the run sr_20dof_snr50_uncertain is missing" in text
     assert "sr_6dof_snr50, All DOFs, displacement" in text
     assert "The smoother reaches 98.47 % on the same record" in text
@@ -102,10 +100,9 @@ def test_failed_cases_and_values_that_are_worse_are_told(tmp_path, runner):
 
 
 def test_reasons():
-    row = {"case": "sr_6dof_snr10", "range_fitness_percent": 95.0}
-    assert "the record and the model allow" in fitness_reason(row, 95.05)
-    assert "the shortfall is ours" in fitness_reason(row, 97.0)
-    assert "cannot be told apart" in fitness_reason(row, math.nan)
+    assert "the record and the model allow" in fitness_reason(95.0, 95.05)
+    assert "the shortfall is ours" in fitness_reason(95.0, 97.0)
+    assert "cannot be told apart" in fitness_reason(95.0, math.nan)
     row = {"case": "sp_5dof_snr10", "parameter": "kappa_2", "std": 25.0, "true": 100.0, "estimate": 56.0}
     assert "Barely identifiable" in parameter_reason(row | {"truth_inside": False})
     assert "equivalent stiffness" in parameter_reason(row | {"case": "sp_5dof_linear"})
@@ -149,9 +146,9 @@ def test_all_makes_the_three(tmp_path, monkeypatch):
     made = []
     for name, status in (("make_paper", 0), ("make_seeds", 1), ("make_nonlinearity", 0)):
         monkeypatch.setattr(
-            f"pinn_cli.paper.commands.{name}", lambda output, n=name, s=status: made.append((n, output)) or s
+            f"pinn_cli.paper.__main__.{name}", lambda output, n=name, s=status: made.append((n, output)) or s
         )
-    assert make_all(tmp_path) == 1
+    assert main(["all", "--output", str(tmp_path)]) == 1
     assert made == [(name, tmp_path) for name in ("make_paper", "make_seeds", "make_nonlinearity")]
 
 
@@ -163,7 +160,7 @@ def test_an_interrupt_ends_with_130(tmp_path, monkeypatch, capsys):
     def interrupted(*_, at_once):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pinn_cli.paper.commands.make_runs", interrupted)
+    monkeypatch.setattr("pinn_cli.paper.__main__.make_runs", interrupted)
     assert main(["figures", "--output", str(tmp_path)]) == 130
     assert "goes on" in capsys.readouterr().err
 
