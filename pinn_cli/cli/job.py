@@ -192,7 +192,7 @@ def _prepare(
     """
     with stages("imports"):
         from pinn_cli.cli.prepare import prepare_problem
-        from pinn_cli.report.over_time import history
+        from pinn_cli.report.parameters import history
         from pinn_cli.runs.checkpoint import open_checkpoints
         from pinn_cli.training.estimate import RunContext
         from pinn_cli.validation.base import Setup

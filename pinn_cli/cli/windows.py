@@ -73,7 +73,7 @@ def windowed_run(
     Raises:
         InputError: No run can use the record, or the windows that are there are another run's.
     """
-    from pinn_cli.report.over_time import history
+    from pinn_cli.report.parameters import history
     from pinn_cli.training.updating import UpdatedNetwork
     from pinn_cli.windows.run import WindowedRun
     from pinn_cli.windows.solving import WindowSolver

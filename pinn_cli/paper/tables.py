@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from pinn_cli.paper.runs import TABLES, CaseTable, FinishedRun
@@ -100,9 +101,9 @@ def compare_fitness(table: CaseTable, found: pd.DataFrame) -> pd.DataFrame:
     ``difference`` is ours less the published value, both by the formula of the paper's tables; ``below_published`` is
     decided at the two decimals that the paper prints. ``found`` are rows as `FinishedRun.table` has them.
     """
-    both = _beside(table, found, ["group", "quantity"], {"fitness_percent": "published"})
-    if both.empty:
+    if found.empty:
         return pd.DataFrame(columns=list(FITNESS_COLUMNS))
+    both = _beside(table, found, ["group", "quantity"], {"fitness_percent": "published"})
     both["difference"] = both["range_fitness_percent"] - both["published"]
     both["below_published"] = both["range_fitness_percent"].round(2) < both["published"].round(2)
     return both[list(FITNESS_COLUMNS)]
@@ -116,10 +117,10 @@ def compare_parameters(table: CaseTable, found: pd.DataFrame) -> pd.DataFrame:
     the 90 % interval holds the true value and is empty where there is no interval; ``published_std`` is empty where the
     paper gives none. A parameter that a run does not have leaves its cells empty.
     """
+    if found.empty:
+        return pd.DataFrame(columns=list(PARAMETER_COLUMNS))
     given = {"estimate": "published", "error_percent": "published_error_percent", "std": "published_std"}
     both = _beside(table, found, ["parameter"], given)
-    if both.empty:
-        return pd.DataFrame(columns=list(PARAMETER_COLUMNS))
     both["larger_error"] = both["error_percent"].round(2) > both["published_error_percent"].round(2)
     inside = both["true"].between(both["lower_90"], both["upper_90"]).astype(object)
     both["truth_inside"] = inside.where(both[["true", "lower_90", "upper_90"]].notna().all(axis=1), None)
@@ -251,10 +252,9 @@ def wrong_values_sheet(table: CaseTable, comparison: pd.DataFrame) -> Sheet:
         cells = {}
         for column, title in titles.items():
             # Nothing is published to compare with: the better of the estimates is marked.
-            others = errors.loc[own.index].drop(columns=column, errors="ignore").min(axis=1)
-            nearer = errors.loc[own.index, column] < others if column in errors else others < others
-            pairs = enumerate(zip(own[column], nearer, strict=True))
-            cells[title] = {i: Cell.number(value, ".2f", "better" if best else "") for i, (value, best) in pairs}
+            best = errors.drop(columns=column, errors="ignore").min(axis=1).gt(errors.get(column, np.inf))
+            pairs = enumerate(zip(own[column], best[own.index], strict=True))
+            cells[title] = {i: Cell.number(value, ".2f", "better" if better else "") for i, (value, better) in pairs}
         rows += block({"kappa": "κ", "mu": "μ"}.get(str(kind), str(kind)), cells, range(count))
     agree = int((comparison["drawn"].round(2) == comparison["published"]).sum())
     note = WRONG_VALUES_NOTE.format(agree=agree, count=int(comparison["drawn"].notna().sum()))

@@ -84,6 +84,7 @@ def test_figures_alone_need_only_their_runs(tmp_path, runner):
     assert make_figures(tmp_path, runner) == 0
     assert len(runner.calls) == len({figure.run for figure in paper_figures() if figure.run}) == 10
     assert not (tmp_path / "report.html").exists()
+    assert list(copy_figures([], tmp_path)) == [1, 2, 3]
 
 
 @pytest.mark.usefixtures("quick")
@@ -140,20 +141,6 @@ def test_seeds_alone_leave_the_report_to_the_runs(tmp_path, capsys, solver):
     assert make_seeds(tmp_path, solver) == 1
     assert "waits for runs" in capsys.readouterr().out
     assert not (tmp_path / "report.html").exists()
-
-
-def test_all_makes_the_three(tmp_path, monkeypatch):
-    made = []
-    for name, status in (("make_paper", 0), ("make_seeds", 1), ("make_nonlinearity", 0)):
-        monkeypatch.setattr(
-            f"pinn_cli.paper.__main__.{name}", lambda output, n=name, s=status: made.append((n, output)) or s
-        )
-    assert main(["all", "--output", str(tmp_path)]) == 1
-    assert made == [(name, tmp_path) for name in ("make_paper", "make_seeds", "make_nonlinearity")]
-
-
-def test_a_figure_of_a_run_needs_it(tmp_path):
-    assert list(copy_figures([], tmp_path)) == [1, 2, 3]
 
 
 def test_an_interrupt_ends_with_130(tmp_path, monkeypatch, capsys):

@@ -102,9 +102,6 @@ def test_parameters_beside_the_published_ones():
     assert "|  | ours, fixed parameters |  | 15.060 | 0.40 ▼ | 0.03 |" in text
     assert "90 % intervals that hold the true value: ours, fixed parameters, 0 of 4." in text
     assert "uncertain" not in text
-
-
-def test_an_interval_that_holds_the_truth():
     comparison = compare_parameters(TABLE3, _parameters(1.0, 1.0))
     assert comparison["truth_inside"].tolist() == [True] * 4
     assert "ours, fixed parameters, 4 of 4." in parameter_sheet(TABLE3, comparison).markdown
