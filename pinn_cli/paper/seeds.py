@@ -13,8 +13,7 @@ import pandas as pd
 from pinn_cli.paper.realisations import PINN, Realisation, ScoredRealisations
 from pinn_cli.paper.runs import BESIDE, SMOOTHER, TABLES, CaseTable
 from pinn_cli.paper.sheet import Cell, Row, Sheet, block, mark
-from pinn_cli.paper.tables import GROUP_TITLES, by_cell, case_title, fitness_keys
-from pinn_cli.record.response import QUANTITIES
+from pinn_cli.paper.tables import case_title, fitness_groups, fitness_rows
 from pinn_cli.report import published
 from pinn_cli.runs.writing import write_table
 
@@ -98,7 +97,7 @@ class SeedScores:
 
     @property
     def sheets(self) -> list[Sheet]:
-        """One for each of Tables 2 and 5 and one for the parameters; cases without a result are left out."""
+        """One for each of Tables 2 and 5 and one for the parameters."""
         if self.rows.empty:
             return []
         sheets = [_fitness_sheet(table, self.summary) for table in FITNESS_TABLES]
@@ -115,20 +114,14 @@ def _spread(rows: pd.DataFrame, keys: list[str], columns: list[str]) -> pd.DataF
 
 
 def _fitness_sheet(table: CaseTable, summary: pd.DataFrame) -> Sheet:
-    rows: list[Row] = []
-    for case, cells in table.values.groupby("case", sort=False):
-        ours = summary[summary["case"] == case]
-        errors = {key: 100.0 - row["fitness_percent"] for key, row in by_cell(cells).items()}
-        ranged, printed = {"published": {key: Cell(f"{error:.2f}") for key, error in errors.items()}}, {}
-        for name, title in _TITLES.items():
-            if found := by_cell(ours[ours["estimator"] == name]):
-                ranged[title] = {k: _cell(row, "range_error_percent", errors.get(k)) for k, row in found.items()}
-                printed[f"{title}, printed"] = {key: _cell(row, "error_percent") for key, row in found.items()}
-        if printed:
-            rows += block(case_title(cells), ranged | printed, fitness_keys(table))
-    groups = [(GROUP_TITLES[group], QUANTITIES) for group in dict.fromkeys(table.values["group"])]
+    rows = fitness_rows(
+        table, {title: summary[summary["estimator"] == name] for name, title in _TITLES.items()},
+        lambda row: Cell(f"{100.0 - row['fitness_percent']:.2f}"),
+        lambda row: _cell(row, "range_error_percent", 100.0 - row["published"]),
+        lambda row: _cell(row, "error_percent"),
+    )  # fmt: skip
     title, note = f"{table.title}, over noise seeds", NOTE.format(seeds=_seeds(summary))
-    return Sheet(f"seeds_{table.name}", title, note, ("Case", "Estimate"), groups, rows)
+    return Sheet(f"seeds_{table.name}", title, note, ("Case", "Estimate"), fitness_groups(table), rows)
 
 
 def _parameter_sheet(summary: pd.DataFrame) -> Sheet:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ PARAMETER_COLUMNS = (
     "case", "variant", "parameter", "true", "published", "published_error_percent", "published_std", "estimate",
     "error_percent", "larger_error", "std", "lower_90", "upper_90", "truth_inside", "seconds", "process_seconds",
 )  # fmt: skip
+_Shown = Callable[[Mapping[Any, Any]], Cell]
 RUN = ["case", "variant", "seconds", "process_seconds"]
 
 GROUP_TITLES = {
@@ -157,34 +158,47 @@ def case_title(published: pd.DataFrame) -> str:
     return f"{case['ndof']} DOFs, {system}, {model}, {case['snr_db']:g} dB"
 
 
-def by_cell(rows: pd.DataFrame) -> dict[Any, dict[Any, Any]]:
-    """Rows by group of DOFs and quantity."""
-    return rows.set_index(["group", "quantity"]).to_dict("index")
-
-
 def fitness_sheet(table: CaseTable, comparison: pd.DataFrame) -> Sheet:
     """Tables 2 and 5: a block of rows per case, groups of DOFs side by side; variants without a run have no row."""
-    rows: list[Row] = []
-    groups = [(GROUP_TITLES[group], QUANTITIES) for group in dict.fromkeys(table.values["group"])]
-    for case, published in table.values.groupby("case", sort=False):
-        given = {key: Cell(f"{row['fitness_percent']:.2f}") for key, row in by_cell(published).items()}
-        ranged, printed = {"published": given}, {}
-        for source in table.sources:
-            own = by_cell(comparison[(comparison["case"] == case) & (comparison["variant"] == source.name)])
-            if own:
-                ranged[source.source] = {
-                    key: Cell.number(x := row["range_fitness_percent"], ".2f", mark(x, row["published"], True))
-                    for key, row in own.items()
-                }
-                strict = {key: Cell.number(row["fitness_percent"], ".2f") for key, row in own.items()}
-                printed[f"{source.source}, printed"] = strict
-        rows += block(case_title(published), ranged | printed, fitness_keys(table))
-    return Sheet(table.name, table.title, FITNESS_NOTE, ("Case", "Estimate"), groups, rows)
+    found = {source.source: comparison[comparison["variant"] == source.name] for source in table.sources}
+    rows = fitness_rows(
+        table, found,
+        lambda row: Cell(f"{row['fitness_percent']:.2f}"),
+        lambda row: Cell.number(x := row["range_fitness_percent"], ".2f", mark(x, row["published"], True)),
+        lambda row: Cell.number(row["fitness_percent"], ".2f"),
+    )  # fmt: skip
+    return Sheet(table.name, table.title, FITNESS_NOTE, ("Case", "Estimate"), fitness_groups(table), rows)
 
 
-def fitness_keys(table: CaseTable) -> list[tuple[str, str]]:
+def fitness_groups(table: CaseTable) -> list[tuple[str, Sequence[str]]]:
     """The columns of a sheet of fitness: every quantity of every group of DOFs."""
-    return [(group, quantity) for group in dict.fromkeys(table.values["group"]) for quantity in QUANTITIES]
+    return [(GROUP_TITLES[group], QUANTITIES) for group in dict.fromkeys(table.values["group"])]
+
+
+def fitness_rows(
+    table: CaseTable, found: Mapping[str, pd.DataFrame], given: _Shown, ranged: _Shown, printed: _Shown
+) -> list[Row]:
+    """A block per case: the published values, and by either formula what was found by source.
+
+    ``found`` has columns ``case``, ``group`` and ``quantity``; the others make cells of a published row and of one that
+    was found.
+    """
+    rows: list[Row] = []
+    columns = [(group, quantity) for group in dict.fromkeys(table.values["group"]) for quantity in QUANTITIES]
+    for case, published in table.values.groupby("case", sort=False):
+        cells, strict = {"published": _by_cell(published, given)}, {}
+        for source, every in found.items():
+            own = every[every["case"] == case]
+            if len(own):
+                cells[source] = _by_cell(own, ranged)
+                strict[f"{source}, printed"] = _by_cell(own, printed)
+        rows += block(case_title(published), cells | strict, columns)
+    return rows
+
+
+def _by_cell(rows: pd.DataFrame, shown: _Shown) -> dict[Any, Cell]:
+    """By group of DOFs and quantity."""
+    return {key: shown(row) for key, row in rows.set_index(["group", "quantity"]).to_dict("index").items()}
 
 
 def parameter_sheet(table: CaseTable, comparison: pd.DataFrame) -> Sheet:

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
-import subprocess
 from html.parser import HTMLParser
-from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -17,7 +14,6 @@ from pinn_cli.paper.report import copy_figures, fitness_reason, over_seeds, pape
 from pinn_cli.paper.runs import CaseFailedError
 
 VOID = {"meta", "img", "br"}
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 
 
 class Checked(HTMLParser):
@@ -150,39 +146,3 @@ def test_an_interrupt_ends_with_130(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("pinn_cli.paper.__main__.make_runs", interrupted)
     assert main(["figures", "--output", str(tmp_path)]) == 130
     assert "goes on" in capsys.readouterr().err
-
-
-def browse(folder: Path, *arguments: str) -> str:
-    """What headless Chromium writes to its standard output."""
-    quiet = ("--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder / 'profile'}")
-    command = [str(BROWSER), *quiet, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
-
-
-@pytest.mark.skipif(BROWSER is None, reason="no headless Chromium on PATH")
-@pytest.mark.parametrize("width", [400, 1280])
-def test_a_browser_renders_the_report(paper, tmp_path, width):
-    """The page is laid out, every image is decoded, and the page itself does not scroll sideways."""
-    probe = tmp_path / "probe.html"
-    script = (
-        "<script>addEventListener('load', () => { const page = document.documentElement; "
-        "const seen = [...document.images].filter(i => i.naturalWidth > 300).length; "
-        "document.title = `images ${seen} overflow ${page.scrollWidth - page.clientWidth}`; });</script></body>"
-    )
-    probe.write_text((paper / "report.html").read_text(encoding="utf-8").replace("</body>", script), encoding="utf-8")
-    page = browse(tmp_path, f"--window-size={width},900", "--virtual-time-budget=5000", "--dump-dom", probe.as_uri())
-    title = re.search(r"<title>(.*?)</title>", page)
-    assert title is not None
-    assert title[1] == "images 15 overflow 0"
-
-
-@pytest.mark.skipif(BROWSER is None, reason="no headless Chromium on PATH")
-def test_a_browser_prints_the_report(paper, tmp_path):
-    """On landscape A4, every figure with its caption on one page: fewer pages than figures would mean lost ones."""
-    place = tmp_path / "report.pdf"
-    browse(tmp_path, f"--print-to-pdf={place}", "--no-pdf-header-footer", (paper / "report.html").as_uri())
-    content = place.read_bytes()
-    assert content.startswith(b"%PDF")
-    pages = re.findall(rb"/MediaBox\s*\[\s*0\s+0\s+([\d.]+)\s+([\d.]+)\s*\]", content)
-    assert len(paper_figures()) < len(pages) < 60
-    assert all(float(width) > float(height) for width, height in pages)

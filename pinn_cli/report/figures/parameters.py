@@ -86,7 +86,7 @@ def _draw_values(axes: Axes, group: Sequence[ParameterEstimate], true: Truth) ->
     bottom, top = float(np.nanmin(factor * values)), float(np.nanmax(factor * values))
     height = max(top - bottom, 2e-6 * max(abs(bottom), abs(top))) or 2.0
     below, above = start < bottom - REACH * height, start > top + REACH * height
-    near, look = start[~(below | above)], {"linestyle": "none", "color": style.GREY, "zorder": 1}
+    near, look = start[~(below | above)], style.Look(linestyle="none", color=style.GREY, zorder=1)
     if near.size:
         axes.plot(place[~(below | above)], near, "x", markersize=4.5, markeredgewidth=0.9, label="start", **look)
         bottom, top = min(bottom, near.min()), max(top, near.max())
@@ -174,7 +174,7 @@ def correlation_figure(estimates: Sequence[ParameterEstimate], correlation: np.n
             line(unknown - 0.5, color=style.BLACK, linewidth=0.9)
         for label, first, end in (("unknown", 0, unknown), ("prescribed", unknown, count)):
             if end > first:
-                place, look = ((first + end) / 2 - 0.5, 1.0), {"textcoords": "offset points", "ha": "center"}
+                place, look = ((first + end) / 2 - 0.5, 1.0), style.Look(textcoords="offset points", ha="center")
                 axes.annotate(label, place, xytext=(0, 4), xycoords=axes.get_xaxis_transform(), **look)
         for (row, column), value in np.ndenumerate(shown.filled(np.nan) if few else np.zeros((0, 0))):
             if np.isfinite(value):
