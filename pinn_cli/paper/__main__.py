@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pinn_cli.paper.nonlinearity import NonlinearityScores, nonlinearity_realisations
@@ -19,7 +19,12 @@ from pinn_cli.runs.cores import usable_cores
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; the exit status is 1 if a run failed, 130 if it was interrupted."""
     parser = argparse.ArgumentParser(prog="python -m pinn_cli.paper", description=__doc__)
-    made = {"paper": make_paper, "figures": make_figures, "seeds": make_seeds, "nonlinearity": make_nonlinearity}
+    made: dict[str, Callable[[Path], int]] = {
+        "paper": make_paper,
+        "figures": make_figures,
+        "seeds": make_seeds,
+        "nonlinearity": make_nonlinearity,
+    }
     tables = [table.name for table in TABLES]
     parser.add_argument("what", nargs="?", choices=(*made, *tables, "all"), default="paper")
     parser.add_argument("--output", type=Path, default=Path("outputs/paper"), help="folder (default: %(default)s)")
@@ -27,8 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if given.what in tables:
             return make_table(given.what, given.output)
-        wanted = (make_paper, make_seeds, make_nonlinearity) if given.what == "all" else (made[given.what],)
-        return max([make(given.output) for make in wanted])
+        wanted = ("paper", "seeds", "nonlinearity") if given.what == "all" else (given.what,)
+        return max([made[name](given.output) for name in wanted])
     except KeyboardInterrupt:
         print("interrupted: the same command goes on with what is missing", file=sys.stderr)
         return 130

@@ -128,8 +128,10 @@ def _heat_map(axes: Axes, cells: pd.DataFrame) -> AxesImage:
     ours, smoothed = (
         table.reindex(columns=[(name, kappa) for kappa in kappas]).to_numpy() for name in (PINN, SMOOTHER.name)
     )
-    error, look = np.clip(100.0 - ours, _SMALLEST, _LARGEST), {"norm": LogNorm(_SMALLEST, _LARGEST), "aspect": "auto"}
-    image = axes.imshow(error, cmap=colormaps["viridis_r"], interpolation="nearest", origin="lower", **look)
+    error, norm = np.clip(100.0 - ours, _SMALLEST, _LARGEST), LogNorm(_SMALLEST, _LARGEST)
+    image = axes.imshow(
+        error, cmap=colormaps["viridis_r"], interpolation="nearest", origin="lower", norm=norm, aspect="auto"
+    )
     for (row, column), value in np.ndenumerate(ours):
         if np.isfinite(value):
             ink: style.Look = {"ha": "center", "va": "center", "color": "white" if 100.0 - value > _DARK else "black"}

@@ -15,7 +15,7 @@ from pinn_cli.baseline.comparison import baseline_estimate
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.prepare import PreparedProblem, compose_config, prepare_problem
 from pinn_cli.paper.runs import digest_of, kept, make_missing, run_digest
-from pinn_cli.report.run_report import EstimatorTables
+from pinn_cli.report.estimator_tables import EstimatorTables
 from pinn_cli.runs.stages import Stages
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.estimate import RunContext

@@ -14,16 +14,16 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.record.channels import channels
-from pinn_cli.record.record import Record, Truth
 from pinn_cli.record.response import MEASURED_QUANTITIES, Response
 from pinn_cli.report import parameters, text
 from pinn_cli.report.estimates import ModeEstimates, dissipated_energy, drift_table, drifts, energy_table, mode_table
+from pinn_cli.report.estimator_tables import EstimatorTables, below
 from pinn_cli.report.export import Export
-from pinn_cli.report.fitness import FORMULAS, fitness_table, residual_table
+from pinn_cli.report.fitness import FORMULAS, residual_table
 from pinn_cli.report.free_run import FreeRun, ValidationRun, free_run, free_run_table, validation_table, with_noise_of
 from pinn_cli.report.model import write_run_model
 from pinn_cli.report.published import fitness_of
-from pinn_cli.report.results import Results, RunDescription, record_folder, with_labels
+from pinn_cli.report.results import Results, record_folder, with_labels
 from pinn_cli.report.run_record import run_record
 from pinn_cli.runs.side_by_side import beside, side_by_side
 from pinn_cli.runs.stages import Stages
@@ -43,39 +43,6 @@ RECORD_COLUMNS = (
     "record", "folder", "samples", "duration_s", "sampling_rate_hz", "sensors", "sigma_discrepancy",
     "largest_nmse_percent", "largest_free_run_nmse_percent", "verdict",
 )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class EstimatorTables:
-    """The rows of one estimator in ``fitness.csv`` and ``parameters.csv``, with the labels of its run.
-
-    ``name`` is that of the estimator, ``pinn`` for the network.
-    """
-
-    name: str
-    fitness: pd.DataFrame
-    parameters: pd.DataFrame
-
-    @classmethod
-    def of(cls, name: str, run: RunDescription, estimate: Estimate, record: Record, truth: Truth) -> EstimatorTables:
-        """Score an estimate against the truth, where it is known."""
-        labels = run.labels_of(name)
-        fitness = with_labels(fitness_table(estimate.response, truth.response, record.observed), labels)
-        table = parameters.parameter_table(estimate.parameters, truth.parameters)
-        return cls(name, fitness, with_labels(table, labels))
-
-    def above(self, other: EstimatorTables | None) -> EstimatorTables:
-        """These rows with those of another estimator below."""
-        if other is None:
-            return self
-        return replace(
-            self, fitness=below(self.fitness, other.fitness), parameters=below(self.parameters, other.parameters)
-        )
-
-
-def below(*tables: pd.DataFrame) -> pd.DataFrame:
-    """Tables one below the other; columns that are empty in one of them stay as they are."""
-    return pd.concat([table for table in tables if len(table)] or [tables[0]], ignore_index=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,9 +17,8 @@ from pinn_cli.report.fitness import FORMULAS
 from pinn_cli.system.quantities import SUPPORT
 
 if TYPE_CHECKING:
-    from pinn_cli.report.free_run import FreeRun
-    from pinn_cli.report.run_report import EstimatorTables
-    from pinn_cli.report.validation_run import ValidationRun
+    from pinn_cli.report.estimator_tables import EstimatorTables
+    from pinn_cli.report.free_run import FreeRun, ValidationRun
     from pinn_cli.training.estimate import Changes, Peak, Story
     from pinn_cli.validation.base import Score
     from pinn_cli.verdict.finding import Verdict

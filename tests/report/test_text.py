@@ -12,11 +12,11 @@ from small_estimates import parameter_estimate, results_of
 
 from pinn_cli.record.response import Response
 from pinn_cli.report import published
+from pinn_cli.report.estimator_tables import EstimatorTables
 from pinn_cli.report.fitness import fitness_table, residual_table
 from pinn_cli.report.free_run import FreeRun, free_run_table
 from pinn_cli.report.parameters import parameter_table
 from pinn_cli.report.results import with_labels
-from pinn_cli.report.run_report import EstimatorTables
 from pinn_cli.report.text import (
     PARAMETERS_SHOWN,
     WIDTH,
