@@ -147,6 +147,7 @@ def test_a_start_far_away_does_not_squash_the_scale(make_case):
     far, near = ([other_estimate(p, unknown=True, prescribed=start) for p in two] for start in (40e3, 14.5))
     figure = parameters_figure(far, None)
     assert figure.axes[0].get_ylim()[1] < 17.0
+    assert [text.get_text() for text in figure.axes[0].texts] == ["4e+04"]
     assert _texts(figure) == ["start, off the scale", "estimate, 90 % interval"]
     figure = parameters_figure(near, None)
     assert figure.axes[0].get_ylim()[0] < 14.5

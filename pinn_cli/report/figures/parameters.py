@@ -47,8 +47,8 @@ def parameters_figure(estimates: Sequence[ParameterEstimate], true: Truth) -> Fi
     """One panel per kind, over the connections, with 90 % intervals; unknown parameters above prescribed ones.
 
     Unknown parameters are drawn as they are, in their unit, with the values from which the search for them started: a
-    triangle at the edge points to one that is far away. Prescribed ones are drawn as relative changes from what was
-    prescribed; where that is zero they are left out.
+    triangle at the edge points to one that is far away, and says its value. Prescribed ones are drawn as relative
+    changes from what was prescribed; where that is zero they are left out.
 
     Raises:
         ValueError: If there is nothing to draw.
@@ -95,6 +95,9 @@ def _draw_values(axes: Axes, group: Sequence[ParameterEstimate], true: Truth) ->
         if far.any():
             axes.plot(place[far], np.full(far.sum(), edge), arrow, markersize=3.5, transform=across,
                       label="start, off the scale", **look)  # fmt: skip
+        for value, x in dict(zip(start[far][::-1], place[far][::-1], strict=True)).items():  # equal ones say it once
+            said = style.Look(textcoords="offset points", va="center", fontsize=6.5, color=style.GREY)
+            axes.annotate(f"{value:.4g}", (x, edge), xycoords=across, xytext=(4, 0), **said)
     # An arrow takes the room that no value may be in.
     low, high = (0.25 if far.any() else 0.1 for far in (below, above))
     height = max(top - bottom, height)

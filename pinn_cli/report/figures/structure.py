@@ -108,7 +108,8 @@ def structure_figure(structure: Structure) -> Figure:
             text = f"{structure.dof_name(dof)}\n" + ("mass unknown" if np.isnan(mass) else f"{mass:.6g} kg")
             axes.text(x, y, text, fontsize=8 if few else 6, ha="center", va="center", bbox=box, zorder=3)
         if grounded:
-            left, right = across.min() - 0.5, across.max() + 0.5
+            feet = [*places[:, 0], *(line[0, 0] for line in lines if line is not None)]
+            left, right = min(feet) - 0.5, max(feet) + 0.5
             axes.plot([left, right], [0.0, 0.0], color=style.BLACK, linewidth=1.2, zorder=2)
             x = np.arange(left, right, 0.15)
             axes.plot([x, x - 0.1], [0.0 * x, 0.0 * x - 0.12], color=style.BLACK, linewidth=0.6, zorder=2)
