@@ -15,7 +15,7 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation, simulate
-from pinn_cli.report.connections import connection_forces, dissipated_energy, drifts
+from pinn_cli.report.estimates import connection_forces, dissipated_energy, drifts
 from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import InputError

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from calls import SMALL, PinnRun
 
-from pinn_cli.report import record_report
+from pinn_cli.report import run_report
 from pinn_cli.verdict.finding import Finding, Verdict
 
 DOUBT = Verdict.of([Finding("gain", "acceleration of DOF 3", "the acceleration of DOF 3 is 1.15 times too large")])
@@ -18,7 +18,7 @@ QUICK = (*SMALL, "figures=false")
 
 @pytest.fixture
 def doubted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(record_report, "judge", lambda *_: DOUBT)
+    monkeypatch.setattr(run_report, "judge", lambda *_: DOUBT)
 
 
 def test_the_verdict_is_the_line_before_the_directory_and_in_run_json(pinn_run: PinnRun, doubted: None) -> None:
@@ -40,7 +40,7 @@ def test_strict_turns_it_into_status_4(pinn_run: PinnRun, doubted: None) -> None
 
 
 def test_a_sound_run_passes(pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(record_report, "judge", lambda *_: Verdict.of([]))
+    monkeypatch.setattr(run_report, "judge", lambda *_: Verdict.of([]))
     done = pinn_run(*QUICK, "strict=true")
     assert (done.status, done.out.splitlines()[-2]) == (0, "verdict: sound")
 

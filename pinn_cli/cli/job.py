@@ -139,7 +139,7 @@ def _prepared(
 ) -> Job | WindowedRun:
     """Everything that may find fault with the input; nothing is written."""
     with stages("imports"):
-        from pinn_cli.report.over_time import history
+        from pinn_cli.report.parameters import history
         from pinn_cli.runs.checkpoint import open_checkpoints
         from pinn_cli.training.estimate import RunContext
         from pinn_cli.validation.base import Setup

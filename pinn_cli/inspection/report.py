@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pinn_cli.inspection.inspection import Inspection
-from pinn_cli.report.terminal.columns import WIDTH, Column, count, marked_lines, number, table_lines
+from pinn_cli.report.text import WIDTH, Column, count, marked_lines, number, table_lines
 from pinn_cli.runs.writing import write_table
 
 _SHOWN, _NAME = 20, 26

@@ -11,11 +11,11 @@ import pandas as pd
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
-from pinn_cli.paper.cases import BESIDE, SMOOTHER
 from pinn_cli.paper.realisations import PINN, Realisation, ScoredRealisations
+from pinn_cli.paper.runs import BESIDE, SMOOTHER
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.report.figures import style
 from pinn_cli.runs.writing import write_table
@@ -89,76 +89,64 @@ class NonlinearityScores:
 
 
 def nonlinearity_figure(summary: pd.DataFrame) -> Figure:
-    """Draw the scores.
-
-    Args:
-        summary: Of `NonlinearityScores`; cells that it lacks are left empty.
-    """
+    """Draw the summary of `NonlinearityScores`; cells that it lacks are left empty."""
     positive = summary.loc[summary["strength"] > 0.0, "strength"]
     edge = 0.3 * float(positive.min()) if len(positive) else 1e-6  # where kappa = 0 stands on a logarithmic axis
     models = [name for name in _TITLES if name in set(summary["model_error"])]
     with style.look():
-        figure = Figure(figsize=(style.PAGE_WIDTH, 8.4))
-        halves = figure.add_gridspec(2, 1, height_ratios=(6.0, 2.4))
-        above, below = figure.add_subfigure(halves[0]), figure.add_subfigure(halves[1])
-        maps = above.subplots(3, len(models), sharex=True, sharey=True, squeeze=False)
-        above.subplots_adjust(left=0.11, right=0.9, top=0.938, bottom=0.055, wspace=0.07, hspace=0.13)
-        curves = below.subplots(1, len(models), sharey=True, squeeze=False)[0]
-        below.subplots_adjust(left=0.11, right=0.9, top=0.89, bottom=0.21, wspace=0.07)
-        for column, model in enumerate(models):
+        margins = (0.79, 0.72, 0.37, 3.0)  # inch; the curves stand below
+        figure, maps = style.panels(3, len(models), 1.47, margins=margins, gaps=(0.11, 0.19), sharex=True, sharey=True)
+        height = figure.get_figheight()
+        for column, model in zip(maps.T, models, strict=True):
             of_model = summary[summary["model_error"] == model]
-            for axes, quantity in zip(maps[:, column], RESPONSE_QUANTITIES, strict=True):
+            for axes, quantity in zip(column, RESPONSE_QUANTITIES, strict=True):
                 image = _heat_map(axes, of_model[of_model["quantity"] == quantity])
-            _against_strength(curves[column], of_model[of_model["quantity"] == "displacement"], edge)
-            maps[0, column].set_title(_TITLES[model])
-            maps[-1, column].set_xlabel(r"$\kappa$ (N/m$^3$)", labelpad=1)
+            place = column[0].get_position()
+            curves = figure.add_axes((place.x0, 0.5 / height, place.width, 1.85 / height))
+            _against_strength(curves, of_model[of_model["quantity"] == "displacement"], edge)
+            curves.tick_params(labelleft=model == models[0])
+            column[0].set_title(_TITLES[model])
+            column[-1].set_xlabel(r"$\kappa$ (N/m$^3$)", labelpad=1)
         for axes, quantity in zip(maps[:, 0], RESPONSE_QUANTITIES, strict=True):
             axes.set_ylabel(f"{quantity} {style.SYMBOLS[quantity]}\nforce rms (N)")
-        curves[0].set_ylabel(r"error of $u$, 100 − fitness (%)")
-        curves[0].legend(loc="center left", handletextpad=0.2, borderaxespad=0.2)
-        curves[0].text(0.98, 100.0, "no better than the mean", transform=curves[0].get_yaxis_transform(), ha="right",
-                       va="bottom", fontsize=6, color=style.GREY)  # fmt: skip
-        _colour_bar(above, maps[1, -1], image)
+        first = figure.axes[maps.size]
+        first.set_ylabel(r"error of $u$, 100 − fitness (%)")
+        first.legend(loc="center left", handletextpad=0.2, borderaxespad=0.2)
+        first.text(0.98, 100.0, "no better than the mean", transform=first.get_yaxis_transform(), ha="right",
+                   va="bottom", fontsize=6, color=style.GREY)  # fmt: skip
+        bar: Any = figure.colorbar(image, cax=maps[1, -1].inset_axes((1.06, -0.5, 0.06, 2.0)), extend="both")
+        bar.set_label("our error, 100 − fitness (%)")
+        bar.outline.set_linewidth(0.4)
+        bar.ax.set_yticks([0.1, 1.0, 10.0, 100.0], ["0.1", "1", "10", "100"])
     return figure
 
 
 def _heat_map(axes: Axes, cells: pd.DataFrame) -> AxesImage:
-    ours, smoothed = (_gridded(cells, name) for name in (PINN, SMOOTHER.name))
-    colours = colormaps["viridis_r"]
-    error = np.clip(100.0 - ours.to_numpy(), _SMALLEST, _LARGEST)
-    image = axes.imshow(
-        error, norm=LogNorm(_SMALLEST, _LARGEST), cmap=colours, aspect="auto", interpolation="nearest", origin="lower"
+    """Fitness in percent: rows by force, columns by kappa; ours and below it the smoother's."""
+    table = cells.pivot_table(index="force_rms", columns=["estimator", "kappa"], values="fitness_percent")
+    kappas = sorted(set(cells["kappa"]))
+    ours, smoothed = (
+        table.reindex(columns=[(name, kappa) for kappa in kappas]).to_numpy() for name in (PINN, SMOOTHER.name)
     )
-    for (row, column), value in np.ndenumerate(ours.to_numpy()):
+    error, norm = np.clip(100.0 - ours, _SMALLEST, _LARGEST), LogNorm(_SMALLEST, _LARGEST)
+    image = axes.imshow(
+        error, cmap=colormaps["viridis_r"], interpolation="nearest", origin="lower", norm=norm, aspect="auto"
+    )
+    for (row, column), value in np.ndenumerate(ours):
         if np.isfinite(value):
-            beside = float(smoothed.to_numpy()[row, column])
-            ink = "white" if 100.0 - value > _DARK else "black"
-            axes.text(column, row + 0.12, _percent(value), ha="center", va="center", fontsize=7, color=ink)
-            axes.text(column, row - 0.27, _percent(beside), ha="center", va="center", fontsize=5, color=ink)
-    axes.set_xticks(range(ours.shape[1]), [f"{value:g}" for value in ours.columns])
-    axes.set_yticks(range(ours.shape[0]), [f"{value:g}" for value in ours.index])
+            ink: style.Look = {"ha": "center", "va": "center", "color": "white" if 100.0 - value > _DARK else "black"}
+            axes.text(column, row + 0.12, _percent(value), fontsize=7, **ink)
+            axes.text(column, row - 0.27, _percent(float(smoothed[row, column])), fontsize=5, **ink)
+    axes.set_xticks(range(len(kappas)), [f"{value:g}" for value in kappas])
+    axes.set_yticks(range(len(table)), [f"{value:g}" for value in table.index])
     axes.tick_params(length=0)
     return image
-
-
-def _gridded(cells: pd.DataFrame, estimator: str) -> pd.DataFrame:
-    """Fitness in percent: rows by force, columns by kappa, NaN where there is none; the same shape for every one."""
-    kept = cells[cells["estimator"] == estimator]
-    table = kept.pivot_table(index="force_rms", columns="kappa", values="fitness_percent")
-    return table.reindex(index=sorted(set(cells["force_rms"])), columns=sorted(set(cells["kappa"])))
 
 
 def _percent(value: float) -> str:
     if not np.isfinite(value):
         return "-"
     return f"{value:.2f}" if value > 99.0 else f"{value:.1f}" if value > 0.0 else "< 0"
-
-
-def _colour_bar(figure: SubFigure, axes: Axes, image: AxesImage) -> None:
-    bar: Any = figure.colorbar(image, cax=axes.inset_axes((1.06, -0.5, 0.06, 2.0)), extend="both")
-    bar.set_label("our error, 100 − fitness (%)")
-    bar.outline.set_linewidth(0.4)
-    bar.ax.set_yticks([0.1, 1.0, 10.0, 100.0], ["0.1", "1", "10", "100"])
 
 
 def _against_strength(axes: Axes, cells: pd.DataFrame, edge: float) -> None:

@@ -1,12 +1,7 @@
-"""Realisations of noise (and force) of a problem: network and smoother estimate each, and both are scored.
-
-The scores of each lie in one file, which is made where it is missing or out of date.
-"""
+"""Realisations of noise (and force) of a problem: network and smoother estimate each, and both are scored."""
 
 from __future__ import annotations
 
-import sys
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -20,10 +15,10 @@ from pinn_cli.baseline.comparison import baseline_estimate
 from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.prepare import PreparedProblem, prepare_problem
-from pinn_cli.paper.digests import digest_of, keep, kept, run_digest
-from pinn_cli.report.record_report import EstimatorTables
+from pinn_cli.paper.runs import digest_of, kept, make_missing, run_digest
+from pinn_cli.report.estimator_tables import EstimatorTables
 from pinn_cli.runs.stages import Stages
-from pinn_cli.settings.errors import DivergenceError, InputError
+from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.estimate import RunContext
 
 PINN = "pinn"
@@ -66,33 +61,18 @@ def _settings_digest(settings: tuple[str, ...]) -> str:
     return run_digest(settings) + digest_of(Path(__file__).read_bytes())
 
 
-@dataclass(frozen=True, eq=False)
-class Scores:
-    """What was made of a realisation, as it goes into a JSON file.
-
-    Attributes:
-        fitness: Rows as in ``fitness.csv`` of a run with a baseline, groups of several DOFs only.
-        parameters: As in its ``parameters.csv``.
-        seconds: By stage: ``record`` (configuration and simulation), ``estimate``, ``baseline``, ``total``.
-        strength: The largest mean square nonlinear stiffness of a connection over its linear one, kappa rms(e)^2 / k
-            for an elongation e; None for chains without kappa.
-        failure: Why there is nothing of the network's, in one line; empty where there is.
-    """
-
-    fitness: list[dict[Any, Any]]
-    parameters: list[dict[Any, Any]]
-    seconds: Mapping[str, float]
-    strength: float | None
-    failure: str = ""
+Solver = Callable[[Realisation], Mapping[str, Any]]
 
 
-Solver = Callable[[Realisation], Scores]
+def solve(realisation: Realisation) -> dict[str, Any]:
+    """Estimate a realisation in this process and score what was found, as it goes into a JSON file.
 
-
-def solve(realisation: Realisation) -> Scores:
-    """Estimate a realisation in this process and score what was found.
-
-    A training that diverges is a result too: it has a `Scores.failure` and no rows.
+    Returns:
+        ``fitness`` and ``parameters``: rows as in these files of a run with a baseline, of groups of several DOFs only.
+        ``seconds`` by stage: ``record`` (configuration and simulation), ``estimate``, ``baseline``, ``total``.
+        ``strength``: the largest mean square nonlinear stiffness of a connection over its linear one, kappa rms(e)^2 /
+        k for an elongation e; None for chains without kappa. ``failure``: of a training that diverged, which is a
+        result too and has no rows, the reason in one line.
 
     Raises:
         InputError: The settings are such that no run can use them.
@@ -102,23 +82,24 @@ def solve(realisation: Realisation) -> Scores:
         config = RunConfig.read(compose_config(realisation.overrides))
         prepared = prepare_problem(config)
     record, truth, context = prepared.record, prepared.truth, RunContext(config.device, config.seed)
-    strength = _nonlinear_strength(prepared)
+    found: dict[str, Any] = {"fitness": [], "parameters": [], "strength": _nonlinear_strength(prepared), "failure": ""}
     try:
         with stages("estimate"):
             estimate = config.estimator.solve(prepared.problem, context)
         with stages("baseline"):
             smoothed = baseline_estimate(config.baseline, prepared.problem, context)
     except DivergenceError as error:
-        return Scores([], [], stages.seconds, strength, str(error).partition("\n")[0])
+        return found | {"seconds": stages.seconds, "failure": str(error).partition("\n")[0]}
     run = config.description
     theirs = EstimatorTables.of(run.baseline, run, smoothed, record, truth) if smoothed else None
     tables = EstimatorTables.of(PINN, run, estimate, record, truth).above(theirs)
     fitness = tables.fitness[~tables.fitness["group"].str.startswith("dof_")]
-    return Scores(fitness.to_dict("records"), tables.parameters.to_dict("records"), stages.seconds, strength)
+    rows = {"fitness": fitness.to_dict("records"), "parameters": tables.parameters.to_dict("records")}
+    return found | rows | {"seconds": stages.seconds}
 
 
 def _nonlinear_strength(prepared: PreparedProblem) -> float | None:
-    """See `Scores.strength`; of the true chain and its true motion."""
+    """Of the true chain and its true motion."""
     true = prepared.truth.parameters
     if true is None or "kappa" not in true:
         return None
@@ -131,60 +112,42 @@ class ScoredRealisations:
     """Those realisations whose scores are there and up to date.
 
     Attributes:
-        found: In their order.
+        found: To each its scores, as `solve` returns them.
         missing: Those without.
         failures: What went wrong, a line each; diverged trainings included.
     """
 
-    found: Mapping[Realisation, Scores]
+    found: Mapping[Realisation, Mapping[str, Any]]
     missing: Sequence[Realisation]
     failures: Sequence[str]
+
+    @classmethod
+    def read(
+        cls, realisations: Sequence[Realisation], directory: Path, refused: Sequence[str] = ()
+    ) -> ScoredRealisations:
+        """What is there and up to date in a folder of ``<name>.json``, and why some were refused; nothing is solved."""
+        contents = {one: kept(one, directory) for one in realisations}
+        found = {one: content for one, content in contents.items() if content is not None}
+        failures = [f"{one.name}: {scores['failure']}" for one, scores in found.items() if scores["failure"]]
+        return cls(found, [one for one in realisations if one not in found], [*failures, *refused])
+
+    @classmethod
+    def made(cls, realisations: Sequence[Realisation], directory: Path, solver: Solver = solve) -> ScoredRealisations:
+        """The same, once what is missing or out of date was solved, one after the other."""
+        return cls.read(realisations, directory, make_missing(realisations, directory, solver))
 
     @property
     def seconds(self) -> float:
         """That all of them took, one after the other."""
-        return sum(float(scores.seconds["total"]) for scores in self.found.values())
+        return sum(float(scores["seconds"]["total"]) for scores in self.found.values())
 
     def rows(self, table: str) -> pd.DataFrame:
         """The ``fitness`` or ``parameters`` of all, one below the other.
 
-        The first columns are the realisations' own, with `Scores.strength` where they have any.
+        The first columns are the realisations' own, with the strength where they have any.
         """
         return pd.DataFrame(
-            {**({**dict(one.columns), "strength": scores.strength} if one.columns else {}), **row}
+            {**({**dict(one.columns), "strength": scores["strength"]} if one.columns else {}), **row}
             for one, scores in self.found.items()
-            for row in getattr(scores, table)
+            for row in scores[table]
         )
-
-
-def solve_missing(realisations: Sequence[Realisation], directory: Path, solver: Solver = solve) -> ScoredRealisations:
-    """Solve what is missing or out of date, one after the other; each result is kept as it comes.
-
-    Args:
-        realisations: In the order in which they are solved.
-        directory: Of the scores, ``<name>.json``; created where it is missing.
-        solver: Solves one.
-    """
-    missing, refused = read_scores(realisations, directory).missing, []
-    print(f"{len(realisations) - len(missing)} of {len(realisations)} up to date", flush=True)
-    for number, realisation in enumerate(missing, start=1):
-        start = time.perf_counter()
-        try:
-            scores = solver(realisation)
-        except InputError as error:
-            refused.append(f"{realisation.name}: {error}")
-            print(f"failed: {refused[-1]}", file=sys.stderr, flush=True)
-            continue
-        keep(vars(scores), realisation.digest, directory / f"{realisation.name}.json")
-        told = f", diverged: {scores.failure}" if scores.failure else ""
-        print(f"[{number}/{len(missing)}] {realisation.name}: {time.perf_counter() - start:.1f} s{told}", flush=True)
-    scored = read_scores(realisations, directory)
-    return ScoredRealisations(scored.found, scored.missing, [*scored.failures, *refused])
-
-
-def read_scores(realisations: Sequence[Realisation], directory: Path) -> ScoredRealisations:
-    """What is there and up to date; nothing is solved."""
-    contents = {one: kept(directory / f"{one.name}.json", one.digest) for one in realisations}
-    found = {one: Scores(**content) for one, content in contents.items() if content is not None}
-    failures = [f"{one.name}: {scores.failure}" for one, scores in found.items() if scores.failure]
-    return ScoredRealisations(found, [one for one in realisations if one not in found], failures)

@@ -1,109 +1,189 @@
-"""The paper's runs: made where they are missing or out of date, read where they are not."""
+"""The paper's Tables 1 to 6 and the runs that they need; and what is made once and kept until something changes."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache
+from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, Protocol, TypeVar
 
 import pandas as pd
+from omegaconf import OmegaConf
 
-from pinn_cli.paper.cases import SMOOTHER, PlannedRun
-from pinn_cli.paper.digests import keep, kept, run_digest
+from pinn_cli.cli.composing import compose_config
+from pinn_cli.report import published
+from pinn_cli.report.run_record import package_versions
+from pinn_cli.runs.writing import write_json
+from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import quoted
 
-Runner = Callable[[PlannedRun, Path], float]
+# Read what runs have left, and are no part of one: a better caption is no reason to run everything again.
+READERS = ("paper/", "report/published.py")
 
-# Written last into the directory of a run.
-FINISHED = "finished.json"
+
+@dataclass(frozen=True)
+class Variant:
+    """One way to run every case of a table: a word for files, what a table calls it, and settings of `pinn-run`."""
+
+    name: str
+    title: str
+    overrides: tuple[str, ...] = ()
+
+    @property
+    def source(self) -> str:
+        """What the row of a table says: whose estimate it is."""
+        return self.title if self.name == SMOOTHER.name else f"ours, {self.title}"
+
+
+SMOOTHER = Variant("kalman_smoother", "Kalman smoother")
+# The first variant of every table has the smoother beside it, which solves the same problem.
+BESIDE = ("baseline=kalman_smoother",)
+UNCERTAIN = Variant("uncertain", "uncertain parameters", BESIDE)
+FIXED = Variant("fixed", "fixed parameters", ("scheme.parameter_uncertainty=0",))
+MARGINAL = Variant("marginal", "marginal posterior, states uncertain", BESIDE)
+CONDITIONAL = Variant(
+    "conditional", "conditional posterior, states held fixed as in the paper", ("posterior=conditional",)
+)
+LAPLACE = Variant("laplace", "Laplace's approximation of the marginal posterior, no sampling", ("posterior=laplace",))
+
+
+@dataclass(frozen=True)
+class CaseTable:
+    """A published table whose cases are each run with every variant, of which the first is the product's own choice.
+
+    ``kind`` is what it compares, ``published`` its name in the column ``table`` of the published values.
+    """
+
+    name: str
+    title: str
+    kind: Literal["fitness", "parameters", "perturbed_parameters"]
+    published: str
+    variants: tuple[Variant, ...] = (UNCERTAIN, FIXED)
+
+    @property
+    def values(self) -> pd.DataFrame:
+        """The published rows."""
+        values: pd.DataFrame = getattr(published, self.kind)()
+        return values[values["table"] == self.published]
+
+    @property
+    def cases(self) -> list[str]:
+        """In the paper's order."""
+        return list(dict.fromkeys(self.values["case"]))
+
+    @property
+    def sources(self) -> tuple[Variant, ...]:
+        """Whose estimates stand in it."""
+        return (*self.variants, SMOOTHER)
+
+
+TABLES = (
+    CaseTable(
+        "table1", "Table 1: prescribed, true and estimated parameters of the chain with wrong values",
+        "perturbed_parameters", "sr-valerr-duf-prescr", (UNCERTAIN,),
+    ),
+    CaseTable("table2", "Table 2: sparse recovery", "fitness", "sr-summary"),
+    CaseTable(
+        "table3", "Table 3: state-parameter estimation, parameters of the Duffing chain by noise", "parameters",
+        "spe-nonerr-duf",
+    ),
+    CaseTable(
+        "table4", "Table 4: state-parameter estimation, parameters of the Van der Pol chain and with wrong models",
+        "parameters", "spe-vdp-err",
+    ),
+    CaseTable("table5", "Table 5: state-parameter estimation, states", "fitness", "spe-summary"),
+    CaseTable(
+        "table6", "Table 6: Bayesian parameter estimation, 2-DOF chains", "parameters", "mcmc-results",
+        (MARGINAL, CONDITIONAL, LAPLACE),
+    ),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class PlannedRun:
+    """One run of the paper: a case of ``conf/experiment/paper``, and how it is run."""
+
+    case: str
+    variant: Variant
+
+    @property
+    def name(self) -> str:
+        """Of its directory."""
+        return f"{self.case}_{self.variant.name}"
+
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        """As `pinn-run` takes them."""
+        return (f"experiment=paper/{self.case}", *self.variant.overrides)
+
+    @property
+    def digest(self) -> str:
+        """See `run_digest`."""
+        return run_digest(self.overrides)
+
+
+def planned_runs(tables: Sequence[CaseTable] = TABLES) -> list[PlannedRun]:
+    """The runs of some tables, in their order; a case that stands in two tables is run once."""
+    runs = [PlannedRun(case, variant) for table in tables for case in table.cases for variant in table.variants]
+    return list(dict.fromkeys(runs))
+
+
+Runner = Callable[[PlannedRun, Path], float]
 
 
 class CaseFailedError(RuntimeError):
     """A run that did not end well: the command and the end of what it wrote."""
 
 
-@dataclass(frozen=True)
-class CaseScores:
-    """What one estimator made of one case.
-
-    Attributes:
-        case: Of ``conf/experiment/paper``.
-        variant: Name of the variant, or of the smoother.
-        fitness: Its rows of ``fitness.csv``.
-        parameters: Its rows of ``parameters.csv``.
-        seconds: Total of ``run.json``; of the smoother's solution alone.
-        process_seconds: From starting the process to its end, imports and figures included; of the smoother as above.
-    """
-
-    case: str
-    variant: str
-    fitness: pd.DataFrame
-    parameters: pd.DataFrame
-    seconds: float
-    process_seconds: float
-
-
-@dataclass(frozen=True, eq=False)
-class FinishedRun:
-    """A run whose files are there and up to date.
-
-    Attributes:
-        planned: What was run.
-        directory: Where its files lie.
-        record: Its ``run.json``.
-        process_seconds: Of the whole process, imports and figures included.
-    """
-
-    planned: PlannedRun
-    directory: Path
-    record: dict[str, Any]
-    process_seconds: float
-
-    @cached_property
-    def scores(self) -> list[CaseScores]:
-        """The network's, and the smoother's as a variant of its own, where it found something."""
-        tables = [pd.read_csv(self.directory / name) for name in ("fitness.csv", "parameters.csv")]
-        seconds = self.record["seconds"]
-        alone = float(seconds.get("baseline", 0.0))
-        estimators = {
-            "pinn": (self.planned.variant.name, float(seconds["total"]), self.process_seconds),
-            SMOOTHER.name: (SMOOTHER.name, alone, alone),
-        }
-        found = []
-        for estimator, (variant, total, process) in estimators.items():
-            fitness, parameters = (table[table["estimator"] == estimator] for table in tables)
-            if len(fitness):
-                found.append(CaseScores(self.planned.case, variant, fitness, parameters, total, process))
-        return found
-
-
 def run_case(run: PlannedRun, directory: Path) -> float:
-    """Run ``pinn-run experiment=paper/<case>`` in ``directory``.
-
-    Returns:
-        Seconds of the whole process.
+    """Run ``pinn-run experiment=paper/<case>`` in ``directory``; the seconds of the whole process.
 
     Raises:
         CaseFailedError: If the process ends with another status than 0, or leaves no results.
     """
     results = directory / "run.json"
     results.unlink(missing_ok=True)  # of an earlier run: it must not pass for this one's
-    place = f"hydra.run.dir={quoted(str(directory.resolve()))}"
-    start = time.perf_counter()
-    done = subprocess.run(
-        [sys.executable, "-m", "pinn_cli.main", *run.overrides, place], capture_output=True, text=True, check=False
-    )
+    place, start = f"hydra.run.dir={quoted(str(directory.resolve()))}", time.perf_counter()
+    command = [sys.executable, "-m", "pinn_cli.main", *run.overrides, place]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0 or not results.exists():
         tail = "\n".join((done.stderr or done.stdout).splitlines()[-10:])
-        raise CaseFailedError(f"{run.title}: exit status {done.returncode}\n{tail}")
+        raise CaseFailedError(f"exit status {done.returncode}\n{tail}")
     return time.perf_counter() - start
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedRun:
+    """A run whose files are there and up to date: its ``run.json``, and the seconds of the whole process."""
+
+    planned: PlannedRun
+    directory: Path
+    record: dict[str, Any]
+    process_seconds: float
+
+    def table(self, name: str) -> pd.DataFrame:
+        """Its ``fitness`` or ``parameters``, the smoother's rows as a variant of its own where it found something.
+
+        In front stand ``case``, ``variant``, ``seconds`` (total of ``run.json``) and ``process_seconds`` (imports and
+        figures included); of the smoother both are those of its solution alone.
+        """
+        rows, seconds = pd.read_csv(self.directory / f"{name}.csv"), self.record["seconds"]
+        ours, alone = rows["estimator"] != SMOOTHER.name, float(seconds.get("baseline", 0.0))
+        own = {
+            "case": self.planned.case,
+            "variant": ours.map({True: self.planned.variant.name, False: SMOOTHER.name}),
+            "seconds": ours.map({True: float(seconds["total"]), False: alone}),
+            "process_seconds": ours.map({True: self.process_seconds, False: alone}),
+        }
+        return pd.DataFrame(own, index=rows.index).join(rows.drop(columns=["case", "seconds"], errors="ignore"))
 
 
 def make_runs(
@@ -111,32 +191,13 @@ def make_runs(
 ) -> tuple[list[FinishedRun], list[str]]:
     """Make the runs that are missing or out of date in ``<directory>/<case>_<variant>``.
 
-    Args:
-        planned: In the order in which they are begun.
-        directory: Of all runs; created where it is missing.
-        runner: Makes one run in a directory and returns its seconds; raises `CaseFailedError` where it fails.
-        at_once: How many.
-
-    Returns:
-        The runs that are there, and what went wrong with the others.
+    The runs that are there, and what went wrong with the others.
     """
-    failures = []
-    digests = [run_digest(run.overrides) for run in planned]  # here: Hydra composes in one thread alone
-    with ThreadPoolExecutor(at_once) as pool:
-        begun = [
-            pool.submit(_make_run, run, directory / run.name, digest, runner, f"[{number}/{len(planned)}] {run.title}")
-            for number, (run, digest) in enumerate(zip(planned, digests, strict=True), start=1)
-        ]
-        try:
-            for made in begun:
-                try:
-                    made.result()
-                except CaseFailedError as error:
-                    failures.append(str(error))
-                    print(f"failed: {error}", file=sys.stderr, flush=True)
-        except BaseException:  # Ctrl-C, which those that run have had as well
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+
+    def make(run: PlannedRun) -> dict[str, object]:
+        return {"process_seconds": runner(run, directory / run.name)}
+
+    failures = make_missing(planned, directory, make, at_once)
     return read_runs(planned, directory), failures
 
 
@@ -144,20 +205,102 @@ def read_runs(planned: Sequence[PlannedRun], directory: Path) -> list[FinishedRu
     """Those that are there and up to date; nothing is run."""
     found = []
     for run in planned:
-        place = directory / run.name
-        if (content := kept(place / FINISHED, run_digest(run.overrides))) is not None:
-            record = json.loads((place / "run.json").read_text(encoding="utf-8"))
-            found.append(FinishedRun(run, place, record, content["process_seconds"]))
+        if (content := kept(run, directory)) is not None:
+            record = json.loads((directory / run.name / "run.json").read_text(encoding="utf-8"))
+            found.append(FinishedRun(run, directory / run.name, record, content["process_seconds"]))
     return found
 
 
-def _make_run(run: PlannedRun, directory: Path, digest: str, runner: Runner, progress: str) -> None:
-    if kept(directory / FINISHED, digest) is not None:
-        print(f"{progress}: up to date", flush=True)
-        return
-    print(f"{progress}: running", flush=True)
-    # While it runs, nothing may say that it has finished.
-    (directory / FINISHED).unlink(missing_ok=True)
-    seconds = runner(run, directory)
-    keep({"process_seconds": seconds}, digest, directory / FINISHED)
-    print(f"{progress}: {seconds:.1f} s", flush=True)
+class Planned(Protocol):
+    """Something that is made and kept under its name, until the digest of what it depends on is another."""
+
+    @property
+    def name(self) -> str:
+        """Of its file, ``<name>.json``."""
+
+    @property
+    def digest(self) -> str:
+        """Of configuration, code and versions."""
+
+
+P = TypeVar("P", bound=Planned)
+
+
+def make_missing(
+    planned: Sequence[P], directory: Path, make: Callable[[P], Mapping[str, object]], at_once: int = 1
+) -> list[str]:
+    """Make what is missing or out of date, and keep each as it comes; what went wrong with the others, a text each.
+
+    Args:
+        planned: In the order in which they are begun.
+        directory: Of the files ``<name>.json``; created where it is missing.
+        make: Makes the content of one; raises `CaseFailedError` or `InputError` where that fails.
+        at_once: How many.
+    """
+    # Here: Hydra composes in one thread alone.
+    tasks = [(number, one, one.digest) for number, one in enumerate(planned, start=1)]
+
+    def make_one(task: tuple[int, P, str]) -> str:
+        number, one, digest = task
+        progress, file = f"[{number}/{len(planned)}] {one.name}", directory / f"{one.name}.json"
+        if kept(one, directory, digest) is not None:
+            print(f"{progress}: up to date", flush=True)
+            return ""
+        start = time.perf_counter()
+        file.unlink(missing_ok=True)  # while it is made, nothing may say that it is there
+        try:
+            write_json({"digest": digest, **make(one)}, file)
+        except (CaseFailedError, InputError) as error:
+            print(f"failed: {one.name}: {error}", file=sys.stderr, flush=True)
+            return f"{one.name}: {error}"
+        print(f"{progress}: {time.perf_counter() - start:.1f} s", flush=True)
+        return ""
+
+    with ThreadPoolExecutor(at_once) as pool:
+        # Ctrl-C reaches what is made in this thread at once, and cancels what waits for one of the others.
+        each = pool.map(make_one, tasks) if at_once > 1 else map(make_one, tasks)
+        return [failure for failure in each if failure]
+
+
+def kept(one: Planned, directory: Path, digest: str | None = None) -> dict[str, Any] | None:
+    """What `make_missing` has kept; None where it is to be made (again)."""
+    try:
+        content = json.loads((directory / f"{one.name}.json").read_text(encoding="utf-8"))
+        return content if content.pop("digest") == (digest or one.digest) else None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def run_digest(overrides: Sequence[str]) -> str:
+    """SHA-256 of the composed configuration, the code and the versions that a run with these overrides depends on.
+
+    Raises:
+        hydra.errors.HydraException: The overrides do not compose.
+    """
+    parts = (_composed(tuple(overrides)), source_digest(), json.dumps(package_versions(), sort_keys=True))
+    return digest_of("\0".join(parts))
+
+
+@cache  # composing takes a tenth of a second
+def _composed(overrides: tuple[str, ...]) -> str:
+    return OmegaConf.to_yaml(compose_config(overrides))
+
+
+@cache
+def source_digest() -> str:
+    """Of the package's modules and configs, without `READERS`."""
+    package, conf = (Path(str(resources.files(name))) for name in ("pinn_cli", "pinn_cli.conf"))
+    return tree_digest(package, "*.py", READERS) + tree_digest(conf, "*.yaml")
+
+
+def tree_digest(root: Path, pattern: str, left_out: tuple[str, ...] = ()) -> str:
+    """SHA-256 of the names and contents of files below a folder, without those whose paths begin as ``left_out``."""
+    names = {file.relative_to(root).as_posix(): file for file in sorted(root.rglob(pattern))}
+    # The digest of each file, not its bytes: no content can pass for a name.
+    lines = [f"{name}\0{digest_of(names[name].read_bytes())}\n" for name in names if not name.startswith(left_out)]
+    return digest_of("".join(lines))
+
+
+def digest_of(content: str | bytes) -> str:
+    """SHA-256 of a text or a file's content."""
+    return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()

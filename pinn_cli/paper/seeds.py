@@ -10,10 +10,10 @@ from typing import Any
 
 import pandas as pd
 
-from pinn_cli.paper.cases import BESIDE, SMOOTHER, TABLES, CaseTable
-from pinn_cli.paper.layout import by_cell, case_title, fitness_row, fitness_table
 from pinn_cli.paper.realisations import PINN, Realisation, ScoredRealisations
-from pinn_cli.paper.sheet import DASH, Cell, Row, Sheet, mark
+from pinn_cli.paper.runs import BESIDE, SMOOTHER, TABLES, CaseTable
+from pinn_cli.paper.sheet import Cell, Row, Sheet, block, mark
+from pinn_cli.paper.tables import case_title, fitness_groups, fitness_rows
 from pinn_cli.report import published
 from pinn_cli.runs.writing import write_table
 
@@ -31,7 +31,7 @@ PARAMETER_NOTE = (
     "of one draw."
 )
 _TITLES = {PINN: "ours", SMOOTHER.name: SMOOTHER.title}
-_PARAMETERS = ("k_2", "k_4", "kappa_2/mu_2", "kappa_4/mu_4")
+_PARAMETERS, _INTERVALS = ("k_2", "k_4", "kappa_2/mu_2", "kappa_4/mu_4"), "Intervals (%)"
 
 
 def seed_realisations() -> list[Realisation]:
@@ -46,14 +46,16 @@ def seed_realisations() -> list[Realisation]:
 
 @dataclass(frozen=True, eq=False)
 class SeedScores:
-    """Scores over the seeds.
+    """Scores over the seeds, all tables empty where there are none.
 
     Attributes:
         scored: The realisations.
         rows: One per case, seed, estimator, group and quantity (``seeds.csv``).
         parameters: One per case, seed, estimator and published parameter (``seeds_parameters.csv``).
-        summary: Mean and standard deviation over the seeds, one row per `KEYS` (``summary.csv``).
-        parameter_summary: The same of the parameters' errors (``summary_parameters.csv``).
+        summary: Mean and standard deviation over the seeds, one row per `KEYS`: ``seeds``, mean and std of both errors,
+            ``range_fitness_mean`` and ``published`` (``summary.csv``).
+        parameter_summary: ``case, estimator, parameter, seeds``, mean and std of the error, the share of intervals
+            that hold the truth, the published error (``summary_parameters.csv``).
     """
 
     scored: ScoredRealisations
@@ -64,15 +66,27 @@ class SeedScores:
 
     @classmethod
     def of(cls, scored: ScoredRealisations) -> SeedScores:
-        """Tables of the scores that are there, all empty where there are none."""
+        """Tables of the scores that are there."""
         rows, parameters = (scored.rows(table) for table in ("fitness", "parameters"))
         if rows.empty:
             return cls(scored, rows, parameters, rows, parameters)
         rows["error_percent"] = 100.0 - rows["fitness_percent"]
         rows["range_error_percent"] = 100.0 - rows["range_fitness_percent"]
-        given = published.parameters()[["case", "parameter"]]
-        parameters = parameters.merge(given, on=["case", "parameter"]) if len(parameters) else parameters
-        return cls(scored, rows, parameters, _summary(rows), _parameter_summary(parameters))
+        summary = _spread(rows.dropna(subset=["error_percent"]), KEYS, ["error_percent", "range_error_percent"])
+        summary["range_fitness_mean"] = 100.0 - summary["range_error_percent_mean"]
+        given = published.fitness().rename(columns={"fitness_percent": "published"})
+        summary = summary.merge(given[["case", "group", "quantity", "published"]], how="left", on=["case", *KEYS[2:]])
+        if parameters.empty:
+            return cls(scored, rows, parameters, summary, parameters)
+        given = published.parameters().rename(columns={"error_percent": "published_error_percent"})
+        given = given[["case", "parameter", "published_error_percent"]]
+        parameters = parameters.merge(given[["case", "parameter"]], on=["case", "parameter"])
+        held = parameters["true"].between(parameters["lower_90"], parameters["upper_90"])
+        keys = ["case", "estimator", "parameter"]
+        of_parameters = _spread(parameters, keys, ["error_percent"])
+        inside = parameters.assign(inside_90_percent=100.0 * held).groupby(keys, sort=False)["inside_90_percent"].mean()
+        of_parameters = of_parameters.merge(inside.reset_index(), on=keys).merge(given, on=["case", "parameter"])
+        return cls(scored, rows, parameters, summary, of_parameters)
 
     def write(self, directory: Path) -> Path:
         """Write the four tables; the path of the summary."""
@@ -83,34 +97,11 @@ class SeedScores:
 
     @property
     def sheets(self) -> list[Sheet]:
-        """One for each of Tables 2 and 5 and one for the parameters; cases without a result are left out."""
+        """One for each of Tables 2 and 5 and one for the parameters."""
         if self.rows.empty:
             return []
         sheets = [_fitness_sheet(table, self.summary) for table in FITNESS_TABLES]
         return [*sheets, *([] if self.parameter_summary.empty else [_parameter_sheet(self.parameter_summary)])]
-
-
-def _summary(rows: pd.DataFrame) -> pd.DataFrame:
-    """Columns `KEYS`, ``seeds``, mean and std of both errors, ``range_fitness_mean`` and ``published``."""
-    known = rows.dropna(subset=["error_percent"])
-    summary = _spread(known, KEYS, ["error_percent", "range_error_percent"])
-    summary["range_fitness_mean"] = 100.0 - summary["range_error_percent_mean"]
-    given = published.fitness().rename(columns={"fitness_percent": "published"})
-    return summary.merge(given[["case", "group", "quantity", "published"]], how="left", on=["case", *KEYS[2:]])
-
-
-def _parameter_summary(parameters: pd.DataFrame) -> pd.DataFrame:
-    """``case, estimator, parameter, seeds``, mean and std of the error, share of intervals that hold the truth."""
-    if parameters.empty:
-        return parameters
-    inside = parameters["true"].between(parameters["lower_90"], parameters["upper_90"])
-    keys = ["case", "estimator", "parameter"]
-    scored = parameters.assign(inside_90_percent=100.0 * inside)
-    held = scored.groupby(keys, sort=False)["inside_90_percent"].mean().reset_index()
-    given = published.parameters().rename(columns={"error_percent": "published_error_percent"})
-    given = given[["case", "parameter", "published_error_percent"]]
-    summary = _spread(scored, keys, ["error_percent"])
-    return summary.merge(held, on=keys).merge(given, how="left", on=["case", "parameter"])
 
 
 def _spread(rows: pd.DataFrame, keys: list[str], columns: list[str]) -> pd.DataFrame:
@@ -123,43 +114,14 @@ def _spread(rows: pd.DataFrame, keys: list[str], columns: list[str]) -> pd.DataF
 
 
 def _fitness_sheet(table: CaseTable, summary: pd.DataFrame) -> Sheet:
-    groups = table.values.groupby("group", sort=False)["quantity"]
-    columns = {str(group): list(quantities.unique()) for group, quantities in groups}
-    rows: list[Row] = []
-    for case, cells in table.values.groupby("case", sort=False):
-        ours = summary[summary["case"] == case]
-        if ours.empty:
-            continue
-        errors = (100.0 - by_cell(cells)["fitness_percent"]).to_dict()
-        given = {key: Cell(f"{error:.2f}") for key, error in errors.items()}
-        rows.append(fitness_row(case_title(cells), "published", given, columns))
-        printed = []
-        for name, title in _TITLES.items():
-            found = by_cell(ours[ours["estimator"] == name]).to_dict("index")
-            if found:
-                ranged = {key: _cell(row, "range_error_percent", errors.get(key)) for key, row in found.items()}
-                strict = {key: _cell(row, "error_percent") for key, row in found.items()}
-                rows.append(fitness_row("", title, ranged, columns))
-                printed.append(fitness_row("", f"{title}, printed", strict, columns))
-        rows += printed
-    title = f"{table.title}, over noise seeds"
-    return fitness_table(f"seeds_{table.name}", title, NOTE.format(seeds=_seeds(summary)), columns, rows)
-
-
-def _cell(row: Mapping[Any, Any] | None, column: str, given: float | None = None) -> Cell:
-    if row is None:
-        return Cell(DASH)
-    mean = row[f"{column}_mean"]
-    return Cell(spread_text(mean, row[f"{column}_std"]), "" if given is None else mark(mean, given))
-
-
-def spread_text(mean: float, std: float) -> str:
-    """Both with the decimals of a percentage near the mean's size; one draw has no standard deviation."""
-    if not math.isfinite(mean):
-        return DASH
-    decimals = 3 if mean < 0.1 else 2 if mean < 10.0 else 1
-    spread = f" ± {std:.{decimals}f}" if math.isfinite(std) else ""
-    return f"{mean:.{decimals}f}{spread}"
+    rows = fitness_rows(
+        table, {title: summary[summary["estimator"] == name] for name, title in _TITLES.items()},
+        lambda row: Cell(f"{100.0 - row['fitness_percent']:.2f}"),
+        lambda row: _cell(row, "range_error_percent", 100.0 - row["published"]),
+        lambda row: _cell(row, "error_percent"),
+    )  # fmt: skip
+    title, note = f"{table.title}, over noise seeds", NOTE.format(seeds=_seeds(summary))
+    return Sheet(f"seeds_{table.name}", title, note, ("Case", "Estimate"), fitness_groups(table), rows)
 
 
 def _parameter_sheet(summary: pd.DataFrame) -> Sheet:
@@ -167,24 +129,38 @@ def _parameter_sheet(summary: pd.DataFrame) -> Sheet:
     rows: list[Row] = []
     for case, cells in FITNESS_TABLES[-1].values.groupby("case", sort=False):
         ours = summary[summary["case"] == case]
-        if ours.empty:
-            continue
         given = ours.drop_duplicates("parameter").set_index("parameter")["published_error_percent"].to_dict()
-        names = [next((name for name in pair.split("/") if name in given), "") for pair in _PARAMETERS]
-        errors = [Cell(f"{given[name]:.2f}" if name else DASH) for name in names]
-        rows.append(Row((case_title(cells), "published"), (*errors, Cell("")), begins=True))
+        names = {pair: next((name for name in pair.split("/") if name in given), "") for pair in _PARAMETERS}
+        errors = {pair: Cell(f"{given[name]:.2f}") for pair, name in names.items() if name}
+        found = {"published": errors | {_INTERVALS: Cell("")}}
         for estimator, source in _TITLES.items():
-            found = ours[ours["estimator"] == estimator].set_index("parameter").to_dict("index")
-            if found:
-                values = [_cell(found.get(name), "error_percent", given.get(name)) for name in names]
-                held = sum(row["inside_90_percent"] for row in found.values()) / len(found)
-                rows.append(Row(("", source), (*values, Cell(f"{held:.0f}"))))
-    title, columns = (
-        "Tables 3 and 4: errors of the unknown parameters (%), over noise seeds",
-        (*_PARAMETERS, "Intervals (%)"),
-    )
-    note, heads = PARAMETER_NOTE.format(seeds=_seeds(summary)), ("Case", "Estimate")
-    return Sheet("seeds_parameters", title, note, heads, (("", len(columns)),), columns, tuple(rows))
+            own = ours[ours["estimator"] == estimator].set_index("parameter")
+            if len(own):
+                by_name = own.to_dict("index")
+                found[source] = {
+                    pair: _cell(by_name[name], "error_percent", given[name])
+                    for pair, name in names.items()
+                    if name in by_name
+                } | {_INTERVALS: Cell(f"{own['inside_90_percent'].mean():.0f}")}
+        if len(found) > 1:
+            rows += block(case_title(cells), found, (*_PARAMETERS, _INTERVALS))
+    title = "Tables 3 and 4: errors of the unknown parameters (%), over noise seeds"
+    note, groups = PARAMETER_NOTE.format(seeds=_seeds(summary)), [("", (*_PARAMETERS, _INTERVALS))]
+    return Sheet("seeds_parameters", title, note, ("Case", "Estimate"), groups, rows)
+
+
+def _cell(row: Mapping[Any, Any], column: str, given: float | None = None) -> Cell:
+    mean = row[f"{column}_mean"]
+    return Cell(spread_text(mean, row[f"{column}_std"]), "" if given is None else mark(mean, given))
+
+
+def spread_text(mean: float, std: float) -> str:
+    """Both with the decimals of a percentage near the mean's size; one draw has no standard deviation."""
+    if not math.isfinite(mean):
+        return Cell().text
+    decimals = 3 if mean < 0.1 else 2 if mean < 10.0 else 1
+    spread = f" ± {std:.{decimals}f}" if math.isfinite(std) else ""
+    return f"{mean:.{decimals}f}{spread}"
 
 
 def _seeds(summary: pd.DataFrame) -> str:

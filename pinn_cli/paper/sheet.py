@@ -6,13 +6,13 @@ import base64
 import math
 import mimetypes
 import re
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from html import escape
 from itertools import accumulate
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -43,29 +43,44 @@ _ACCENTED = {"x̃": r"$\tilde{x}$", "x̄": r"$\bar{x}$"}
 _ACCENTS = re.compile(f"({'|'.join(_ACCENTED)})")
 
 
-@dataclass(frozen=True)
-class Cell:
+class Cell(NamedTuple):
     """One value as text, and how it compares with the published one."""
 
-    text: str
+    text: str = DASH
     mark: Mark = ""
 
+    @classmethod
+    def number(cls, value: float, pattern: str, mark: Mark = "") -> Cell:
+        """A number as `format` writes it; a dash, never marked, where it is unknown."""
+        return cls(format(value, pattern), mark) if math.isfinite(value) else cls()
 
-@dataclass(frozen=True)
-class Row:
-    """One line of a table.
 
-    Attributes:
-        heads: What stands to its left, one text per entry of `Sheet.heads`.
-        cells: One per entry of `Sheet.columns`.
-        begins: Whether a rule parts it from the row above.
-        secondary: Whether it is there for completeness: printed smaller.
-    """
+class Row(NamedTuple):
+    """One line of a table: texts to its left, and cells; a rule may part it from the row above, or it is small."""
 
     heads: tuple[str, ...]
     cells: tuple[Cell, ...]
     begins: bool = False
     secondary: bool = False
+
+
+def block(head: str, cells: Mapping[str, Mapping[Any, Cell]], columns: Sequence[Hashable]) -> list[Row]:
+    """A row for each source of values, its cells by column; the first begins a block, those called printed are small.
+
+    What a source has no cell for is a dash.
+    """
+    return [
+        Row(
+            ("" if i else head, source), tuple(own.get(c, Cell()) for c in columns), not i, source.endswith(", printed")
+        )
+        for i, (source, own) in enumerate(cells.items())
+    ]
+
+
+def mark(ours: float, published: float, more_is_better: bool = False) -> Mark:
+    """How a value compares, at the two decimals that the paper prints; no mark where either is unknown."""
+    gain = (round(ours, 2) - round(published, 2)) * (1.0 if more_is_better else -1.0)
+    return "better" if gain > 0.0 else "worse" if gain < 0.0 else ""
 
 
 @dataclass(frozen=True)
@@ -76,25 +91,28 @@ class Sheet:
         name: Of its files.
         title: One line.
         note: What the reader must know of its numbers, one paragraph.
-        heads: Titles of the columns at the left.
-        groups: Title and number of columns of each group, in order; together all of ``columns``.
-        columns: A quantity (``displacement``), a parameter (``k_2``) or plain text.
+        heads: Titles of the two columns at the left.
+        groups: Title of each group of columns and these: quantities (``displacement``), parameters (``k_2``) or text.
         rows: In order.
     """
 
     name: str
     title: str
     note: str
-    heads: tuple[str, ...]
-    groups: tuple[tuple[str, int], ...]
-    columns: tuple[str, ...]
-    rows: tuple[Row, ...]
+    heads: tuple[str, str]
+    groups: Sequence[tuple[str, Sequence[str]]]
+    rows: Sequence[Row]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Of all groups."""
+        return tuple(column for _, columns in self.groups for column in columns)
 
     @property
     def spans(self) -> list[tuple[str, int, int]]:
         """Each group's title, first column and last column, counted from 1."""
-        ends = accumulate(span for _, span in self.groups)
-        return [(title, end - span + 1, end) for (title, span), end in zip(self.groups, ends, strict=True)]
+        ends = accumulate(len(columns) for _, columns in self.groups)
+        return [(title, end - len(own) + 1, end) for (title, own), end in zip(self.groups, ends, strict=True)]
 
     @property
     def markdown(self) -> str:
@@ -106,23 +124,10 @@ class Sheet:
         r"""A ``table*`` for ``\input``; the document needs ``\usepackage{booktabs,graphicx}``."""
         return render("table.tex", sheet=self)
 
-
-def number(value: float, pattern: str, mark: Mark = "") -> Cell:
-    """A number as `format` writes it; a dash, never marked, where it is unknown."""
-    return Cell(format(value, pattern), mark) if math.isfinite(value) else Cell(DASH)
-
-
-def mark(ours: float, published: float, more_is_better: bool = False) -> Mark:
-    """How a value compares, at the two decimals that the paper prints; no mark where either is unknown."""
-    gain = (round(ours, 2) - round(published, 2)) * (1.0 if more_is_better else -1.0)
-    return "better" if gain > 0.0 else "worse" if gain < 0.0 else ""
-
-
-def write_sheets(sheets: Sequence[Sheet], directory: Path) -> None:
-    """Write each as ``<name>.md`` and ``<name>.tex``."""
-    for sheet in sheets:
-        write_text(sheet.markdown, directory / f"{sheet.name}.md")
-        write_text(sheet.latex, directory / f"{sheet.name}.tex")
+    def write(self, directory: Path) -> None:
+        """Write ``<name>.md`` and ``<name>.tex``."""
+        write_text(self.markdown, directory / f"{self.name}.md")
+        write_text(self.latex, directory / f"{self.name}.tex")
 
 
 def render(name: str, **content: object) -> str:

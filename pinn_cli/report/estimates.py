@@ -1,4 +1,7 @@
-"""What was estimated, with its deviation and where known its truth: numbers, and histories at every place."""
+"""What was estimated, with its deviation and where known its truth: numbers, and histories at every place.
+
+A quantity is a function here that returns one of the two; tables, files and figures take any of them.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
 
-from pinn_cli.record.record import Record
-from pinn_cli.record.response import GROUND, QUANTITIES, UNITS
+from pinn_cli.record.record import Record, Truth
+from pinn_cli.record.response import GROUND, QUANTITIES, UNITS, Response
 from pinn_cli.report.results import Results
+from pinn_cli.system.energy import dissipated_power, stored_by_memory, trapezoids
+from pinn_cli.system.modes import NaturalModes, frequency
 from pinn_cli.system.quantities import CONNECTION_FORCE, SUPPORT
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.central_interval import HALF_WIDTH_90
+from pinn_cli.training.estimate import Estimate
+from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.propagation import half_widths_90
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +44,16 @@ class Estimates:
         """(2, P), the central 90 % interval."""
         half = HALF_WIDTH_90 * self.std
         return np.stack((self.estimate - half, self.estimate + half))
+
+    def table(self, head: str, value: str, true: str, **further: np.ndarray | float) -> pd.DataFrame:
+        """Columns: the names, the estimate, ``std``, ``lower_90``, ``upper_90``, others, the truth, ``error_percent``.
+
+        ``head``, ``value`` and ``true`` are what three of them are called; ``further`` are others.
+        """
+        lower, upper = self.interval
+        own = {head: self.names, value: self.estimate, "std": self.std, "lower_90": lower, "upper_90": upper}
+        scored = {true: self.true, "error_percent": error_percent(self.estimate, self.true)}
+        return pd.DataFrame(own | further | scored)
 
 
 def error_percent(estimate: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -78,15 +98,21 @@ class Histories:
         found = self.found.get(source)
         return np.full((len(self.time), len(self.places)), np.nan) if found is None else found
 
+    def beside(self, **found: np.ndarray | None) -> Histories:
+        """The same with further sources, those that are not None."""
+        return replace(self, found={**self.found, **{name: x for name, x in found.items() if x is not None}})
+
     def peaks(self, source: str = "estimate") -> tuple[np.ndarray, np.ndarray]:
         """Largest absolute value at every place and its sample, each (C,)."""
         values = self.of(source)
         sample = np.argmax(np.abs(values), axis=0)
         return np.abs(values[sample, np.arange(values.shape[1])]), sample
 
-    def beside(self, **found: np.ndarray | None) -> Histories:
-        """The same with further sources, those that are not None."""
-        return replace(self, found={**self.found, **{name: x for name, x in found.items() if x is not None}})
+    def peak_estimates(self) -> Estimates:
+        """The largest absolute value at every place; its deviation is that of the history at this time."""
+        peak, sample = self.peaks()
+        std = self.of("std")[sample, np.arange(len(peak))]
+        return Estimates(self.places, peak, std, self.peaks("true")[0])
 
 
 def dof_histories(results: Results) -> list[Histories]:
@@ -116,8 +142,8 @@ def ground_history(results: Results) -> Histories | None:
 def support_histories(results: Results) -> list[Histories]:
     """The motion of supports, where they move: estimated and observed."""
     estimate, record, out = results.estimate, results.record, []
+    moved = {"estimate": estimate.response.supports, "std": estimate.std.supports}
     for order, name in enumerate(SUPPORT):
-        moved = {"estimate": estimate.response.supports, "std": estimate.std.supports}
         found = {source: x[:, order] for source, x in moved.items() if x is not None}
         if name in record.supports:
             found["observed"] = observed(record, name)
@@ -131,3 +157,212 @@ def observed(record: Record, quantity: str) -> np.ndarray:
     # A force that is known to be zero is 0 in the record; nobody has measured it.
     shown = np.where(record.sensors(quantity), record.histories(quantity), np.nan)
     return np.where(record.missing[quantity], np.nan, shown) if quantity in record.missing else shown
+
+
+def drifts(structure: Structure, estimate: Estimate, truth: Response) -> Histories:
+    """Elongations of connections and, behind them, of pairs of DOFs: of a storey, its drift.
+
+    ``truth`` is NaN where unknown: the drift of a connection is known where all that it joins are.
+    """
+    stretch, known = structure.drifts_of_dofs, estimate.connections
+    found = _with_supports(estimate.response, structure.supports) @ stretch.T
+    std = np.full(found.shape, np.nan) if known is None else known.elongation_std
+    displacement = _with_supports(truth, structure.supports)
+    joins = abs(stretch) @ np.isnan(displacement).any(axis=0).astype(float) > 0.0
+    true = np.where(joins, np.nan, np.nan_to_num(displacement) @ stretch.T)
+    names, sources = structure.drift_names, {"estimate": found, "std": std}
+    own = Histories("drift", "connection", names, estimate.response.time, sources)
+    return own.beside(true=true if np.isfinite(true).any() else None)
+
+
+def _with_supports(response: Response, supports: int) -> np.ndarray:
+    """(N, n + S), displacements of DOFs and of supports, NaN where these are not known."""
+    unknown = np.full((len(response.time), supports), np.nan)
+    return np.hstack((response.displacement, unknown if response.supports is None else response.supports[:, 0]))
+
+
+def drift_table(drifts: Histories) -> pd.DataFrame:
+    """One row per connection and pair (the content of ``drift.csv``).
+
+    ``peak`` is the largest absolute drift, m, at ``time_of_peak``, s. Its 90 % interval is that of the drift at this
+    time: two peaks of nearly the same height are not told apart. Cells of what is not known are empty (NaN).
+    """
+    found, (_, sample), (_, when) = drifts.peak_estimates(), drifts.peaks(), drifts.peaks("true")
+    table = found.table("connection", "peak", "true_peak", time_of_peak=drifts.time[sample])
+    table["lower_90"] = table["lower_90"].clip(lower=0.0)
+    true_time = np.where(np.isfinite(found.true), drifts.time[when], np.nan)
+    table.insert(len(table.columns) - 1, "true_time_of_peak", true_time)
+    return table
+
+
+def connection_forces(structure: Structure, estimate: Estimate, truth: Truth) -> Histories | None:
+    """Internal forces of the same connections, N, NaN of mere pairs; None where the training does not tell them."""
+    found, response = estimate.connections, truth.response
+    if found is None:
+        return None
+    sources = {"estimate": found.force, "std": found.force_std}
+    known = truth.parameters is not None and np.isfinite(response.velocity).all()
+    if known and set(truth.parameters or ()) == set(structure.parameters):
+        e, de = (structure.elongation(x) for x in response.stretching)
+        force = structure.connection_force(e, de, truth.parameters, response.hidden)
+        if np.isfinite(own := force[:, structure.added]).any():
+            sources["true"] = own
+    names = structure.drift_names
+    beside = ((0, 0), (0, len(names) - len(structure.added)))
+    padded = {name: np.pad(values, beside, constant_values=np.nan) for name, values in sources.items()}
+    return Histories(CONNECTION_FORCE, "connection", names, response.time, padded)
+
+
+def dissipated_energy(results: Results) -> Estimates:
+    """Energy that each of `Structure.added` dissipates over the record, J.
+
+    Of a training that says nothing of it, what its motion and its parameters dissipate, without a deviation. The truth
+    is that of the structure that a simulated record comes from.
+    """
+    estimate, true, truth = results.estimate, results.true, results.truth.response
+    structure, known = estimated_structure(results.prescribed, estimate.parameters), estimate.connections
+    energy = None if known is None else known.dissipated
+    energy = dissipated(structure, estimate.response) if energy is None else energy
+    std, unknown = None if known is None else known.dissipated_std, np.full(len(energy), np.nan)
+    told = true is not None and len(true.added) == len(energy) and np.isfinite(truth.velocity).all()
+    true_energy = dissipated(true, truth) if true is not None and told else unknown
+    names = structure.drift_names[: len(energy)]
+    return Estimates(names, energy, unknown if std is None else std, true_energy)
+
+
+def dissipated(structure: Structure, response: Response) -> np.ndarray:
+    """(C,), J: energy dissipated by `Structure.added` in a motion; NaN where a hidden force of it is not known."""
+    e, de = (structure.elongation(x) for x in response.stretching)
+    parameters, z = structure.parameters_like(e), response.hidden
+    if len(structure.memory) and z is None:
+        z = np.full((len(e), len(structure.memory)), np.nan)
+    energy = trapezoids(response.time) @ dissipated_power(structure, e, de, parameters, z)
+    if z is not None:
+        stored = stored_by_memory(structure, z[[0, -1]], parameters)
+        energy[structure.memory] += stored[0] - stored[1]
+    out: np.ndarray = energy[structure.added]
+    return out
+
+
+def energy_table(energy: Estimates) -> pd.DataFrame:
+    """One row per connection (the content of ``energy.csv``): energies in J, and the share of all connections."""
+    total = float(np.sum(energy.estimate))
+    share = 100.0 * energy.estimate / total if total > 0.0 else np.nan
+    return energy.table("connection", "dissipated", "true", share_percent=share)
+
+
+@dataclass(frozen=True, eq=False)
+class OtherModes:
+    """What another structure does in the modes that are most like those of the estimated one; NaN where it has none.
+
+    Attributes:
+        mac: (modes,), modal assurance criterion.
+        frequencies: (modes,), Hz.
+        damping_ratios: (modes,).
+        shapes: (dofs, modes), with the sign of the estimated ones.
+    """
+
+    mac: np.ndarray
+    frequencies: np.ndarray
+    damping_ratios: np.ndarray
+    shapes: np.ndarray
+
+    @classmethod
+    def of(cls, structure: Structure | None, found: NaturalModes) -> OtherModes:
+        """Of a structure with as many modes as those that were found."""
+        other = None if structure is None else NaturalModes.of(structure)
+        if other is None or other.of_dofs.shape != found.of_dofs.shape:
+            nothing = np.full(len(found.squares), np.nan)
+            return cls(nothing, nothing, nothing, np.full(found.of_dofs.shape, np.nan))
+        to, every = found.partners(other), np.arange(len(found.squares))
+        sign = np.where(np.sum(found.shapes * other.shapes[:, to], axis=0) < 0, -1.0, 1.0)
+        mac = found.assurance(other)[every, to]
+        return cls(mac, other.frequencies[to], other.damping_ratios[to], sign * other.shapes[:, to])
+
+
+@dataclass(frozen=True, eq=False)
+class ModeEstimates:
+    """Modes of the estimated structure, linearised about rest, beside those of two others.
+
+    Attributes:
+        dofs: Names of the DOFs; their numbers from 1 where they have none.
+        is_chain: Whether each DOF follows the one before.
+        frequencies, damping_ratios: (modes,), Hz.
+        frequency_interval, damping_interval: (2, modes), central 90 % intervals; NaN where nothing is uncertain.
+        shapes: (dofs, modes), the largest displacement being one.
+        prescribed: Of the model that the estimator was given.
+        true: Of the structure that a simulated record comes from.
+    """
+
+    dofs: tuple[str, ...]
+    is_chain: bool
+    frequencies: np.ndarray
+    damping_ratios: np.ndarray
+    frequency_interval: np.ndarray
+    damping_interval: np.ndarray
+    shapes: np.ndarray
+    prescribed: OtherModes
+    true: OtherModes
+
+    @classmethod
+    def of(cls, prescribed: Structure, estimate: Estimate, true: Structure | None = None) -> ModeEstimates | None:
+        """Of an estimate; None where its parameters make no structure, a mass being zero.
+
+        The intervals are those that the parameters' own ones and their correlation make to first order, of omega^2 and
+        of the damping ratio: what is held fixed counts as exact.
+        """
+        structure = estimated_structure(prescribed, estimate.parameters)
+        modes = NaturalModes.of(structure)
+        if modes is None:
+            return None
+        intervals = []
+        slopes = modes.slopes([found.parameter for found in estimate.parameters])
+        for values, slope in zip((modes.squares, modes.damping_ratios), slopes, strict=True):
+            below, above = half_widths_90(slope, estimate.parameters, estimate.correlation)
+            intervals.append(np.stack((values - below, values + above)))
+        squares, ratios = intervals
+        return cls(
+            tuple(structure.dof_name(i) for i in range(structure.ndof)),
+            not structure.is_modal and not structure.labels.connections,
+            modes.frequencies,
+            modes.damping_ratios,
+            frequency(np.where(squares < 0, 0.0, squares)),
+            ratios,
+            modes.shapes,
+            OtherModes.of(prescribed, modes),
+            OtherModes.of(true, modes),
+        )
+
+    @property
+    def count(self) -> int:
+        """Of modes."""
+        return len(self.frequencies)
+
+
+def mode_table(modes: ModeEstimates) -> pd.DataFrame:
+    """One row per mode, the lowest frequency first (the content of ``modes.csv``).
+
+    Frequencies are in Hz and undamped; ``lower_90`` and ``upper_90`` are of the frequency. ``mac`` is the modal
+    assurance criterion against the prescribed mode that is most alike, whose frequency and damping follow; ``true_mac``
+    the same of the true one. A column ``shape_<dof>`` per DOF is its displacement where the mode's largest is one.
+    Cells of what is not known are empty (NaN).
+    """
+    prescribed, true = modes.prescribed, modes.true
+    columns: dict[str, np.ndarray] = {
+        "mode": np.arange(1, modes.count + 1),
+        "frequency": modes.frequencies,
+        "lower_90": modes.frequency_interval[0],
+        "upper_90": modes.frequency_interval[1],
+        "damping_ratio": modes.damping_ratios,
+        "damping_ratio_lower_90": modes.damping_interval[0],
+        "damping_ratio_upper_90": modes.damping_interval[1],
+        "mac": prescribed.mac,
+        "prescribed_frequency": prescribed.frequencies,
+        "prescribed_damping_ratio": prescribed.damping_ratios,
+        "true_frequency": true.frequencies,
+        "true_damping_ratio": true.damping_ratios,
+        "frequency_error_percent": error_percent(modes.frequencies, true.frequencies),
+        "damping_ratio_error_percent": error_percent(modes.damping_ratios, true.damping_ratios),
+        "true_mac": true.mac,
+    }
+    return pd.DataFrame(columns | {f"shape_{dof}": row for dof, row in zip(modes.dofs, modes.shapes, strict=True)})

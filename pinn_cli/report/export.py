@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from io import BytesIO
@@ -29,23 +29,30 @@ _LINE, _LABEL = 80, 20
 class Export:
     """Estimate and standard deviation of every quantity and DOF, in a file named ``response`` and the export's suffix.
 
-    Attributes:
-        name: As in ``report.export``.
-        write: Writes what `pinn_cli.report.netcdf.response_dataset` makes to a file, whole or not at all.
+    ``name`` is as in ``report.export``; ``write`` writes what `pinn_cli.report.netcdf.response_dataset` makes to a
+    file, whole or not at all.
     """
 
     name: str
     write: Callable[[xr.Dataset, Path], None]
 
 
+def _dof_names(dataset: xr.Dataset) -> list[str]:
+    return [str(name) for name in dataset["dof_name" if "dof_name" in dataset.coords else "dof"].values]
+
+
+def _histories(dataset: xr.Dataset) -> Iterator[tuple[str, str, int, str, xr.DataArray]]:
+    """Of every quantity and DOF, its name and its number, the estimate and its ``std``."""
+    for quantity in QUANTITIES:
+        for i, (dof, number) in enumerate(zip(_dof_names(dataset), dataset["dof"].values, strict=True)):
+            yield quantity, dof, int(number), "", dataset[quantity][:, i]
+            yield quantity, dof, int(number), "std", dataset[f"{quantity}_std"][:, i]
+
+
 def write_csv(dataset: xr.Dataset, path: Path) -> None:
     """Columns ``t``, ``displacement_1``, ``displacement_1_std`` and so on, s and SI units, ten significant digits."""
-    columns = {"t": dataset["time"].values}
-    for quantity in QUANTITIES:
-        for i, dof in enumerate(_dof_names(dataset)):
-            columns[f"{quantity}_{dof}"] = dataset[quantity].values[:, i]
-            columns[f"{quantity}_{dof}_std"] = dataset[f"{quantity}_std"].values[:, i]
-    write_table(pd.DataFrame(columns), path)
+    found = {"_".join(filter(None, (q, dof, std))): own.values for q, dof, _, std, own in _histories(dataset)}
+    write_table(pd.DataFrame({"t": dataset["time"].values, **found}), path)
 
 
 def write_mat(dataset: xr.Dataset, path: Path) -> None:
@@ -56,8 +63,7 @@ def write_mat(dataset: xr.Dataset, path: Path) -> None:
     from scipy.io import savemat
 
     content: dict[str, object] = {"t": dataset["time"].values[:, None]}
-    for quantity in QUANTITIES:
-        content |= {name: dataset[name].values for name in (quantity, f"{quantity}_std")}
+    content |= {name: dataset[name].values for q in QUANTITIES for name in (q, f"{q}_std")}
     content["dof"] = np.array(_dof_names(dataset), dtype=object)
     content["units"] = {quantity: dataset[quantity].attrs["units"] for quantity in QUANTITIES} | {"t": "s"}
     file = BytesIO()
@@ -73,30 +79,22 @@ def write_uff(dataset: xr.Dataset, path: Path) -> None:
     """
     pyuff: Any = import_module("pyuff")
     si = {"units_code": 1, "units_description": "SI: m, N", "length": 1.0, "force": 1.0}
+    time = dataset["time"].values
+    step = float(time[-1] - time[0]) / (len(time) - 1)
     sets = [pyuff.prepare_164(**si, temp_mode=1, temp=1.0, temp_offset=273.15)]
-    for quantity in QUANTITIES:
-        for i, (dof, number) in enumerate(zip(_dof_names(dataset), dataset["dof"].values, strict=True)):
-            for name, title in ((quantity, f"{quantity} {dof}"), (f"{quantity}_std", f"{quantity} {dof} std")):
-                sets.append(_data_set(pyuff, dataset[name][:, i], title, int(number)))
+    for quantity, dof, number, std, history in _histories(dataset):
+        title = " ".join(filter(None, (quantity, dof, std)))
+        own = pyuff.prepare_58(
+            binary=0, func_type=_TIME_RESPONSE, id1=title[:_LINE], id2="estimated by pinn-run", id3="NONE", id4="NONE",
+            id5=f"time step {step:.16g} s", load_case_id=0, rsp_ent_name="NONE", rsp_node=number, rsp_dir=0,
+            ref_ent_name="NONE", ref_node=0, ref_dir=0, abscissa_spacing=1, abscissa_spec_data_type=_TIME,
+            abscissa_axis_units_lab="s", ordinate_spec_data_type=_TYPES[quantity],
+            ordinate_axis_units_lab=history.attrs["units"][:_LABEL], orddenom_spec_data_type=0,
+            z_axis_spec_data_type=0, data=np.ascontiguousarray(history.values, dtype=np.float64), x=time,
+        )  # fmt: skip
+        sets.append(own)
     with replacing(path) as beside:
         pyuff.UFF(str(beside)).write_sets(sets)
-
-
-def _data_set(pyuff: Any, history: xr.DataArray, title: str, node: int) -> Any:
-    time = history["time"].values
-    step = float(time[-1] - time[0]) / (len(time) - 1)
-    return pyuff.prepare_58(
-        binary=0, func_type=_TIME_RESPONSE, id1=title[:_LINE], id2="estimated by pinn-run", id3="NONE", id4="NONE",
-        id5=f"time step {step:.16g} s", load_case_id=0, rsp_ent_name="NONE", rsp_node=node, rsp_dir=0,
-        ref_ent_name="NONE", ref_node=0, ref_dir=0, abscissa_spacing=1, abscissa_spec_data_type=_TIME,
-        abscissa_axis_units_lab="s", ordinate_spec_data_type=_TYPES[title.split()[0]],
-        ordinate_axis_units_lab=history.attrs["units"][:_LABEL], orddenom_spec_data_type=0, z_axis_spec_data_type=0,
-        data=np.ascontiguousarray(history.values, dtype=np.float64), x=time,
-    )  # fmt: skip
-
-
-def _dof_names(dataset: xr.Dataset) -> list[str]:
-    return [str(name) for name in dataset["dof_name" if "dof_name" in dataset.coords else "dof"].values]
 
 
 EXPORTS = {name: Export(name, write) for name, write in (("csv", write_csv), ("mat", write_mat), ("uff", write_uff))}

@@ -1,25 +1,41 @@
-"""The free run: what the estimated system does when it is left to itself, and how far that is what was estimated.
+"""The identified system left to itself: under the force that it was found with, and on data that no estimator has seen.
 
 A training ties parameters and response together only through a loss, so a small loss can go with wrong parameters.
 Simulating the estimated system from the estimated initial state under the measured force leaves no such room: the
 parameters alone shape the response, and their error adds up over the record.
+
+A run on other data begins at rest, or where the estimate leaves the structure, and only its force and the motion of its
+ground are looked at. Its band holds what is uncertain: the parameters, the start, the noise of the load cells and of
+the ground's sensor, and the discrepancy, all as they were found. The discrepancy acts as a random force, as the
+estimator takes it: an error of the model that follows the motion, such as a forgotten nonlinearity, is none, and may
+lead out of the band.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
+from pinn_cli.record.channels import Channel, channels
+from pinn_cli.record.ensemble import Members, affordable_members, spread_of
 from pinn_cli.record.free_run import NoFreeRunError, free_run_of
+from pinn_cli.record.free_run import free_run as motion_of
+from pinn_cli.record.inputs import SupportErrors
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
-from pinn_cli.report.fitness import fitness_percent, fitness_table
+from pinn_cli.record.response import RESPONSE_QUANTITIES, UNITS, Response
+from pinn_cli.record.validation_data import ValidationRecord
+from pinn_cli.report.fitness import fitness_percent, fitness_table, nmse_percent
+from pinn_cli.system.parameters import MASS
 from pinn_cli.system.structure import Structure
+from pinn_cli.training.calibrated_record import as_felt, beside
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.parameter_draws import drawn_structures, parameter_draws
+from pinn_cli.verdict.noise_findings import noise_found
 
 REFERENCES = ("truth", "sensors", "estimate")
 
@@ -31,6 +47,14 @@ CONTRADICTED_BELOW = 95.0
 # One over the share of the record at its start that is left out where the start is not to count: there the ends of
 # splines show, and the motion far from the sensors is poorly known for as long as a wave takes to get there.
 EXCUSED_SHARE = 10
+
+VALIDATION_COLUMNS = (
+    "quantity", "dof", "unit", "start_time", "stop_time", "begins", "samples", "signal_rms", "error_rms",
+    "nmse_percent", "band_rms", "sigma", "inside_95_percent",
+)  # fmt: skip
+# Draws of what is uncertain: a standard deviation from so many is good to 9 %.
+DRAWS = 64
+BAND = 1.96  # standard deviations to either side: 95 %
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,3 +147,159 @@ def _agreement(response: Response, estimate: Estimate) -> float:
     """Printed fitness of the displacements against the last estimated ones, mean over DOFs, %; NaN if none moves."""
     scores = fitness_percent(response.displacement, estimate.response.displacement[-len(response.time) :])
     return float(np.mean(scores[np.isfinite(scores)])) if np.isfinite(scores).any() else math.nan
+
+
+@dataclass(frozen=True, eq=False)
+class ValidationRun:
+    """What came of it; the first samples may be a run-up that is not compared.
+
+    Attributes:
+        record: The data, in SI units, with the calibrations that were found.
+        first: Sample from which on they are compared.
+        at_rest: Whether the run begins at rest.
+        response: Of the identified system, (N, n) each; None where there is none.
+        std: Of the same; NaN where it is unknown.
+        finding: Why there is no run; "" where there is one.
+    """
+
+    record: Record
+    first: int
+    at_rest: bool
+    response: Response | None
+    std: Response | None
+    finding: str = ""
+
+    @classmethod
+    def of(
+        cls,
+        prescribed: Structure,
+        estimate: Estimate,
+        seen: Record,
+        data: ValidationRecord,
+        draws: np.ndarray | None = None,
+        seed: int = 0,
+    ) -> ValidationRun:
+        """Simulate the identified system on data other than the record that was seen.
+
+        ``draws`` (D, p) are of the parameters' posterior; None: of a Gaussian with their deviations. The estimate has
+        the state that the run may begin with.
+        """
+        record = as_felt(data.record, estimate.parameters)
+        structure = estimated_structure(prescribed, estimate.parameters)
+        at_rest = data.begins is None
+        start = None if data.begins is None else estimate.response.state(data.begins)
+        if data.begins is not None and estimate.response.supports is not None:
+            record = replace(record, supports_begin=estimate.response.supports[data.begins, :2])
+        try:
+            response = motion_of(structure, record, start)
+        except NoFreeRunError as error:
+            return cls(record, data.first, at_rest, None, None, str(error))
+        members = _members(structure, estimate, (seen, record), data.begins, draws, seed)
+        std = None if members is None else spread_of(members, structure, record, response)
+        return cls(beside(record, estimate.parameters, response), data.first, at_rest, response, std)
+
+    def of_channel(self, channel: Channel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Measured, NaN where no sample was taken, simulated, and its deviation, from the first sample compared on."""
+        unknown = np.full(len(self.record.time), np.nan)
+        measured = channel.measured if channel.there is None else np.where(channel.there, channel.measured, np.nan)
+        run, std = (unknown if x is None else channel.of(x) for x in (self.response, self.std))
+        return measured[self.first :], run[self.first :], std[self.first :]
+
+    def compared(self, channel: Channel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same where a sample was taken, each (M,)."""
+        measured, run, std = self.of_channel(channel)
+        there = slice(None) if channel.there is None else channel.there[self.first :]
+        return measured[there], run[there], std[there]
+
+
+def validation_table(run: ValidationRun, estimate: Estimate) -> pd.DataFrame:
+    """One row per response sensor of the other data (the content of ``validation.csv``): `VALIDATION_COLUMNS`.
+
+    ``dof`` is counted from 1. ``begins`` is ``rest`` or ``estimate``. In the sensor's ``unit``: ``signal_rms`` (about
+    the mean), ``error_rms`` of measured less simulated, ``band_rms`` (the deviation of what is simulated, root mean
+    square over time) and ``sigma`` (the sensor's noise, as it was found). ``nmse_percent``: 100 mean square error over
+    the signal's variance. ``inside_95_percent``: samples within 1.96 deviations, noise included. What is not known is
+    empty (NaN).
+    """
+    rows, time = [], run.record.time
+    for channel in channels(run.record, RESPONSE_QUANTITIES):
+        measured, simulated, std = run.compared(channel)
+        error, sigma = measured - simulated, noise_found(estimate, channel)
+        reach, spread = BAND * np.hypot(std, sigma), std[np.isfinite(std)]
+        known = np.isfinite(reach) & np.isfinite(error)
+        inside = np.abs(error[known]) <= reach[known]
+        rows.append(
+            (
+                channel.quantity, channel.dof + 1, UNITS[channel.quantity], float(time[run.first]), float(time[-1]),
+                "rest" if run.at_rest else "estimate", len(measured), float(np.std(measured)),
+                float(np.sqrt(np.mean(error**2))), nmse_percent(error, measured),
+                float(np.sqrt(np.mean(spread**2))) if spread.size else np.nan, sigma,
+                100.0 * float(np.mean(inside)) if inside.size else np.nan,
+            )
+        )  # fmt: skip
+    return pd.DataFrame(rows, columns=list(VALIDATION_COLUMNS))
+
+
+def with_noise_of(estimate: Estimate, records: Sequence[Estimate]) -> Estimate:
+    """The estimate of one record with the noise of sensors that only others of its structure's records had."""
+    summary = dict(estimate.summary)
+    for name in [f"sigma_{quantity}" for quantity in RESPONSE_QUANTITIES]:
+        every = [list(each.summary[name]) for each in (estimate, *records) if each.summary.get(name) is not None]
+        if every:
+            summary[name] = [next((x for x in of_dof if x is not None), None) for of_dof in zip(*every, strict=True)]
+    return replace(estimate, summary=summary)
+
+
+def _members(
+    structure: Structure,
+    estimate: Estimate,
+    records: tuple[Record, Record],
+    begins: int | None,
+    draws: np.ndarray | None,
+    seed: int,
+) -> Members | None:
+    """What may be otherwise than in the run, drawn; None where the training does not say how uncertain parameters are.
+
+    ``records`` are what the estimator saw, and the other data.
+    """
+    count = affordable_members(structure, records[1], DRAWS)
+    if draws is None:
+        draws = parameter_draws(estimate.parameters, estimate.correlation, count, seed)
+    else:
+        draws = draws[np.linspace(0, len(draws) - 1, min(count, len(draws))).round().astype(int)]
+    if draws is None:
+        return None
+    zeros, hidden = np.zeros(structure.coordinates), np.zeros(len(structure.memory))
+    at_rest = [zeros, zeros, *([hidden] if len(hidden) else [])]
+    start = at_rest if begins is None else estimate.response.state(begins)
+    spread = [np.zeros_like(part) for part in start]
+    if begins is not None and not structure.is_modal:
+        spread = [np.nan_to_num(part) for part in estimate.std.state(begins)]
+        spread = [*spread, *[np.zeros_like(part) for part in start[len(spread) :]]]
+    state, deviation = np.concatenate(start), np.concatenate(spread)
+    normals = np.random.default_rng([seed, 3]).standard_normal((len(draws), len(state)))
+    sources = _sources(structure, estimate, *records)
+    parameters = drawn_structures(structure, estimate.parameters, draws)
+    levels = {quantity: estimate.summary.get(f"sigma_{quantity}") for quantity in records[1].supports}
+    errors = SupportErrors.of(records[1], {q: np.array(level, dtype=float) for q, level in levels.items() if level})
+    return Members(parameters, state + deviation * normals, sources, seed, carried=errors)
+
+
+def _sources(structure: Structure, estimate: Estimate, seen: Record, record: Record) -> np.ndarray:
+    """(P, n), see :class:`pinn_cli.record.ensemble.Members`: discrepancy, load cells, and the ground's sensor.
+
+    The discrepancy has the same power at every frequency, whatever the rate that it is sampled at.
+    """
+    n = structure.coordinates
+    level = estimate.summary.get("sigma_discrepancy")
+    rows = [] if level is None else [*(float(level) * np.sqrt(seen.step / record.step) * np.eye(n))]
+    felt = structure.shapes.matrix
+    for dof, sigma in enumerate(estimate.summary.get("sigma_force") or ()):
+        if sigma is not None and np.isfinite(sigma) and dof < len(felt) and not record.unforced[dof]:
+            rows.append(float(sigma) * felt[dof])
+    found = estimate.summary.get("sigma_ground_acceleration")
+    ground = next(iter(found), None) if isinstance(found, list | tuple | np.ndarray) else found
+    if ground is not None and record.ground_acceleration is not None:
+        mass = structure.parameters_like(np.empty(0))[MASS]
+        rows.append(float(ground) * mass * structure.with_ground)
+    return np.array(rows).reshape(-1, n)

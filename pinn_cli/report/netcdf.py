@@ -15,11 +15,17 @@ import numpy as np
 import xarray as xr
 
 from pinn_cli.posterior.base import PosteriorSamples
-from pinn_cli.posterior.result import ForcePredictive, PosteriorResult
+from pinn_cli.posterior.result import PosteriorResult
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES, UNITS, Response
-from pinn_cli.report.connections import connection_forces, drifts
-from pinn_cli.report.estimates import Histories, dof_histories, ground_history, support_histories
+from pinn_cli.report.estimates import (
+    Histories,
+    connection_forces,
+    dof_histories,
+    drifts,
+    ground_history,
+    support_histories,
+)
 from pinn_cli.report.results import Results
 from pinn_cli.runs.identity import package_version
 from pinn_cli.runs.writing import write_bytes
@@ -51,14 +57,13 @@ def response_dataset(results: Results, free_run: Response | None = None) -> xr.D
         its derivatives, and the same of these, over ``time`` and ``support``. ``observed`` and ``unforced``: DOFs with
         a response sensor, and those known to carry no force. Attributes are the run's labels.
     """
-    run, record, truth = results.run, results.record, results.truth
-    of_dofs, ground = dof_histories(results), ground_history(results)
+    run, record, truth, of_dofs = results.run, results.record, results.truth, dof_histories(results)
     stretched = drifts(results.prescribed, results.estimate, truth.response)
     forces = connection_forces(results.prescribed, results.estimate, truth)
+    moved = {} if free_run is None else {name: getattr(free_run, name) for name in RESPONSE_QUANTITIES}
     variables: dict[str, tuple[Any, ...]] = {}
     for each in of_dofs:
-        moved = None if free_run is None or each.name not in RESPONSE_QUANTITIES else getattr(free_run, each.name)
-        variables |= _variables(each.beside(free_run=moved), SOURCES)
+        variables |= _variables(each.beside(free_run=moved.get(each.name)), SOURCES)
     if results.baseline is not None:
         name, other = run.baseline, results.baseline
         described = {
@@ -68,9 +73,8 @@ def response_dataset(results: Results, free_run: Response | None = None) -> xr.D
         for each in of_dofs:
             found = {"estimate": getattr(other.response, each.name), "std": getattr(other.std, each.name)}
             variables |= _variables(replace(each, found=found), described)
-    for one in (ground, stretched, *support_histories(results), forces):
-        if one is not None:
-            variables |= _variables(one, SOURCES)
+    for one in (ground_history(results), stretched, *support_histories(results), forces):
+        variables |= {} if one is None else _variables(one, SOURCES)
     fixed = {
         "Conventions": "CF-1.11",
         "title": "Estimated response of a structure",
@@ -111,8 +115,8 @@ def _told(long_name: str, units: str = "") -> dict[str, str]:
     return {"long_name": long_name, **({"units": units} if units else {})}
 
 
-def write_dataset(dataset: xr.Dataset, path: Path | str) -> Path:
-    """Write ``dataset`` as netCDF 4 through h5netcdf; in memory first, since HDF5 does not outlive a full disk."""
+def write_dataset(dataset: xr.Dataset | xr.DataTree, path: Path | str) -> Path:
+    """Write it as netCDF 4 through h5netcdf; in memory first, since HDF5 does not outlive a full disk."""
     return write_bytes(dataset.to_netcdf(None, engine="h5netcdf", format="NETCDF4"), path)
 
 
@@ -140,31 +144,37 @@ def posterior_groups(
         predicted, in single precision, and ``observed_data`` with ``force`` (time, dof). ``sample_stats``: (chain,
         draw), where something was sampled step by step.
     """
-    samples, version = findings.samples, package_version("pinn-cli")
+    samples, version, predictive = findings.samples, package_version("pinn-cli"), findings.predictive
     library = {"inference_library": "pinn-cli", **({"inference_library_version": version} if version else {})}
-    posterior = _parameters(samples.draws, parameters)
-    noise = _told("standard deviation of the measured force's noise", UNITS["force"])
+    posterior, unit = _parameters(samples.draws, parameters), UNITS["force"]
+    noise = _told("standard deviation of the measured force's noise", unit)
     posterior["sigma_force"] = ((*_DRAWN, "force_dof"), samples.sigma_force, noise)
     posterior["force_dof"] = ("force_dof", *_dofs(samples))
     # ArviZ's own names for the two.
     sampling = {"tuning_steps": samples.warmup, "sampling_time": float(np.max(samples.seconds, initial=0.0))}
-    groups = {
-        "/": xr.Dataset(attrs={**netcdf_attributes(attributes), **library, "method": samples.method}),
-        "posterior": posterior.assign_attrs(library | sampling),
-        "prior": _parameters(samples.prior[None], parameters).assign_attrs(library),
-    }
-    if findings.predictive is not None:
-        for name, group in _forces(findings.predictive, samples, record).items():
-            groups[name] = group.assign_attrs(library)
+    groups = {"posterior": posterior.assign_attrs(sampling), "prior": _parameters(samples.prior[None], parameters)}
+    if predictive is not None:
+        time = ("time", record.time[predictive.samples], _told("time", "s"))
+        places = {"time": time, "dof": ("dof", *_dofs(samples))}
+        drawn = {"chain": np.arange(len(predictive.force)), "draw": predictive.draws}
+        # Ten times as many numbers as everything else together: seven digits of a noisy force are plenty.
+        force = predictive.force.astype(np.float32)
+        predicted = ((*_DRAWN, "time", "dof"), force, _told("force, posterior predictive", unit))
+        measured = record.force[np.ix_(predictive.samples, samples.force_dofs - 1)]
+        shown = (("time", "dof"), measured, _told("observed force", unit))
+        groups["posterior_predictive"] = xr.Dataset({"force": predicted}, drawn | places)
+        groups["observed_data"] = xr.Dataset({"force": shown}, places)
+    groups = {name: group.assign_attrs(library) for name, group in groups.items()}
     if samples.statistics:
         statistics = {name: (_DRAWN, values) for name, values in samples.statistics.items()}
         groups["sample_stats"] = xr.Dataset(statistics, _counted(*samples.draws.shape[:2]))
-    return groups
+    about = {**netcdf_attributes(attributes), **library, "method": samples.method}
+    return {"/": xr.Dataset(attrs=about), **groups}
 
 
 def write_posterior_data(groups: Mapping[str, xr.Dataset], path: Path | str) -> Path:
-    """Write the groups as netCDF 4 through h5netcdf."""
-    return write_bytes(xr.DataTree.from_dict(dict(groups)).to_netcdf(None, engine="h5netcdf", format="NETCDF4"), path)
+    """Write the groups of a posterior."""
+    return write_dataset(xr.DataTree.from_dict(dict(groups)), path)
 
 
 def _parameters(draws: np.ndarray, parameters: Sequence[Parameter]) -> xr.Dataset:
@@ -182,18 +192,3 @@ def _counted(chains: int, draws: int) -> dict[str, Any]:
 
 def _dofs(samples: PosteriorSamples) -> tuple[np.ndarray, dict[str, str]]:
     return samples.force_dofs.astype(np.int32), _told("degree of freedom, 1 is nearest the fixed end", "1")
-
-
-def _forces(predictive: ForcePredictive, samples: PosteriorSamples, record: Record) -> dict[str, xr.Dataset]:
-    """The predicted force, and what was observed of it."""
-    time = ("time", record.time[predictive.samples], _told("time", "s"))
-    places = {"time": time, "dof": ("dof", *_dofs(samples))}
-    drawn = {"chain": np.arange(len(predictive.force)), "draw": predictive.draws}
-    # Ten times as many numbers as everything else together: seven digits of a noisy force are plenty.
-    force, unit = predictive.force.astype(np.float32), UNITS["force"]
-    predicted = ((*_DRAWN, "time", "dof"), force, _told("force, posterior predictive", unit))
-    measured = record.force[np.ix_(predictive.samples, samples.force_dofs - 1)]
-    return {
-        "posterior_predictive": xr.Dataset({"force": predicted}, drawn | places),
-        "observed_data": xr.Dataset({"force": (("time", "dof"), measured, _told("observed force", unit))}, places),
-    }

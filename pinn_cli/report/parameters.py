@@ -1,8 +1,8 @@
-"""The system parameters: estimates of a training or of draws, their uncertainty, and how well they are determined."""
+"""The system parameters: estimates of a training or of draws, how well they are determined, and over time."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -10,12 +10,18 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.report.estimates import error_percent
+from pinn_cli.runs.reading import DamagedError, read_table
+from pinn_cli.settings.errors import InputError
+from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.training.central_interval import CENTRAL_90, HALF_WIDTH_90
-from pinn_cli.training.estimate import ParameterEstimate
+from pinn_cli.training.estimate import Estimate, ParameterEstimate, Story
 
 if TYPE_CHECKING:
+    from pinn_cli.model.knowledge import Model
     from pinn_cli.posterior.base import PosteriorSamples
     from pinn_cli.system.parameters import Parameter
+
+_ESTIMATE = ("estimate", "std", "lower_90", "upper_90")
 
 PARAMETER_COLUMNS = (
     "parameter", "true", "prescribed", "start", "estimate", "error_percent", "std", "lower_90", "upper_90",
@@ -23,6 +29,11 @@ PARAMETER_COLUMNS = (
 IDENTIFIABILITY_COLUMNS = (
     "parameter", "prior_std", "std", "std_ratio", "relative_std_percent", "largest_correlation", "correlated_with",
     "verdict",
+)  # fmt: skip
+STORY_COLUMNS = ("story", "parameter", *_ESTIMATE, "free_run_nmse_percent", "segments_nmse_percent")
+OVER_TIME = "parameters_over_time.csv"
+OVER_TIME_COLUMNS = (
+    "record", "run", "parameter", "unit", *_ESTIMATE, "alone", "alone_std", "change", "change_std", "chance", "changed",
 )  # fmt: skip
 DIAGNOSTICS = ("parameter", "mean", "std", "lower_90", "upper_90", "r_hat", "ess_bulk", "ess_tail", "mcse_mean")
 WELL_DETERMINED = "well determined"
@@ -44,20 +55,25 @@ INSEPARABLE = 0.95
 KNOWN_WELL_ENOUGH = 0.05
 
 
+def estimate_rows(estimates: Iterable[ParameterEstimate]) -> pd.DataFrame:
+    """``parameter``, ``estimate``, ``std``, ``lower_90`` and ``upper_90``, one row each."""
+    rows = [(p.name, p.estimate, p.std, p.lower_90, p.upper_90) for p in estimates]
+    return pd.DataFrame(rows, columns=["parameter", *_ESTIMATE])
+
+
 def parameter_table(
-    estimates: Iterable[ParameterEstimate], true: Mapping[str, np.ndarray] | None = None
+    estimates: Sequence[ParameterEstimate], true: Mapping[str, np.ndarray] | None = None
 ) -> pd.DataFrame:
     """One row per system parameter (the content of ``parameters.csv``): `PARAMETER_COLUMNS`.
 
     ``true`` has values (members,) by kind; None of a record from a rig. A parameter was either prescribed or is unknown
     and has a ``start``, the value at which its search began. Cells of what is not known are empty (NaN).
     """
-    rows = [
-        (p.name, true_value(p.parameter, true), p.believed, p.start, p.estimate, np.nan, p.std, p.lower_90, p.upper_90)
-        for p in estimates
-    ]
-    table = pd.DataFrame(rows, columns=list(PARAMETER_COLUMNS))
-    return table.assign(error_percent=error_percent(table["estimate"].to_numpy(float), table["true"].to_numpy(float)))
+    table = estimate_rows(estimates)
+    table["true"] = np.array([true_value(p.parameter, true) for p in estimates], dtype=float)
+    table["prescribed"], table["start"] = [p.believed for p in estimates], [p.start for p in estimates]
+    table["error_percent"] = error_percent(table["estimate"].to_numpy(float), table["true"].to_numpy(float))
+    return table[list(PARAMETER_COLUMNS)]
 
 
 def true_value(parameter: Parameter, true: Mapping[str, np.ndarray] | None) -> float:
@@ -193,3 +209,79 @@ def _nearest(correlation: np.ndarray | None, count: int) -> list[tuple[int | Non
 def _ratio(part: float, whole: float) -> float:
     """|part / whole|; NaN where there is nothing to divide by."""
     return abs(part / whole) if whole else np.nan
+
+
+def story_table(stories: Sequence[Story]) -> pd.DataFrame:
+    """One row per story of a record and parameter, the story that is reported first (the content of ``stories.csv``).
+
+    The last two of `STORY_COLUMNS` are a story's own, the same for all its parameters.
+    """
+    tables = [
+        estimate_rows(story.parameters).assign(
+            story=story.name, free_run_nmse_percent=story.free_run, segments_nmse_percent=story.segments
+        )
+        for story in stories
+    ]
+    return pd.concat(tables, ignore_index=True)[list(STORY_COLUMNS)]
+
+
+def parameters_over_time(model: Model, estimate: Estimate, run: str) -> pd.DataFrame | None:
+    """One row per record and parameter (the content of ``parameters_over_time.csv``): `OVER_TIME_COLUMNS`.
+
+    ``record`` counts from 1. ``estimate``, ``std`` and the 90 % interval are what is known after the record; ``alone``
+    what the record says by itself. Of a parameter that changed, ``change`` is by how much if nothing else did that is
+    not named, and ``chance`` the probability that uncertainty alone makes so much of it. None where nothing was
+    compared with the model that was the record's prior, and whose history goes on.
+    """
+    if estimate.changes is None:
+        return None
+    before = history(model)
+    own = _over_time_rows(int(before["record"].max()) + 1, run, estimate, model.parameters)
+    return pd.concat([before, own], ignore_index=True)
+
+
+def window_rows(number: int, run: str, estimate: Estimate) -> pd.DataFrame:
+    """The rows of one window of a record, counted among the records before it and the windows."""
+    own = [found.parameter for found in estimate.parameters if found.kind not in CALIBRATION_UNITS]
+    return _over_time_rows(number, run, estimate, own)
+
+
+def _over_time_rows(number: int, run: str, estimate: Estimate, wanted: Collection[Parameter]) -> pd.DataFrame:
+    """Those of one record, of the parameters that are wanted."""
+    changes = estimate.changes
+    kept = [i for i, p in enumerate(estimate.parameters) if p.parameter in wanted]
+    own = [estimate.parameters[i] for i in kept]
+    table = estimate_rows(own).assign(record=number, run=run, unit=[p.parameter.unit for p in own], changed=False)
+    table = table.reindex(columns=list(OVER_TIME_COLUMNS))
+    if changes is not None:
+        table["alone"], table["alone_std"] = changes.alone[kept], changes.alone_std[kept]
+        for change in changes.found:
+            moved = [changes.parameters[i] == change.parameter for i in kept]
+            said = change.by, change.std, change.chance, True
+            table.loc[moved, ["change", "change_std", "chance", "changed"]] = said
+    return table
+
+
+def history(model: Model) -> pd.DataFrame:
+    """The rows of earlier records: those that lie beside the model, or of a first one the model's own.
+
+    Raises:
+        InputError: Those beside the model are damaged.
+    """
+    file = model.directory / OVER_TIME
+    if file.is_file():
+        try:
+            numbers = tuple(name for name in OVER_TIME_COLUMNS if name not in ("run", "parameter", "unit", "changed"))
+            table = read_table(file, numbers, OVER_TIME_COLUMNS)
+            if list(table) == list(OVER_TIME_COLUMNS) and len(table) and table["record"].between(0, 1e9).all():
+                return table
+        except DamagedError:
+            pass
+        hint = f"{OVER_TIME} in it is damaged; without that file the history begins with this run"
+        raise InputError("model", model.directory, "a run with the history that it wrote", hint)
+    mean, covariance = model.known.within(model.lower)
+    half = HALF_WIDTH_90 * (std := np.sqrt(np.diag(covariance)))
+    found = zip(model.parameters, mean, std, np.maximum(mean - half, model.lower), mean + half, strict=True)
+    table = estimate_rows(ParameterEstimate(p, *numbers) for p, *numbers in found)
+    table = table.assign(record=1, run=model.directory.name, unit=[p.unit for p in model.parameters], changed=False)
+    return table.reindex(columns=list(OVER_TIME_COLUMNS))

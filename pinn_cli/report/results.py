@@ -39,6 +39,11 @@ def with_labels(table: pd.DataFrame, labels: Mapping[str, object]) -> pd.DataFra
     return labelled
 
 
+def record_folder(number: int) -> str:
+    """Where the files of a record lie in the run's directory; those of the first lie in the directory itself."""
+    return "." if number == 1 else f"record_{number}"
+
+
 @dataclass(frozen=True, eq=False)
 class RunDescription:
     """Which run it is, for the files that it leaves behind.

@@ -6,29 +6,31 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from pinn_cli.report import parameters, published
+from pinn_cli.record.channels import channels
+from pinn_cli.record.response import MEASURED_QUANTITIES, Response
+from pinn_cli.report import parameters, text
+from pinn_cli.report.estimates import ModeEstimates, dissipated_energy, drift_table, drifts, energy_table, mode_table
+from pinn_cli.report.estimator_tables import EstimatorTables, below
 from pinn_cli.report.export import Export
-from pinn_cli.report.fitness import FORMULAS
-from pinn_cli.report.free_run import FreeRun
+from pinn_cli.report.fitness import FORMULAS, residual_table
+from pinn_cli.report.free_run import FreeRun, ValidationRun, free_run, free_run_table, validation_table, with_noise_of
 from pinn_cli.report.model import write_run_model
-from pinn_cli.report.modes import ModeEstimates, mode_table
-from pinn_cli.report.over_time import FILE, parameters_over_time
-from pinn_cli.report.record_report import EstimatorTables, RecordReport, record_folder, records_table
-from pinn_cli.report.results import Results, with_labels
+from pinn_cli.report.published import fitness_of
+from pinn_cli.report.results import Results, record_folder, with_labels
 from pinn_cli.report.run_record import run_record
-from pinn_cli.report.terminal import findings, tables
-from pinn_cli.report.validation_run import ValidationRun, validation_table, with_noise_of
 from pinn_cli.runs.side_by_side import beside, side_by_side
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import tidy, write_json, write_table
-from pinn_cli.training.estimate import Estimate, Story
+from pinn_cli.training.estimate import Estimate
 from pinn_cli.verdict.finding import Verdict
+from pinn_cli.verdict.judge import judge
 from pinn_cli.verdict.parameter_findings import posterior_findings
 from pinn_cli.verdict.records import contradictions, verdict_of_records
 
@@ -37,9 +39,85 @@ if TYPE_CHECKING:
 
 # Parts that the figures are drawn in, side by side.
 _SHARES = 2
-STORY_COLUMNS = (
-    "story", "parameter", "estimate", "std", "lower_90", "upper_90", "free_run_nmse_percent", "segments_nmse_percent",
+RECORD_COLUMNS = (
+    "record", "folder", "samples", "duration_s", "sampling_rate_hz", "sensors", "sigma_discrepancy",
+    "largest_nmse_percent", "largest_free_run_nmse_percent", "verdict",
 )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class RecordReport:
+    """What is reported of one record, and written to its directory beside what is reported of others."""
+
+    results: Results
+    directory: Path
+    exports: Sequence[Export] = ()
+
+    @cached_property
+    def free(self) -> FreeRun:
+        """The estimated structure's response, left to itself."""
+        return free_run(self.results.prescribed, self.results.estimate, self.results.record)
+
+    @cached_property
+    def free_table(self) -> pd.DataFrame:
+        """How far that is from the estimate, without labels."""
+        results = self.results
+        return free_run_table(self.free, results.estimate, results.record, results.truth.response)
+
+    def run_free(self, wanted: bool) -> tuple[FreeRun, pd.DataFrame] | None:
+        """Both of these, found now, if anybody wants to see them."""
+        found = self.free, self.free_table
+        return found if wanted else None
+
+    @cached_property
+    def verdict(self) -> Verdict | None:
+        """None without a problem."""
+        results, free = self.results, self.free
+        if results.problem is None:
+            return None
+        return judge(results.problem, results.estimate, results.baseline, free.response, free.agreement)
+
+    @cached_property
+    def estimators(self) -> list[tuple[str, Estimate, Response | None]]:
+        """The network and, where there is one, the baseline: name, estimate, and the free run of what it found."""
+        other, name = self.results.baseline, self.results.run.baseline
+        return [("pinn", self.results.estimate, self.free.response), *([] if other is None else [(name, other, None)])]
+
+    @cached_property
+    def tables(self) -> list[EstimatorTables]:
+        """Of every estimator."""
+        run, record, truth = self.results.run, self.results.record, self.results.truth
+        return [EstimatorTables.of(name, run, estimate, record, truth) for name, estimate, _ in self.estimators]
+
+    @cached_property
+    def residuals(self) -> list[pd.DataFrame]:
+        """The rows of ``residuals.csv`` of every estimator; what a simulated record prints needs none."""
+        run, record = self.results.run, self.results.record
+        return [
+            with_labels(residual_table(estimate, record, free), run.labels_of(name))
+            for name, estimate, free in self.estimators
+        ]
+
+    def write(self) -> None:
+        """Write its files."""
+        # Not above: xarray would be read before anything is printed.
+        from pinn_cli.report.netcdf import response_dataset, write_dataset
+
+        results, labels = self.results, self.results.run.labels_of(estimator="pinn")
+        stretched = drifts(results.prescribed, results.estimate, results.truth.response)
+        tables = {
+            "free_run": with_labels(self.free_table, labels | {"estimator": "free_run"}),
+            "drift": with_labels(drift_table(stretched), labels),
+            "energy": with_labels(energy_table(dissipated_energy(results)), labels),
+            "fitness": below(*[each.fitness for each in self.tables]),
+            "residuals": below(*self.residuals),
+        }
+        for name, table in tables.items():
+            write_table(table, self.directory / f"{name}.csv")
+        dataset = response_dataset(results, self.free.response)
+        write_dataset(dataset, self.directory / "response.nc")
+        for export in self.exports:
+            export.write(dataset, self.directory / f"response.{export.name}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,19 +156,17 @@ class RunReport:
     def __init__(self, results: Results, directory: Path, stages: Stages, exports: Sequence[Export] = ()) -> None:
         self.results, self.directory, self.stages = _with_posterior(results), directory, stages
         self.labels = results.run.labels_of(estimator="pinn")
-        self.reports = [
-            RecordReport(own, directory / record_folder(number), exports)
-            for number, own in enumerate(self.results.by_record, start=1)
-        ]
+        every = self.results.by_record
+        reports = [RecordReport(own, directory / record_folder(i), exports) for i, own in enumerate(every, start=1)]
         self._drawn: Callable[[], object] | None = None
-        self.records = side_by_side(self.reports, [len(report.results.record.time) for report in self.reports])
+        self.records = side_by_side(reports, [len(own.record.time) for own in every])
 
     @cached_property
     def verdicts(self) -> list[Verdict | None]:
         """Of every record."""
         self.free_run  # noqa: B018  # which it judges, and whose seconds are no verdict's
         with self.stages("verdict"):
-            return self.records.each(RecordReport.verdict)
+            return self.records.each(attrgetter("verdict"))
 
     @cached_property
     def verdict(self) -> Verdict | None:
@@ -101,18 +177,24 @@ class RunReport:
     @cached_property
     def free_run(self) -> tuple[FreeRun, pd.DataFrame]:
         """Of the first record, and its table."""
+        wanted = [True, *[False] * len(self.results.further)]
         with self.stages("free_run"):
-            found = self.records.each(RecordReport.run_free, [report is self.reports[0] for report in self.reports])[0]
+            found = self.records.each(RecordReport.run_free, wanted)[0]
         assert found is not None
         return found
 
     @cached_property
-    def tables(self) -> tuple[EstimatorTables, EstimatorTables | None, list[EstimatorTables]]:
-        """Of the first record, of the baseline, and of further records."""
+    def tables(self) -> list[EstimatorTables]:
+        """Of the first record: the network's, whose parameters are those of all records, and the baseline's."""
         with self.stages("report"):
-            (first, baseline), *others = self.records.each(RecordReport.tables)
+            ours, *baseline = self.records.each(attrgetter("tables"))[0]
             every = parameters.parameter_table(self.results.estimate.parameters, self.results.truth.parameters)
-            return replace(first, parameters=with_labels(every, self.labels)), baseline, [own for own, _ in others]
+            return [replace(ours, parameters=with_labels(every, self.labels)), *baseline]
+
+    @cached_property
+    def residuals(self) -> list[list[pd.DataFrame]]:
+        """Of every record, those of every estimator."""
+        return self.records.each(attrgetter("residuals"))
 
     @cached_property
     def validation(self) -> tuple[ValidationRun, pd.DataFrame] | None:
@@ -136,8 +218,8 @@ class RunReport:
     @cached_property
     def over_time(self) -> pd.DataFrame | None:
         """The parameters from record to record; None unless this record was compared with earlier ones."""
-        model = self.results.model
-        return None if model is None else parameters_over_time(model, self.results.estimate, self.directory.name)
+        model, estimate = self.results.model, self.results.estimate
+        return None if model is None else parameters.parameters_over_time(model, estimate, self.directory.name)
 
     def text(self) -> str:
         """All that a run prints, in paragraphs that an empty line parts; the verdict comes last.
@@ -147,25 +229,25 @@ class RunReport:
         and figures.
         """
         results, estimate, posterior = self.results, self.results.estimate, self.results.posterior
-        verdict, free, (ours, baseline, further) = self.verdict, self.free_run, self.tables
+        verdict, free, (ours, *others) = self.verdict, self.free_run, self.tables
+        baseline = next(iter(others), None)
         warnings = parameters.identifiability_warnings(estimate.before_any_record, estimate.correlation)
         scored = bool(np.isfinite(ours.fitness[list(FORMULAS)].to_numpy()).any())
-        measured = not results.run.simulated and len(ours.residuals) > 0
         paragraphs = [
-            tables.sensors_text([ours, *further], baseline) if measured else "",
-            tables.parameters_text(ours.parameters, warnings, baseline),
-            tables.fitness_text(ours.fitness, results.record.observed, published.fitness_of(self.labels)),
-            tables.free_run_text(*free) if scored else tables.free_run_line(*free),
-            findings.stories_text(estimate.stories),
-            "" if posterior is None else tables.diagnostics_text(posterior.diagnostics, posterior.verdict),
-            "" if self.validation is None else tables.validation_text(*self.validation),
-            findings.changes_text(estimate.changes),
-            findings.peaks_text(estimate.peaks),
-            "" if baseline is None else tables.comparison_text(ours, baseline, self.stages.seconds),
-            findings.score_text(results.run.validation, results.score),
-            "" if verdict is None else findings.verdict_text(verdict),
+            "" if results.run.simulated else text.sensors_text(self.residuals, results.run.baseline),
+            text.parameters_text(ours.parameters, warnings, baseline),
+            text.fitness_text(ours.fitness, results.record.observed, fitness_of(self.labels)),
+            text.free_run_text(*free) if scored else text.free_run_line(*free),
+            text.stories_text(estimate.stories),
+            "" if posterior is None else text.diagnostics_text(posterior.diagnostics, posterior.verdict),
+            "" if self.validation is None else text.validation_text(*self.validation),
+            text.changes_text(estimate.changes),
+            text.peaks_text(estimate.peaks),
+            "" if baseline is None else text.comparison_text(ours, baseline, self.stages.seconds),
+            text.score_text(results.run.validation, results.score),
+            "" if verdict is None else text.verdict_text(verdict),
         ]
-        return "\n\n".join(text for text in paragraphs if text)
+        return "\n\n".join(paragraph for paragraph in paragraphs if paragraph)
 
     @contextmanager
     def drawing(self) -> Iterator[None]:
@@ -187,12 +269,12 @@ class RunReport:
 
         Figures are those of :meth:`drawing`.
         """
-        results, directory, drawn = self.results, self.directory, self._drawn
-        verdict, (ours, baseline, further) = self.verdict, self.tables
+        results, directory, drawn, verdict = self.results, self.directory, self._drawn, self.verdict
+        ours, *baseline = self.tables
         with self.stages("report"):
             self.records.each(RecordReport.write)
-            write_tables(results, ours.above(baseline), directory)
-            for name, table in self._further_tables([ours, *further]).items():
+            write_tables(results, ours.above(next(iter(baseline), None)), directory)
+            for name, table in self._further_tables().items():
                 write_table(table, directory / name)
             if not results.estimate.peaks:
                 write_run_model(results, verdict, directory)
@@ -208,24 +290,23 @@ class RunReport:
                 write_posterior_figures(results, groups, directory / "figures")
         write_json(run_record(results, verdict, self.stages.seconds), directory / "run.json")
 
-    def _further_tables(self, records: Sequence[EstimatorTables]) -> dict[str, pd.DataFrame]:
+    def _further_tables(self) -> dict[str, pd.DataFrame]:
         """Those that not every run has, by their files: of several records, of other data, of records before."""
         out = {}
-        if len(records) > 1:
-            rows = list(zip(self.results.by_record, records, self.verdicts, strict=True))
-            out["records.csv"] = with_labels(records_table(rows), self.labels)
+        if self.results.further:
+            rows = zip(self.results.by_record, [own[0] for own in self.residuals], self.verdicts, strict=True)
+            out["records.csv"] = with_labels(records_table(list(rows)), self.labels)
         if self.validation is not None:
             out["validation.csv"] = with_labels(self.validation[1], self.labels)
         if self.over_time is not None:
-            out[FILE] = self.over_time
+            out[parameters.OVER_TIME] = self.over_time
         if self.results.estimate.peaks:
             out["peaks.csv"] = pd.DataFrame([asdict(peak) for peak in self.results.estimate.peaks])
         return out
 
     def _draw_tables(self) -> None:
         """Draw what is not drawn of the results alone."""
-        from pinn_cli.report.figures import write_over_time_figure
-        from pinn_cli.report.figures.sensors import validation_figure
+        from pinn_cli.report.figures import validation_figure, write_over_time_figure
         from pinn_cli.report.figures.style import save
 
         place = self.directory / "figures"
@@ -249,6 +330,22 @@ def _with_posterior(results: Results) -> Results:
     return replace(sampled(results), further=tuple(map(sampled, results.further)))
 
 
+def records_table(each: Sequence[tuple[Results, pd.DataFrame, Verdict | None]]) -> pd.DataFrame:
+    """One row per record, from 1: the content of ``records.csv``, `RECORD_COLUMNS`.
+
+    The NMSE are the largest of any sensor, see :func:`pinn_cli.report.fitness.residual_table`, whose rows are given;
+    ``verdict`` is that of the record alone.
+    """
+    rows = []
+    for number, (results, residuals, verdict) in enumerate(each, start=1):
+        record, discrepancy = results.record, results.estimate.summary.get("sigma_discrepancy")
+        largest = residuals[["nmse_percent", "free_run_nmse_percent"]].max()
+        counts = len(channels(record, MEASURED_QUANTITIES))
+        shape = (len(record.time), record.duration, record.sampling_rate, counts, discrepancy)
+        rows.append((number, record_folder(number), *shape, *largest, verdict.word if verdict else None))
+    return pd.DataFrame(rows, columns=list(RECORD_COLUMNS))
+
+
 def write_tables(results: Results, ours: EstimatorTables, directory: Path) -> None:
     """Write the tables of a run that all its records have in common: parameters, modes, history."""
     estimate, labels = results.estimate, results.run.labels_of(estimator="pinn")
@@ -264,22 +361,9 @@ def write_tables(results: Results, ours: EstimatorTables, directory: Path) -> No
         if estimate.correlation is not None:
             files["correlation"] = parameters.correlation_table(estimate.parameters, estimate.correlation)
     if estimate.stories:
-        files["stories"] = with_labels(story_table(estimate.stories), labels)
+        files["stories"] = with_labels(parameters.story_table(estimate.stories), labels)
     for name, table in files.items():
         write_table(table, directory / f"{name}.csv")
-
-
-def story_table(stories: Sequence[Story]) -> pd.DataFrame:
-    """One row per story of a record and parameter, the story that is reported first (the content of ``stories.csv``).
-
-    The last two of `STORY_COLUMNS` are a story's own, the same for all its parameters.
-    """
-    rows = [
-        (story.name, p.name, p.estimate, p.std, p.lower_90, p.upper_90, story.free_run, story.segments)
-        for story in stories
-        for p in story.parameters
-    ]
-    return pd.DataFrame(rows, columns=list(STORY_COLUMNS))
 
 
 def write_posterior(results: Results, directory: Path) -> dict[str, xr.Dataset]:

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report.figures import style
 from pinn_cli.report.fitness import FORMULAS
-from pinn_cli.report.terminal.columns import percent
+from pinn_cli.report.text import percent
 from pinn_cli.runs.writing import write_table
 from pinn_cli.sweep.jobs import FAILED, FINISHED, FITNESS, REASON, STATUS
 

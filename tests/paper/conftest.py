@@ -5,30 +5,30 @@ from __future__ import annotations
 from functools import cache
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from pinn_cli.paper.commands import make_nonlinearity, make_paper, make_seeds
-from pinn_cli.paper.realisations import Scores
+from pinn_cli.paper.__main__ import make_nonlinearity, make_paper, make_seeds
 from pinn_cli.report import published
 from pinn_cli.runs.writing import write_json, write_table
 from pinn_cli.settings.errors import InputError
 
 if TYPE_CHECKING:
-    from pinn_cli.paper.cases import PlannedRun
     from pinn_cli.paper.realisations import Realisation
+    from pinn_cli.paper.runs import PlannedRun
 
 SECONDS = {"estimate": 2.0, "baseline": 1.0, "total": 4.0}
 SOLVED = {"record": 0.5, "estimate": 1.0, "baseline": 1.0, "total": 2.5}
+PICTURES = ("response", "error_map", "posterior_pairs")
 # Read once: a study asks for them hundreds of times.
 published_fitness, published_parameters = cache(published.fitness), cache(published.parameters)
 
 
 def _fitness(case: str, estimator: str, offset: float) -> pd.DataFrame:
-    table = published.fitness()
+    table = published_fitness()
     cells = table.loc[table["case"] == case, ["group", "quantity", "fitness_percent"]]
     if cells.empty:  # the Bayesian cases have no published fitness
         cells = pd.DataFrame({"group": ["all"], "quantity": ["displacement"], "fitness_percent": [90.0]})
@@ -37,7 +37,7 @@ def _fitness(case: str, estimator: str, offset: float) -> pd.DataFrame:
 
 
 def _parameters(case: str, estimator: str, error_percent: float) -> pd.DataFrame:
-    table = published.parameters()
+    table = published_parameters()
     table = table.loc[table["case"] == case, ["parameter", "true"]]
     if case == "sr_6dof_perturbed":
         table = published.perturbed_parameters()[["parameter", "true"]]
@@ -55,13 +55,6 @@ def _picture(name: str, ending: str) -> bytes:
     figure.text(0.5, 0.5, name)
     figure.savefig(file, format=ending)
     return file.getvalue()
-
-
-def _draw(directory: Path) -> None:
-    directory.mkdir(exist_ok=True)
-    for name in ("response", "error_map", "posterior_pairs"):
-        for ending in ("png", "pdf"):
-            (directory / f"{name}.{ending}").write_bytes(_picture(name, ending))
 
 
 class FakeRunner:
@@ -90,7 +83,9 @@ class FakeRunner:
         write_table(parameters, directory / "parameters.csv")
         write_json({"seconds": SECONDS}, directory / "run.json")
         if run.variant.name in ("uncertain", "marginal"):
-            _draw(directory / "figures")
+            (directory / "figures").mkdir(exist_ok=True)
+            for file in [f"{name}.{ending}" for name in PICTURES for ending in ("png", "pdf")]:
+                (directory / "figures" / file).write_bytes(_picture(*file.split(".")))
         return 5.0
 
 
@@ -106,19 +101,20 @@ class FakeSolver:
         self.refused: set[str] = set()
         self.interrupted_after: int | None = None
 
-    def __call__(self, one: Realisation) -> Scores:
+    def __call__(self, one: Realisation) -> dict[str, Any]:
         if self.interrupted_after is not None and len(self.calls) >= self.interrupted_after:
             raise KeyboardInterrupt
         self.calls.append(one.name)
         if one.name in self.refused:
             raise InputError("system.kappa", -1, ">= 0")
+        found = {"fitness": [], "parameters": [], "seconds": SOLVED, "strength": 3.0, "failure": "loss is not finite"}
         if one.name in self.diverging:
-            return Scores([], [], SOLVED, 3.0, "loss is not finite")
+            return found
         case = one.name.rpartition("_seed")[0]
         scored = [self._scored(one, case, name, lag) for name, lag in (("pinn", 0.0), ("kalman_smoother", 0.05))]
         fitness, parameters = (pd.concat(tables).to_dict("records") for tables in zip(*scored, strict=True))
         strength = dict(one.columns).get("kappa", 0.0) / 1000.0
-        return Scores(fitness, parameters, SOLVED, strength)
+        return found | {"fitness": fitness, "parameters": parameters, "strength": strength, "failure": ""}
 
     def _scored(self, one: Realisation, case: str, estimator: str, lag: float) -> tuple[pd.DataFrame, pd.DataFrame]:
         cells = published_fitness()

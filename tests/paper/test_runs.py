@@ -1,4 +1,4 @@
-"""Which runs are made, and when one is made again."""
+"""What is made, of runs and of realisations, and when it is made again."""
 
 from __future__ import annotations
 
@@ -7,14 +7,23 @@ import sys
 import threading
 from types import SimpleNamespace
 
+import numpy as np
+import pandas as pd
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from pinn_cli.paper import digests
-from pinn_cli.paper.cases import TABLES, PlannedRun, Variant, planned_runs
-from pinn_cli.paper.runs import FINISHED, CaseFailedError, make_runs, run_case
+from pinn_cli.cli.composing import compose_config
+from pinn_cli.cli.config import RunConfig
+from pinn_cli.cli.prepare import prepare_problem
+from pinn_cli.paper import realisations as realised
+from pinn_cli.paper import runs
+from pinn_cli.paper.realisations import Realisation, ScoredRealisations, solve
+from pinn_cli.paper.runs import TABLES, CaseFailedError, PlannedRun, Variant, make_runs, planned_runs, run_case
+from pinn_cli.paper.seeds import seed_realisations
 from pinn_cli.runs.writing import write_json
 from pinn_cli.settings.override_syntax import quoted
+
+SMALL = ("system.ndof=2", "simulation.duration=12", "simulation.samples=257", "baseline=kalman_smoother")
 
 
 @pytest.fixture
@@ -22,15 +31,20 @@ def planned():
     return planned_runs(TABLES[1:])[:3]
 
 
+@pytest.fixture
+def realisations(quick):
+    return seed_realisations()[:3]
+
+
 def test_every_case_once_per_variant():
-    runs = planned_runs()
-    names = [run.name for run in runs]
+    every = planned_runs()
+    names = [run.name for run in every]
     assert len(names) == len(set(names)) == 6 * 2 + 6 * 2 + 2 * 3
     assert names[:3] == ["sr_6dof_perturbed_uncertain", "sr_6dof_snr50_uncertain", "sr_6dof_snr50_fixed"]
     assert {name.rpartition("_")[2] for name in names if name.startswith("pe_")} == {
         "marginal", "conditional", "laplace"
     }  # fmt: skip
-    beside = {run.variant.name for run in runs if "baseline=kalman_smoother" in run.variant.overrides}
+    beside = {run.variant.name for run in every if "baseline=kalman_smoother" in run.variant.overrides}
     assert beside == {"uncertain", "marginal"}
 
 
@@ -53,9 +67,9 @@ def test_a_change_makes_every_run_again(tmp_path, runner, planned, monkeypatch, 
     if what == "configuration":
         monkeypatch.setattr(PlannedRun, "overrides", ("seed=1",))
     elif what == "code":
-        monkeypatch.setattr(digests, "source_digest", lambda: "another")
+        monkeypatch.setattr(runs, "source_digest", lambda: "another")
     elif what == "versions":
-        monkeypatch.setattr(digests, "package_versions", lambda: {"numpy": "0"})
+        monkeypatch.setattr(runs, "package_versions", lambda: {"numpy": "0"})
     again, failures = make_runs(planned, tmp_path, runner)
     assert not failures
     assert [run.process_seconds for run in again] == [5.0] * 3
@@ -71,28 +85,29 @@ def test_an_interrupted_paper_goes_on_with_what_is_missing(tmp_path, runner, pla
     assert len(finished) == 3
     assert runner.calls == [run.name for run in planned]
     # One that is out of date does not look finished while it runs.
-    monkeypatch.setattr(digests, "source_digest", lambda: "another")
+    monkeypatch.setattr(runs, "source_digest", lambda: "another")
     runner.failing = {planned[0].case: KeyboardInterrupt()}
     with pytest.raises(KeyboardInterrupt):
         make_runs(planned[:1], tmp_path, runner)
-    assert not (tmp_path / planned[0].name / FINISHED).exists()
+    monkeypatch.undo()
+    assert len(runs.read_runs(planned, tmp_path)) == 2
 
 
 def test_a_failure_is_told_and_the_others_are_made(tmp_path, runner, planned, capsys):
-    runner.failing = {"sr_6dof_snr50": CaseFailedError("sr_6dof_snr50: exit status 3")}
+    runner.failing = {"sr_6dof_snr50": CaseFailedError("exit status 3")}
     finished, failures = make_runs(planned, tmp_path, runner)
     assert [run.planned.case for run in finished] == ["sr_6dof_snr20"]
-    assert failures == ["sr_6dof_snr50: exit status 3"] * 2
+    assert failures == [f"sr_6dof_snr50_{name}: exit status 3" for name in ("uncertain", "fixed")]
     assert "exit status 3" in capsys.readouterr().err
 
 
 def test_the_smoother_is_a_variant_of_its_own(tmp_path, runner, planned):
     finished, _ = make_runs(planned[:1], tmp_path, runner)
-    ours, smoother = finished[0].scores
-    assert (ours.variant, ours.seconds, ours.process_seconds) == ("uncertain", 4.0, 5.0)
-    assert (smoother.variant, smoother.seconds) == ("kalman_smoother", 1.0)
-    assert set(smoother.fitness["estimator"]) == {"kalman_smoother"}
-    assert len(ours.fitness) == len(smoother.fitness) == 10
+    table = finished[0].table("fitness")
+    seconds = table.groupby("variant")[["seconds", "process_seconds"]].max()
+    assert seconds.loc["uncertain"].tolist() == [4.0, 5.0]
+    assert seconds.loc["kalman_smoother"].tolist() == [1.0, 1.0]
+    assert table["variant"].value_counts().to_dict() == {"uncertain": 10, "kalman_smoother": 10}
 
 
 def test_a_run_is_a_command_in_a_folder_of_any_name(tmp_path, monkeypatch):
@@ -120,34 +135,100 @@ def test_results_of_an_earlier_run_do_not_pass_for_this_one(tmp_path, monkeypatc
     write_json({"seconds": {"total": 2.0}}, tmp_path / "run.json")
     done = SimpleNamespace(returncode=status, stdout="", stderr=tail)
     monkeypatch.setattr(subprocess, "run", lambda *_, **__: done)
-    with pytest.raises(CaseFailedError, match=rf"sr_6dof_snr50, plain: exit status {status}\n{tail}"):
+    with pytest.raises(CaseFailedError, match=rf"exit status {status}\n{tail}"):
         run_case(PlannedRun("sr_6dof_snr50", Variant("plain", "plain")), tmp_path)
 
 
-def test_what_is_kept_is_had_under_its_digest_alone(tmp_path):
-    file = tmp_path / "kept.json"
-    assert digests.kept(file, "d") is None
-    digests.keep({"process_seconds": 3.0}, "d", file)
-    assert digests.kept(file, "d") == {"process_seconds": 3.0}
-    assert digests.kept(file, "other") is None
-    for content in ("", "[]", "{", "{}", '{"digest": null}'):
-        file.write_text(content)
-        assert digests.kept(file, "d") is None
+@pytest.mark.parametrize("content", ["", "[]", "{", "{}", '{"digest": null}', '{"digest": "other"}'])
+def test_what_is_kept_is_had_under_its_digest_alone(tmp_path, content):
+    one = SimpleNamespace(name="kept", digest="d")
+    assert runs.kept(one, tmp_path) is None
+    runs.make_missing([one], tmp_path, lambda _: {"process_seconds": 3.0})
+    assert runs.kept(one, tmp_path) == {"process_seconds": 3.0}
+    (tmp_path / "kept.json").write_text(content)
+    assert runs.kept(one, tmp_path) is None
 
 
 def test_digest_of_a_tree(tmp_path):
     (tmp_path / "inner").mkdir()
     (tmp_path / "a.py").write_text("1")
     (tmp_path / "inner" / "b.py").write_text("2")
-    first = digests.tree_digest(tmp_path, "*.py")
+    first = runs.tree_digest(tmp_path, "*.py")
     (tmp_path / "note.txt").write_text("no module")
-    assert digests.tree_digest(tmp_path, "*.py") == first
+    assert runs.tree_digest(tmp_path, "*.py") == first
     (tmp_path / "inner" / "b.py").write_text("3")
-    changed = digests.tree_digest(tmp_path, "*.py")
+    changed = runs.tree_digest(tmp_path, "*.py")
     (tmp_path / "inner" / "b.py").rename(tmp_path / "inner" / "c.py")
-    assert len({first, changed, digests.tree_digest(tmp_path, "*.py")}) == 3
-    without = digests.tree_digest(tmp_path, "*.py", ("inner/",))
+    assert len({first, changed, runs.tree_digest(tmp_path, "*.py")}) == 3
+    without = runs.tree_digest(tmp_path, "*.py", ("inner/",))
     (tmp_path / "inner" / "c.py").unlink()
-    assert digests.tree_digest(tmp_path, "*.py") == without
-    package = digests.Path(digests.__file__).parents[1]
-    assert all((package / part).exists() for part in digests.READERS)
+    assert runs.tree_digest(tmp_path, "*.py") == without
+    package = runs.Path(runs.__file__).parents[1]
+    assert all((package / part).exists() for part in runs.READERS)
+
+
+def test_a_change_solves_all_realisations_again(tmp_path, solver, realisations, monkeypatch):
+    first, again = (ScoredRealisations.made(realisations, tmp_path, solver) for _ in range(2))
+    assert again.seconds == first.seconds == pytest.approx(7.5)
+    pd.testing.assert_frame_equal(first.rows("fitness"), again.rows("fitness"))
+    monkeypatch.setattr(realised, "_settings_digest", lambda overrides: f"other {overrides}")
+    assert len(ScoredRealisations.read(realisations, tmp_path).missing) == 3
+    ScoredRealisations.made(realisations, tmp_path, solver)
+    assert solver.calls == 2 * [one.name for one in realisations]
+
+
+def test_one_that_is_refused_is_told_and_one_that_diverged_is_a_result(tmp_path, solver, realisations, capsys):
+    solver.refused, solver.diverging = {realisations[1].name}, {realisations[0].name}
+    found = ScoredRealisations.made(realisations, tmp_path, solver)
+    assert [one.name for one in found.missing] == [realisations[1].name]
+    assert found.failures[0] == f"{realisations[0].name}: loss is not finite"
+    assert "system.kappa=-1" in found.failures[1]
+    assert "system.kappa=-1" in capsys.readouterr().err
+    assert set(found.rows("fitness")["seed"]) == {2}
+
+
+def test_columns_of_the_realisation_come_first_and_what_is_unknown_comes_back(tmp_path, solver):
+    def unscored(one):
+        scores = solver(one)
+        scores["fitness"][0]["fitness_percent"] = np.nan
+        return scores
+
+    one = Realisation("none_kappa10_force1_seed0", (), 0, columns=(("kappa", 10.0),))
+    rows = ScoredRealisations.made([one], tmp_path, unscored).rows("fitness")
+    assert list(rows)[:2] == ["kappa", "strength"]
+    assert set(rows["strength"]) == {0.01}
+    assert rows["fitness_percent"].isna().tolist() == [True] + [False] * (len(rows) - 1)
+
+
+def prepared(*overrides):
+    return prepare_problem(RunConfig.read(compose_config(overrides)))
+
+
+def test_the_seed_draws_the_noise_and_the_force_where_it_is_asked_for():
+    case = ("experiment=paper/sr_6dof_snr20", "simulation.samples=513")
+    first, second = (prepared(*Realisation("", case, seed).overrides) for seed in (0, 1))
+    published = prepared(*case)
+    for quantity in ("acceleration", "force"):
+        truths = [getattr(one.truth.response, quantity) for one in (first, second, published)]
+        np.testing.assert_array_equal(truths[0], truths[1])
+        np.testing.assert_array_equal(truths[0], truths[2])
+        noises = [(getattr(one.record, quantity) - truths[0])[:, 0] for one in (first, second, published)]
+        assert np.abs(np.corrcoef(noises) - np.eye(3)).max() < 0.2
+        power = np.mean(truths[0][:, 0] ** 2) / np.mean(noises[0] ** 2)
+        assert 10.0 * np.log10(power) == pytest.approx(20.0, abs=0.6)
+    anew = prepared(*Realisation("", case, 1, redraws_force=True).overrides).truth.response.force[:, 0]
+    assert abs(np.corrcoef(anew, second.truth.response.force[:, 0])[0, 1]) < 0.9
+
+
+def test_a_realisation_is_solved_by_both_and_scored():
+    result = solve(Realisation("small", SMALL, 3))
+    fitness, parameters = pd.DataFrame(result["fitness"]), pd.DataFrame(result["parameters"])
+    assert set(fitness["estimator"]) == {"pinn", "kalman_smoother"}
+    assert set(fitness["seed"]) == {3}
+    assert not fitness["group"].str.startswith("dof_").any()
+    every = fitness[(fitness["group"] == "all") & (fitness["quantity"] == "velocity")]
+    assert (every["fitness_percent"] > 95.0).all()
+    assert set(parameters["parameter"]) == {"c_1", "c_2", "k_1", "k_2", "kappa_1", "kappa_2"}
+    assert {"record", "estimate", "baseline", "total"} <= set(result["seconds"])
+    assert 0.0 < result["strength"] < 10.0
+    assert solve(Realisation("linear", (*SMALL, "system=linear"), 0))["strength"] is None

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from pinn_cli.paper.nonlinearity import nonlinearity_realisations
-from pinn_cli.paper.realisations import read_scores, solve_missing
+from pinn_cli.paper.realisations import ScoredRealisations
 from pinn_cli.paper.seeds import SeedScores, seed_realisations, spread_text
 
 
@@ -31,7 +31,7 @@ def test_the_grid_holds_the_defaults_and_what_is_asked_for():
 
 @pytest.mark.usefixtures("quick")
 def test_seeds_are_summarised_as_mean_and_spread(tmp_path, solver):
-    seeds = SeedScores.of(solve_missing(seed_realisations(), tmp_path / "runs", solver))
+    seeds = SeedScores.of(ScoredRealisations.made(seed_realisations(), tmp_path / "runs", solver))
     cells = seeds.summary[(seeds.summary["case"] == "sr_6dof_snr50") & (seeds.summary["group"] == "all")]
     ours = cells[(cells["estimator"] == "pinn") & (cells["quantity"] == "displacement")].iloc[0]
     assert ours["seeds"] == 3
@@ -60,8 +60,8 @@ def test_seeds_are_summarised_as_mean_and_spread(tmp_path, solver):
 def test_a_part_of_the_seeds_is_a_table_too(tmp_path, solver):
     solver.interrupted_after = 5
     with pytest.raises(KeyboardInterrupt):
-        SeedScores.of(solve_missing(seed_realisations(), tmp_path / "runs", solver))
-    seeds = SeedScores.of(read_scores(seed_realisations(), tmp_path / "runs"))
+        SeedScores.of(ScoredRealisations.made(seed_realisations(), tmp_path / "runs", solver))
+    seeds = SeedScores.of(ScoredRealisations.read(seed_realisations(), tmp_path / "runs"))
     assert "over 2 to 3 (of 3) draws" in seeds.sheets[0].markdown
     assert len(seeds.scored.missing) == 31
 

@@ -17,7 +17,7 @@ from pinn_cli.record.simulated import add_noise
 from pinn_cli.record.simulation import simulate
 from pinn_cli.report.fitness import FORMULAS, fitness_table
 from pinn_cli.report.free_run import REFERENCES, free_run, free_run_table
-from pinn_cli.report.terminal.tables import free_run_text
+from pinn_cli.report.text import free_run_text
 from pinn_cli.system import Structure, build_chain
 from pinn_cli.system.connection import Duffing
 from pinn_cli.training.estimate import Estimate
@@ -179,23 +179,3 @@ def test_an_absurdly_stiff_estimate_does_not_hold_up_the_report():
     assert run.response is not None  # implicit steps take any stiffness that its dampers can bear
     assert np.isfinite(run.response.displacement).all()
     assert "do not reproduce" in run.finding
-
-
-def test_an_unknown_force_leaves_no_free_run():
-    structure = small_chain()
-    measurements = measured(structure)
-    force = measurements.record.force.copy()
-    force[:, 1] = np.nan
-    record = replace(measurements.record, force=force, unforced=np.array([False, False, True]))
-    run = free_run(structure, estimated(measurements.truth.response), record)
-    assert run.response is None
-    assert "DOF 2" in run.finding
-
-
-def test_a_force_that_is_taken_for_held_is_late():
-    structure = small_chain()
-    measurements = measured(structure)
-    record, truth = replace(measurements.record, intersample="zero_order_hold"), measurements.truth.response
-    run = free_run(structure, estimated(truth), record)
-    assert run.response is not None
-    assert largest_error(run.response, truth) > 1e-2

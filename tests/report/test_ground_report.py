@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 from small_estimates import results_of
 
@@ -15,17 +14,15 @@ from pinn_cli.record.response import Response
 from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.report.figures import residuals_figure
-from pinn_cli.report.figures.response import response_figure
+from pinn_cli.report.figures.histories import response_figure
+from pinn_cli.report.fitness import residual_table
 from pinn_cli.report.free_run import free_run
 from pinn_cli.report.netcdf import response_dataset
-from pinn_cli.report.record_report import EstimatorTables
-from pinn_cli.report.residuals import residual_table
-from pinn_cli.report.terminal.tables import sensors_text
+from pinn_cli.report.text import sensors_text
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Linear
 
 NOISE = 0.05
-TABLES = EstimatorTables("pinn", pd.DataFrame(), pd.DataFrame(), pd.DataFrame)
 
 
 @pytest.fixture
@@ -83,7 +80,7 @@ def test_the_ground_has_a_row_of_residuals(shaken):
     assert row["residual_rms"] == pytest.approx(NOISE, rel=0.1)
     assert row["sigma"] == NOISE
     assert np.isnan(row["free_run_nmse_percent"])
-    text = sensors_text([replace(TABLES, find_residuals=lambda: table)])
+    text = sensors_text([[table]])
     assert "\nground  " in text
     assert "ground_acceleration" not in text
 
@@ -106,9 +103,6 @@ def test_figures_show_the_ground(shaken):
     assert len(drawn[0].collections) == 1  # and the band
     residuals = residuals_figure(shaken.estimate, shaken.record)
     assert labels(residuals)[-3] == r"$\ddot{u}_g$, ground"
-
-
-def test_figures_without_an_estimate_of_the_ground_show_its_sensor(shaken):
     case = without_estimate(shaken)
     figure = response_figure(results_of(case, truth=Truth(Response.unknown(case.record.time, 3), None)))
     (drawn,) = [axes for axes in figure.axes if says_ground(axes)]

@@ -9,8 +9,8 @@ import pytest
 from small_estimates import make_estimate
 from structures import braced
 
-from pinn_cli.report.figures.modes import interval_text, modes_figure
-from pinn_cli.report.modes import ModeEstimates, mode_table
+from pinn_cli.report.estimates import ModeEstimates, mode_table
+from pinn_cli.report.figures.parameters import interval_text, modes_figure
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.parameters import Labels, Parameter
@@ -58,14 +58,6 @@ def test_intervals_are_those_of_draws():
         drawn = np.quantile(every, (0.05, 0.95), axis=0)
         width = drawn[1] - drawn[0]
         np.testing.assert_allclose(interval / width, drawn / width, atol=0.06)
-
-
-def test_a_frequency_goes_with_the_root_of_a_common_stiffness():
-    structure = build_chain(1, Linear(), m=2.0, c=4.0, k=800.0)
-    modes = ModeEstimates.of(structure, estimated(structure, {"k": 0.3}))
-    np.testing.assert_allclose(
-        modes.frequency_interval[:, 0], np.sqrt(400.0 * (1 + Z * 0.3 * np.array([-1, 1]))) / (2 * np.pi)
-    )
 
 
 def test_beside_a_bound_an_interval_is_lopsided():

@@ -58,12 +58,14 @@ def test_coordinates_and_attributes(written):
     assert netcdf_attributes({"a": None, "b": False, "c": "x"}) == {"b": 0, "c": "x"}
 
 
-def test_a_free_run_is_of_the_motion_only(make_case):
+def test_a_free_run_is_of_the_motion_only_and_variables_of_a_baseline_carry_its_name(make_case):
     case = make_case(ndof=2, observed=1)
     free = case.truth.response
-    dataset = response_dataset(results_of(case), free)
+    dataset = response_dataset(results_of(case, baseline=case.estimate), free)
     for quantity in RESPONSE_QUANTITIES:
         np.testing.assert_array_equal(dataset[f"{quantity}_free_run"], getattr(free, quantity))
+        assert dataset[f"{quantity}_kalman_smoother"].attrs["units"] == UNITS[quantity]
+        assert dataset[f"{quantity}_kalman_smoother_std"].shape == dataset[quantity].shape
     assert "force_free_run" not in dataset
 
 
@@ -72,14 +74,6 @@ def test_unknown_truth_is_left_out(make_case):
     nothing = Truth(Response.unknown(case.record.time, 2), None)
     dataset = response_dataset(results_of(case, truth=nothing))
     assert not [name for name in dataset if str(name).endswith(("_true", "_free_run"))]
-
-
-def test_variables_of_a_baseline_carry_its_name(make_case):
-    case = make_case(ndof=3)
-    dataset = response_dataset(results_of(case, baseline=case.estimate))
-    for quantity in QUANTITIES:
-        assert dataset[f"{quantity}_kalman_smoother"].attrs["units"] == UNITS[quantity]
-        assert dataset[f"{quantity}_kalman_smoother_std"].shape == dataset[quantity].shape
 
 
 def read_back(result, record, path, labels=LABELS):

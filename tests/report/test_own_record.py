@@ -10,7 +10,7 @@ import pytest
 from calls import MEASURED, PinnRun
 from small_problems import measured, small_chain
 
-from pinn_cli.report.residuals import COLUMNS
+from pinn_cli.report.fitness import RESIDUAL_COLUMNS
 from pinn_cli.report.results import LABELS
 
 SETTINGS = (
@@ -38,7 +38,7 @@ def test_it_is_told_sensor_by_sensor_with_the_baseline_beside(pinn_run: PinnRun)
     assert sum(line.split().count("-") for line in outcome.out.splitlines()) == 1
     assert "\nseconds: pinn " in outcome.out
     table = pd.read_csv(outcome.directory / "residuals.csv")
-    assert list(table) == [*LABELS, *COLUMNS]
+    assert list(table) == [*LABELS, *RESIDUAL_COLUMNS]
     assert table["estimator"].tolist() == ["pinn"] * 4 + ["kalman_smoother"] * 4
     ours = table[table["estimator"] == "pinn"]
     assert ours["nmse_percent"].between(0.001, 0.1).all()

@@ -1,11 +1,10 @@
-"""The tables of parameters: estimates of a training and of draws, how well they are determined, and what is printed."""
+"""The tables of parameters: estimates of a training and of draws, and how well they are determined."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 from fake_posteriors import CORRELATION, DUFFING, make_diagnostics, make_samples
 from small_estimates import parameter_estimate
@@ -14,7 +13,6 @@ from pinn_cli.model.knowledge import ParameterKnowledge
 from pinn_cli.report.parameters import (
     PARAMETER_COLUMNS,
     WELL_DETERMINED,
-    correlation_table,
     identifiability_table,
     identifiability_warnings,
     parameter_estimates,
@@ -22,13 +20,11 @@ from pinn_cli.report.parameters import (
     posterior_correlation,
     worst_sampled,
 )
-from pinn_cli.report.terminal.columns import MARK, WIDTH
-from pinn_cli.report.terminal.tables import PARAMETERS_SHOWN, diagnostics_text
+from pinn_cli.report.text import MARK, WIDTH
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import Changes, ParameterEstimate
 
 NAN = float("nan")
-MANY = [f"{symbol}_{i}" for symbol in ("c", "k", "kappa") for i in range(1, 11)]
 
 
 def parameter(
@@ -45,18 +41,14 @@ def correlated(value: float, count: int = 2) -> np.ndarray:
     return matrix
 
 
-def test_an_error_is_relative_to_the_truth():
-    estimates = [parameter("k_2", 14.7), parameter("kappa_1", 0.0), parameter("c_1")]
+def test_an_error_is_relative_to_the_truth_and_an_unknown_parameter_has_a_start_and_nothing_prescribed():
+    estimates = [parameter("k_2", 14.7), parameter("kappa_1", 0.0), parameter("c_1", unknown=False)]
     table = parameter_table(estimates, {"k": np.array([1.0, 15.0]), "kappa": np.array([0.0, 7.0])})
     np.testing.assert_allclose(table["true"], [15.0, 0.0, NAN])
     np.testing.assert_allclose(table["error_percent"], [2.0, NAN, NAN])
+    np.testing.assert_array_equal(table["prescribed"], [NAN, NAN, 10.0])
+    np.testing.assert_array_equal(table["start"], [10.0, 10.0, NAN])
     assert list(parameter_table([])) == list(PARAMETER_COLUMNS)
-
-
-def test_an_unknown_parameter_has_a_start_and_nothing_prescribed():
-    table = parameter_table([parameter("k_1", unknown=False), parameter("k_2")])
-    np.testing.assert_array_equal(table["prescribed"], [10.0, NAN])
-    np.testing.assert_array_equal(table["start"], [NAN, 10.0])
 
 
 def test_numbers():
@@ -70,12 +62,9 @@ def test_numbers():
     assert table["verdict"].tolist()[:2] == [WELL_DETERMINED, WELL_DETERMINED]
     assert "rests on its prescribed value" in table["verdict"][2]
     assert identifiability_warnings(parameters, None) == []  # what was prescribed is not warned of
-
-
-@pytest.mark.parametrize("correlation", [None, np.eye(1)])
-def test_one_parameter_or_no_correlation_has_no_neighbour(correlation):
-    table = identifiability_table([parameter("k_1")], correlation)
-    assert table[["largest_correlation", "correlated_with"]].isna().all(axis=None)
+    for alone in (None, np.eye(1)):
+        table = identifiability_table([parameter("k_1")], alone)
+        assert table[["largest_correlation", "correlated_with"]].isna().all(axis=None)
 
 
 @pytest.mark.parametrize(
@@ -131,12 +120,6 @@ def test_a_training_without_standard_deviations_is_told_once():
     assert identifiability_table(parameters, None)["verdict"].str.contains("no standard deviation").all()
 
 
-def test_correlation_table():
-    table = correlation_table([parameter("k_2"), parameter("k_4")], correlated(0.25)).set_index("parameter")
-    assert list(table) == list(table.index) == ["k_2", "k_4"]
-    np.testing.assert_array_equal(table, [[1.0, 0.25], [0.25, 1.0]])
-
-
 def test_estimates_of_known_draws():
     draws = np.arange(1.0, 102.0).reshape(1, 101, 1)
     samples = replace(make_samples(("k_1",)), draws=draws, prior=np.array([[0.0], [2.0], [4.0]]))
@@ -163,25 +146,3 @@ def test_the_worst_sampled_keep_their_order():
     diagnostics = make_diagnostics(make_samples()).assign(ess_tail=[900.0, 800.0, 10.0, 900.0, 20.0, 900.0])
     assert worst_sampled(diagnostics, 3) == ["c_1", "k_1", "kappa_1"]
     assert worst_sampled(diagnostics, 9) == list(DUFFING)
-
-
-@pytest.mark.parametrize("names", [("k_1",), DUFFING, MANY], ids=len)
-def test_the_printed_diagnostics_fit_and_show_the_worst_of_many(names):
-    diagnostics = make_diagnostics(make_samples(names, draws=50))
-    diagnostics.loc[0, ["mean", "std", "lower_90", "upper_90"]] = [-1.2345e12, 3.2e-12, -1.2345e12, -1.2345e-12]
-    lines = diagnostics_text(diagnostics, ["R-hat of k_1 is 1.03, and the chains have not mixed " * 3]).splitlines()
-    assert max(map(len, lines)) <= WIDTH
-    assert sum(line.split()[0] in names for line in lines) == min(len(names), PARAMETERS_SHOWN)
-    assert any("diagnostics.csv" in line for line in lines) == (len(names) > PARAMETERS_SHOWN)
-
-
-def test_what_is_printed_of_the_sampling():
-    diagnostics = make_diagnostics(make_samples())
-    text = diagnostics_text(diagnostics)
-    assert text.splitlines()[4].split()[-4:-1] == ["1.002", "1620", "1520"]
-    assert text.endswith("passed")
-    assert "FAILED: 3 divergences" in diagnostics_text(diagnostics, ("3 divergences",))
-    unknown = dict.fromkeys(["r_hat", "ess_bulk", "ess_tail", "mcse_mean"], np.nan)
-    text = diagnostics_text(pd.DataFrame(diagnostics.assign(**unknown)))
-    assert text.splitlines()[2].split()[-4:] == ["-"] * 4
-    assert "passed" not in text

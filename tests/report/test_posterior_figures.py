@@ -24,12 +24,9 @@ from small_estimates import make_estimate, results_of
 from pinn_cli.report.figures import write_posterior_figures
 from pinn_cli.report.figures.posterior import (
     IN_PAIRS,
-    PERIODS_SHOWN,
-    correlation_text,
     force_predictive_figure,
     most_correlated,
     posterior_pairs_figure,
-    predictive_window,
     rank_figure,
     trace_figure,
 )
@@ -114,11 +111,6 @@ def _place(panel) -> tuple[int, int]:
     return place.rowspan.start, place.colspan.start
 
 
-@pytest.mark.parametrize(("value", "text"), [(0.5, "0.50"), (-0.001, "0.00"), (-0.9983, "-0.998"), (1.0, "1.00")])
-def test_a_correlation_is_written_1_only_where_it_is(value, text):
-    assert correlation_text(value) == text
-
-
 def test_many_parameters_show_the_most_correlated():
     figure = _pairs(names=TWELVE, draws=60)
     assert f"the {IN_PAIRS} of 12 parameters that are most correlated with another" in _notes(figure)
@@ -165,15 +157,6 @@ def test_force_predictive(dofs):
     text = figure.axes[0].texts[0].get_text()
     assert 84 <= int(text.split()[2]) <= 96
     assert set(_texts(figure)) == {"observed", "predictive median", "90 % band"}
-
-
-def test_the_window_of_the_force():
-    time = np.linspace(0.0, 100.0, 1000)
-    fast, slow = np.sin(2.0 * np.pi * time)[:, None], np.sin(2.0 * np.pi * time / 50.0)[:, None]
-    window = predictive_window(fast)
-    assert (window.stop - window.start) / 10.0 == pytest.approx(PERIODS_SHOWN, rel=0.1)
-    assert 400 < window.start < window.stop < 600
-    assert predictive_window(slow) == slice(0, 1000)
 
 
 @pytest.fixture

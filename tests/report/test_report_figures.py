@@ -24,8 +24,7 @@ from pinn_cli.report.figures import (
     style,
     write_figures,
 )
-from pinn_cli.report.figures.histories import PERIODS_SHOWN
-from pinn_cli.report.figures.response import shown_dofs, shown_window
+from pinn_cli.report.figures.histories import shown_dofs
 from pinn_cli.report.figures.style import line_indices
 
 
@@ -44,22 +43,13 @@ def _texts(figure):
 def test_all_figures_are_written(make_case, tmp_path):
     case = make_case(ndof=2, observed=1)
     before = dict(mpl.rcParams)
-    paths = write_figures(results(case), tmp_path)
+    paths = [path for part in range(3) for path in write_figures(results(case), tmp_path, part, 3)]
     figures = ("response", "residuals", "error_map", "drift", "modes", "history", "parameters")
     names = [f"{name}.{kind}" for name in figures for kind in ("png", "pdf")]
-    assert [path.name for path in paths] == names
+    assert sorted(path.name for path in paths) == sorted(names)
     assert sorted(path.name for path in (tmp_path / "figures").iterdir()) == sorted(names)
     assert all(path.read_bytes().startswith((b"\x89PNG", b"%PDF")) and path.stat().st_size > 5000 for path in paths)
     assert dict(mpl.rcParams) == before
-
-
-def test_parts_of_the_figures_are_together_all_of_them(make_case, tmp_path):
-    case = make_case(ndof=1, observed=1)
-    estimate = replace(case.estimate, parameters=[], history=pd.DataFrame({"iteration": [0]}))
-    parts = [write_figures(results(case, estimate), tmp_path, part, 3) for part in range(3)]
-    assert min(map(len, parts)) > 0
-    stems = [path.stem for paths in parts for path in paths if path.suffix == ".png"]
-    assert sorted(stems) == ["drift", "error_map", "modes", "residuals", "response"]
 
 
 def test_the_same_figure_gives_the_same_bytes(make_case, tmp_path):
@@ -87,14 +77,6 @@ def test_rows_and_asterisks(make_case):
     assert _texts(figure) == ["truth", "estimate", "95 % band", "observations"]
 
 
-def test_the_linear_system_is_a_blue_dash_dot_line(make_case):
-    case = make_case(ndof=2, observed=1)
-    figure = response_figure(results_of(case, truth=unknown(case), linear_response=case.truth.response))
-    assert "equivalent linear system" in _texts(figure)
-    assert "truth" not in _texts(figure)
-    assert ("-.", style.BLUE) in {(line.get_linestyle(), line.get_color()) for line in figure.axes[0].lines}
-
-
 def test_what_is_unknown_is_not_drawn(make_case):
     case = make_case(ndof=3, observed=2)
     velocity = np.where([False, True, False], case.truth.response.velocity, np.nan)
@@ -109,12 +91,10 @@ def test_what_is_unknown_is_not_drawn(make_case):
 
 def test_a_long_record_shows_its_middle(make_case):
     case = make_case(ndof=2, observed=1, samples=20000, duration=2000.0)
-    window = shown_window(case.record.time, case.estimate.response)
-    assert 0.3 < np.mean(case.record.time[window]) / 2000.0 < 0.7
-    assert 5.0 < np.ptp(case.record.time[window]) < 2000.0 / 5.0
-    crossings = np.diff(np.signbit(case.estimate.response.velocity[window]), axis=0).sum(axis=0)
-    assert 0.5 < np.median(crossings) / (2 * PERIODS_SHOWN) < 2.0
     figure = response_figure(results_of(case))
+    first, last = figure.axes[0].get_xlim()
+    assert 600.0 < (first + last) / 2.0 < 1400.0
+    assert 5.0 < last - first < 400.0
     assert any("middle of the record from 0 s to 2000 s" in text.get_text() for text in figure.texts)
 
 
@@ -132,16 +112,6 @@ def test_history_of_many_iterations_and_of_none():
     assert len(figure.axes[0].lines[0].get_xdata()) <= 1500
     with pytest.raises(ValueError, match=r"no loss_\* or weight_\* column"):
         history_figure(pd.DataFrame({"iteration": steps}))
-
-
-def test_parameters_relative_to_prescribed(make_case):
-    case = make_case(ndof=3)
-    figure = parameters_figure(case.estimate.parameters, case.truth.parameters)
-    assert [axes.get_title() for axes in figure.axes] == ["Damping $c$", "Stiffness $k$", r"Duffing $\kappa$"]
-    assert _texts(figure) == ["prescribed", "truth", "estimate, 90 % interval"]
-    assert _texts(parameters_figure(case.estimate.parameters, None)) == ["prescribed", "estimate, 90 % interval"]
-    with pytest.raises(ValueError, match="no estimated parameter"):
-        parameters_figure([other_estimate(case.estimate.parameters[0], prescribed=0.0)], None)
 
 
 def _identified(case, *unknown):
@@ -198,8 +168,6 @@ def test_correlation_has_the_unknown_parameters_first(make_case):
     texts = [text.get_text() for text in axes.texts]
     assert texts[:2] == ["unknown", "prescribed"]
     assert sorted(texts[2:]) == ["0.00"] * 28 + ["\N{MINUS SIGN}0.98"] * 2
-    with pytest.raises(ValueError, match="two parameters"):
-        correlation_figure(case.estimate.parameters[:1], np.eye(1))
 
 
 def test_decimation_keeps_extremes_and_ends():

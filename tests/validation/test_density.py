@@ -8,7 +8,7 @@ from small_problems import measured as measured_record
 from small_problems import small_chain
 
 from pinn_cli.record.channels import channels
-from pinn_cli.validation.density import channel_noise, compared
+from pinn_cli.validation.base import channel_noise, compared
 
 NOISE, SAMPLES = 0.1, 200_000
 
@@ -25,15 +25,15 @@ def measured(response: np.ndarray) -> np.ndarray:
 
 def test_the_true_response_scores_nothing(response: np.ndarray, measured: np.ndarray) -> None:
     agreement = compared(measured, response, np.zeros(SAMPLES), NOISE)
-    assert agreement.excess == pytest.approx(0.0, abs=0.01)
-    assert agreement.standardised == pytest.approx(1.0, abs=0.01)
-    assert agreement.coverage == pytest.approx(0.95, abs=0.005)
+    assert agreement["score"] == pytest.approx(0.0, abs=0.01)
+    assert agreement["standardised_error_rms"] == pytest.approx(1.0, abs=0.01)
+    assert agreement["coverage_95_percent"] == pytest.approx(95.0, abs=0.5)
 
 
 def test_the_right_spread_scores_best(response: np.ndarray, measured: np.ndarray) -> None:
     predicted = response + 0.3 * np.random.default_rng(2).normal(size=SAMPLES)
     spreads = [0.05, 0.15, 0.3, 0.6, 1.2]
-    scores = [compared(measured, predicted, np.full(SAMPLES, spread), NOISE).excess for spread in spreads]
+    scores = [compared(measured, predicted, np.full(SAMPLES, spread), NOISE)["score"] for spread in spreads]
     assert spreads[int(np.argmin(scores))] == 0.3
     # Of a normal distribution: half the logarithm of the variances' ratio.
     assert min(scores) == pytest.approx(0.5 * np.log(0.1 / 0.01), rel=0.01)
@@ -42,12 +42,12 @@ def test_the_right_spread_scores_best(response: np.ndarray, measured: np.ndarray
 def test_without_a_spread_it_is_the_logarithm_of_the_error(response: np.ndarray, measured: np.ndarray) -> None:
     predicted = response + 0.3 * np.random.default_rng(2).normal(size=SAMPLES)
     agreement = compared(measured, predicted, np.full(SAMPLES, np.nan), NOISE)
-    assert agreement.excess == pytest.approx(np.log(agreement.error / NOISE))
-    assert np.isnan(agreement.coverage)
+    assert agreement["score"] == pytest.approx(np.log(agreement["error_rms"] / NOISE))
+    assert np.isnan(agreement["coverage_95_percent"])
 
 
 def test_no_prediction_has_no_score(measured: np.ndarray) -> None:
-    assert np.isnan(compared(measured, np.full(SAMPLES, np.nan), np.zeros(SAMPLES), NOISE).excess)
+    assert np.isnan(compared(measured, np.full(SAMPLES, np.nan), np.zeros(SAMPLES), NOISE)["score"])
 
 
 def channel(record, dof):

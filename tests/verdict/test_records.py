@@ -13,7 +13,7 @@ from independent_records import measured
 from storeys import C, K, M, response
 
 from pinn_cli.record.response import Response
-from pinn_cli.report.terminal.findings import changes_text
+from pinn_cli.report.text import changes_text
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear

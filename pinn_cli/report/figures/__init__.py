@@ -12,11 +12,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from pinn_cli.report.connections import connection_forces, drifts
+from pinn_cli.report.estimates import ModeEstimates, connection_forces, drifts
 from pinn_cli.report.figures.connections import Discrepancy, discrepancy_figure, drift_figure, hysteresis_figure
-from pinn_cli.report.figures.history import history_figure
-from pinn_cli.report.figures.modes import modes_figure
-from pinn_cli.report.figures.parameters import correlation_figure, over_time_figure, parameters_figure
+from pinn_cli.report.figures.histories import error_map_figure, response_figure, shown_dofs
+from pinn_cli.report.figures.parameters import correlation_figure, modes_figure, over_time_figure, parameters_figure
 from pinn_cli.report.figures.posterior import (
     IN_TRACES,
     force_predictive_figure,
@@ -24,19 +23,27 @@ from pinn_cli.report.figures.posterior import (
     rank_figure,
     trace_figure,
 )
-from pinn_cli.report.figures.response import error_map_figure, response_figure, shown_dofs
-from pinn_cli.report.figures.sensors import frequency_response_figure, residuals_figure
+from pinn_cli.report.figures.sensors import (
+    frequency_response_figure,
+    history_figure,
+    residuals_figure,
+    validation_figure,
+)
 from pinn_cli.report.figures.structure import structure_figure
 from pinn_cli.report.figures.style import save
-from pinn_cli.report.modes import ModeEstimates
 from pinn_cli.report.parameters import any_unknown, worst_sampled
-from pinn_cli.report.record_report import record_folder
-from pinn_cli.report.results import Results
+from pinn_cli.report.results import Results, record_folder
 from pinn_cli.runs.side_by_side import shared_out
 from pinn_cli.training.estimated_structure import estimated_structure
 
 if TYPE_CHECKING:
     import xarray as xr
+
+__all__ = [
+    "Drawing", "correlation_figure", "error_map_figure", "history_figure", "over_time_figure", "parameters_figure",
+    "record_drawings", "residuals_figure", "response_figure", "run_drawings", "save", "validation_figure",
+    "write_figures", "write_over_time_figure", "write_posterior_figures",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -48,10 +55,6 @@ class Drawing:
     panels: int
     build: Callable[[], Figure]
 
-    def save(self) -> list[Path]:
-        """Draw it; the files written."""
-        return save(self.build(), self.directory, self.name)
-
 
 def write_figures(results: Results, directory: Path | str, part: int = 0, of: int = 1) -> list[Path]:
     """Draw and save one of several parts of a run's figures that are about as much work; the files written.
@@ -62,53 +65,49 @@ def write_figures(results: Results, directory: Path | str, part: int = 0, of: in
     for number, own in enumerate(results.by_record, start=1):
         drawings += record_drawings(own, Path(directory) / record_folder(number) / "figures")
     drawings += run_drawings(results, Path(directory) / "figures")
-    share = shared_out([drawing.panels for drawing in drawings], of)[part]
-    return [path for i in share for path in drawings[i].save()]
+    share = [drawings[i] for i in shared_out([drawing.panels for drawing in drawings], of)[part]]
+    return [path for drawing in share for path in save(drawing.build(), drawing.directory, drawing.name)]
 
 
 def run_drawings(results: Results, directory: Path) -> list[Drawing]:
     """Those that are about parameters and training, which several records have in common."""
-    estimate, prescribed, draw = results.estimate, results.prescribed, partial(Drawing, directory)
-    found = []
-    modes = ModeEstimates.of(prescribed, estimate, results.true)
+    estimate, prescribed, true = results.estimate, results.prescribed, results.truth.parameters
+    every, modes = estimate.parameters, ModeEstimates.of(prescribed, estimate, results.true)
+    found: dict[str, tuple[int, Callable[[], Figure]]] = {}
     if modes is not None:
-        found.append(draw("modes", modes.count, partial(modes_figure, modes, results.run.truth_label)))
+        found["modes"] = modes.count, partial(modes_figure, modes, results.run.truth_label)
     if prescribed.labels.connections and not prescribed.is_modal:
-        found.append(draw("structure", 2, partial(structure_figure, prescribed)))
+        found["structure"] = 2, partial(structure_figure, prescribed)
     if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):
-        found.append(draw("history", 5, partial(history_figure, estimate.history)))
-    if any(given.prescribed or given.unknown for given in estimate.parameters):
-        build = partial(parameters_figure, estimate.parameters, results.truth.parameters)
-        found.append(draw("parameters", 4, build))
-    if estimate.correlation is not None and len(estimate.parameters) > 1 and any_unknown(estimate.parameters):
-        build = partial(correlation_figure, estimate.parameters, estimate.correlation)
-        found.append(draw("correlation", 2, build))
-    return found
+        found["history"] = 5, partial(history_figure, estimate.history)
+    if any(given.prescribed or given.unknown for given in every):
+        found["parameters"] = 4, partial(parameters_figure, every, true)
+    if estimate.correlation is not None and len(every) > 1 and any_unknown(every):
+        found["correlation"] = 2, partial(correlation_figure, every, estimate.correlation)
+    return [Drawing(directory, name, *how) for name, how in found.items()]
 
 
 def record_drawings(results: Results, directory: Path) -> list[Drawing]:
     """Those that are about one record."""
     estimate, record, truth, prescribed = results.estimate, results.record, results.truth, results.prescribed
-    rows, label, draw = len(shown_dofs(record.ndof)), results.run.truth_label, partial(Drawing, directory)
-    found = [
-        draw("response", 5 * rows, partial(response_figure, results)),
-        draw("residuals", 12, partial(residuals_figure, estimate, record)),
-        draw("error_map", 8, partial(error_map_figure, estimate, record, truth.response)),
-    ]
+    rows, label = len(shown_dofs(record.ndof)), results.run.truth_label
+    found: dict[str, tuple[int, Callable[[], Figure]]] = {
+        "response": (5 * rows, partial(response_figure, results)),
+        "residuals": (12, partial(residuals_figure, estimate, record)),
+        "error_map": (8, partial(error_map_figure, estimate, record, truth.response)),
+    }
     if record.band is not None:
         estimated = estimated_structure(prescribed, estimate.parameters)
-        found.append(draw("frequency_response", 6, partial(frequency_response_figure, record, estimated)))
-    stretched = drifts(prescribed, estimate, truth.response)
+        found["frequency_response"] = 6, partial(frequency_response_figure, record, estimated)
+    stretched, forces = drifts(prescribed, estimate, truth.response), connection_forces(prescribed, estimate, truth)
     if stretched.places:
-        found.append(draw("drift", 2 * rows, partial(drift_figure, stretched, label)))
-    discrepancy = Discrepancy.of(results)
-    if discrepancy is not None:
-        found.append(draw("discrepancy", 4, partial(discrepancy_figure, discrepancy)))
-    forces = connection_forces(prescribed, estimate, truth)
+        found["drift"] = 2 * rows, partial(drift_figure, stretched, label)
+    if (discrepancy := Discrepancy.of(results)) is not None:
+        found["discrepancy"] = 4, partial(discrepancy_figure, discrepancy)
     if forces is not None and len(prescribed.memory):
         memory = np.searchsorted(prescribed.added, prescribed.memory)
-        found.append(draw("hysteresis", rows, partial(hysteresis_figure, stretched, forces, memory, label)))
-    return found
+        found["hysteresis"] = rows, partial(hysteresis_figure, stretched, forces, memory, label)
+    return [Drawing(directory, name, *how) for name, how in found.items()]
 
 
 def write_over_time_figure(table: pd.DataFrame, directory: Path) -> list[Path]:

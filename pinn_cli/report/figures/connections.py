@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from pinn_cli.record.spectrum import periodogram
-from pinn_cli.report.connections import drift_peaks
 from pinn_cli.report.estimates import Histories
 from pinn_cli.report.figures import histories, style
 from pinn_cli.report.results import Results
@@ -39,8 +38,7 @@ def drift_figure(drifts: Histories, truth_label: str = "truth") -> Figure:
     """
     estimate, (peaks, sample) = drifts.of("estimate"), drifts.peaks()
     shown = style.largest(peaks, ROWS_IN_FULL)
-    highest = int(np.argmax(np.max(np.abs(estimate), axis=1)))
-    window = histories.window_about(highest, len(estimate), histories.periods_of(np.diff(estimate, axis=0)))
+    window = histories.window_about(int(sample[np.argmax(peaks)]), np.diff(estimate, axis=0, prepend=0.0))
     with style.look():
         figure, panels = style.panels(
             len(shown), 2, 0.75, margins=(0.75, 0.08, 0.5, 0.42), gaps=(0.75, 0.12), width_ratios=(2.4, 1.0)
@@ -54,8 +52,9 @@ def drift_figure(drifts: Histories, truth_label: str = "truth") -> Figure:
         top, bottom = panels[0, 1].get_position(), panels[-1, 1].get_position()
         for axes in panels[:, 1]:
             axes.remove()
-        _draw_peaks(figure.add_axes((bottom.x0, bottom.y0, top.width, top.y1 - bottom.y0)), drifts, factor)
-        figure.axes[-1].set_xlabel(panels[0, 0].get_title().replace("Drift", "Peak drift"), labelpad=2)
+        beside = figure.add_axes((bottom.x0, bottom.y0, top.width, top.y1 - bottom.y0))
+        _draw_peaks(beside, drifts, factor)
+        beside.set_xlabel(panels[0, 0].get_title().replace("Drift", "Peak drift"), labelpad=2)
         style.legend(figure)
         if len(shown) < len(peaks):
             style.note(figure, f"histories: the {len(shown)} of {len(peaks)} connections with the largest peaks")
@@ -64,7 +63,7 @@ def drift_figure(drifts: Histories, truth_label: str = "truth") -> Figure:
 
 def _draw_peaks(axes: Axes, drifts: Histories, factor: float) -> None:
     """The first connection lowest, as the storeys of a building are."""
-    found = drift_peaks(drifts)
+    found = drifts.peak_estimates()
     place = np.arange(len(found.estimate))
     known = np.isfinite(found.std).all()
     if known:
@@ -146,20 +145,18 @@ class Discrepancy:
             return None
         pulls = structure.incidence.matrix[structure.added].toarray()
         forces = -misfit.history.astype(np.float64) @ np.linalg.pinv(pulls, rcond=1e-9)
-        count = len(forces)
+        count, doubts = len(forces), estimate.doubts
         elongation = connections.elongation[-count:, : len(structure.added)]
         velocity = np.gradient(elongation, misfit.step, axis=0)
         slow = np.column_stack([_slow(f, v, misfit.step) for f, v in zip(forces.T, velocity.T, strict=True)])
         names = [structure.labels.connection(int(i)) for i in structure.added]
-        doubted = [
-            names.index(d.of.removeprefix("connection ")) for d in estimate.doubts if d.of.startswith("connection ")
-        ]
+        doubted = [names.index(d.of.removeprefix("connection ")) for d in doubts if d.of.startswith("connection ")]
         if not doubted and not np.sqrt(np.mean(slow**2)) > NOTICEABLE * misfit.acting > 0.0:
             return None
         at = doubted[0] if doubted else int(np.argmax(np.mean(slow**2, axis=0)))
         modes = NaturalModes.of(estimated_structure(structure, estimate.parameters))
         natural = np.zeros(0) if modes is None else modes.frequencies
-        missing = tuple(doubt.shape for doubt in estimate.doubts if doubt.kind == "mode")
+        missing = tuple(doubt.shape for doubt in doubts if doubt.kind == "mode")
         force, slow, e, de = (x[:, at] for x in (forces, slow, elongation, velocity))
         return cls(names[at], results.record.time[-count:], force, slow, e, de, natural, missing)
 
@@ -192,14 +189,14 @@ def discrepancy_figure(found: Discrepancy) -> Figure:
     of_force, force_prefix = style.unit_prefix(float(np.abs(found.slow).max()), kilo=True)
     with style.look():
         figure, panels = style.panels(2, 2, 1.9, margins=(0.62, 0.12, 0.5, 0.42), gaps=(0.62, 0.6))
-        kept = style.line_indices(found.slow)
-        named = f"force left out, connection {found.connection}"
-        panels[1, 0].plot(found.time[kept], of_force * found.slow[kept], color=style.BLUE, linewidth=0.6, label=named)
-        panels[1, 0].set_xlabel("Time $t$ (s)", labelpad=2)
-        panels[1, 0].set_xlim(found.time[0], found.time[-1])
+        (over_elongation, over_velocity), (over_time, spectrum) = panels
+        kept, named = style.line_indices(found.slow), f"force left out, connection {found.connection}"
+        over_time.plot(found.time[kept], of_force * found.slow[kept], color=style.BLUE, linewidth=0.6, label=named)
+        over_time.set_xlabel("Time $t$ (s)", labelpad=2)
+        over_time.set_xlim(found.time[0], found.time[-1])
         for axes, history, quantity, name in (
-            (panels[0, 0], found.elongation, "displacement", "Elongation"),
-            (panels[0, 1], found.velocity, "velocity", "Velocity"),
+            (over_elongation, found.elongation, "displacement", "Elongation"),
+            (over_velocity, found.velocity, "velocity", "Velocity"),
         ):
             factor, prefix = style.unit_prefix(float(np.abs(history).max()))
             every = max(1, len(history) // MOST_DOTS)
@@ -210,10 +207,10 @@ def discrepancy_figure(found: Discrepancy) -> Figure:
             axes.axhline(0.0, color=style.GREY, linewidth=0.5, zorder=0)
             axes.set_title(f"explains {100.0 * share:.0f} %", loc="right", fontsize=7, pad=2)
             axes.set_xlabel(f"{name} ({style.unit(quantity, prefix)})", labelpad=2)
-        _draw_spectrum(panels[1, 1], found)
+        _draw_spectrum(spectrum, found)
         for axes in panels[:, 0]:
             axes.set_ylabel(f"Force left out ({style.unit('force', force_prefix)})", labelpad=2)
-        style.legend(figure, [panels[1, 0], *panels.flat])
+        style.legend(figure, [over_time, *panels.flat])
     return figure
 
 
@@ -224,10 +221,9 @@ def _draw_spectrum(axes: Axes, found: Discrepancy) -> None:
     _, slow = (x[1:] for x in periodogram(found.slow, step))
     axes.plot(frequency, power, color=style.GREY, alpha=0.6, linewidth=0.6, label="the same above its motion")
     axes.plot(frequency, np.where(slow > 1e-9 * slow.max(initial=0.0), slow, np.nan), color=style.BLUE, linewidth=0.6)
-    seen = found.natural[(found.natural >= frequency[0]) & (found.natural <= frequency[-1])]
-    for at in seen:
-        dashes: style.Look = {"linewidth": 0.8, "linestyle": (0, (2.5, 1.2))}
-        axes.axvline(at, color=style.BLACK, label="natural frequency", **dashes)
+    dashes: style.Look = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (2.5, 1.2))}
+    for at in found.natural[(found.natural >= frequency[0]) & (found.natural <= frequency[-1])]:
+        axes.axvline(at, label="natural frequency", **dashes)
     for at in found.missing:
         axes.axvline(at, color=style.VERMILLION, linewidth=1.0, linestyle=(0, (1, 1.2)), label="mode not in the model")
     axes.set_xscale("log")

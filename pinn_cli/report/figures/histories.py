@@ -1,18 +1,31 @@
-"""Histories in panels: the estimate, its band, and what there is to compare it with, drawn alike everywhere."""
+"""Histories in panels: the estimate, its band, and what there is to compare it with, drawn alike everywhere.
+
+On top of that motion and force of the DOFs, in the layout of the paper's Figures 4 to 8, and the map of their errors.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 
-from pinn_cli.report.estimates import Histories
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import QUANTITIES, Response
+from pinn_cli.report.estimates import Histories, dof_histories, ground_history
 from pinn_cli.report.figures import style
+from pinn_cli.report.results import Results
+from pinn_cli.training.estimate import Estimate
 
 BAND = 1.96  # standard deviations to either side of the estimate: 95 %
 POINTS = 400  # observations drawn in a panel at most
 PERIODS_IN_FULL, PERIODS_SHOWN = 100, 20  # a longer record shows a stretch, else it is a block of ink
+ROWS_IN_FULL = 6  # more DOFs than these: the first two and the last two, as in the paper
+PIXELS = 400  # columns of a map
 
 Looks = Mapping[str, style.Look]
 # How each source of a history is drawn, in the order of the legend.
@@ -65,7 +78,7 @@ def draw_column(panels: np.ndarray, each: Histories, places: Sequence[int], wind
 
     Forces have one scale, so that one that should not be there is seen in proportion.
     """
-    ends = np.array([limits(each, place, window) for place in places])
+    ends = np.array([_limits(each, place, window) for place in places])
     if each.name == "force":
         ends[:] = [np.nanmin(ends[:, 0]), np.nanmax(ends[:, 1])] if np.isfinite(ends).any() else [-1.0, 1.0]
     factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(ends), initial=0.0)), kilo=each.name == "force")
@@ -91,7 +104,7 @@ def band(histories: Histories, place: int, window: slice) -> tuple[np.ndarray, n
     return estimate - spread, estimate + spread
 
 
-def limits(histories: Histories, place: int, window: slice) -> tuple[float, float]:
+def _limits(histories: Histories, place: int, window: slice) -> tuple[float, float]:
     """Lowest and highest value with a margin; NaN if there is nothing to draw.
 
     A wide band may triple the range, not more.
@@ -114,18 +127,156 @@ def thinned(samples: int) -> int:
     return -(-samples // POINTS)
 
 
-def periods_of(histories: np.ndarray) -> float:
-    """How many periods histories (N, n) have, the median of all: half the changes of sign."""
-    signs = np.signbit(histories)
-    return float(np.median((signs[1:] != signs[:-1]).sum(axis=0))) / 2.0
-
-
 def window_about(
-    middle: int, samples: int, periods: float, shown: int = PERIODS_SHOWN, in_full: int = PERIODS_IN_FULL
+    middle: int, histories: np.ndarray, shown: int = PERIODS_SHOWN, in_full: int = PERIODS_IN_FULL
 ) -> slice:
-    """The samples of a few periods about one of them, or all of a record that has no more than ``in_full`` periods."""
+    """The samples of a few periods about one of them, or all of histories (N, n) that have no more than ``in_full``.
+
+    Periods are half the changes of sign, the median of all histories.
+    """
+    samples, signs = len(histories), np.signbit(histories)
+    periods = float(np.median((signs[1:] != signs[:-1]).sum(axis=0))) / 2.0
     if periods <= in_full:
         return slice(0, samples)
     half = max(int(samples * shown / periods / 2.0), 1)
     middle = min(max(middle, half), max(samples - 1 - half, half))
     return slice(middle - half, middle + half + 1)
+
+
+def shown_dofs(ndof: int) -> list[int]:
+    """The DOFs with a row, as indices from 0."""
+    return list(range(ndof)) if ndof <= ROWS_IN_FULL else [0, 1, ndof - 2, ndof - 1]
+
+
+def response_figure(results: Results) -> Figure:
+    """Rows are DOFs, an asterisk marks those without a response sensor; columns are u, its two time derivatives, and f.
+
+    Drawn are the estimate with its band of 95 %, the truth where it is known, observations as points (at most `POINTS`
+    of a channel), the true response of the equivalent linear system, and that of the baseline. Where the ground moves,
+    its acceleration stands in a last row. The force has one scale for all DOFs, so that an estimated force where there
+    is none is seen in proportion; its root mean square is written there. Of a record with too many periods, the middle.
+    """
+    record, run, estimate = results.record, results.run, results.estimate.response
+    # The velocity's periods: the displacement may ride on a drift.
+    rows, window = shown_dofs(record.ndof), window_about(len(record.time) // 2, estimate.velocity)
+    ground = None if record.ground_acceleration is None else ground_history(results)
+    every = thinned(len(record.time[window]))
+    seen = "observations" + (f" (one in {every} shown)" if every > 1 else "")
+    labelled = looks(true=run.truth_label, baseline=run.baseline.replace("_", " "), observed=seen)
+    with style.look():
+        count, margins = len(rows) + (ground is not None), (0.62, 0.08, 0.48, 0.46)
+        figure, panels = style.panels(count, len(QUANTITIES), 0.645, margins=margins, gaps=(0.36, 0.077))
+        of_dofs = panels[: len(rows)]
+        for column, each in zip(of_dofs.T, dof_histories(results), strict=True):
+            draw_column(column, _with_others(each, results), rows, window, labelled)
+        for (first, *_, last), dof in zip(of_dofs, rows, strict=True):
+            name = record.dof_name(dof) if record.dofs else f"DOF {dof + 1}"
+            first.set_ylabel(name + ("" if record.observed[dof] else "*"))
+            if record.unforced[dof]:
+                _write_rms(last, estimate.force[window, dof])
+        if ground is not None:
+            _draw_ground(panels[-2:], _with_others(ground, results), window, labelled)
+        for axes in panels.flat:
+            axes.xaxis.set_major_locator(MaxNLocator(4))  # panels are narrow
+        figure.align_ylabels(list(of_dofs[:, 0]))
+        crowded = results.linear_response is not None
+        room: style.Look = {"handlelength": 1.8, "columnspacing": 0.8} if crowded else {"handlelength": 2.2}
+        style.legend(figure, markerscale=1.5, **room)
+        notes = [] if record.observed[rows].all() else ["* no response sensor"]
+        if len(record.time[window]) < len(record.time):
+            notes.append(f"middle of the record from {record.time[0]:g} s to {record.time[-1]:g} s")
+        style.note(figure, "; ".join(notes))
+    return figure
+
+
+def _with_others(each: Histories, results: Results) -> Histories:
+    """Beside the baseline's, and those of the equivalent linear system."""
+    baseline = None if results.baseline is None else results.baseline.response
+    others = {"linear": results.linear_response, "baseline": baseline}
+    found = {name: getattr(response, each.name) for name, response in others.items() if response is not None}
+    return each.beside(**{name: x if x is None or x.ndim > 1 else x[:, None] for name, x in found.items()})
+
+
+def _draw_ground(rows: np.ndarray, ground: Histories, window: slice, looks: Looks) -> None:
+    """The ground's acceleration in the last row, below those of the DOFs; its other panels stay empty."""
+    column = QUANTITIES.index("acceleration")
+    above, axes = rows[:, column]
+    for empty in rows[-1, np.arange(len(QUANTITIES)) != column]:
+        empty.set_axis_off()
+    draw_column(rows[-1:, column], ground, [0], window, looks)
+    # There is no room between panels for a title and the times, which stand below.
+    axes.text(0.03, 0.93, axes.get_title(), transform=axes.transAxes, va="top", fontsize=7)
+    axes.set_title("")
+    above.tick_params(labelbottom=False)
+    above.set_xlabel("")
+
+
+def _write_rms(axes: Axes, estimate: np.ndarray) -> None:
+    """The size of an estimated force where there is none, which the common scale hides."""
+    if np.isfinite(estimate).all():
+        rms = float(np.sqrt(np.mean(estimate**2)))
+        factor, prefix = style.unit_prefix(rms, kilo=True)
+        text = f"rms {factor * rms:.{0 if factor * rms >= 10.0 else 1}f} {style.unit('force', prefix)}"
+        axes.text(0.97, 0.93, text, transform=axes.transAxes, ha="right", va="top", fontsize=7)
+
+
+def error_map_figure(estimate: Estimate, record: Record, truth: Response | None) -> Figure:
+    """One panel per quantity: |estimate - truth| with time to the right and DOFs downwards.
+
+    Where the truth of a quantity is known at no DOF, its panel shows the estimate's standard deviation and says so; a
+    DOF with neither is hatched. A column of pixels shows the largest value of its stretch of time. The dashed red lines
+    frame the DOFs with a response sensor (paper, figure of the 20-DOF case).
+    """
+    with style.look():
+        height = min(max(0.16 * record.ndof, 1.2), 2.4)
+        figure, panels = style.panels(2, 2, height, margins=(0.45, 0.5, 0.3, 0.5), gaps=(0.95, 0.5))
+        for axes, quantity in zip(panels.flat, QUANTITIES, strict=True):
+            values, meaning = getattr(estimate.std, quantity), "standard deviation, no truth"
+            error = np.abs(getattr(estimate.response, quantity) - getattr(truth, quantity, np.nan))
+            if np.isfinite(error).any():
+                values, meaning = error, "absolute error"
+            prefix = _draw_map(figure, axes, record, values, quantity)
+            axes.set_title(f"{quantity.capitalize()}: {meaning} ({style.unit(quantity, prefix)})", pad=4)
+            _frame_observed(axes, record)
+        for axes in panels[1]:
+            axes.set_xlabel(r"Time $t$ (s)")
+        for axes in panels[:, 0]:
+            axes.set_ylabel("DOF")
+        if any(axes.patch.get_hatch() for axes in panels.flat):
+            style.note(figure, "hatched: no truth")
+    return figure
+
+
+def _draw_map(figure: Figure, axes: Axes, record: Record, values: np.ndarray, quantity: str) -> str:
+    """Draw values (time, dof) with their scale, no peak of them lost; the prefix of its unit."""
+    peak = float(np.nanmax(values, initial=0.0))
+    factor, prefix = style.unit_prefix(peak, kilo=quantity == "force")
+    if not np.isfinite(values).all():
+        axes.patch.set(hatch="////", facecolor="#F2F2F2", edgecolor="#BFBFBF", linewidth=0)
+    extent = (record.time[0], record.time[-1], record.ndof + 0.5, 0.5)
+    starts = np.linspace(0, len(values), min(PIXELS, len(values)), endpoint=False).astype(int)
+    shown = np.ma.masked_invalid(factor * np.fmax.reduceat(values, starts, axis=0).T)
+    colours: style.Look = {"cmap": colormaps["viridis"], "vmin": 0.0, "vmax": factor * peak or 1.0}
+    image = axes.imshow(shown, extent=extent, aspect="auto", interpolation="nearest", **colours)
+    bar = figure.colorbar(image, cax=axes.inset_axes((1.025, 0.0, 0.035, 1.0)))
+    bar.outline.set_linewidth(0.4)
+    bar.locator = MaxNLocator(5)
+    axes.xaxis.set_major_locator(MaxNLocator(6))
+    # The first DOF and round numbers, ten labels at most.
+    step = next(step for step in (1, 2, 5, 10, 20, 50, 100, record.ndof) if record.ndof / step <= 9)
+    ticks = [1, *range(max(step, 2), record.ndof + 1, step)]
+    axes.set_yticks(ticks, [record.dof_name(dof - 1) for dof in ticks])
+    axes.tick_params(direction="out")
+    return prefix
+
+
+def _frame_observed(axes: Axes, record: Record) -> None:
+    """A dashed red frame around each run of neighbouring DOFs with a sensor, on white to show on dark colours."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], record.observed.astype(int), [0]])))
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        for colour, width, dashes in (("white", 2.0, "-"), ("red", 1.1, (0, (4, 2)))):
+            frame = Rectangle(
+                (record.time[0], first + 0.5), record.time[-1] - record.time[0], end - first,
+                fill=False, edgecolor=colour, linewidth=width, linestyle=dashes, clip_on=False, zorder=3,
+            )  # fmt: skip
+            axes.add_patch(frame)

@@ -1,9 +1,8 @@
-"""Parameters: with their intervals, as they moved; their correlation; and what each record made of them."""
+"""Parameters with their intervals, as they moved; their correlation; what each record made of them; and mode shapes."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,102 +12,102 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from pinn_cli.report.estimates import ModeEstimates
 from pinn_cli.report.figures import style
 from pinn_cli.report.parameters import true_value
-from pinn_cli.system.parameters import Parameter, letter
+from pinn_cli.system.parameters import letter
 from pinn_cli.training.central_interval import HALF_WIDTH_90
 from pinn_cli.training.estimate import ParameterEstimate
 
-_ROW, _TOP, _BOTTOM = 2.3, 0.5, 0.39  # inch: of a row of panels, and of its legend and titles, its ticks and labels
-_LEFT, _RIGHT = 0.55, 0.08
-_NAMES, _LETTER = 0.12, 0.056  # inch: below the axis, and of each letter of the longest name that stands there
-# A start that lies further from all else in a panel than this many times its height would squash it: an arrow at the
-# edge points there instead.
-REACH = 1.0
+Truth = Mapping[str, np.ndarray] | None  # values (members,) by kind, where known
+REACH = 1.0  # heights of a panel that a start may be away from all else; further off it would squash the scale
 NAMED = 20  # names below a panel, at most
 TICKS_IN_FULL = 8  # of values in a panel: up to these, exactly their connections are marked
+ANNOTATED, LABELLED = 16, 60  # parameters up to which every cell of a matrix has its number, and every row its name
+COLUMNS, MOST_OVER_TIME = 3, 24  # of panels over records
+MOST_MODES, IN_A_ROW, MOST_DOF_LABELS = 12, 4, 16  # of more modes, the lowest
 
-ANNOTATED = 16  # parameters up to which every cell of a matrix has its number: as many as fit across a page
-LABELLED = 60  # parameters up to which every row has its name
-_CELL, _LEAST = 0.34, 1.2  # inch, of a cell and of the matrix
-_AROUND = 0.5, 0.75, 0.3, 0.4  # inch, left, right, above, below
-
-COLUMNS, MOST = 3, 24  # of panels over records
-
-_START: style.Look = {"linestyle": "none", "color": style.GREY, "zorder": 1}
 _ESTIMATE: style.Look = {"color": style.VERMILLION, "markersize": 3, "zorder": 3}
 _BARS: style.Look = {"elinewidth": 0.9, "capsize": 2, "capthick": 0.9}
+_TRUE: style.Look = {
+    "linestyle": "none", "marker": "D", "markersize": 4.5, "markerfacecolor": "none", "markeredgecolor": style.BLACK,
+    "markeredgewidth": 0.8, "zorder": 2, "label": "truth",
+}  # fmt: skip
+_SHAPES: dict[str, style.Look] = {
+    "true": {"color": style.BLACK, "linewidth": 1.0},
+    "prescribed": {"color": style.BLUE, "linewidth": 0.9, "linestyle": (0, (1, 1.2)), "label": "prescribed"},
+    "estimate": {
+        "color": style.VERMILLION, "linewidth": 0.9, "linestyle": (0, (2.5, 1.2)), "marker": "o", "markersize": 3.0,
+        "label": "estimate (90 % intervals)",
+    },
+}  # fmt: skip
 
 
-def parameters_figure(estimates: Sequence[ParameterEstimate], true: Mapping[str, np.ndarray] | None) -> Figure:
+def parameters_figure(estimates: Sequence[ParameterEstimate], true: Truth) -> Figure:
     """One panel per kind, over the connections, with 90 % intervals; unknown parameters above prescribed ones.
 
-    Unknown parameters are drawn as they are, in their unit, with the values from which the search for them started.
-    Prescribed ones are drawn as relative changes from what was prescribed; where that is zero they are left out. True
-    values (members,) by kind are marked where known.
+    Unknown parameters are drawn as they are, in their unit, with the values from which the search for them started: a
+    triangle at the edge points to one that is far away, and says its value. Prescribed ones are drawn as relative
+    changes from what was prescribed; where that is zero they are left out.
 
     Raises:
         ValueError: If there is nothing to draw.
     """
-    unknown = _by_kind(given for given in estimates if given.unknown)
-    prescribed = _by_kind(given for given in estimates if given.prescribed and not given.unknown)
-    rows = [row for row in (unknown, prescribed) if row]
-    if not rows:
+    rows = [[p for p in estimates if p.unknown], [p for p in estimates if p.prescribed and not p.unknown]]
+    kinds = [{kind: [p for p in row if p.kind == kind] for kind in dict.fromkeys(p.kind for p in row)} for row in rows]
+    kinds = [row for row in kinds if row]
+    if not kinds:
         raise ValueError("there is no estimated parameter that is unknown or has a prescribed value other than zero")
-    longest = max(len(given.parameter.label) for row in rows for group in row.values() for given in group)
+    longest = max(len(p.parameter.label) for row in rows for p in row)
     with style.look():
-        width = min(1.2 + 2.0 * max(map(len, rows)), style.PAGE_WIDTH)
-        bottom = _BOTTOM if not longest else _NAMES + _LETTER * longest
-        height = _ROW + bottom - _BOTTOM
-        figure = Figure(figsize=(width, height * len(rows)))
-        grid = {"left": _LEFT / width, "right": 1.0 - _RIGHT / width, "wspace": 0.28}
-        grid |= {"bottom": bottom / height, "top": 1.0 - _TOP / height}
-        places = [figure] if len(rows) == 1 else np.asarray(figure.subfigures(len(rows), 1)).tolist()
-        for place, row in zip(places, rows, strict=True):
+        width = min(1.2 + 2.0 * max(map(len, kinds)), style.PAGE_WIDTH)
+        bottom = 0.12 + 0.056 * longest if longest else 0.39  # inch, with room for upright names
+        height = 1.91 + bottom
+        figure = Figure(figsize=(width, height * len(kinds)))
+        grid = {"left": 0.55 / width, "right": 1.0 - 0.08 / width, "wspace": 0.28}
+        grid |= {"bottom": bottom / height, "top": 1.0 - 0.5 / height}
+        places = [figure] if len(kinds) == 1 else np.asarray(figure.subfigures(len(kinds), 1)).tolist()
+        for place, row in zip(places, kinds, strict=True):
             panels = place.subplots(1, len(row), squeeze=False, gridspec_kw=grid)[0]
             for axes, (kind, group) in zip(panels, row.items(), strict=True):
-                unit = _draw_values(axes, group, true) if row is unknown else _draw_changes(axes, group, true)
+                unit = (_draw_values if group[0].unknown else _draw_changes)(axes, group, true)
                 title = f"{group[0].parameter.title} ${letter(kind)}$".strip()
                 axes.set_title(title + (f" ({style.raised(unit)})" if unit else ""), pad=4)
-            panels[0].set_ylabel("Identified value" if row is unknown else "Change from prescribed (%)")
+            panels[0].set_ylabel("Identified value" if group[0].unknown else "Change from prescribed (%)")
             style.legend(place, panels)
     return figure
 
 
-def _by_kind(estimates: Iterable[ParameterEstimate]) -> dict[str, list[ParameterEstimate]]:
-    groups: dict[str, list[ParameterEstimate]] = {}
-    for given in estimates:
-        groups.setdefault(given.kind, []).append(given)
-    return groups
-
-
-def _draw_values(axes: Axes, group: Sequence[ParameterEstimate], true: Mapping[str, np.ndarray] | None) -> str:
+def _draw_values(axes: Axes, group: Sequence[ParameterEstimate], true: Truth) -> str:
     """Unknown parameters of one kind, with where they started; the unit with the prefix in which they are drawn."""
     values, unit = _values(group, true), group[0].parameter.unit
     factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(values))), kilo=True) if unit else (1.0, "")
-    start = factor * np.array([given.start for given in group])
-    place = _draw_group(axes, group, factor * values)
+    start, place = factor * np.array([given.start for given in group]), _draw_group(axes, group, factor * values)
     bottom, top = float(np.nanmin(factor * values)), float(np.nanmax(factor * values))
-    least = 1e-6 * max(abs(bottom), abs(top)) or 1.0
-    if top - bottom <= least:
-        bottom, top = bottom - least, top + least
-    height = top - bottom
-    near = (start >= bottom - REACH * height) & (start <= top + REACH * height)
-    if near.any():
-        axes.plot(place[near], start[near], marker="x", markersize=4.5, markeredgewidth=0.9, label="start", **_START)
-        bottom, top = min(bottom, start[near].min()), max(top, start[near].max())
-    below, above = start < bottom, start > top
-    _point_to_start(axes, place[below], start[below], "v", 0.05)
-    _point_to_start(axes, place[above], start[above], "^", 0.95)
-    height = top - bottom
-    # An arrow and its number take the room that no value may be in.
-    axes.set_ylim(bottom - (0.25 if below.any() else 0.1) * height, top + (0.25 if above.any() else 0.1) * height)
+    height = max(top - bottom, 2e-6 * max(abs(bottom), abs(top))) or 2.0
+    below, above = start < bottom - REACH * height, start > top + REACH * height
+    near, look = start[~(below | above)], style.Look(linestyle="none", color=style.GREY, zorder=1)
+    if near.size:
+        axes.plot(place[~(below | above)], near, "x", markersize=4.5, markeredgewidth=0.9, label="start", **look)
+        bottom, top = min(bottom, near.min()), max(top, near.max())
+    across = axes.get_xaxis_transform()
+    for far, arrow, edge in ((below, "v", 0.05), (above, "^", 0.95)):
+        if far.any():
+            axes.plot(place[far], np.full(far.sum(), edge), arrow, markersize=3.5, transform=across,
+                      label="start, off the scale", **look)  # fmt: skip
+        for value, x in dict(zip(start[far][::-1], place[far][::-1], strict=True)).items():  # equal ones say it once
+            said = style.Look(textcoords="offset points", va="center", fontsize=6.5, color=style.GREY)
+            axes.annotate(f"{value:.4g}", (x, edge), xycoords=across, xytext=(4, 0), **said)
+    # An arrow takes the room that no value may be in.
+    low, high = (0.25 if far.any() else 0.1 for far in (below, above))
+    height = max(top - bottom, height)
+    axes.set_ylim(bottom - low * height, top + high * height)
     if len(place) <= TICKS_IN_FULL and not group[0].parameter.label:
         axes.set_xticks(place)
     return prefix + unit
 
 
-def _draw_changes(axes: Axes, group: Sequence[ParameterEstimate], true: Mapping[str, np.ndarray] | None) -> str:
+def _draw_changes(axes: Axes, group: Sequence[ParameterEstimate], true: Truth) -> str:
     """How far parameters of one kind, none prescribed as zero, moved from their prescribed values, in percent."""
     prescribed = np.array([given.believed for given in group])
     axes.axhline(0.0, color=style.GREY, linewidth=0.7, linestyle="--", zorder=1, label="prescribed")
@@ -116,7 +115,7 @@ def _draw_changes(axes: Axes, group: Sequence[ParameterEstimate], true: Mapping[
     return ""
 
 
-def _values(group: Sequence[ParameterEstimate], true: Mapping[str, np.ndarray] | None) -> np.ndarray:
+def _values(group: Sequence[ParameterEstimate], true: Truth) -> np.ndarray:
     """(4, parameters): estimate, ends of its interval, truth; NaN where unknown."""
     rows = [(given.estimate, given.lower_90, given.upper_90, true_value(given.parameter, true)) for given in group]
     return np.array(rows, dtype=float).T
@@ -134,35 +133,16 @@ def _draw_group(axes: Axes, group: Sequence[ParameterEstimate], values: np.ndarr
         axes.errorbar(place, middle, yerr=reach, fmt="none", ecolor=style.VERMILLION, zorder=3, **_BARS)
         axes.errorbar([], [], yerr=[], fmt="o", **_ESTIMATE, **_BARS, label="estimate, 90 % interval")
     if np.isfinite(truth).any():
-        diamond: style.Look = {
-            "markersize": 4.5,
-            "markerfacecolor": "none",
-            "markeredgecolor": style.BLACK,
-            "markeredgewidth": 0.8,
-        }
-        axes.plot(place, truth, linestyle="none", marker="D", zorder=2, label="truth", **diamond)
+        axes.plot(place, truth, **_TRUE)
     axes.set_xlim(place.min() - 0.6, place.max() + 0.6)
     axes.xaxis.set_major_locator(MaxNLocator(7, integer=True, min_n_ticks=1))
     axes.yaxis.set_major_locator(MaxNLocator(6))
     if names[0]:
-        # Upright, so that long ones do not meet.
         every = -(-len(names) // NAMED)
-        axes.set_xticks(place[::every], names[::every], rotation=90)
+        axes.set_xticks(place[::every], names[::every], rotation=90)  # upright: long ones do not meet
     else:
         axes.set_xlabel("Connection $i$", labelpad=2)
     return place
-
-
-def _point_to_start(axes: Axes, place: np.ndarray, start: np.ndarray, arrow: str, height: float) -> None:
-    """Arrows at an edge of the panel, with the value that they point to; equal ones in a row say it once."""
-    if not start.size:
-        return
-    across, label = axes.get_xaxis_transform(), "start, off the scale"
-    axes.plot(place, np.full(start.size, height), transform=across, marker=arrow, markersize=3.5, label=label, **_START)
-    look: style.Look = {"textcoords": "offset points", "va": "center", "fontsize": 6.5, "color": style.GREY}
-    for i, (x, value) in enumerate(zip(place, start, strict=True)):
-        if i == 0 or value != start[i - 1]:
-            axes.annotate(f"{value:.4g}", (x, height), xycoords=across, xytext=(4, 0), **look)
 
 
 def correlation_figure(estimates: Sequence[ParameterEstimate], correlation: np.ndarray) -> Figure:
@@ -175,14 +155,11 @@ def correlation_figure(estimates: Sequence[ParameterEstimate], correlation: np.n
     if count < 2:
         raise ValueError("a correlation takes two parameters")
     order = sorted(range(count), key=lambda i: not estimates[i].unknown)
-    unknown = sum(p.unknown for p in estimates)
-    matrix = np.asarray(correlation)[np.ix_(order, order)]
-    left, right, top, bottom = _AROUND
-    side = max(min(_CELL * count, style.PAGE_WIDTH - left - right), _LEAST)
-    width, height = left + side + right, bottom + side + top
+    unknown, parameters = sum(p.unknown for p in estimates), [estimates[i].parameter for i in order]
+    matrix, few = np.asarray(correlation)[np.ix_(order, order)], count <= ANNOTATED
+    side = float(np.clip(0.34 * count, 1.2, style.PAGE_WIDTH - 1.25))  # inch
     with style.look():
-        figure = Figure(figsize=(width, height))
-        axes = figure.add_axes((left / width, bottom / height, side / width, side / height))
+        figure, ((axes,),) = style.panels(1, 1, side, width=side + 1.25, margins=(0.5, 0.75, 0.3, 0.4), gaps=(0, 0))
         # A parameter's correlation with itself says nothing and would be the darkest of all cells.
         shown = np.ma.masked_where(np.eye(count, dtype=bool) | ~np.isfinite(matrix), matrix)
         axes.patch.set_facecolor("#E6E6E6")
@@ -190,15 +167,19 @@ def correlation_figure(estimates: Sequence[ParameterEstimate], correlation: np.n
         bar = figure.colorbar(image, cax=axes.inset_axes((1.0 + 0.1 / side, 0.0, 0.12 / side, 1.0)))
         bar.outline.set_linewidth(0.4)
         bar.set_label("Posterior correlation")
-        _name_rows(axes, [estimates[i].parameter for i in order])
+        kept = range(0, count, -(-count // LABELLED))
+        labels = [parameters[i].symbol for i in kept]
+        level = few and not any(p.label for p in parameters)
+        axes.set_xticks(kept, labels, fontsize=8.0 if few else 6.0, rotation=0 if level else 90)
+        axes.set_yticks(kept, labels, fontsize=8.0 if few else 6.0)
+        axes.tick_params(length=0)
         for line in (axes.axhline, axes.axvline) if 0 < unknown < count else ():
             line(unknown - 0.5, color=style.BLACK, linewidth=0.9)
         for label, first, end in (("unknown", 0, unknown), ("prescribed", unknown, count)):
             if end > first:
-                look: style.Look = {"textcoords": "offset points", "ha": "center", "va": "bottom", "fontsize": 8}
-                place, across = ((first + end) / 2 - 0.5, 1.0), axes.get_xaxis_transform()
-                axes.annotate(label, place, xycoords=across, xytext=(0, 4), **look)
-        for (row, column), value in np.ndenumerate(shown.filled(np.nan) if count <= ANNOTATED else np.zeros((0, 0))):
+                place, look = ((first + end) / 2 - 0.5, 1.0), style.Look(textcoords="offset points", ha="center")
+                axes.annotate(label, place, xytext=(0, 4), xycoords=axes.get_xaxis_transform(), **look)
+        for (row, column), value in np.ndenumerate(shown.filled(np.nan) if few else np.zeros((0, 0))):
             if np.isfinite(value):
                 write_correlation(axes, (column, row), value, f"{round(value, 2) + 0.0:.2f}", fontsize=6)
     return figure
@@ -210,43 +191,29 @@ def write_correlation(axes: Axes, place: tuple[float, float], value: float, text
     axes.text(*place, text.replace("-", "\N{MINUS SIGN}"), ha="center", va="center", color=colour, **look)
 
 
-def _name_rows(axes: Axes, parameters: Sequence[Parameter]) -> None:
-    symbols, named = [p.symbol for p in parameters], any(p.label for p in parameters)
-    kept = range(0, len(symbols), math.ceil(len(symbols) / LABELLED))
-    labels = [symbols[i] for i in kept]
-    size = 8.0 if len(symbols) <= ANNOTATED else 6.0
-    axes.set_xticks(kept, labels, fontsize=size, rotation=0 if len(symbols) <= ANNOTATED and not named else 90)
-    axes.set_yticks(kept, labels, fontsize=size)
-    axes.tick_params(length=0)
-
-
 def over_time_figure(table: pd.DataFrame) -> Figure:
     """A panel for every parameter: its estimate after each record with its 90 % band, and what the record says alone.
 
-    Of more than `MOST` parameters those that changed are shown, and those that are known best. The table is that of
-    `pinn_cli.report.over_time.parameters_over_time`.
+    Of more than `MOST_OVER_TIME` parameters those that changed are shown, and those that are known best. The table is
+    that of `pinn_cli.report.parameters.parameters_over_time`.
     """
-    names = _shown(table)
+    last = table[table["record"] == table["record"].max()].set_index("parameter")
+    relative = (last["std"] / last["estimate"].abs()).replace(np.nan, np.inf)
+    changed = set(table.loc[table["changed"], "parameter"])
+    names = list(dict.fromkeys(table["parameter"]))
+    best = sorted(names, key=lambda name: (name not in changed, relative.get(name, np.inf)))[:MOST_OVER_TIME]
+    shown = [name for name in names if name in best]
     with style.look():
-        rows = -(-len(names) // COLUMNS)
+        rows = -(-len(shown) // COLUMNS)
         figure, panels = style.panels(rows, COLUMNS, 1.05, margins=(0.6, 0.08, 0.45, 0.4), gaps=(0.6, 0.32))
-        for axes in panels.flat[len(names) :]:
+        for axes in panels.flat[len(shown) :]:
             axes.remove()
-        for axes, name in zip(panels.flat, names, strict=False):
+        for axes, name in zip(panels.flat, shown, strict=False):
             _draw_over_records(axes, table[table["parameter"] == name], name)
         for axes in panels[-1]:
             axes.set_xlabel("Record", labelpad=2)
         style.legend(figure)
     return figure
-
-
-def _shown(table: pd.DataFrame) -> list[str]:
-    names = list(dict.fromkeys(table["parameter"]))
-    last = table[table["record"] == table["record"].max()].set_index("parameter")
-    relative = (last["std"] / last["estimate"].abs()).replace(np.nan, np.inf)
-    changed = set(table.loc[table["changed"], "parameter"])
-    best = sorted(names, key=lambda name: (name not in changed, relative.get(name, np.inf)))[:MOST]
-    return [name for name in names if name in best]
 
 
 def _draw_over_records(axes: Axes, own: pd.DataFrame, name: str) -> None:
@@ -267,3 +234,68 @@ def _draw_over_records(axes: Axes, own: pd.DataFrame, name: str) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     axes.yaxis.set_major_locator(MaxNLocator(4))
     axes.set_title(f"{name} ({prefix}{style.raised(unit)})" if unit else name, pad=3)
+
+
+def modes_figure(modes: ModeEstimates, truth_label: str = "truth") -> Figure:
+    """A panel per mode: its shape over the DOFs; above it frequency and damping ratio with their 90 % intervals.
+
+    Of a chain the shape begins at the fixed end, and DOF 1 is the lowest. The DOFs of another structure stand in their
+    own order, as points. Of more than `MOST_MODES` modes the lowest are drawn.
+    """
+    dofs, shown = modes.dofs, min(modes.count, MOST_MODES)
+    columns = min(shown, IN_A_ROW)
+    width = style.PAGE_WIDTH if columns > 2 else 2.6 + 1.3 * columns
+    left = 0.42 + 0.055 * min(max(map(len, dofs)), 16)  # inch, with room for the names of the DOFs
+    with style.look():
+        figure, panels = style.panels(
+            -(-shown // columns), columns, float(np.clip(0.16 * len(dofs), 1.3, 2.6)), width=width,
+            margins=(left, 0.1, 0.72, 0.32), gaps=(0.16, 0.74), sharey=True,
+        )  # fmt: skip
+        for axes in panels.flat[shown:]:
+            axes.set_axis_off()
+        for mode, axes in enumerate(panels.flat[:shown]):
+            _draw_shape(axes, modes, mode, truth_label)
+        places = range(1, len(dofs) + 1, -(-len(dofs) // MOST_DOF_LABELS))
+        for axes in panels[:, 0]:
+            axes.set_yticks(list(places), [dofs[i - 1] for i in places])
+            axes.set_ylabel("DOF", labelpad=2)
+        style.legend(figure)
+        if shown < modes.count:
+            style.note(figure, f"the {shown} lowest of {modes.count} modes")
+    return figure
+
+
+def _draw_shape(axes: Axes, modes: ModeEstimates, mode: int, truth_label: str) -> None:
+    place = np.arange(1, len(modes.dofs) + 1)
+    axes.axvline(0.0, color="#BFBFBF", linewidth=0.5, zorder=1.0)
+    every = {"true": modes.true.shapes, "prescribed": modes.prescribed.shapes, "estimate": modes.shapes}
+    for order, (source, shapes) in enumerate(every.items()):
+        shape, look = shapes[:, mode], {"label": truth_label, "zorder": 2.0 + 0.1 * order, **_SHAPES[source]}
+        if np.isfinite(shape).all() and modes.is_chain:
+            axes.plot([0.0, *shape], [0, *place], **look, markevery=slice(1, None))
+        elif np.isfinite(shape).all():
+            axes.plot(shape, place, **{"marker": "|", "markersize": 9.0, **look, "linestyle": "none"})
+            if source == "estimate":
+                axes.hlines(place, 0.0, shape, color=style.VERMILLION, linewidth=0.6)
+    axes.set_xlim(-1.15, 1.15)
+    axes.set_ylim((0.0 if modes.is_chain else 0.4), len(modes.dofs) + 0.4)
+    axes.set_xticks([-1, 0, 1])
+    frequency = interval_text(modes.frequencies[mode], modes.frequency_interval[:, mode], "Hz")
+    damping = interval_text(100.0 * modes.damping_ratios[mode], 100.0 * modes.damping_interval[:, mode], "%")
+    mac = modes.prescribed.mac[mode]
+    known = f"\nMAC {mac:.4f}" if np.isfinite(mac) else ""
+    axes.set_title(
+        f"mode {mode + 1}: {frequency}\n" + rf"$\zeta$ = {damping}" + known, pad=3, fontsize=7, linespacing=1.15
+    )
+
+
+def interval_text(value: float, interval: np.ndarray, unit: str) -> str:
+    """``2.598 Hz (2.597-2.599)``, with the digits that the interval leaves; without one, four."""
+    if not np.isfinite(value):
+        return "unknown"
+    width = float(np.ptp(interval))
+    if not np.isfinite(width) or width <= 0.0:
+        return f"{value:.4g} {unit}"
+    digits = int(np.clip(1 - np.floor(np.log10(width)), 0, 6))
+    lower, upper = interval
+    return f"{value:.{digits}f} {unit} ({lower:.{digits}f}\N{EN DASH}{upper:.{digits}f})"

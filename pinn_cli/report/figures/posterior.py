@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.axes import Axes
 from matplotlib.axis import Axis, XAxis
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
@@ -24,7 +23,6 @@ from pinn_cli.record.record import Record
 from pinn_cli.report.estimates import Histories
 from pinn_cli.report.figures import histories, style
 from pinn_cli.report.figures.parameters import write_correlation
-from pinn_cli.report.figures.response import shown_dofs
 from pinn_cli.report.parameters import posterior_correlation, true_value
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.central_interval import CENTRAL_90
@@ -70,7 +68,11 @@ def posterior_pairs_figure(
         )
         _draw_pairs(draws[[p.name for p in shown]], panels)
         for row, vertical in enumerate(shown):
-            _dress_marginal(panels[row, row], pooled[vertical])
+            lower, upper = np.quantile(pooled[vertical], CENTRAL_90)
+            for bar in panels[row, row].containers[0]:
+                if not lower <= bar.get_x() + bar.get_width() / 2.0 <= upper:
+                    bar.set_facecolor(_TAILS)
+            panels[row, row].set(yticks=[], ylabel="")
             for column, horizontal in enumerate(shown[: row + 1]):
                 _dress_axis(panels[row, column].xaxis, pooled[horizontal], horizontal, *limits[horizontal])
                 if column < row:
@@ -80,23 +82,19 @@ def posterior_pairs_figure(
                     panel.set(xticks=[], yticks=[], facecolor=colormaps["RdBu_r"](0.5 + 0.5 * value))
                     write_correlation(panel, (0.5, 0.5), value, correlation_text(value), transform=panel.transAxes)
                 panels[row, column].label_outer()
-        figure.align_labels()
         handles: list[Line2D | Patch] = [Patch(color=_BARS, linewidth=0, label="90 % interval")]
         if len(shown) > 1:
             regions = f"regions holding {', '.join(f'{100 * share:.0f}' for share in reversed(REGIONS))} %"
             handles.append(Patch(facecolor=_BLUES[1], edgecolor=style.BLUE, linewidth=0.5, label=regions))
-        if any(math.isfinite(value) for _, value in limits.values()):
-            handles.append(Line2D([], [], **_TRUE))
-        figure.legend(handles=handles, loc="upper center", ncols=len(handles), handlelength=2.2)
-        if len(shown) < len(moving):
-            style.note(figure, f"the {len(shown)} of {len(moving)} parameters that are most correlated with another")
+        handles += [Line2D([], [], **_TRUE)] if any(math.isfinite(value) for _, value in limits.values()) else []
+        note = f"the {len(shown)} of {len(moving)} parameters that are most correlated with another"
+        _finish(figure, handles, note if len(shown) < len(moving) else "")
     return figure
 
 
 def _draw_pairs(draws: xr.Dataset, panels: np.ndarray) -> None:
     """Densities below the diagonal and histograms on it; ArviZ takes the panels above it away."""
-    arviz = import_arviz()
-    histogram = {"kind": "hist", "hist_kwargs": {"bins": 40, "rwidth": 1.0, "color": _BARS}}
+    arviz, histogram = import_arviz(), {"kind": "hist", "hist_kwargs": {"bins": 40, "rwidth": 1.0, "color": _BARS}}
     if len(draws.data_vars) == 1:
         (values,) = draws.data_vars.values()
         arviz.plot_dist(values.to_numpy().ravel(), ax=panels[0, 0], **histogram)
@@ -107,56 +105,6 @@ def _draw_pairs(draws: xr.Dataset, panels: np.ndarray) -> None:
     arviz.plot_pair(
         draws, kind="kde", marginals=True, ax=panels, textsize=8, kde_kwargs=densities, marginal_kwargs=histogram
     )
-
-
-def _dress_marginal(panel: Axes, values: np.ndarray) -> None:
-    lower, upper = np.quantile(values, CENTRAL_90)
-    for bar in panel.containers[0]:
-        if not lower <= bar.get_x() + bar.get_width() / 2.0 <= upper:
-            bar.set_facecolor(_TAILS)
-    panel.set(yticks=[], ylabel="")
-
-
-def _dress_axis(
-    axis: Axis,
-    values: np.ndarray,
-    parameter: Parameter,
-    limits: tuple[float | None, float | None] = (None, None),
-    true: float = math.nan,
-) -> None:
-    """Limits, name, a few ticks, and a line at the true value where that is finite."""
-    horizontal, panel = isinstance(axis, XAxis), axis.axes
-    (panel.set_xlim if horizontal else panel.set_ylim)(*limits)
-    if math.isfinite(true):
-        (panel.axvline if horizontal else panel.axhline)(true, **_TRUE)
-    label, factor = parameter_label(parameter, float(np.abs(values).max()))
-    axis.set_label_text(label, fontsize=8)
-    low, high = axis.get_view_interval()
-    grid = panel.get_gridspec()
-    few = grid is None or grid.ncols < 7
-    ticks = np.asarray(MaxNLocator(4 if few else 3, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
-    # A label at an end would run into the next panel's.
-    axis.set_major_locator(FixedLocator(list(ticks[np.abs(ticks - (low + high) / 2.0) < 0.4 * (high - low)])))
-    if factor != 1.0:
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value * factor:g}"))
-    axis.set_tick_params(labelsize=7 if few else 6)
-
-
-def correlation_text(value: float) -> str:
-    """Two decimals; more, up to four, rather than a 1 that is none."""
-    decimals = next((n for n in (2, 3, 4) if abs(round(value, n)) < 1.0), 2)
-    return f"{round(value, decimals) + 0.0:.{decimals}f}"  # + 0.0: no minus before a 0
-
-
-def most_correlated(correlation: np.ndarray, most: int) -> list[int]:
-    """Positions of the parameters of the most correlated pairs (p, p), ``most`` of them at most, in their order."""
-    count = len(correlation)
-    if count <= most:
-        return list(range(count))
-    rows, columns = np.triu_indices(count, 1)
-    strongest = np.argsort(-np.abs(correlation[rows, columns]), kind="stable")
-    taken = dict.fromkeys(int(i) for pair in zip(rows[strongest], columns[strongest], strict=True) for i in pair)
-    return sorted(list(taken)[:most])
 
 
 def _limits(values: np.ndarray, true: float) -> tuple[tuple[float, float], float]:
@@ -170,11 +118,46 @@ def _limits(values: np.ndarray, true: float) -> tuple[tuple[float, float], float
     return (float(lower - margin), float(upper + margin)), true
 
 
-def parameter_label(parameter: Parameter, magnitude: float) -> tuple[str, float]:
-    """Symbol and unit, with a power of a thousand for values from 10 000 on or below 0.01; and its inverse."""
+def _dress_axis(
+    axis: Axis, values: np.ndarray, parameter: Parameter, limits: tuple[float, float] | None = None,
+    true: float = math.nan,
+) -> None:  # fmt: skip
+    """Limits, a few ticks, a line at the true value where that is finite, and the symbol with its unit.
+
+    For values from 10 000 on or below 0.01 there is a power of a thousand in the unit.
+    """
+    horizontal, panel = isinstance(axis, XAxis), axis.axes
+    if limits is not None:
+        (panel.set_xlim if horizontal else panel.set_ylim)(*limits)
+    if math.isfinite(true):
+        (panel.axvline if horizontal else panel.axhline)(true, **_TRUE)
+    magnitude = float(np.abs(values).max())
     power = 0 if 1e-2 <= magnitude < 1e4 or magnitude == 0.0 else 3 * math.floor(math.log10(magnitude) / 3.0)
     unit = [rf"$10^{{{power}}}$"] * bool(power) + [style.raised(parameter.unit)] * bool(parameter.unit)
-    return f"{parameter.symbol} ({' '.join(unit)})" if unit else parameter.symbol, 10.0**-power
+    axis.set_label_text(f"{parameter.symbol} ({' '.join(unit)})" if unit else parameter.symbol, fontsize=8)
+    low, high = axis.get_view_interval()
+    grid = panel.get_gridspec()
+    few = grid is None or grid.ncols < 7
+    ticks = np.asarray(MaxNLocator(4 if few else 3, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
+    # A label at an end would run into the next panel's.
+    axis.set_major_locator(FixedLocator(list(ticks[np.abs(ticks - (low + high) / 2.0) < 0.4 * (high - low)])))
+    if power:
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value * 10.0**-power:g}"))
+    axis.set_tick_params(labelsize=7 if few else 6)
+
+
+def correlation_text(value: float) -> str:
+    """Two decimals; more, up to four, rather than a 1 that is none."""
+    decimals = next((n for n in (2, 3, 4) if abs(round(value, n)) < 1.0), 2)
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"  # + 0.0: no minus before a 0
+
+
+def most_correlated(correlation: np.ndarray, most: int) -> list[int]:
+    """Positions of the parameters of the most correlated pairs (p, p), ``most`` of them at most, in their order."""
+    rows, columns = np.triu_indices(len(correlation), 1)
+    strongest = np.argsort(-np.abs(correlation[rows, columns]), kind="stable")
+    pairs = np.stack((rows[strongest], columns[strongest]), axis=1).ravel().tolist()
+    return sorted([*dict.fromkeys((*pairs, *range(len(correlation))))][:most])
 
 
 def trace_figure(draws: xr.Dataset, statistics: xr.Dataset, parameters: Sequence[Parameter], number: int) -> Figure:
@@ -209,7 +192,7 @@ def trace_figure(draws: xr.Dataset, statistics: xr.Dataset, parameters: Sequence
         chains = [Line2D([], [], color=c, label=f"chain {i}") for i, c in enumerate(style.CYCLE[:count], start=1)]
         divergent = int(statistics["diverging"].sum()) if "diverging" in statistics else 0
         mark = Line2D([], [], color="k", marker="|", linestyle="none", markersize=6, label=f"{divergent} divergent")
-        _finish(figure, [*chains, *[mark][:divergent]], len(shown), number)
+        _finish(figure, [*chains, *[mark][:divergent]], _left_out(shown, number))
     return figure
 
 
@@ -236,7 +219,7 @@ def rank_figure(draws: xr.Dataset, parameters: Sequence[Parameter], number: int)
             panel.remove()
         figure.supxlabel("Rank among all draws", fontsize=8, y=0.01)
         flat = Line2D([], [], color=style.BLACK, linewidth=0.6, linestyle="--", label="chains that agree")
-        _finish(figure, [flat], len(shown), number)
+        _finish(figure, [flat], _left_out(shown, number))
     return figure
 
 
@@ -250,11 +233,14 @@ def _rows(count: int, height: float, **options: Any) -> tuple[Figure, np.ndarray
     return style.panels(count, 2, height, margins=(0.5, 0.15, 0.3, 0.42), gaps=(0.5, 0.2), **options)
 
 
-def _finish(figure: Figure, handles: list[Line2D], shown: int, number: int) -> None:
+def _left_out(shown: Sequence[Parameter], number: int) -> str:
+    return f"{len(shown)} of {number} parameters" if len(shown) < number else ""
+
+
+def _finish(figure: Figure, handles: Sequence[Line2D | Patch], note: str) -> None:
     figure.align_labels()
-    figure.legend(handles=handles, loc="upper center", ncols=len(handles))
-    if shown < number:
-        style.note(figure, f"{shown} of {number} parameters")
+    figure.legend(handles=list(handles), loc="upper center", ncols=len(handles), handlelength=2.2)
+    style.note(figure, note)
 
 
 def force_predictive_figure(predictive: ForcePredictive, record: Record, dofs: np.ndarray) -> Figure:
@@ -270,8 +256,8 @@ def force_predictive_figure(predictive: ForcePredictive, record: Record, dofs: n
     places = tuple(record.dof_name(dof - 1) for dof in dofs)
     forces = Histories("force", "dof", places, record.time[predictive.samples], found)
     held = np.mean((observed >= lower) & (observed <= upper), axis=0)
-    rows = shown_dofs(len(dofs))
-    window = predictive_window(median[:, rows])
+    rows = histories.shown_dofs(len(dofs))
+    window = histories.window_about(len(median) // 2, median[:, rows], PERIODS_SHOWN, PERIODS_SHOWN)
     looks = histories.looks(estimate="predictive median", band="90 % band", observed="observed")
     looks["observed"] |= {"color": style.BLACK, "zorder": 2.3}
     with style.look():
@@ -286,9 +272,3 @@ def force_predictive_figure(predictive: ForcePredictive, record: Record, dofs: n
         figure.align_ylabels(list(panels[:, 0]))
         style.legend(figure, markerscale=1.5)
     return figure
-
-
-def predictive_window(force: np.ndarray) -> slice:
-    """About `PERIODS_SHOWN` periods from the middle of forces (times, F), or all of them if they have no more."""
-    count, periods = len(force), histories.periods_of(force)
-    return histories.window_about(count // 2, count, periods, PERIODS_SHOWN, PERIODS_SHOWN)

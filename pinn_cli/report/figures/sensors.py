@@ -1,8 +1,9 @@
-"""Figures with a place for each sensor: what the estimate leaves of it, other data, and its frequency response."""
+"""Sensor by sensor: what the estimate leaves, other data, frequency responses; and the losses of the training."""
 
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
@@ -15,8 +16,8 @@ from pinn_cli.record.spectrum import periodogram
 from pinn_cli.report.estimates import Histories
 from pinn_cli.report.figures import histories, style
 from pinn_cli.report.figures.histories import BAND
-from pinn_cli.report.residuals import autocorrelation, nmse_percent
-from pinn_cli.report.validation_run import ValidationRun
+from pinn_cli.report.fitness import autocorrelation, nmse_percent
+from pinn_cli.report.free_run import ValidationRun
 from pinn_cli.system.modes import modes_of
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.system.structure import Structure
@@ -29,6 +30,7 @@ BINS = 300  # of a spectrum: more frequencies than these are averaged
 DECADES = 9  # that a spectrum shows at most, if that is enough to see the residual
 # Sensors whose frequency response is shown, and lines of the spectrum that are averaged to one measured value.
 MOST, AVERAGED = 6, 3
+MARKED, LINES = 60, ("-", "--", "-.", ":")  # iterations up to which each is marked; of a term of the loss
 WITH_NOISE = "95 % band with the sensor's noise"
 
 _RESIDUAL: style.Look = {"color": style.BLUE, "linewidth": 0.6, "zorder": 2}
@@ -84,8 +86,8 @@ def validation_figure(run: ValidationRun, estimate: Estimate) -> Figure:
     errors = [nmse_percent(m - s, m) for m, s, _ in map(run.compared, every)]
     shown = [every[i] for i in style.largest(errors, ROWS_IN_FULL)]
     simulated = np.stack([run.of_channel(channel)[1] for channel in shown], axis=1)
-    periods = histories.periods_of(np.diff(simulated, axis=0))
-    window, time = histories.window_about(len(simulated), len(simulated), periods), run.record.time[run.first :]
+    window = histories.window_about(len(simulated), np.diff(simulated, axis=0, prepend=0.0))
+    time = run.record.time[run.first :]
     looks, labels = histories.looks(true="measured", estimate="identified system"), ("error", WITH_NOISE)
     with style.look():
         figure, panels = style.panels(
@@ -215,4 +217,48 @@ def frequency_response_figure(record: Record, structure: Structure) -> Figure:
         panels[0, 0].set_ylabel("Amplitude")
         panels[1, 0].set_ylabel("Phase (°)")
         style.legend(figure)
+    return figure
+
+
+def history_figure(history: pd.DataFrame) -> Figure:
+    """Columns ``loss_*`` in the upper panel, ``weight_*`` in the lower one, over ``iteration``, on logarithmic scales.
+
+    A panel whose columns are missing is left out; values that are not positive have no place on the scale and are left
+    out. A term keeps its colour and its dashes in both panels, so that one legend is that of both.
+
+    Raises:
+        ValueError: If there is no such column.
+    """
+    titles = {"loss_": "Loss term", "weight_": r"Loss weight $\lambda$"}
+    columns = {start: [str(name) for name in history if str(name).startswith(start)] for start in titles}
+    shown = [start for start in titles if columns[start]]
+    if not shown:
+        raise ValueError(f"the history has no loss_* or weight_* column, only {', '.join(map(str, history))}")
+    terms = list(dict.fromkeys(name.removeprefix(start) for start in shown for name in columns[start]))
+    iterations, margins = history["iteration"].to_numpy(), (0.08 * style.PAGE_WIDTH, 0.3 * style.PAGE_WIDTH, 0.1, 0.38)
+    with style.look():
+        figure, panels = style.panels(len(shown), 1, 1.68, margins=margins, gaps=(0.0, 0.17), sharex=True)
+        for axes, start in zip(panels[:, 0], shown, strict=True):
+            for name in columns[start]:
+                values, term = history[name].to_numpy(dtype=float), name.removeprefix(start)
+                kept = np.flatnonzero(np.isfinite(values) & (values > 0.0))
+                kept = kept[style.line_indices(np.log(values[kept]))] if kept.size else kept
+                place, marker = terms.index(term), "o" if len(iterations) <= MARKED else "none"
+                look: style.Look = {
+                    "color": style.CYCLE[place % len(style.CYCLE)],
+                    "linestyle": LINES[place % len(LINES)],
+                }
+                label = term.replace("_", " ")
+                axes.plot(iterations[kept], values[kept], **look, marker=marker, markersize=2.2, label=label)
+            axes.set_yscale("log")
+            axes.set_ylabel(titles[start])
+            axes.yaxis.set_minor_locator(NullLocator())
+            axes.grid(True, axis="y")
+            axes.set_axisbelow(True)
+        axes.set_xlabel("Iteration")
+        axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
+        figure.align_ylabels(list(panels[:, 0]))
+        style.legend(
+            figure, loc="upper left", bbox_to_anchor=(0.71, 0.98), ncols=1, borderaxespad=0.0, handlelength=2.8
+        )
     return figure

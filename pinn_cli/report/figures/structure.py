@@ -5,7 +5,7 @@ Masses stand in layers above the ground, by how many connections lead there, in 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,52 +16,42 @@ from scipy.sparse import csr_matrix
 from pinn_cli.report.figures import style
 from pinn_cli.system.structure import Structure
 
-GROUND_LEVEL, MOST_IN_A_ROW = 0.0, 6
+MOST_IN_A_ROW = 6
 _SWEEPS = 12  # over the layers, in which their orders settle
-_ACROSS, _UP = 1.35, 0.95  # inch, from mass to mass and from layer to layer, where there is room
-_HIGHEST = 9.0  # inch, of the figure
+_ACROSS, _UP, _HIGHEST = 1.35, 0.95, 9.0  # inch, from mass to mass, from layer to layer, and of the figure
 _FEW = 12  # of connections, up to which letters are large and weights are written down
 # Where along its line the name of a connection may stand, the best place first; and how near to others it may not.
 _PLACES = (0.5, 0.42, 0.58, 0.34, 0.66, 0.27, 0.73, 0.2, 0.8)
 _ROOM = (0.5, 0.22)
 _ABOVE = np.array([0.0, 0.13])  # the name of a dot stands there
+_AROUND = [np.array((x, y)) for y in (0.0, 0.2, -0.2, 0.35, -0.35) for x in (0.0, 0.3, -0.3, 0.6, -0.6)]
 _POINTS = np.linspace(0.0, 1.0, 41)[:, None]
 
 
-@dataclass(frozen=True, eq=False)
-class Layout:
-    """Places of the masses.
+def layout(matrix: csr_matrix) -> tuple[np.ndarray, bool]:
+    """Places of the masses (n, 2), across and up, and whether a connection ends at the ground.
 
-    Attributes:
-        places: (n, 2), across and up; layers are one apart, and so are neighbours within one.
-        grounded: Whether a connection ends at the ground.
+    Row i of the matrix (C, n) says which coordinates stretch connection i. Layers are one apart, and so are neighbours
+    within one.
     """
-
-    places: np.ndarray
-    grounded: bool
-
-    @classmethod
-    def of(cls, matrix: csr_matrix) -> Layout:
-        """Of connections (C, n), row i: which coordinates stretch connection i."""
-        pattern = csr_matrix(abs(matrix) > 0, dtype=float)
-        to_ground = np.asarray(pattern.sum(axis=1)).reshape(-1) == 1
-        neighbours = csr_matrix(pattern.T @ pattern)
-        distance = _distances(matrix, to_ground)
-        layers = []
-        for level in range(int(distance.max()) + 1):
-            layer = np.flatnonzero(distance == level)
-            layers += [part for part in np.array_split(layer, -(-len(layer) // MOST_IN_A_ROW)) if part.size]
-        places = np.empty((matrix.shape[1], 2))
-        for level, layer in enumerate(layers, start=1):
-            places[layer] = np.column_stack((_side_by_side(layer), np.full(len(layer), float(level))))
-        for sweep in range(_SWEEPS):
-            for layer in layers if sweep % 2 == 0 else layers[::-1]:
-                wanted = [places[neighbours[dof].indices, 0].mean() for dof in layer]
-                places[layer[np.argsort(wanted, kind="stable")], 0] = _side_by_side(layer)
-        return cls(places, bool(to_ground.any()))
+    pattern = csr_matrix(abs(matrix) > 0, dtype=float)
+    to_ground = np.asarray(pattern.sum(axis=1)).reshape(-1) == 1
+    neighbours, distance = csr_matrix(pattern.T @ pattern), _distances(matrix, to_ground)
+    layers = []
+    for level in range(int(distance.max()) + 1):
+        layer = np.flatnonzero(distance == level)
+        layers += [part for part in np.array_split(layer, -(-len(layer) // MOST_IN_A_ROW)) if part.size]
+    places = np.empty((matrix.shape[1], 2))
+    for level, layer in enumerate(layers, start=1):
+        places[layer] = np.column_stack((_centred(layer), np.full(len(layer), float(level))))
+    for sweep in range(_SWEEPS):
+        for layer in layers if sweep % 2 == 0 else layers[::-1]:
+            wanted = [places[neighbours[dof].indices, 0].mean() for dof in layer]
+            places[layer[np.argsort(wanted, kind="stable")], 0] = _centred(layer)
+    return places, bool(to_ground.any())
 
 
-def _side_by_side(layer: np.ndarray) -> np.ndarray:
+def _centred(layer: np.ndarray) -> np.ndarray:
     return np.arange(len(layer)) - (len(layer) - 1) / 2.0
 
 
@@ -85,134 +75,101 @@ def _distances(matrix: csr_matrix, to_ground: np.ndarray) -> np.ndarray:
     return distance
 
 
-@dataclass(frozen=True, eq=False)
-class _Connection:
-    """One connection: its name and law, the coordinates that stretch it (from 0), their weights, and its colour."""
-
-    name: str
-    coordinates: np.ndarray
-    weights: np.ndarray
-    colour: str
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether one end's displacement less the other's stretches it."""
-        weights = np.sort(self.weights)
-        return bool((len(weights) == 1 and abs(weights[0]) == 1.0) or weights.tolist() == [-1.0, 1.0])
-
-
 def structure_figure(structure: Structure) -> Figure:
     """Masses in layers, by how many connections there are to the ground; a colour says the law of a connection.
 
     A connection between two coordinates, or to the ground, is a line. One that several coordinates stretch, or one by
-    some part of its displacement, is a dot with a line to each.
+    some part of its displacement, is a dot with a line to each, and where there are few connections their weights.
     """
     matrix = structure.incidence.matrix[structure.added]
-    layout = Layout.of(matrix)
+    places, grounded = layout(matrix)
     laws = [law.name for law in structure.laws[: len(structure.added)]]  # what is behind them is damping of the whole
     colours = {law: style.CYCLE[i % len(style.CYCLE)] for i, law in enumerate(dict.fromkeys(laws))}
-    connections = [
-        _Connection(name, matrix[i].indices, matrix[i].data, colours[law])
-        for i, (name, law) in enumerate(zip(structure.labels.connections, laws, strict=True))
-    ]
-    few = len(connections) <= _FEW
-    across, highest = layout.places[:, 0], float(layout.places[:, 1].max())
+    few, lines = len(laws) <= _FEW, _lines(matrix, places)
+    across = np.concatenate([places[:, 0], *(line[:, 0] for line in lines if line is not None)])
     with style.look():
-        width = float(np.clip(_ACROSS * (np.ptp(across) + 1.6), 3.4, style.PAGE_WIDTH))
-        height = float(np.clip(_UP * (highest + 1.0), 2.2, _HIGHEST))
+        width = float(np.clip(_ACROSS * (np.ptp(places[:, 0]) + 1.6), 3.4, style.PAGE_WIDTH))
+        height = float(np.clip(_UP * (places[:, 1].max() + 1.0), 2.2, _HIGHEST))
         figure = Figure(figsize=(width, height))
         axes = figure.add_axes((0.01, 0.01, 0.98, 0.98 - 0.26 / height))
         axes.set_axis_off()
-        taken = [*layout.places]
-        lines = _lines(connections, layout)
-        for connection, line in zip(connections, lines, strict=True):
-            look: style.Look = {"color": connection.colour, "linewidth": 1.4 if few else 0.9, "zorder": 1}
+        taken = [*places]
+        for i, (name, law, line) in enumerate(zip(structure.labels.connections, laws, lines, strict=True)):
+            look: style.Look = {"color": colours[law], "linewidth": 1.4 if few else 0.9, "zorder": 1}
             if line is None:
-                _draw_hub(axes, connection, layout.places[connection.coordinates], taken, look)
+                place = _draw_hub(axes, matrix[i].data, places[matrix[i].indices], taken, look)
             else:
                 axes.plot(*line.T, **look)
                 place = _free_place([line[round(part * (len(line) - 1))] for part in _PLACES], taken)
-                _write(axes, place, connection.name, 8 if few else 5.5, connection.colour)
+            _write(axes, place, name, 8 if few else 5.5, colours[law])
         box = {"boxstyle": "round,pad=0.35", "facecolor": "#F2F2F2", "edgecolor": style.BLACK, "linewidth": 0.7}
-        for dof, (x, y) in enumerate(layout.places):
+        for dof, (x, y) in enumerate(places):
             mass = structure.parameter("m", dof).prescribed
             text = f"{structure.dof_name(dof)}\n" + ("mass unknown" if np.isnan(mass) else f"{mass:.6g} kg")
             axes.text(x, y, text, fontsize=8 if few else 6, ha="center", va="center", bbox=box, zorder=3)
-        drawn = [line for line in lines if line is not None]
-        if layout.grounded:
-            _draw_ground(axes, np.concatenate([across, [line[0, 0] for line in drawn]]))
-        across = np.concatenate([across, *(line[:, 0] for line in drawn)])
+        if grounded:
+            feet = [*places[:, 0], *(line[0, 0] for line in lines if line is not None)]
+            left, right = min(feet) - 0.5, max(feet) + 0.5
+            axes.plot([left, right], [0.0, 0.0], color=style.BLACK, linewidth=1.2, zorder=2)
+            x = np.arange(left, right, 0.15)
+            axes.plot([x, x - 0.1], [0.0 * x, 0.0 * x - 0.12], color=style.BLACK, linewidth=0.6, zorder=2)
         axes.set_xlim(min(across.min() - 0.45, -1.0), max(across.max() + 0.45, 1.0))
-        axes.set_ylim(GROUND_LEVEL - 0.25, highest + 0.45)
+        axes.set_ylim(-0.25, places[:, 1].max() + 0.45)
         handles = [Line2D([], [], color=c, linewidth=1.4, label=law.replace("_", " ")) for law, c in colours.items()]
         figure.legend(handles=handles, loc="upper center", ncols=min(len(handles), 5), bbox_to_anchor=(0.5, 1.0))
     return figure
 
 
-def _lines(connections: list[_Connection], layout: Layout) -> list[np.ndarray | None]:
-    """(points, 2) of every connection between two ends; None of one that has other weights, or more ends.
+def _lines(matrix: csr_matrix, places: np.ndarray) -> list[np.ndarray | None]:
+    """(points, 2) of every connection that one end's displacement less the other's stretches; None of any other.
 
-    A line that passes other layers or masses of its own bows out, and so does the second one between two ends.
+    A line that passes other layers or masses of its own bows out, right and left by turns, and so does the second one
+    between two ends.
     """
     out: list[np.ndarray | None] = []
-    bows: dict[tuple[int, ...], int] = {}
-    around = 0
-    for connection in connections:
-        if not connection.is_plain:
+    bows, around = Counter[tuple[int, ...]](), 0
+    for row in matrix:
+        if sorted(row.data.tolist()) not in ([1.0], [-1.0], [-1.0, 1.0]):
             out.append(None)
             continue
-        key = tuple(sorted(connection.coordinates.tolist()))
-        end = layout.places[key[-1]]
-        start = layout.places[key[0]] if len(key) == 2 else np.array([end[0], GROUND_LEVEL])
-        between = np.abs(start[1] - end[1]) > 1.5 or (start[1] == end[1] and np.abs(start[0] - end[0]) > 1.5)
-        turn = bows.get(key, 0)
-        bows[key] = turn + 1
-        if between:
+        ends = tuple(np.sort(row.indices).tolist())
+        end = places[ends[-1]]
+        start = places[ends[0]] if len(ends) == 2 else np.array([end[0], 0.0])
+        along, turn = end - start, bows[ends]
+        bows[ends] += 1
+        if abs(along[1]) > 1.5 or (along[1] == 0.0 and abs(along[0]) > 1.5):
             turn, around = turn + 1 + around % 2, around + 1
-        # A straight line, or the arc of the turn-th line between two ends, right and left by turns.
-        along = end - start
         length = float(np.hypot(*along))
         reach = 1.1 * (1 if turn % 2 else -1) * ((turn + 1) // 2) * max(1.0, 0.45 * length)
-        if len(key) == 1:
+        if len(ends) == 1:
             start = start + np.array([0.45 * reach, 0.0])
         control = (start + end) / 2.0 + reach * np.array([along[1], -along[0]]) / max(length, 1e-9)
         out.append((1 - _POINTS) ** 2 * start + 2 * _POINTS * (1 - _POINTS) * control + _POINTS**2 * end)
     return out
 
 
-def _draw_hub(axes: Axes, connection: _Connection, ends: np.ndarray, taken: list[np.ndarray], look: style.Look) -> None:
-    """A dot between its ends with a line to each, and where there are few connections the weights."""
-    few = look["linewidth"] > 1.0
+def _draw_hub(
+    axes: Axes, weights: np.ndarray, ends: np.ndarray, taken: list[np.ndarray], look: style.Look
+) -> np.ndarray:
+    """A dot between its ends with a line to each; the place of its name."""
     middle = ends.mean(axis=0) if len(ends) > 1 else ends[0] - np.array([0.0, 0.5])
-    around = [(x, y) for y in (0.0, 0.2, -0.2, 0.35, -0.35) for x in (0.0, 0.3, -0.3, 0.6, -0.6)]
-    place = _free_place([middle + np.array(step) + _ABOVE for step in around], taken)
+    place = _free_place([middle + step + _ABOVE for step in _AROUND], taken)
     hub = place - _ABOVE
     axes.plot(*hub, "o", markersize=3, **{**look, "zorder": 2})
-    for end, weight in zip(ends, connection.weights, strict=True):
+    for end, weight in zip(ends, weights, strict=True):
         axes.plot(*np.stack([hub, end]).T, **{**look, "linewidth": 0.6 * look["linewidth"]})
-        if few:
+        if look["linewidth"] > 1.0:
             _write(axes, 0.55 * hub + 0.45 * end, f"{weight:.3g}", 6, style.GREY)
-    _write(axes, place, connection.name, 8 if few else 5.5, connection.colour)
+    return place
 
 
 def _free_place(places: list[np.ndarray], taken: list[np.ndarray]) -> np.ndarray:
     """The first of those that are furthest from what is taken, which it joins; names are wider than high."""
-
-    def apart(place: np.ndarray) -> float:
-        return round(float(min(1.0, (np.abs(np.stack(taken) - place) / _ROOM).max(axis=1).min())), 1)
-
-    place = max(places, key=apart)
-    taken.append(place)
-    return place
+    apart = [round(min(1.0, (np.abs(np.stack(taken) - place) / _ROOM).max(axis=1).min()), 1) for place in places]
+    taken.append(places[int(np.argmax(apart))])
+    return taken[-1]
 
 
 def _write(axes: Axes, place: np.ndarray, text: str, size: float, colour: str) -> None:
     paper = {"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
     axes.text(place[0], place[1], text, fontsize=size, color=colour, ha="center", va="center", bbox=paper, zorder=2.5)
-
-
-def _draw_ground(axes: Axes, across: np.ndarray) -> None:
-    left, right = across.min() - 0.5, across.max() + 0.5
-    axes.plot([left, right], [GROUND_LEVEL, GROUND_LEVEL], color=style.BLACK, linewidth=1.2, zorder=2)
-    for x in np.arange(left, right, 0.15):
-        axes.plot([x, x - 0.1], [GROUND_LEVEL, GROUND_LEVEL - 0.12], color=style.BLACK, linewidth=0.6, zorder=2)

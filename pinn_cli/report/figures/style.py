@@ -95,7 +95,7 @@ def legend(figure: Figure | SubFigure, axes: Iterable[Axes] | None = None, **opt
     # Matplotlib lists what has error bars last; what only a later panel has must not come after it.
     labels = sorted(handles, key=lambda label: isinstance(handles[label], ErrorbarContainer))
     place: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 1.0), "ncols": len(labels)}
-    figure.legend([handles[label] for label in labels], labels, **place, **options)
+    figure.legend([handles[label] for label in labels], labels, **{**place, **options})
 
 
 def note(figure: Figure, text: str) -> None:

@@ -14,11 +14,9 @@ import pandas as pd
 from pinn_cli.model.file import NAME as MODEL
 from pinn_cli.record.windows import RecordWindows
 from pinn_cli.report.export import Export
-from pinn_cli.report.over_time import FILE as OVER_TIME
-from pinn_cli.report.over_time import history
+from pinn_cli.report.parameters import OVER_TIME, history
 from pinn_cli.report.run_record import run_facts
-from pinn_cli.report.terminal.findings import verdict_text
-from pinn_cli.report.terminal.tables import fitness_text, parameters_text
+from pinn_cli.report.text import fitness_text, parameters_text, verdict_text
 from pinn_cli.runs.resume import RESULT
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import replacing, write_json, write_table

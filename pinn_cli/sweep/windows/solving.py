@@ -10,12 +10,10 @@ from pinn_cli.model.knowledge import Model
 from pinn_cli.record.record import Measurements, Record
 from pinn_cli.record.windows import Window
 from pinn_cli.report.model import model_of, write_run_model
-from pinn_cli.report.over_time import FILE, window_rows
-from pinn_cli.report.parameters import identifiability_warnings
-from pinn_cli.report.record_report import RecordReport
+from pinn_cli.report.parameters import OVER_TIME, identifiability_warnings, window_rows
 from pinn_cli.report.results import Results, RunDescription
 from pinn_cli.report.run_record import observed_digest
-from pinn_cli.report.run_report import write_tables
+from pinn_cli.report.run_report import RecordReport, write_tables
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import write_table
 from pinn_cli.scheme.base import Scheme
@@ -125,12 +123,13 @@ class WindowSolver:
         beliefs = own if number == 1 else store.entry(1)["beliefs"]
         believed, report = _with_beliefs(results, beliefs), RecordReport(results, folder)
         with stages("verdict"):
-            verdict = report.verdict()
+            verdict = report.verdict
         with stages("report"):
             report.write()
-            ours, _ = RecordReport(believed, folder).every_table
+            ours, *_ = RecordReport(believed, folder).tables
             write_tables(believed, ours, folder)
-            write_table(window_rows(number + self.earlier, f"window_{number}", estimate), folder / FILE)
+            rows = window_rows(number + self.earlier, f"window_{number}", estimate)
+            write_table(rows, folder / OVER_TIME)
             write_run_model(results, verdict, folder)
         content = {
             **(verdict.record() if verdict else {}),

@@ -1,31 +1,95 @@
-"""The tables of a run as text: sensors, parameters, the sampling of a posterior, fitness, and the free run."""
+"""What a run prints: its tables, and what is said in sentences of changes, of peaks, of its score, and its verdict."""
 
 from __future__ import annotations
 
+import math
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, UNITS
 from pinn_cli.report.fitness import FORMULAS
-from pinn_cli.report.free_run import FreeRun
-from pinn_cli.report.parameters import worst_sampled
-from pinn_cli.report.record_report import EstimatorTables
-from pinn_cli.report.terminal.columns import WIDTH, Column, count, interval, marked_lines, number, percent, table_lines
-from pinn_cli.report.validation_run import ValidationRun
 from pinn_cli.system.quantities import SUPPORT
 
+if TYPE_CHECKING:
+    from pinn_cli.report.estimator_tables import EstimatorTables
+    from pinn_cli.report.free_run import FreeRun, ValidationRun
+    from pinn_cli.training.estimate import Changes, Peak, Story
+    from pinn_cli.validation.base import Score
+    from pinn_cli.verdict.finding import Verdict
+
+WIDTH, MARK = 100, "! "
 SENSORS_SHOWN, PARAMETERS_SHOWN, WARNINGS_SHOWN = 24, 24, 12
 PRESCRIBED_BESIDE_UNKNOWN = 8  # what was prescribed is not what such a run is made for
 DOFS_SHOWN = 10  # beyond these the rows of single DOFs are left to fitness.csv
+# Peaks that are told; all of them stand in the table.
+PEAKS_OF, MOST_PEAKS, PARAMETERS_OF_A_STORY = ("drift", "connection_force"), 20, 8
+SAID = {
+    "force": "a force that the model leaves out acts on every coordinate",
+    "free run": "the structure runs free, and what it misses is left in the sensors",
+}
+SCORE_UNITS = {
+    "heldout": "nats per withheld sample, 0 at best",
+    "forecast": "log of error over noise, 0 at best",
+    "evidence": "nats, up to a constant of the network",
+}
+
+
+def number(value: float, digits: int = 5) -> str:
+    """A number with ``digits`` significant digits, and an exponent only where it would be long without one."""
+    if not np.isfinite(value):
+        return "-"
+    order = math.floor(math.log10(abs(value))) if value else 0
+    return f"{value:.{max(digits - 1 - order, 0)}f}" if -5 < order < 7 else f"{value:.{digits - 1}e}"
+
+
+def count(value: float) -> str:
+    """A whole number; a dash where there is none."""
+    return f"{value:.0f}" if np.isfinite(value) else "-"
+
+
+def percent(value: float) -> str:
+    """A fitness or an error in per cent, short also where it is far off; a dash where there is none."""
+    return "-" if not np.isfinite(value) else f"{value:.2f}" if abs(value) < 1e4 else f"{value:.0e}"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a printed table: its heading, its width, negative where it is flush left, and the text of a cell."""
+
+    title: str
+    width: int
+    text: Callable[[Any], str] = str
+
+    def align(self, text: str) -> str:
+        """The text in a cell of this width."""
+        return f"{text:>{self.width}}" if self.width > 0 else f"{text:<{-self.width}}"
+
+
+def table_lines(columns: Mapping[str, Column], table: pd.DataFrame) -> list[str]:
+    """The headings, a rule, and a line per row of the table, with the columns named."""
+    head = "".join(column.align(column.title) for column in columns.values())
+    rows = [
+        "".join(column.align(column.text(row[name])) for name, column in columns.items()).rstrip()
+        for row in table.to_dict(orient="records")
+    ]
+    return [head, "-" * len(head), *rows]
+
+
+def marked_lines(sentence: str) -> list[str]:
+    """A warning, wrapped, with `MARK` before its first line."""
+    return textwrap.wrap(sentence, WIDTH, initial_indent=MARK, subsequent_indent=" " * len(MARK))
+
 
 _TWO, _THREE, _FOUR = (partial(number, digits=digits) for digits in (2, 3, 4))
 _SENSORS = {
-    "sensor": Column("sensor", -16, str),
-    "unit": Column("unit", -6, str),
+    "sensor": Column("sensor", -16),
+    "unit": Column("unit", -6),
     "residual_rms": Column("residual rms", 13, _FOUR),
     "sigma": Column("noise", 11, _FOUR),
     "nmse_percent": Column("NMSE (%)", 9, _THREE),
@@ -38,25 +102,20 @@ _OF_SENSORS = (
     "in band: share of the sensor's power where it stands out of its noise; more: residuals.csv",
 )
 _VALIDATION = {
-    "sensor": Column("validation data", -18, str),
-    "unit": Column("unit", -6, str),
+    "sensor": Column("validation data", -18),
+    "unit": Column("unit", -6),
     "signal_rms": Column("signal rms", 13, _FOUR),
     "error_rms": Column("error rms", 13, _FOUR),
     "nmse_percent": Column("NMSE (%)", 10, _THREE),
     "band_rms": Column("band", 11, _FOUR),
     "inside_95_percent": Column("inside (%)", 12, percent),
 }
-_PARAMETERS = {
-    "estimate": Column("estimate", 12, number),
-    "std": Column("std", 10, _TWO),
-    "interval": Column("90 % interval", 25, str),
-}
+_INTERVAL = {"std": Column("std", 10, _TWO), "interval": Column("90 % interval", 25)}
 _TRUTH = {"true": Column("true", 12, number), "error_percent": Column("error (%)", 10, percent)}
 _DIAGNOSTICS = {
-    "parameter": Column("parameter", -12, str),
+    "parameter": Column("parameter", -12),
     "mean": Column("mean", 11, number),
-    "std": Column("std", 10, _TWO),
-    "interval": Column("90 % interval", 25, str),
+    **_INTERVAL,
     "r_hat": Column("R-hat", 8, _FOUR),
     "ess_bulk": Column("bulk ESS", 10, count),
     "ess_tail": Column("tail ESS", 10, count),
@@ -64,31 +123,32 @@ _DIAGNOSTICS = {
 }
 _HEADINGS = {"displacement": "displ.", "velocity": "veloc.", "acceleration": "accel.", "force": "force"}
 _TITLES = ("fitness, printed formula (%)", "fitness by range, as in the tables (%)")
-_NAME, _CELL, _GAP = 12, 9, "   "
+_CELL, _GAP = 9, "   "
 
 
-def sensors_text(records: Sequence[EstimatorTables], baseline: EstimatorTables | None = None) -> str:
+def sensors_text(records: Sequence[Sequence[pd.DataFrame]], baseline: str = "") -> str:
     """What is left of every sensor beside the noise found, sensor by sensor; of many, of those with the largest NMSE.
 
     Args:
-        records: Of one run, each with its residuals.
-        baseline: Another estimator of the only record, whose NMSE stands beside ours.
+        records: Of one run, the rows of ``residuals.csv`` of every record; of the only one also those of a baseline,
+            whose NMSE stands beside ours.
+        baseline: Its name.
     """
-    every = [tables.residuals.assign(record=i) for i, tables in enumerate(records, start=1)]
-    table, columns = pd.concat(every, ignore_index=True), dict(_SENSORS)
+    table = pd.concat([ours.assign(record=i) for i, (ours, *_) in enumerate(records, start=1)], ignore_index=True)
+    if table.empty:
+        return ""
     # ``acceleration 3``, ``ground``, ``support 1`` or the name of a sensor that feels something else.
     quantity = table["quantity"].where(~table["quantity"].isin(list(SUPPORT)), "support")
     own = table["channel"].str.rsplit(" ", n=1).str[-1]
     named = (quantity + " " + table["dof"].astype(str)).where(table["dof"].notna(), own)
     named = named.where((table["quantity"] != GROUND) | table["dof"].isna(), "ground")
-    shown = table.assign(sensor=named, unit=table["quantity"].map(UNITS))
-    if baseline is not None:
-        # Both have the same sensors in the same order.
-        shown["baseline"] = baseline.residuals["nmse_percent"].to_numpy()
-        columns["baseline"] = Column(f"{baseline.name} (%)", len(baseline.name) + 5, _THREE)
+    shown, columns = table.assign(sensor=named, unit=table["quantity"].map(UNITS)), dict(_SENSORS)
     if len(records) > 1:
-        columns = {"record": Column("record", -7, str), **columns}
-    # There may be no free run, and a training may find no noise.
+        columns = {"record": Column("record", -7), **columns}
+    else:
+        for theirs in records[0][1:]:  # with the same sensors in the same order
+            shown["baseline"] = theirs["nmse_percent"].to_numpy()
+            columns["baseline"] = Column(f"{baseline} (%)", len(baseline) + 5, _THREE)
     lines, notes = _sensor_lines(columns, shown, "residuals.csv")
     return "\n".join([*lines, *notes, *_OF_SENSORS])
 
@@ -131,7 +191,7 @@ def parameters_text(table: pd.DataFrame, warnings: Sequence[str] = (), baseline:
     """
     if table.empty:
         return ""
-    table, columns = _with_interval(table), dict(_PARAMETERS)
+    table, columns = _with_interval(table), {"estimate": Column("estimate", 12, number), **_INTERVAL}
     if table["true"].notna().any():
         columns |= _TRUTH
     elif baseline is not None and len(baseline.parameters):
@@ -141,11 +201,15 @@ def parameters_text(table: pd.DataFrame, warnings: Sequence[str] = (), baseline:
         columns["baseline_std"] = Column("std", 10, _TWO)
     sought = table["start"].notna()
     found = table[sought].assign(parameter=table.loc[sought, "parameter"] + " *")
-    prescribed, notes = _furthest_moved(table[~sought], PRESCRIBED_BESIDE_UNKNOWN if len(found) else PARAMETERS_SHOWN)
+    prescribed, notes = table[~sought], []
+    if len(prescribed) > (limit := PRESCRIBED_BESIDE_UNKNOWN if len(found) else PARAMETERS_SHOWN):
+        moved = (prescribed["estimate"] / prescribed["prescribed"] - 1.0).abs()
+        notes = [f"the {limit} of {len(moved)} that moved furthest from their prescribed values; all: parameters.csv"]
+        prescribed = prescribed.loc[moved.nlargest(limit).index.sort_values()]
     lines: list[str] = []
     for given, rows in (("start", found), ("prescribed", prescribed)):
         if len(rows):
-            first = {"parameter": Column("parameter", -12, str), given: Column(given, 12, number)}
+            first = {"parameter": Column("parameter", -12), given: Column(given, 12, number)}
             head, rule, *cells = table_lines(first | columns, rows)
             lines += [*([rule] if lines else []), head, rule, *cells]
     lines += notes
@@ -159,17 +223,9 @@ def parameters_text(table: pd.DataFrame, warnings: Sequence[str] = (), baseline:
 
 
 def _with_interval(table: pd.DataFrame) -> pd.DataFrame:
-    return table.assign(interval=[interval(*ends) for ends in table[["lower_90", "upper_90"]].to_numpy()])
-
-
-def _furthest_moved(table: pd.DataFrame, limit: int) -> tuple[pd.DataFrame, list[str]]:
-    """The ``limit`` rows that moved furthest, in their order, and a note where that is not all."""
-    if len(table) <= limit:
-        return table, []
-    moved = (table["estimate"] / table["prescribed"] - 1.0).abs()
-    kept = table.loc[moved.nlargest(limit).index.sort_values()]
-    note = f"the {len(kept)} of {len(table)} that moved furthest from their prescribed values; all: parameters.csv"
-    return kept, [note]
+    ends = table[["lower_90", "upper_90"]].to_numpy()
+    told = [f"{number(low)} to {number(high)}" if np.isfinite(low) and np.isfinite(high) else "-" for low, high in ends]
+    return table.assign(interval=told)
 
 
 def diagnostics_text(diagnostics: pd.DataFrame, verdict: Sequence[str] = ()) -> str:
@@ -178,6 +234,8 @@ def diagnostics_text(diagnostics: pd.DataFrame, verdict: Sequence[str] = ()) -> 
     ``verdict`` says why it is not, in a sentence each. Of many parameters those with the fewest effective draws are
     shown; ``diagnostics`` has the columns of `pinn_cli.report.parameters.DIAGNOSTICS`.
     """
+    from pinn_cli.report.parameters import worst_sampled
+
     table, notes = _with_interval(diagnostics), []
     if len(table) > PARAMETERS_SHOWN:
         table = table[table["parameter"].isin(worst_sampled(table, PARAMETERS_SHOWN))]
@@ -211,17 +269,17 @@ def fitness_text(table: pd.DataFrame, observed: np.ndarray | None = None, publis
     single = [name for name in names if name.startswith("dof_")]
     shown = names if len(single) <= DOFS_SHOWN else [name for name in names if name not in single]
     unobserved = [] if observed is None else [f"dof_{i}" for i in np.flatnonzero(~np.asarray(observed)) + 1]
-    lines = []
+    rows: list[tuple[str, Iterable[Any]]] = []
     for name in shown:
         scores = table[table["group"] == name].set_index("quantity").loc[quantities, list(FORMULAS)]
-        lines.append(_row(f"{name} *" if name in unobserved else name, *scores.to_numpy().T))
+        rows.append((f"{name} *" if name in unobserved else name, scores.to_numpy().T))
         paper = None if published is None else published[published["group"] == name]
         if paper is not None and len(paper):
-            lines.append(_row("  published", [], paper.groupby("quantity")[FORMULAS[0]].mean().reindex(quantities)))
+            rows.append(("  published", ([], paper.groupby("quantity")[FORMULAS[0]].mean().reindex(quantities))))
     notes = [] if shown == names else [f"{single[0]} to {single[-1]}: fitness.csv"]
     if any(name in unobserved for name in shown):
         notes.append("* no response sensor on this DOF")
-    return "\n".join([*_head("DOFs", quantities), *lines, *notes])
+    return "\n".join([*_score_lines("DOFs", quantities, rows), *notes])
 
 
 def free_run_line(run: FreeRun, table: pd.DataFrame) -> str:
@@ -242,13 +300,13 @@ def free_run_text(run: FreeRun, table: pd.DataFrame) -> str:
         return finding
     every = table[table["group"] == "all"].set_index(["against", "quantity"])[list(FORMULAS)]
     quantities = [q for q in RESPONSE_QUANTITIES if every.loc[[("truth", q), ("sensors", q)]].notna().any(axis=None)]
-    lines = []
+    rows = []
     for name in dict.fromkeys(table["against"]):
         scores = every.loc[name].reindex(quantities).to_numpy().T
         if np.isfinite(scores).any() and not (name == "sensors" and np.isfinite(every.loc["truth"].to_numpy()).all()):
-            lines.append(_row(name, *scores))
+            rows.append((name, scores))
     title = "free run: the estimated system from its estimated start under the measured force; mean over DOFs"
-    return "\n".join([title, *_head("against", quantities), *lines, *([finding] if finding else [])])
+    return "\n".join([title, *_score_lines("against", quantities, rows), *([finding] if finding else [])])
 
 
 def comparison_text(ours: EstimatorTables, theirs: EstimatorTables, seconds: Mapping[str, float]) -> str:
@@ -262,24 +320,92 @@ def comparison_text(ours: EstimatorTables, theirs: EstimatorTables, seconds: Map
     known = [q for q in QUANTITIES if any(table.loc[q, list(FORMULAS)].notna().any() for table in every.values())]
     if not known:
         return "seconds: " + ", ".join(f"{each} {taken}" for each, taken in used.items())
-    titles, width = ("mean over DOFs, printed formula (%)", "by range, as in the tables (%)"), 16
-    lines = _head("estimator", known, titles, width, last=f"{'seconds':>{_CELL}}")
-    for name, table in every.items():
-        scores = table.loc[known, list(FORMULAS)].to_numpy(dtype=float).T
-        lines.append(_row(name, *scores, width=width, last=f"{used[name]:>{_CELL}}"))
+    titles = "mean over DOFs, printed formula (%)", "by range, as in the tables (%)"
+    rows = [(name, table.loc[known, list(FORMULAS)].to_numpy(dtype=float).T) for name, table in every.items()]
+    lines = _score_lines("estimator", known, rows, titles, width=16)
+    beside = ["", "seconds", "", *used.values()]
+    full = max(map(len, lines))
+    return "\n".join(
+        f"{line}{'-' * _CELL}" if set(line) == {"-"} else f"{line:<{full}}{text:>{_CELL}}".rstrip()
+        for line, text in zip(lines, beside, strict=True)
+    )
+
+
+def _score_lines(
+    first: str, quantities: Sequence[str], rows: Iterable[tuple[str, Iterable[Any]]], titles: Sequence[str] = _TITLES,
+    width: int = 12,
+) -> list[str]:  # fmt: skip
+    """Headings, a rule and a line per row: a name, and its scores of all quantities by one formula after the other."""
+    half = _CELL * len(QUANTITIES)
+
+    def line(name: str, halves: Iterable[Iterable[str]]) -> str:
+        return f"{name:<{width}}" + _GAP.join(
+            f"{''.join(f'{text:>{_CELL}}' for text in own):<{half}}" for own in halves
+        )
+
+    headings = line(first, [[_HEADINGS[quantity] for quantity in quantities]] * len(titles))
+    told = [line(name, (map(percent, own) for own in halves)).rstrip() for name, halves in rows]
+    above = " " * width + _GAP.join(f"{title:>{half}}" for title in titles)
+    return [above, headings.rstrip(), "-" * len(headings), *told]
+
+
+def stories_text(stories: Sequence[Story]) -> str:
+    """What is reported, how well each story predicts the record, and what the others say; "" of a model that holds."""
+    if not stories:
+        return ""
+    reported, *others = stories
+    lines = [f"The model does not quite hold. The parameters are those of a story in which {SAID[reported.name]}."]
+    lines += [
+        f"{story.name}: NMSE of a free run {story.free_run:.3g} %, of short ones {story.segments:.3g} %."
+        for story in stories
+    ]
+    for story in others:
+        unknown = [p for p in story.parameters if p.unknown][:PARAMETERS_OF_A_STORY]
+        values = ", ".join(f"{p.name} {number(p.estimate)} +- {number(p.std, digits=2)}" for p in unknown)
+        lines.append(f"If {SAID[story.name]}: {values} (stories.csv).")
+    return "\n".join(textwrap.fill(line, WIDTH, break_on_hyphens=False) for line in lines)
+
+
+def changes_text(changes: Changes | None) -> str:
+    """What changed since earlier records; "" without any, and of a contradiction: the verdict tells it."""
+    if changes is None or (not changes.found and changes.chance < changes.improbable):
+        return ""
+    if not changes.found:
+        return f"no change since the earlier records (probability of such differences by chance: {changes.chance:.2g})"
+    lines = []
+    for change in changes.found:
+        p, much = change.parameter, f"by {change.by:+.3g} +- {change.std:.1g} {change.parameter.unit}"
+        if p.prescribed:
+            by, std = 100.0 * change.by / p.prescribed, 100.0 * change.std / abs(p.prescribed)
+            much = f"by {by:+.2g} +- {std:.1g} %"
+        chance = f"{change.chance:.1g}" if change.chance >= 1e-12 else "below 1e-12"
+        share = f"{100.0 * change.share:.3g} % that it is this parameter"
+        lines.append(f"changed: {p.name} ({p.owner}) {much}; by chance {chance}; {share}")
     return "\n".join(lines)
 
 
-def _head(
-    first: str, quantities: Sequence[str], titles: Sequence[str] = _TITLES, width: int = _NAME, last: str = ""
-) -> list[str]:
-    half = _CELL * len(QUANTITIES)
-    headings = f"{''.join(f'{_HEADINGS[quantity]:>{_CELL}}' for quantity in quantities):<{half}}"
-    columns = f"{first:<{width}}" + _GAP.join([headings] * len(titles)) + last
-    return [" " * width + _GAP.join(f"{title:>{half}}" for title in titles), columns.rstrip(), "-" * len(columns)]
+def peaks_text(peaks: Sequence[Peak]) -> str:
+    """Peak drifts and forces of the connections; "" without a prediction."""
+    if not peaks:
+        return ""
+    lines = [
+        f"peak {peak.quantity.replace('_', ' ')} of connection {peak.of}: {number(peak.peak, digits=4)} {peak.unit}"
+        f" at {peak.time:.4g} s, 90 %: {number(peak.lower_90, digits=4)} to {number(peak.upper_90, digits=4)}"
+        for peak in [peak for peak in peaks if peak.quantity in PEAKS_OF][:MOST_PEAKS]
+    ]
+    return "\n".join([*lines, f"{len(peaks)} peaks with intervals: peaks.csv"])
 
 
-def _row(name: str, *halves: Iterable[float], width: int = _NAME, last: str = "") -> str:
-    half = _CELL * len(QUANTITIES)
-    cells = [f"{''.join(f'{percent(value):>{_CELL}}' for value in values):<{half}}" for values in halves]
-    return (f"{name:<{width}}" + _GAP.join(cells) + last).rstrip()
+def score_text(name: str, score: Score | None) -> str:
+    """The line of the validation; empty without one."""
+    if score is None:
+        return ""
+    value = f"{score.value:.5g}" if np.isfinite(score.value) else f"none: {score.reason}"
+    return f"validation score ({name}; {SCORE_UNITS.get(name, 'lower is better')}): {value}"
+
+
+def verdict_text(verdict: Verdict) -> str:
+    """The verdict in one line, the last but one of a run; what is not sound has its reasons above it."""
+    folded = textwrap.TextWrapper(WIDTH, initial_indent="- ", subsequent_indent="  ", break_on_hyphens=False)
+    reasons = [folded.fill(finding.text) for finding in verdict.reasons]
+    return "\n".join([*reasons, f"verdict: {verdict.word}"])

@@ -5,22 +5,39 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
+from fake_posteriors import DUFFING, make_diagnostics, make_samples
 from small_estimates import parameter_estimate, results_of
 
 from pinn_cli.record.response import Response
 from pinn_cli.report import published
-from pinn_cli.report.fitness import fitness_table
+from pinn_cli.report.estimator_tables import EstimatorTables
+from pinn_cli.report.fitness import fitness_table, residual_table
 from pinn_cli.report.free_run import FreeRun, free_run_table
 from pinn_cli.report.parameters import parameter_table
-from pinn_cli.report.record_report import EstimatorTables
-from pinn_cli.report.terminal.columns import WIDTH
-from pinn_cli.report.terminal.tables import comparison_text, fitness_text, free_run_line, parameters_text, sensors_text
+from pinn_cli.report.results import with_labels
+from pinn_cli.report.text import (
+    PARAMETERS_SHOWN,
+    WIDTH,
+    comparison_text,
+    diagnostics_text,
+    fitness_text,
+    free_run_line,
+    parameters_text,
+    sensors_text,
+)
 from pinn_cli.training.estimate import ParameterEstimate
+
+MANY = [f"{symbol}_{i}" for symbol in ("c", "k", "kappa") for i in range(1, 11)]
 
 
 def tables(case, name="pinn", estimate=None) -> EstimatorTables:
     return EstimatorTables.of(name, results_of(case).run, estimate or case.estimate, case.record, case.truth)
+
+
+def residuals(case, name="pinn", estimate=None):
+    return with_labels(residual_table(estimate or case.estimate, case.record), results_of(case).run.labels_of(name))
 
 
 def fits(text: str) -> bool:
@@ -31,7 +48,7 @@ def test_rows_of_a_baseline_lie_below_those_of_the_network(make_case):
     case = make_case(ndof=3)
     ours = tables(case)
     both = ours.above(tables(case, "kalman_smoother"))
-    for name in ("fitness", "parameters", "residuals"):
+    for name in ("fitness", "parameters"):
         table, rows = getattr(both, name), len(getattr(ours, name))
         assert list(table.columns) == list(getattr(ours, name).columns)
         assert table["estimator"].tolist() == ["pinn"] * rows + ["kalman_smoother"] * rows
@@ -61,14 +78,6 @@ def test_fitness_and_parameters_fit(ndof, make_case):
     assert ("the 24 of 60" in text) == (ndof == 20)
 
 
-def test_rows_of_a_short_chain(make_case):
-    case = make_case(ndof=3, observed=2)
-    lines = fitness_text(tables(case).fitness, case.record.observed).splitlines()
-    names = [line.split("  ")[0].rstrip() for line in lines[3:]]
-    assert names[:-1] == ["all", "first", "last", "observed", "unobserved", "dof_1", "dof_2", "dof_3 *"]
-    assert lines[-2].split()[5] == "-"  # no force on the last DOF: an empty cell
-
-
 def test_published_rows_of_this_case_only(make_case):
     case = make_case()
     labels = case.labels | {"case": "sr_6dof_snr50"}
@@ -86,6 +95,7 @@ def test_of_held_out_sensors_only_what_can_be_scored_is_printed(make_case):
     table = fitness_table(case.estimate.response, replace(unknown, acceleration=held_out), case.record.observed)
     lines = fitness_text(table, case.record.observed).splitlines()
     assert lines[1].split() == ["DOFs", "accel.", "accel."]
+    assert [line.split()[:2] for line in lines[3:-1]][-1] == ["dof_3", "*"]
     assert [line.split()[0] for line in lines[3:-1]] == ["all", "last", "unobserved", "dof_3"]
 
 
@@ -105,19 +115,15 @@ def test_unknown_parameters_come_first_and_are_marked():
     assert lines[0].split()[:3] == ["parameter", "start", "estimate"]
     assert lines[7].split()[:3] == ["parameter", "prescribed", "estimate"]
     assert names[9:13] == ["k_1", "k_3", "kappa_1", "kappa_3"]
-    alone = parameters_text(parameter_table([p for p in identified() if p.unknown]))
-    assert "prescribed" not in alone.splitlines()[0]
     assert parameters_text(parameter_table([])) == ""
-
-
-def test_all_unknown_parameters_are_shown_and_a_handful_of_the_prescribed():
+    # Of many all that are unknown are shown, and a handful of the others.
     lines = parameters_text(parameter_table(identified(count=20))).splitlines()
     assert sum(" * " in line for line in lines) == 40
+    assert next(line.split()[0] for line in lines[42:] if line.startswith("k")) == "k_33"
     assert len([line for line in lines[42:] if line.startswith("k")]) == 8
-    assert lines[45].startswith("k_33 ")
 
 
-def test_warnings_are_marked_counted_and_fit():
+def test_warnings_are_counted_and_fit():
     warnings = [f"k_{i} " + "can hardly be told from the others " * 3 for i in range(15)]
     text = parameters_text(parameter_table(identified()), warnings)
     assert text.count("! ") == 12 + 1
@@ -136,7 +142,7 @@ def test_a_baselines_parameters_stand_beside_ours_where_there_is_no_truth(make_c
 
 
 def test_sensors_have_a_line_each_with_units_and_no_dashes(make_case):
-    lines = sensors_text([tables(make_case(ndof=3, observed=2))]).splitlines()
+    lines = sensors_text([[residuals(make_case(ndof=3, observed=2))]]).splitlines()
     units = [["acceleration", "1", "m/s^2"], ["acceleration", "2", "m/s^2"], ["force", "1", "N"]]
     assert [line.split()[:3] for line in lines[2:5]] == units
     assert "noise" not in lines[0]  # none was found, and there is no free run
@@ -146,8 +152,7 @@ def test_sensors_have_a_line_each_with_units_and_no_dashes(make_case):
 def test_sensors_beside_a_baseline_fit_and_of_many_the_worst_are_shown(make_case):
     case = make_case(ndof=40, observed=40)
     estimate = replace(case.estimate, summary={"sigma_acceleration": [1e-7] * 40, "sigma_force": [1e-7] * 40})
-    both = (tables(case, name, estimate) for name in ("pinn", "kalman_smoother"))
-    text = sensors_text([next(both)], next(both))
+    text = sensors_text([[residuals(case, name, estimate) for name in ("pinn", "other")]], "kalman_smoother")
     assert fits(text)
     assert "kalman_smoother (%)" in text
     assert sum(line.startswith(("acceleration", "force")) for line in text.splitlines()) == 24
@@ -159,3 +164,25 @@ def test_a_free_run_in_a_sentence(make_case):
     table = free_run_table(run, case.estimate, case.record, Response.unknown(case.record.time, 2))
     assert "100.00 %" in free_run_line(run, table)
     assert free_run_line(FreeRun(None, "no force"), table) == "no force"
+
+
+@pytest.mark.parametrize("names", [("k_1",), DUFFING, MANY], ids=len)
+def test_the_printed_diagnostics_fit_and_show_the_worst_of_many(names):
+    diagnostics = make_diagnostics(make_samples(names, draws=50))
+    diagnostics.loc[0, ["mean", "std", "lower_90", "upper_90"]] = [-1.2345e12, 3.2e-12, -1.2345e12, -1.2345e-12]
+    lines = diagnostics_text(diagnostics, ["R-hat of k_1 is 1.03, and the chains have not mixed " * 3]).splitlines()
+    assert max(map(len, lines)) <= WIDTH
+    assert sum(line.split()[0] in names for line in lines) == min(len(names), PARAMETERS_SHOWN)
+    assert any("diagnostics.csv" in line for line in lines) == (len(names) > PARAMETERS_SHOWN)
+
+
+def test_what_is_printed_of_the_sampling():
+    diagnostics = make_diagnostics(make_samples())
+    text = diagnostics_text(diagnostics)
+    assert text.splitlines()[4].split()[-4:-1] == ["1.002", "1620", "1520"]
+    assert text.endswith("passed")
+    assert "FAILED: 3 divergences" in diagnostics_text(diagnostics, ("3 divergences",))
+    unknown = dict.fromkeys(["r_hat", "ess_bulk", "ess_tail", "mcse_mean"], np.nan)
+    text = diagnostics_text(pd.DataFrame(diagnostics.assign(**unknown)))
+    assert text.splitlines()[2].split()[-4:] == ["-"] * 4
+    assert "passed" not in text
