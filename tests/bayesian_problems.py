@@ -19,7 +19,7 @@ from pinn_cli.training.levels import settled
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.record_scales import force_and_velocity_scale
 from pinn_cli.training.steps.discrepancy_search import searched
-from pinn_cli.training.steps.independent_values import widened
+from pinn_cli.training.steps.windows_discrepancy import widened
 
 PRECISE = 1e-10  # relative decrease of the loss below which a solution counts as the most probable one
 

@@ -20,7 +20,7 @@ from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.whittle.whittle_estimate import known_parameters
 from pinn_cli.verdict.input_findings import input_findings
 from pinn_cli.verdict.judge import judge
-from pinn_cli.verdict.noise_findings import noise_findings
+from pinn_cli.verdict.sensor_findings import noise_findings
 
 
 def solved(made, uncertainty=0.0):

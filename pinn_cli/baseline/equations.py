@@ -20,7 +20,7 @@ from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import MASS, Parameter, ParameterVector
 
 # Numbers of the steps' derivatives that are held at once: little enough for the caches.
-AT_ONCE = 500_000
+DERIVATIVES_AT_ONCE = 500_000
 
 
 class Equations:
@@ -102,7 +102,7 @@ class Equations:
     def tangents(self, states: np.ndarray, force: np.ndarray, step: float) -> np.ndarray:
         """(N, s, columns), derivatives of that; forces by which they are taken are held through the step."""
         out = np.empty((len(states), self.size, self.columns))
-        size = max(1, AT_ONCE // (self.size * self.columns))
+        size = max(1, DERIVATIVES_AT_ONCE // (self.size * self.columns))
         for first in range(0, len(states), size):
             part = slice(first, first + size)
             start = np.zeros((*out[part].shape[:2], 1 + self.columns))

@@ -17,9 +17,9 @@ DECADE, FINEST = 10.0, 1e-8
 # A level needs its evidence, not its solution to the last digit: a step of this part of the motion changes neither.
 ROUGH = 0.1
 # Rounds of all levels at most; most records take three.
-ROUNDS = 40
+LEVEL_ROUNDS = 40
 # Of the curvature, that is added to it at first; and how far a level's logarithm goes in one round.
-DAMPING, FURTHEST = 0.1, math.log(10.0)
+FIRST_CURVATURE, FURTHEST = 0.1, math.log(10.0)
 
 
 def stiffened(smoother: IteratedSmoother, levels: NoiseLevels, wanted: float) -> Pass:
@@ -90,13 +90,13 @@ def settled(smoother: IteratedSmoother, best: Pass, searched: np.ndarray | bool 
         best: Where to begin.
         searched: (m + L,) bool, which levels; the others are held.
     """
-    damping, searched = DAMPING, np.flatnonzero(searched & ~smoother.space.held)
+    damping, searched = FIRST_CURVATURE, np.flatnonzero(searched & ~smoother.space.held)
     slope, curvature = asked(smoother, best)
-    for _ in range(ROUNDS):
+    for _ in range(LEVEL_ROUNDS):
         damped, step = curvature + damping * np.diag(np.diag(curvature).clip(min=1.0)), np.zeros(len(slope))
         step[searched] = np.linalg.solve(damped[np.ix_(searched, searched)], slope[searched])
         promised = 0.5 * float(slope @ step)
-        if promised < NEGLIGIBLE_GAIN and damping <= DAMPING:
+        if promised < NEGLIGIBLE_GAIN and damping <= FIRST_CURVATURE:
             break
         every = best.levels.every * np.exp(np.clip(step, -FURTHEST, FURTHEST))
         levels = best.levels.moved(np.maximum(every, smoother.space.finest), spread(smoother, best))
@@ -144,7 +144,7 @@ def spread(smoother: IteratedSmoother, last: Pass) -> float:
     found, sharing, size = last.regression, smoother.sharing, last.levels.spread
     inverse = np.linalg.inv(found.covariance)
     pull, precision = inverse @ smoother.space.coefficients(last.trajectory), found.precision
-    for _ in range(ROUNDS):
+    for _ in range(LEVEL_ROUNDS):
         own = np.where(sharing, size**-2.0, precision)
         covariance = np.linalg.inv(inverse + np.diag(own - precision))
         size = updated_spread((covariance @ pull)[sharing], np.diag(covariance)[sharing], size)

@@ -38,7 +38,7 @@ from pinn_cli.training.sensor_samples import SensorSamples
 
 # Prior standard deviations of what nobody has measured, in units of what the record is about: so wide that the record
 # decides.
-WIDE = 10.0
+WIDE_PRIOR = 10.0
 # The derivatives of a step need not be as exact as the step: off by a thousandth, passes settle as fast.
 TANGENT_TIMES_RATE = 3.0 * STEP_TIMES_RATE
 
@@ -165,7 +165,7 @@ class StateSpace:
         process such that it is as large as what the record is about.
         """
         driving = self.scales * np.sqrt(4.0 / (self.step * self.inputs.edge))
-        processes = [*driving[self.dynamics.smooth], *(WIDE * driving[self.dynamics.forces][:1])]
+        processes = [*driving[self.dynamics.smooth], *(WIDE_PRIOR * driving[self.dynamics.forces][:1])]
         forces = [self.force_scale, *(cell.first for cell in self.cells), *processes]
         return NoiseLevels(np.array([sensor.samples.first for sensor in self.sensors]), np.array(forces))
 
@@ -304,12 +304,12 @@ class StateSpace:
         """
         n, functions, given = self.dynamics.ndof, self.dynamics.size, self.problem.initial_deviation
         rated = np.searchsorted(self.second, np.arange(n))
-        values, rates = np.diag(WIDE * self.scales), np.diag(WIDE * self.corner * self.scales[self.second])
+        values, rates = np.diag(WIDE_PRIOR * self.scales), np.diag(WIDE_PRIOR * self.corner * self.scales[self.second])
         if given is None:
             stiffness = self.prescribed["k"][self.prescribed["k"] > 0]
             static = self.force_scale / stiffness.min() if len(stiffness) else 0.0
             displacement = max(static, self.velocity_scale / self.corner)
-            given = WIDE * displacement, WIDE * max(self.velocity_scale, displacement * self.corner)
+            given = WIDE_PRIOR * displacement, WIDE_PRIOR * max(self.velocity_scale, displacement * self.corner)
         shape = np.linalg.inv(self.stretch).T  # from elongations to coordinates
         values[:n, :n] = given[0] * shape
         rates[np.ix_(rated, rated)] = given[1] * shape

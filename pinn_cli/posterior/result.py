@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from pinn_cli.training.central_interval import CENTRAL_90
+from pinn_cli.training.bounded_estimates import CENTRAL_90
 
 if TYPE_CHECKING:
     from pinn_cli.posterior.base import Posterior, PosteriorSamples

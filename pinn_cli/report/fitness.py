@@ -27,7 +27,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.response import GROUND, QUANTITIES, Response
 from pinn_cli.record.spectrum import band_share, signal_edges
 from pinn_cli.system.quantities import FORCE, SUPPORT
-from pinn_cli.verdict.noise_findings import noise_found
+from pinn_cli.verdict.sensor_findings import noise_found
 
 if TYPE_CHECKING:
     from pinn_cli.training.estimate import Estimate

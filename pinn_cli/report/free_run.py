@@ -34,8 +34,8 @@ from pinn_cli.system.structure import Structure
 from pinn_cli.training.calibrated_record import as_felt, beside
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.estimated_structure import estimated_structure
-from pinn_cli.training.parameter_draws import drawn_structures, parameter_draws
-from pinn_cli.verdict.noise_findings import noise_found
+from pinn_cli.training.prediction import drawn_structures, parameter_draws
+from pinn_cli.verdict.sensor_findings import noise_found
 
 REFERENCES = ("truth", "sensors", "estimate")
 

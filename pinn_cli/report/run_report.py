@@ -30,9 +30,8 @@ from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import tidy, write_json, write_table
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.verdict.finding import Verdict
-from pinn_cli.verdict.judge import judge
+from pinn_cli.verdict.judge import contradictions, judge, verdict_of_records
 from pinn_cli.verdict.parameter_findings import posterior_findings
-from pinn_cli.verdict.records import contradictions, verdict_of_records
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -44,7 +44,7 @@ log = logging.getLogger(__name__)
 SETTING = "scheme.priors"
 # Gauss-Newton works under Gaussians this much wider than a prior that the user chose; the likelihood that it hands on
 # is freed of them again. Of others it works under one as wide as the prior itself: far out lie other solutions.
-WIDTH = 100.0
+GAUSSIAN_WIDTH = 100.0
 
 
 def read_priors(given: Mapping[str, Any] | None, structure: Structure) -> dict[Parameter, Prior]:
@@ -209,7 +209,7 @@ def _unknown(parameter: Parameter, prior: Prior, start: Start, chosen_by_user: b
     return replace(
         parameter,
         prescribed=float(first),
-        prior_std=(WIDTH if chosen else PRIOR_WIDTH) * scale,
+        prior_std=(GAUSSIAN_WIDTH if chosen else PRIOR_WIDTH) * scale,
         scale=scale,
         unknown=True,
         positive=prior.positive,

@@ -13,7 +13,7 @@ from pinn_cli.record.inputs import measured_orders
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import GROUND
 from pinn_cli.record.spectrum import LOWEST_BINS
-from pinn_cli.scheme.channel_doubts import ChannelDoubts, Doubt
+from pinn_cli.scheme.calibration import ChannelDoubts, Doubt
 from pinn_cli.system.frequency_response import Acting, FrequencyResponse, real_rows
 from pinn_cli.system.quantities import FORCE, SUPPORT
 
@@ -24,13 +24,13 @@ WIDTHS = 0.15, 0.05, 0.015
 # Loss factor that every spring has at least: nothing is singular at a resonance then.
 LEAST_LOSS = 1e-5
 # Damping ratio at which damping starts where it is unknown.
-DAMPING = 0.02
+STARTING_RATIO = 0.02
 # Power over the noise floor at which a frequency counts half.
 ABOVE_FLOOR = 10.0
 # How far one start and width may take a parameter, as a logarithm.
 FARTHEST = np.log(20.0)
 # Evaluations of the misfit for one start and width, at most.
-EVALUATIONS = 30
+START_EVALUATIONS = 30
 
 
 def what_acts(record: Record) -> list[Channel] | None:
@@ -76,7 +76,9 @@ class LinearStructure:
     def start(self, mass: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
         """The vector of unknowns at given masses (n,) and stiffnesses (C,)."""
         m, k = np.log(mass[self.free["m"]]), np.log(stiffness[self.free["k"]])
-        return np.concatenate((m, k, [np.log(DAMPING)] * self.damped, [np.log(2.0 * DAMPING)] * self.lossy))
+        return np.concatenate(
+            (m, k, [np.log(STARTING_RATIO)] * self.damped, [np.log(2.0 * STARTING_RATIO)] * self.lossy)
+        )
 
     def parameters(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """``m`` (n,), ``c``, ``k`` (C,) and ``loss`` (1,) at the unknowns, with which x begins."""
@@ -275,7 +277,7 @@ class JointFit:
             return real_rows(np.concatenate([fit.slopes(x).reshape(-1, len(x)) for fit in self.each]))
 
         bounds = (x - FARTHEST, x + FARTHEST)
-        found = least_squares(residual, x, jacobian, bounds, loss="soft_l1", f_scale=0.3, max_nfev=EVALUATIONS)
+        found = least_squares(residual, x, jacobian, bounds, loss="soft_l1", f_scale=0.3, max_nfev=START_EVALUATIONS)
         return self.misfit(found.x), found.x
 
 

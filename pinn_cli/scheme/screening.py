@@ -18,7 +18,7 @@ import numpy as np
 
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.channel_doubts import doubts_of
+from pinn_cli.scheme.calibration import doubts_of
 from pinn_cli.scheme.linear_fit import ABOVE_FLOOR, WIDTHS, JointFit, LinearFit, LinearStructure, what_acts
 from pinn_cli.system.frequency_response import Acting
 from pinn_cli.system.modes import RIGID
@@ -28,7 +28,7 @@ SURVIVORS = (6, 4, 3)
 # Common factors on the stiffnesses that are tried per decade.
 PER_DECADE = 8
 # Starts whose masses and springs differ by less, as logarithms, are one.
-SAME = 0.1
+SAME_START = 0.1
 # Frequencies of a start: the highest lies above this part of the lowest that the record can tell, the lowest below so
 # many times its highest.
 SLOWEST, FASTEST = 0.5, 3.0
@@ -172,6 +172,6 @@ def _distinct(found: list[tuple[float, np.ndarray]]) -> list[tuple[float, np.nda
     """Without those that ended where a better one did."""
     kept: list[tuple[float, np.ndarray]] = []
     for misfit, x in found:
-        if all(np.abs(x - other).max() > SAME for _, other in kept):
+        if all(np.abs(x - other).max() > SAME_START for _, other in kept):
             kept.append((misfit, x))
     return kept

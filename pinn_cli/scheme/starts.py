@@ -16,8 +16,8 @@ import numpy as np
 from pinn_cli.record.channels import motion_amplitudes
 from pinn_cli.record.cross_spectra import misses_samples
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.linear_fit import DAMPING, last_ends
-from pinn_cli.scheme.screening import SAME, Candidate, screened
+from pinn_cli.scheme.linear_fit import STARTING_RATIO, last_ends
+from pinn_cli.scheme.screening import SAME_START, Candidate, screened
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.system.connection.base import Hysteresis
@@ -150,7 +150,7 @@ def _is_said(unknown: Collection[Parameter], given: Mapping[Parameter, float]) -
 def _apart(one: Candidate, other: Candidate, unknown: Collection[Parameter]) -> bool:
     """Whether two starts are two."""
     places = [(p.kind, p.index) for p in unknown if p.kind in (MASS, "k")]
-    return any(abs(np.log(one.parameters[k][i] / other.parameters[k][i])) > SAME for k, i in places)
+    return any(abs(np.log(one.parameters[k][i] / other.parameters[k][i])) > SAME_START for k, i in places)
 
 
 def _of_sensors(calibration: Mapping[str, Mapping[str, float]]) -> dict[Parameter, Start]:
@@ -235,16 +235,16 @@ def _starts(
         usual = usual[: len(linear["k"])]  # behind them are parts, which have no spring of their own
     stretch = prescribed.incidence.matrix[: len(usual)]
     mass = linear["m"][last_ends(stretch.toarray())]
-    damping = DAMPING * 2.0 * np.sqrt(mass * np.maximum(np.abs(linear["k"]), usual))
+    damping = STARTING_RATIO * 2.0 * np.sqrt(mass * np.maximum(np.abs(linear["k"]), usual))
     # A damper is compared with the spring beside it, and one without a spring with the force.
     damping = np.where(linear["k"] == 0, np.maximum(damping, scales["c"]), damping)
-    ratio = float(np.clip(linear.get("loss", np.array([2.0 * DAMPING]))[0] / 2.0, *RATIOS))
+    ratio = float(np.clip(linear.get("loss", np.array([2.0 * STARTING_RATIO]))[0] / 2.0, *RATIOS))
     of_whole = of_ratio(ratio, linear["m"], stretch, linear["k"]) if prescribed.is_damped_as_whole else {}
     for parameter in unknown:
         kind, index = parameter.kind, parameter.index
         if kind in of_whole:
             value = given.get(parameter, of_whole[kind])
-            out[parameter] = Start(value, max(value, of_whole[kind] * max(DAMPING / ratio, 1.0)))
+            out[parameter] = Start(value, max(value, of_whole[kind] * max(STARTING_RATIO / ratio, 1.0)))
             continue
         if kind == FACTOR:  # the matrix is the start: nobody updates a model that is wrong by orders of magnitude
             out[parameter] = Start(given.get(parameter, 1.0), 1.0)

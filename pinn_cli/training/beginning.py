@@ -23,7 +23,7 @@ TIE = 0.03
 # A state is known to this part of its size at best: rounding would be all that a better one tells.
 FINEST_STATE = 1e-6
 # Added to the joint correlation's diagonal: parameters and states may be correlated but for rounding.
-JITTER = 1e-10
+CORRELATION_JITTER = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,5 +98,5 @@ def _joint(problem: Problem, prior: JointPrior, state: EndState, std: np.ndarray
     out[p:, p:] = state.covariance / np.outer(std, std)
     out[p:, :known] = state.with_parameters / np.outer(std, unit[:known])
     out[:known, p:] = out[p:, :known].T
-    out[np.diag_indices_from(out)] = 1.0 + JITTER
+    out[np.diag_indices_from(out)] = 1.0 + CORRELATION_JITTER
     return out

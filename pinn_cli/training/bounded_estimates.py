@@ -1,4 +1,7 @@
-"""From a posterior that bounds may cut off to estimates that lie inside their intervals."""
+"""From a posterior that bounds may cut off to estimates that lie inside their intervals.
+
+The central 90 % interval, which every table of parameters gives.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,13 @@ import numpy as np
 
 from pinn_cli.model.truncated_gaussian import TruncatedGaussian
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.central_interval import CENTRAL_90
 from pinn_cli.training.estimate import ParameterEstimate
+
+# Its ends as probabilities.
+CENTRAL_90 = (0.05, 0.95)
+# Half its width for a normal distribution, in standard deviations.
+HALF_WIDTH_90 = 1.6448536269514722
+
 
 # Posterior standard deviations between mode and mean from which a bound counts: it then lies less than 2.8 of them
 # below the mode.

@@ -86,7 +86,7 @@ def _piece(line: np.ndarray, first: np.ndarray | range, apart: int) -> np.ndarra
 
 
 # Intervals whose covariances of all functions are held at once.
-CHUNK = 64
+INTERVALS_AT_ONCE = 64
 
 
 class ReadoutPosterior:
@@ -142,8 +142,8 @@ class ReadoutPosterior:
         kinds = [phi.cpu() for phi in (segments.displacement, segments.velocity, segments.acceleration)]
         weights = [[(order, torch.as_tensor(w.toarray())) for order, w in parts] for parts in sensing]
         found: list[list[Tensor]] = [[] for _ in sensing]
-        for start in range(0, len(local), CHUNK):
-            part = slice(start, start + CHUNK)
+        for start in range(0, len(local), INTERVALS_AT_ONCE):
+            part = slice(start, start + INTERVALS_AT_ONCE)
             position = local[part].flatten(1)
             covariance = self._covariance(position)
             for out, parts in zip(found, weights, strict=True):

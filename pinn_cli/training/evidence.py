@@ -13,8 +13,7 @@ from pinn_cli.training.least_squares import LeastSquares
 from pinn_cli.training.minimise import Solution, minimise
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.normal_matrix.bordered import BorderedFactor, Eliminated
-from pinn_cli.training.normal_matrix.shared_border import SharedFactor
+from pinn_cli.training.normal_matrix.bordered import BorderedFactor, Eliminated, SharedFactor
 from pinn_cli.training.parameter_spread import updated_spread
 from pinn_cli.training.point import Point
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution

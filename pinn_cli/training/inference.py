@@ -30,12 +30,11 @@ from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.training.solver import Inference, Solver
 from pinn_cli.training.steps.first_solution import first_solution, identify_by_spectra
 from pinn_cli.training.steps.free_running import fit_free_run
-from pinn_cli.training.steps.independent_values import count_independent_values
 from pinn_cli.training.steps.marginal_peak import move_to_marginal_peak
 from pinn_cli.training.steps.rivals import choose_equivalent_structure
 from pinn_cli.training.steps.unknown_forces import fit_force_spectrum, set_force_level, widen_force_band
 from pinn_cli.training.steps.updated_problem import loosen_at_turning_points, refine_features, update_modes
-from pinn_cli.training.steps.windows_discrepancy import combine_windows
+from pinn_cli.training.steps.windows_discrepancy import combine_windows, count_independent_values
 
 # From a solution to a better one; None: there is none. Each is asked so many times at most.
 Step = Callable[[Inference], Inference | None]

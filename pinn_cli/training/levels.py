@@ -30,11 +30,11 @@ LOSING, LOST = 2, 10.0
 LARGEST_CHANGE = 10.0
 # Change of the logarithm of a level below which the factor of the solution before serves: its Hessian is off by a
 # factor of two at most.
-NEAR = 0.35
+NEAR_LEVEL = 0.35
 # Values that are left of N at the least: where features follow every sample, rounding is all that N - gamma would be.
 FEWEST_LEFT = 1e-3
 # A discrepancy below this part of the force that acts makes no motion better known.
-FINEST_DISCREPANCY = 1e-6
+FINEST_LEVEL = 1e-6
 # Part of the samples that a sensor's usual noise counts for where the record leaves it open, since the motion follows
 # it wherever it goes; it falls off with this power of the share of its values that the solution has taken up, to
 # nothing for a sensor that the model checks.
@@ -76,7 +76,7 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
         each = (replace(_moved(*own), taken_up=new.taken_up) for own, new in zip(moves, found, strict=True))
         noise = NoiseLevels(tuple(each), evidence.learned_spread(trained))
         moved = [*np.concatenate(strides), np.log(noise.spread / trained.noise.spread)]
-        again = evidence.train(noise, trained.solution.point, goes_on=bool(np.abs(moved).max() < NEAR))
+        again = evidence.train(noise, trained.solution.point, goes_on=bool(np.abs(moved).max() < NEAR_LEVEL))
         # One that is still on its way is followed as long as it is the more probable one already.
         if again is None or not (again.solution.converged or again.log_evidence > trained.log_evidence):
             break
@@ -260,7 +260,7 @@ def floor(evidence: RecordEvidence, solution: RecordSolution) -> NoiseModel:
         of_force[dof] = max(cell.finest, cell.shown)
     force = max((cell.rms for cell in evidence.load_cells.values()), default=noise.discrepancy)
     finest_of_inputs = negligible(evidence.equations, noise)
-    discrepancy = max(min(FINEST_DISCREPANCY * force, noise.discrepancy), finest_of_inputs)
+    discrepancy = max(min(FINEST_LEVEL * force, noise.discrepancy), finest_of_inputs)
     response = dict(noise.response)
     for channels in evidence.equations.channels:
         # The sensor of an input has at least the noise that its spectrum shows. Where the motion does not tell a load

@@ -11,17 +11,17 @@ import numpy as np
 
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.noise_model import NoiseLevels
-from pinn_cli.training.normal_matrix.shared_border import SharedFactor
+from pinn_cli.training.normal_matrix.bordered import SharedFactor
 from pinn_cli.training.point import Point
 
 # Damping of the scaled matrix (unit diagonal): where it starts once a step has failed, and where trying is given up.
 FIRST_DAMPING, LARGEST_DAMPING = 1e-9, 1e6
 # Decrease of the loss, twice the negative logarithm of a probability, that nothing is lost by leaving out. Functions
 # beside the motion are known in parts by their priors alone, along which steps creep.
-NEGLIGIBLE = 0.1
+NEGLIGIBLE_LOSS = 0.1
 # A step with the factor of another one is quick if it promises so much of what the step before promised, and good if it
 # keeps so much of its promise.
-QUICK, KEPT = 0.1, 0.5
+QUICK, KEPT_PROMISE = 0.1, 0.5
 # Relative rise of the loss that may be rounding.
 ROUNDING = 1e-12
 
@@ -174,7 +174,7 @@ class Descent:
     @property
     def enough(self) -> float:
         """Decrease of the loss that another step is not worth."""
-        return max(self.tolerance * self.loss, 0.0 if self.equations.is_plain else NEGLIGIBLE)
+        return max(self.tolerance * self.loss, 0.0 if self.equations.is_plain else NEGLIGIBLE_LOSS)
 
     def ended(self, converged: bool, factor: SharedFactor | None = None) -> Solution:
         """The solution as it stands, with the undamped factor of its Hessian."""
@@ -191,7 +191,9 @@ class Descent:
             if max(trial.promised, trial.gain) <= self.enough:
                 return self._settled(system, room)
             self.refused = trial.promised
-            if not (trial.gain >= KEPT * trial.promised and (self.creeps or trial.promised <= QUICK * self.promised)):
+            if not (
+                trial.gain >= KEPT_PROMISE * trial.promised and (self.creeps or trial.promised <= QUICK * self.promised)
+            ):
                 break
             self._accept(trial)
             served += 1

@@ -3,6 +3,10 @@
 A residual of a DOF at one time touches the features alive there, of the DOFs that are coupled with it, and the
 parameters of the connections between them. So its Jacobian is a short dense row [J | P], and all of a group's rows
 together give one small dense block.
+
+Accelerometers through the observer equation, (f - restoring force) / m (paper, eq. 8).
+
+What separate outputs of displacement and velocity leave between them, d(displacement)/dt - velocity (eq. 10b).
 """
 
 from __future__ import annotations
@@ -11,30 +15,105 @@ from collections import defaultdict
 
 import numpy as np
 import torch
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, identity
+from torch import Tensor
 
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.physics import observation_masks
 from pinn_cli.record.response import GROUND
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.quantities import FORCE, SUPPORT
-from pinn_cli.training.factors.calibrated_channels import CalibratedChannels, Gains
-from pinn_cli.training.factors.constant_channels import ResponseChannels
-from pinn_cli.training.factors.continuity import Continuity
+from pinn_cli.training.factors.calibrated_channels import CalibratedChannels, Gains, SensorFilter
+from pinn_cli.training.factors.constant_channels import ConstantRows, ResponseChannels
+from pinn_cli.training.factors.equation_rows import EquationRows
 from pinn_cli.training.factors.equations_of_motion import EquationsOfMotion
-from pinn_cli.training.factors.factor import Channels, Factor
+from pinn_cli.training.factors.factor import Channels, Factor, Residuals
 from pinn_cli.training.factors.frame import Frame
 from pinn_cli.training.factors.input_channels import InputChannels
 from pinn_cli.training.factors.known_state import states_known
-from pinn_cli.training.factors.observer import Observer
 from pinn_cli.training.factors.ridge import Ridge
-from pinn_cli.training.factors.sensor_filter import SensorFilter
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_matrix.bordered import BorderedSystem
-from pinn_cli.training.normal_matrix.front_tree import FrontTree
+from pinn_cli.training.normal_matrix.dissection import FrontTree
 from pinn_cli.training.normal_matrix.row_sums import RowSums
 from pinn_cli.training.point import Point
 from pinn_cli.training.whittle.whittle_estimate import KnownParameters
+
+
+class Observer(Residuals):
+    """What they measure against what the equation of motion says of it.
+
+    Args:
+        frame: Of the record.
+        mask: (n,) bool, the DOFs whose accelerometer is compared so.
+    """
+
+    name = "observer"
+
+    def __init__(self, frame: Frame, mask: Tensor) -> None:
+        super().__init__(frame)
+        self.mask, self.segments = mask, frame.observation
+        gather = self.segments.gather
+        self.force, self.measured = gather(frame.target.observer_force), gather(frame.target.response["acceleration"])
+
+    def _acceleration(self, point: Point, part: slice) -> Tensor:
+        jet = self.frame.jet(self.segments, point, part)
+        structure = self.frame.dynamics.structure
+        return structure.acceleration(jet.value, jet.rate, self.force[part], self.frame.parameters(point))
+
+    def residual(self, point: Point, part: slice) -> Tensor:
+        """See :meth:`Residuals.residual`."""
+        return (self._acceleration(point, part) - self.measured[part]) * self.mask
+
+    def weight(self, noise: NoiseModel) -> Tensor:
+        """(n,): the force's noise and the discrepancy are in the residual as well."""
+        mass = self.frame.prescribed["m"].cpu().numpy()
+        return torch.as_tensor(noise.observation_weight(self.name, mass)).to(self.measured) * self.mask
+
+    def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
+        """See :meth:`Factor.add_to`."""
+        # The rows of the restoring force over -m.
+        frame, weight, mass = self.frame, self.weight(noise), -self.frame.parameters(point)["m"]
+        for part, residual in self.residuals(point):
+            slope = frame.dynamics.linearise(frame.jet(self.segments, point, part), frame.parameters(point))
+            acceleration = self._acceleration(point, part)
+            rows = EquationRows.of(frame.pattern, slope, None, acceleration, frame.spread)
+            for each in rows.weighted(self.segments.part(part), residual * mass, weight / mass**2):
+                sums.add(each)
+
+
+class Continuity(Residuals):
+    """Of every function, at the collocation points.
+
+    Args:
+        frame: Of the record, whose network has them.
+    """
+
+    name = "continuity"
+
+    def __init__(self, frame: Frame) -> None:
+        super().__init__(frame)
+        self.segments = frame.physics
+        assert self.segments.continuity is not None
+        self.rows = ConstantRows(
+            self.segments, [(self.segments.continuity, identity(frame.dynamics.size, format="csr"))]
+        )
+
+    def residual(self, point: Point, part: slice) -> Tensor:
+        """See :meth:`Residuals.residual`."""
+        left = self.frame.states(self.segments, point, part).continuity
+        assert left is not None
+        return left
+
+    def weight(self, noise: NoiseModel) -> Tensor:
+        """See :meth:`Residuals.weight`."""
+        return torch.full_like(self.frame.target.force[0], noise.continuity**-2)
+
+    def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
+        """See :meth:`Factor.add_to`."""
+        weight = self.weight(noise)
+        for part, residual in self.residuals(point):
+            self.rows.add_to(sums, residual, weight, part)
 
 
 class NormalEquations(Frame):

@@ -17,7 +17,7 @@ import numpy as np
 
 from pinn_cli.record.channels import Channel, channels
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
-from pinn_cli.scheme.channel_doubts import doubts_about
+from pinn_cli.scheme.calibration import doubts_about
 from pinn_cli.scheme.linear_fit import WIDTHS, JointFit, LinearFit, LinearStructure, what_acts
 from pinn_cli.scheme.screening import Candidate, grid_of_starts, nearest
 from pinn_cli.scheme.starts import linear_parts
@@ -36,19 +36,19 @@ if TYPE_CHECKING:
 UNITS = {1e-3: "milliseconds", 1e-6: "microseconds", 1e3: "thousands of seconds", 60.0: "minutes", 1 / 60: "1/60 s"}
 # Part of the cross spectra that a structure may miss and need no cause; what a cause may leave of it, and of what is
 # missed without it.
-NOTHING, LEFT, EXPLAINED = 0.01, 0.3, 0.5
+NEEDS_NO_CAUSE, LEFT, EXPLAINED = 0.01, 0.3, 0.5
 # Logarithm of how many times as probable a record must be with one cause as with another, and of what is chance.
-DECISIVE, ALIKE = 5.0, 0.5
+DECISIVE_CAUSE, ALIKE = 5.0, 0.5
 # Sensors that are suspected, those that are missed most; and numbers of the structure, those whose slopes explain most.
 SUSPECTED = 5
 # Standard deviation, as a logarithm, of how far off what a person says is where it is wrong.
 WRONG = 1.5
 # A factor that is nearer to one is no mistake of a person's; neither is a shorter delay, in samples.
-LEAST_FACTOR, LEAST_DELAY = 1.1, 0.5
+LEAST_FACTOR, LEAST_DELAY_CAUSE = 1.1, 0.5
 # Part of itself to which a fit to spectra tells a factor.
 TOLD = 0.01
 # A dense matrix is inverted at every frequency, for every cause.
-MOST_COORDINATES = 12
+MOST_INVERTED = 12
 # Starts of each cause that go on to each width of the smoothing; at first one, which tells which causes are followed.
 AT_FIRST, SURVIVORS, FOLLOWED = (1,), (2, 1, 1), 8
 MOVES, ACTS = "what the structure does", "what acts"
@@ -88,12 +88,12 @@ def causes(problem: Problem, believed: Structure, estimated: Structure, excused:
         excused: Names of channels whose fault is known already.
     """
     record = _in_columns(problem.record, excused)
-    if record is None or believed.is_modal or believed.coordinates > MOST_COORDINATES:
+    if record is None or believed.is_modal or believed.coordinates > MOST_INVERTED:
         return []
     unknown = [p for p in problem.uncertain if p.unknown]
     fits = _Fits(believed, linear_parts(believed, unknown), estimated)
     without, _ = fits.fitted(Cause(record, lambda _: None))
-    if without.misfit < NOTHING:
+    if without.misfit < NEEDS_NO_CAUSE:
         return []
     dampers = np.flatnonzero(~np.isnan(fits.known["c"])).tolist()
     asked = list(every_cause(believed, record, *fits.suspects(record, without), dampers))
@@ -130,7 +130,9 @@ def _told(found: list[tuple[float, Finding]]) -> list[Finding]:
         return []
     least = min(minus_log for minus_log, _ in found)
     best = next(one for minus_log, one in found if minus_log < least + ALIKE)  # sensors come before what acts
-    others = [one.suspect for minus_log, one in found if minus_log < least + DECISIVE and one.suspect != best.suspect]
+    others = [
+        one.suspect for minus_log, one in found if minus_log < least + DECISIVE_CAUSE and one.suspect != best.suspect
+    ]
     others = list(dict.fromkeys(others))
     said = f"; or something is wrong with the {', the '.join(others)}, which explains it as well" if others else ""
     return [replace(best, text=best.text + said)]
@@ -266,7 +268,7 @@ def _calibrated(record: Record, channel: Channel, sign: float) -> Cause:
         if not 1.0 / LEAST_FACTOR < value < LEAST_FACTOR:
             of = ACTS if channel.quantity in (FORCE, GROUND) else MOVES
             return factor_finding(channel, value, of, TOLD * abs(value))
-        return None if abs(delay) < LEAST_DELAY * record.step else late_finding(channel, delay, record.step)
+        return None if abs(delay) < LEAST_DELAY_CAUSE * record.step else late_finding(channel, delay, record.step)
 
     return Cause(record, told, gain, channel)
 

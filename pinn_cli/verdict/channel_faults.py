@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 REPRODUCED = 0.2
 # Readings of 60 random rigs without a fault: factors within 4 % (force with 21 dB of noise), delays within 0.1 sample,
 # offsets within 1.2 % of the channel's rms; up to 7, 10 and 3 standard deviations from what is right.
-LEAST_GAIN, LEAST_DELAY = 0.06, 0.3
+LEAST_GAIN_FAULT, LEAST_DELAY_FAULT = 0.06, 0.3
 # A cause must bring the channel's NMSE down to this share of what it was: a law that is left out turns phases, as a
 # delay does, and leaves more than that.
 MENDS = 0.5
 # A change of sensors is a claim about two channels at once and must mend more.
 MENDS_BY_MOVING = 0.3
 # Two factors or delays are the same within this share.
-SAME = 0.03
+SAME_FACTOR = 0.03
 # Off by no more than this share, a factor is that of a unit.
 UNIT_WITHIN = 0.03
 
@@ -109,7 +109,7 @@ def factor_finding(channel: Channel, value: float, of: str, std: float = 0.0) ->
 def _off(c: Comparison) -> bool:
     """Whether a factor differs from one, wherever between its two readings it lies."""
     low, high = sorted((c.factor.value, c.reverse_factor))
-    outside = low > 1 + LEAST_GAIN or high < 1 / (1 + LEAST_GAIN)
+    outside = low > 1 + LEAST_GAIN_FAULT or high < 1 / (1 + LEAST_GAIN_FAULT)
     return outside and c.factor.differs(1.0, 0.0, DEVIATIONS)
 
 
@@ -119,7 +119,7 @@ def _factor_in_words(value: float, std: float) -> tuple[str, str]:
     if unit:
         return "unit", f"{value:.4g} times ({unit})"
     if value < 0:
-        return "sign", "the negative of" if abs(value + 1) < 2 * LEAST_GAIN else f"{value:.4g} times"
+        return "sign", "the negative of" if abs(value + 1) < 2 * LEAST_GAIN_FAULT else f"{value:.4g} times"
     return "gain", f"{value:.4g} times"
 
 
@@ -132,7 +132,7 @@ def _remedy(kind: str, setting: str, value: float) -> str:
 
 
 def _delay(c: Comparison) -> Finding | None:
-    if not c.delay.differs(0.0, LEAST_DELAY * c.record.step, DEVIATIONS):
+    if not c.delay.differs(0.0, LEAST_DELAY_FAULT * c.record.step, DEVIATIONS):
         return None
     return replace(late_finding(c.channel, c.delay.value, c.record.step), left=c.delay.left)
 
@@ -164,14 +164,14 @@ def _common_fault(found: Sequence[Comparison]) -> Finding | None:
     if not shaken:
         name, setting = f"force of DOF {', '.join(forced)}", "data.force"
     value = float(np.median([f.value for f in factors]))
-    if all(_off(c) for c in found) and all(abs(f.value / value - 1) < SAME for f in factors):
+    if all(_off(c) for c in found) and all(abs(f.value / value - 1) < SAME_FACTOR for f in factors):
         left = max(f.left for f in factors)
         kind, text = _factor_in_words(1 / value, factors[0].std)
         reason = f"every sensor says that the {name} is {text} what acts"
         remedy = _remedy(kind, setting, 1 / value)
         return Finding(kind, name, f"{reason}; {remedy}", left=left) if left <= REPRODUCED else None
     late = float(np.median([d.value for d in delays]))
-    shifted = all(d.differs(0.0, LEAST_DELAY * record.step, DEVIATIONS) for d in delays)
+    shifted = all(d.differs(0.0, LEAST_DELAY_FAULT * record.step, DEVIATIONS) for d in delays)
     if shifted and all(abs(d.value - late) < 0.2 * record.step for d in delays):
         left = max(d.left for d in delays)
         reason = f"every sensor says that the {name} is {abs(late):.4g} s {'early' if late > 0 else 'late'}"

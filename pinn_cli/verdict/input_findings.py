@@ -16,8 +16,8 @@ from pinn_cli.system.connection.base import Hysteresis
 from pinn_cli.system.modes import modes_of
 from pinn_cli.system.quantities import FORCE, GROUND
 from pinn_cli.verdict.finding import Finding, failed_if
-from pinn_cli.verdict.noise_findings import noise_found
 from pinn_cli.verdict.prediction import predicted
+from pinn_cli.verdict.sensor_findings import noise_found
 
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record
@@ -30,17 +30,17 @@ if TYPE_CHECKING:
 UNTOLD = 0.5
 # A peak that stands out by so many dB is no chance; a natural frequency further from it, relative, is another one's; so
 # many are named.
-CLEAR_DB, ELSEWHERE, SHOWN = 10.0, 0.1, 6
+CLEAR_DB, ELSEWHERE, PEAKS_NAMED = 10.0, 0.1, 6
 # Part of the power of the sensors' spectra, in a part of the band, that a model may miss beyond chance.
 MISSED = 0.3
 # Part of the power of the sensors in a part of the band that modes with a measured force may leave beyond noise.
-LEFT = 0.05
+LEFT_OF_POWER = 0.05
 # Standard deviations by which the responses to two motions with the same samples differ, all samples together: by so
 # many a record would tell them apart.
 TOLD_APART = 5.0
 # The upper end of a spectrum, over the Nyquist frequency, and the part of a force's power there that is no noise of a
 # load cell: a white force has a tenth of its power in it.
-UPPER_END, MATTERS = 0.9, 0.02
+UPPER_END, FORCE_MATTERS = 0.9, 0.02
 
 
 def input_findings(problem: Problem, estimate: Estimate, structure: Structure) -> list[Finding]:
@@ -90,7 +90,7 @@ def _modes(found: SpectralEstimate) -> list[Finding]:
     if found.missing is not None:
         text = f"a mode at {found.missing:.4g} Hz is in the band and not in the model"
         return [Finding("missing_mode", "system.modes", f"{text}; ask for more (system.modes)")]
-    if found.misfit <= LEFT:
+    if found.misfit <= LEFT_OF_POWER:
         return []
     share = f"{100.0 * found.misfit:.0f} %"
     text = f"in a part of the band the modes leave {share} of the sensors' power, more than noise does"
@@ -128,7 +128,7 @@ def _resonances(problem: Problem, structure: Structure) -> list[Finding]:
     if not off:
         return []
     shown = ", ".join(f"{p.frequency:.4g}" for p in off)
-    having = ", ".join(f"{f:.4g}" for f in natural[:SHOWN])
+    having = ", ".join(f"{f:.4g}" for f in natural[:PEAKS_NAMED])
     text = f"the sensors show resonances at {shown} Hz, and the estimated structure has none there (it has {having} Hz)"
     remedy = "start elsewhere (scheme.initial), check masses and sensors, or whether a machine runs at that frequency"
     return [Finding("resonances", "parameters", f"{text}; {remedy}", failed_if(len(off) == len(clear)))]
@@ -194,7 +194,7 @@ def _rare_forces(record: Record) -> list[Finding]:
     for channel in channels(record, (FORCE,)) if record.assumed else ():
         frequency, power = periodogram(channel.measured, record.step)
         share = float(power[frequency > UPPER_END * frequency[-1]].sum() / power.sum()) if power.any() else 0.0
-        if share < MATTERS:
+        if share < FORCE_MATTERS:
             continue
         text = (
             f"the {channel.name} has content up to the Nyquist frequency, {0.5 / record.step:.4g} Hz: what acts between"

@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 MOST_MOVED = 4.0
 # What a user says of an unknown parameter is a guess, often a decade off. One and a half decades are no guess any more,
 # and three are another unit.
-DECADES, UNIT_DECADES = 1.5, 2.5
+GUESS_DECADES, UNIT_DECADES = 1.5, 2.5
 # The common spread of the prescribed parameters, in units of what was believed.
 LARGE_SPREAD = 4.0
 # Standard deviation over value up to which an unknown stiffness or mass counts as identified, and any other parameter:
 # damping and nonlinearity show less in a record, and are asked for less closely.
 IDENTIFIED, ROUGHLY_IDENTIFIED = 0.1, 0.5
-NAMED = 4
+PARAMETERS_NAMED = 4
 # Times that finer features may narrow a deviation: what coarser ones cannot follow of a motion is noise to them.
 NARROWED = 2.0
 # Standard deviations of a difference from a baseline, or of a record from all together, and the least one worth a word,
@@ -74,7 +74,7 @@ def _far_from_believed(p: ParameterEstimate) -> Finding | None:
     said = p.parameter.said
     if said > 0 and p.estimate > 0 and not p.parameter.signed:
         decades = math.log10(p.estimate / said)
-        if abs(decades) <= DECADES:
+        if abs(decades) <= GUESS_DECADES:
             return None
         where = "above" if decades > 0 else "below"
         text = f"{p.name} = {p.estimate:.4g} lies {abs(decades):.1f} decades {where} what you say of it, {said:.4g}"
@@ -156,8 +156,8 @@ def _moved(believed: Sequence[ParameterEstimate]) -> list[Finding]:
     far = [(move, p) for move, p in moves if move > MOST_MOVED]
     if not far:
         return []
-    moves_named = ", ".join(f"{p.name} by {move:.3g}" for move, p in far[:NAMED])
-    more = f" and {len(far) - NAMED} more" if len(far) > NAMED else ""
+    moves_named = ", ".join(f"{p.name} by {move:.3g}" for move, p in far[:PARAMETERS_NAMED])
+    more = f" and {len(far) - PARAMETERS_NAMED} more" if len(far) > PARAMETERS_NAMED else ""
     text = f"prescribed parameters moved by many of their prior standard deviations: {moves_named}{more}"
     return [Finding("moved", far[0][1].name, f"{text}; check them, or declare them unknown")]
 

@@ -1,19 +1,24 @@
-"""Sensors that the estimated structure, left to itself under the measured force, does not reproduce."""
+"""Sensors that the estimated structure, left to itself under the measured force, does not reproduce.
+
+What the inferred levels and the residuals say of an estimate: nothing explained, not white, a large discrepancy.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pinn_cli.record.channels import channels
-from pinn_cli.record.response import GROUND
+from pinn_cli.record.channels import Channel, channels, every_channel
+from pinn_cli.record.gauge import GAUGE
+from pinn_cli.record.inputs import input_force
+from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
+from pinn_cli.record.spectrum import usable_periodogram
 from pinn_cli.system.quantities import SUPPORT
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.finding import Finding, failed_if
-from pinn_cli.verdict.noise_findings import noise_found
 from pinn_cli.verdict.prediction import Comparison, comparisons, predicted
 
 if TYPE_CHECKING:
@@ -23,10 +28,26 @@ if TYPE_CHECKING:
     from pinn_cli.training.estimate import Estimate
     from pinn_cli.verdict.prediction import Prediction
 
+
 # NMSE of a free run that needs no excuse, and how many times the excuses' sum it may be: a few draws tell a mean
 # square to within a factor of two or so. At half, nothing is reproduced.
 GOOD, ALLOWED, NOT_AT_ALL = 0.05, 4.0, 0.5
 DRAWS = 2
+# Noise levels are kept above a millionth of the channel's rms: what is found there was not found.
+BOUND = 2e-6
+# A sensor with 10 dB of noise has a third of its rms; at this share there is more noise than motion.
+MOSTLY_NOISE = 0.8
+# Rms of the discrepancy over that of the measured force. A linear model of a Duffing chain has a tenth.
+LARGE_DISCREPANCY, AS_LARGE_AS_FORCE = 0.2, 0.7
+# NMSE of a free run up to which a model is nearly right, however large the force that it leaves out: off resonance a
+# small change of the motion takes a large force.
+NEARLY_PREDICTED = 0.05
+# A white residual's power in one of so many bands is within a factor of two of their median's. The coloured part
+# counts where it is this share of the channel's own power: a gain 7 % off leaves it.
+BANDS, COLOURED, COLOURED_SHARE = 24, 5.0, 0.005
+# Effective parameters over samples of all channels: from here on they are copied rather than estimated.
+COPIED = 0.9
+NOT_CONVERGED = "iteration limit"
 
 
 def sensor_findings(problem: Problem, estimate: Estimate, prediction: Prediction | None) -> list[Finding]:
@@ -114,3 +135,129 @@ def random_structure(problem: Problem, estimate: Estimate, random: np.random.Gen
         for p, move in zip(estimate.parameters, std * z, strict=True)
     ]
     return estimated_structure(problem.structure, moved)
+
+
+def noise_findings(problem: Problem, estimate: Estimate) -> list[Finding]:
+    """Every finding of this page, in the order of the channels."""
+    seen = every_channel(problem.record, (*RESPONSE_QUANTITIES, GROUND, *SUPPORT))
+    found = [f for c in seen for f in (_level(c, estimate), _colour(c, problem.record, estimate)) if f is not None]
+    # Where a force that nobody measured acts on every DOF, or as many act as there are sensors, any motion is rightly
+    # followed.
+    free = len(problem.inputs.forces) >= min(problem.record.ndof, len(seen))
+    copied = [] if free else _copied(problem.record, estimate)
+    return found + _discrepancy(problem, estimate) + copied + _unfinished(estimate)
+
+
+def noise_found(estimate: Estimate, channel: Channel) -> float:
+    """Standard deviation of a sensor's noise that the training found, in its unit; NaN where it gives none."""
+    levels = estimate.summary.get(f"sigma_{channel.quantity if channel.gauge is None else GAUGE}")
+    place = 0 if channel.quantity == GROUND and channel.gauge is None else channel.dof
+    value = levels[place] if isinstance(levels, list | tuple | np.ndarray) and place < len(levels) else None
+    if channel.quantity == GROUND and isinstance(levels, float):
+        value = levels
+    return float("nan") if value is None else float(value)
+
+
+def _level(channel: Channel, estimate: Estimate) -> Finding | None:
+    rms = float(np.std(channel.measured))
+    level = noise_found(estimate, channel)
+    if not np.isfinite(level) or rms == 0:
+        return None
+    if level <= BOUND * rms:
+        text = f"the noise found in the {channel.name} is at its lower bound ({level:.2g}): the record was copied"
+        remedy = "use fewer knots (network.knots_per_period) or more sensors"
+        return Finding("noise_at_bound", channel.name, f"{text}; {remedy}")
+    if level >= MOSTLY_NOISE * rms:
+        share = f"{100 * level / rms:.0f} % of its rms"
+        text = f"the noise found in the {channel.name} is {share}: nothing of it is explained"
+        return Finding("nothing_explained", channel.name, f"{text}; check that sensor and the model", "failed")
+    return None
+
+
+def _colour(channel: Channel, record: Record, estimate: Estimate) -> Finding | None:
+    """Whether what is left of a channel has a band of its own; only power above the median band is held against it."""
+    residual = channel.measured - channel.of(estimate.response)
+    if not np.isfinite(residual).all() or not np.std(channel.measured) > 0:
+        return None
+    frequency, power = (x[1:] for x in usable_periodogram(residual, record.step))
+    pieces = np.array_split(np.arange(len(power)), min(BANDS, max(1, len(power) // 8)))
+    level = np.array([power[piece].mean() for piece in pieces])
+    high = level > COLOURED * np.median(level)
+    share = sum(power[piece].sum() for piece, is_high in zip(pieces, high, strict=True) if is_high) / power.sum()
+    nmse = float(np.mean(residual**2) / np.var(channel.measured))
+    if not high.any() or share * nmse < COLOURED_SHARE:
+        return None
+    worst = pieces[int(np.argmax(level))]
+    where = f"{frequency[worst[0]]:.3g} to {frequency[worst[-1]]:.3g} Hz"
+    text = f"the residual of the {channel.name} is not white: {100 * share:.0f} % of it is in excess, most at {where}"
+    return Finding("not_white", channel.name, f"{text}; check that sensor, or use a model that moves there")
+
+
+def _discrepancy(problem: Problem, estimate: Estimate) -> list[Finding]:
+    """Against the rms of the measured forces, together; where the ground moves, of what moves the masses with it."""
+    levels, record = _numbers(estimate.summary.get("sigma_discrepancy")), problem.record
+    variances = list(np.var(record.force[:, record.sensors("force")], axis=0))
+    if record.ground_acceleration is not None:
+        masses = problem.structure.parameters["m"].detach().cpu().numpy()
+        variances += list((masses * problem.structure.with_ground) ** 2 * np.var(record.ground_acceleration))
+    if record.supports:
+        pushed = np.var(input_force(problem.structure, record), axis=0)
+        variances += list(pushed[pushed > 0.0])
+    if not levels or not variances:
+        return []
+    rms = float(np.sqrt(np.mean(variances)))
+    ratio = max(levels) / rms if rms > 0 else 0.0
+    if ratio < LARGE_DISCREPANCY:
+        return []
+    cell = _numbers(estimate.summary.get("sigma_force"))
+    acting = "the measured force" if record.ground_acceleration is None else "what acts"
+    times_noise = f" and {max(levels) / max(cell):.3g} times the load cell's noise" if cell and max(cell) > 0 else ""
+    text = f"the discrepancy of the model is {100 * ratio:.0f} % of {acting}{times_noise}"
+    remedy = "the model does not hold; check masses, units and the law of the springs"
+    # Of a free run that predicts the sensors nearly all is right.
+    predicts = bool(estimate.stories) and estimate.stories[0].free_run < 100.0 * NEARLY_PREDICTED
+    word = failed_if(ratio >= AS_LARGE_AS_FORCE and not predicts)
+    return [Finding("discrepancy", "model", f"{text}: {remedy}", word)]
+
+
+def _numbers(levels: Any) -> list[float]:
+    """The finite numbers in a level that may be one, a list by DOF, or named."""
+    if isinstance(levels, Mapping):
+        levels = list(levels.values())
+    flat = levels if isinstance(levels, list) else [levels]
+    return [float(x) for x in flat if isinstance(x, int | float) and np.isfinite(x)]
+
+
+def _copied(record: Record, estimate: Estimate) -> list[Finding]:
+    """As many effective parameters as samples, over all response sensors.
+
+    One accelerometer beside a poor load cell is rightly followed wherever it goes; all of them are not.
+    """
+    by_quantity = estimate.summary.get("effective_parameters")
+    if not isinstance(by_quantity, Mapping):
+        return []
+    counts = [(count, len(record.time)) for q in RESPONSE_QUANTITIES for count in by_quantity.get(q, ())]
+    counts += [
+        (count, len(gauge.time))
+        for gauge, count in zip(record.gauges, by_quantity.get(GAUGE, ()), strict=False)
+        if gauge.quantity in RESPONSE_QUANTITIES
+    ]
+    followed, samples = np.sum([each for each in counts if each[0] is not None] or [(0, 1)], axis=0)
+    if followed < COPIED * samples:
+        return []
+    text = f"{followed:.0f} effective parameters follow the {samples:.0f} samples of all response sensors"
+    return [
+        Finding(
+            "copied",
+            "sensors",
+            f"{text}: they were copied; check the model, or use fewer knots (network.knots_per_period)",
+        )
+    ]
+
+
+def _unfinished(estimate: Estimate) -> list[Finding]:
+    """Trainings by gradients always end at their limit, and have no standard deviations."""
+    if estimate.summary.get("stop_reason") != NOT_CONVERGED or np.isnan(estimate.std.displacement).all():
+        return []
+    text = "the training stopped at its iteration limit; raise training.iterations"
+    return [Finding("not_converged", "training", text)]

@@ -16,7 +16,7 @@ from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.training.estimate import ParameterEstimate
-from pinn_cli.training.parameter_draws import drawn_structures, parameter_draws
+from pinn_cli.training.prediction import drawn_structures, parameter_draws
 
 SAMPLES = 151
 MOVED = 0.1 * np.sin(np.outer(np.linspace(0.0, 3.0, SAMPLES), [2.0, 3.0]))

@@ -10,7 +10,7 @@ import pytest
 from small_problems import measured, small_chain
 
 from pinn_cli.record.record import Measurements
-from pinn_cli.scheme.bayesian import WIDTH, Bayesian
+from pinn_cli.scheme.bayesian import GAUSSIAN_WIDTH, Bayesian
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.starts import parameter_starts
@@ -101,7 +101,7 @@ def test_training_works_under_gaussians_that_are_wider_than_a_prior_that_was_cho
     for parameter in posed(measurements, priors=chosen).uncertain:
         assert np.isfinite(parameter.prior_std)
         if parameter.kind == "k" or parameter.name == "c_1":
-            assert parameter.prior_std >= WIDTH * parameter.prior.std
+            assert parameter.prior_std >= GAUSSIAN_WIDTH * parameter.prior.std
         else:
             assert parameter.prior_std == pytest.approx(PRIOR_WIDTH * parameter.scale)
 

@@ -18,7 +18,7 @@ from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulated import Noise
 from pinn_cli.record.simulation import simulate
-from pinn_cli.scheme.channel_doubts import doubts_about
+from pinn_cli.scheme.calibration import doubts_about
 from pinn_cli.scheme.linear_fit import JointFit, LinearFit, LinearStructure, spectra_under, what_acts
 from pinn_cli.scheme.screening import screened
 from pinn_cli.system.building import chain_of

@@ -12,7 +12,7 @@ from pinn_cli.model.knowledge import Levels, ParameterKnowledge
 from pinn_cli.scheme.problem import JointPrior, Problem
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
-from pinn_cli.training.common_spread import common_spread, under_spread
+from pinn_cli.training.updating import common_spread, under_spread
 
 PRESCRIBED, FIRST = np.array([2.0, 3.0, 5.0, np.nan]), np.array([0.2, 0.3, 0.5, 50.0])
 TRUE = np.array([2.02, 3.02, 4.96, 7.0])

@@ -22,7 +22,7 @@ from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
 from pinn_cli.training.steps.discrepancy_search import scanned
-from pinn_cli.training.steps.independent_values import widened
+from pinn_cli.training.steps.windows_discrepancy import widened
 
 DURATION, SAMPLES, INTERVALS = 12.0, 513, 120
 

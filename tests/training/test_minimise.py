@@ -22,9 +22,9 @@ from pinn_cli.training.least_squares import LeastSquares
 from pinn_cli.training.minimise import FIRST_DAMPING, minimise
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.normal_matrix.shared_border import SharedSystem
+from pinn_cli.training.normal_matrix.bordered import SharedSystem
 from pinn_cli.training.point import Point
-from pinn_cli.training.reported.dissipated_energy import dissipated_energy
+from pinn_cli.training.reported.connection_forces import dissipated_energy
 
 
 def stiffnesses(structure) -> tuple[Parameter, ...]:

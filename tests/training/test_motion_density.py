@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from pinn_cli.training.motion_density import log_density, seen_powers
+from pinn_cli.training.record_evidence import log_density, seen_powers
 
 DEGREE = 6
 

@@ -23,8 +23,7 @@ from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
-from pinn_cli.training.reported.agreement import own_information
-from pinn_cli.training.reported.posterior_estimate import posterior_estimate
+from pinn_cli.training.reported.posterior_estimate import own_information, posterior_estimate
 from pinn_cli.training.starting_noise import starting_noise
 
 STIFFNESSES = tuple(Parameter("k", i, 15.0, 150.0, unknown=True, positive=True) for i in range(2))

@@ -15,10 +15,9 @@ from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.topology import build_structure
 from pinn_cli.training.estimated_structure import estimated_structure
-from pinn_cli.verdict.noise_findings import noise_findings
 from pinn_cli.verdict.parameter_findings import baseline_findings, parameter_findings
 from pinn_cli.verdict.prediction import predicted
-from pinn_cli.verdict.sensor_findings import random_structure, sensor_findings
+from pinn_cli.verdict.sensor_findings import noise_findings, random_structure, sensor_findings
 
 
 def kinds(findings):

@@ -20,8 +20,7 @@ from pinn_cli.system.connection import Linear
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import Change, Changes, Estimate, ParameterEstimate
 from pinn_cli.verdict.finding import Finding, Verdict
-from pinn_cli.verdict.judge import judge
-from pinn_cli.verdict.records import change_findings, verdict_of_records
+from pinn_cli.verdict.judge import change_findings, judge, verdict_of_records
 
 
 def estimate(chance: float, *changed: int) -> SimpleNamespace:

@@ -22,7 +22,7 @@ from pinn_cli.system.modes import modes_of
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Estimate
-from pinn_cli.verdict.noise_findings import noise_found
+from pinn_cli.verdict.sensor_findings import noise_found
 
 ROWS_IN_FULL = 8  # more sensors than these: those with the largest NMSE
 LAGS_SHOWN = 40

@@ -25,13 +25,13 @@ from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.system.frequency_response import real_rows
 
 # Of the filter, at lines that are used: further out, noise that leaks there from the band is larger than their own.
-LEAST_GAIN = 0.7
+LEAST_FILTER_GAIN = 0.7
 # Damping ratios that a mode may have.
 LEAST_RATIO, LARGEST_RATIO = 1e-4, 0.3
 # Modes outside the band reach so far beyond its edges: further ones are the mass line and the stiffness line.
 BEYOND = 1.5
 # The two modes that stand for all further ones: frequencies over the band's edges, and their damping ratio.
-BELOW_EDGE, ABOVE_EDGE, RESIDUAL_RATIO = 0.25, 4.0, 0.01
+MODE_BELOW, MODE_ABOVE, RESIDUAL_RATIO = 0.25, 4.0, 0.01
 # Powers of s in the leakage of all that no mode of the model leaks.
 LEAKAGE_POWERS = 4
 # Part of its width from another mode within which a mode is at the same place.
@@ -41,10 +41,10 @@ NOISE_ROUNDS = 4
 # A mode whose damping ratio is at the limit is none.
 NEARLY = 0.98
 # Lines of the parts of a band in which a misfit is looked for; one less probable than this is no chance.
-LINES_IN_PART, IMPROBABLE = 12, 1e-4
+LINES_IN_PART, IMPROBABLE_PART = 12, 1e-4
 # A noise level lies above this part of the response.
 FINEST_NOISE = 1e-6
-EVALUATIONS = 60
+FIT_EVALUATIONS = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ class BandSpectra:
         columns = [record.force[:, driven], *(getattr(record, q)[:, dof] for q, dof in sensors)]
         frequency = np.fft.rfftfreq(len(record.time), record.step)
         gain = record.band.gain(frequency)
-        lines = gain > LEAST_GAIN
+        lines = gain > LEAST_FILTER_GAIN
         spectra = np.fft.rfft(np.stack(columns, axis=1), axis=0)[lines] / gain[lines, None]
         response = spectra[:, 1:]
         scale = np.sqrt(np.mean(np.abs(response) ** 2, axis=0))
@@ -192,7 +192,7 @@ class ModalFit:
         lines = np.array_split(np.arange(len(self.left)), max(1, len(self.left) // LINES_IN_PART))
         for part in lines:
             power = np.abs(self.left[part]) ** 2
-            if chdtrc(2 * power.size, 2.0 * float(power.sum())) * len(lines) < IMPROBABLE:
+            if chdtrc(2 * power.size, 2.0 * float(power.sum())) * len(lines) < IMPROBABLE_PART:
                 worst = max(worst, float(np.sum(np.abs(self.missed[part]) ** 2) / np.sum(own[part])))
         return worst
 
@@ -333,7 +333,7 @@ def _moved(model: BandModel, x: np.ndarray, roots: np.ndarray) -> np.ndarray:
     start = np.clip(x, bounds[0] + 1e-9, bounds[1] - 1e-9)
     found = least_squares(
         lambda x: solved(x).residual, start, lambda x: model.slopes_left(x, roots, solved(x))[0],
-        bounds=bounds, x_scale=np.concatenate((np.exp(x[count:]), np.ones(count))), max_nfev=EVALUATIONS, xtol=1e-9,
+        bounds=bounds, x_scale=np.concatenate((np.exp(x[count:]), np.ones(count))), max_nfev=FIT_EVALUATIONS, xtol=1e-9,
     )  # fmt: skip
     return np.asarray(found.x)
 
@@ -410,7 +410,7 @@ def _found(model: BandModel, x: np.ndarray, noise: Noise, response: np.ndarray) 
 
 def _with_residual(omega: np.ndarray, zeta: np.ndarray, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies, rad/s, and ratios with those of the modes that stand for all far outside the band."""
-    far = 2.0 * np.pi * np.array([BELOW_EDGE * band[0], ABOVE_EDGE * band[1]])
+    far = 2.0 * np.pi * np.array([MODE_BELOW * band[0], MODE_ABOVE * band[1]])
     return np.concatenate((omega, far)), np.concatenate((zeta, [RESIDUAL_RATIO] * 2))
 
 

@@ -20,7 +20,7 @@ SPLITS = 0.7, 1.4
 TRIED_AT_ONCE = 48
 # What a mode more explains at the least, in nepers of what is left: no structure is quite linear, and its spectra quite
 # those of modes.
-LEAST_GAIN = 0.05
+LEAST_EXPLAINED = 0.05
 
 
 def searched(spectra: BandSpectra, count: int | None = None, starts: Sequence[float] = ()) -> ModalFit:
@@ -70,7 +70,7 @@ def gain(before: ModalFit, after: ModalFit) -> float:
     if not after.is_distinct:
         return -np.inf
     lines, sensors = before.left.shape
-    price = max(0.5 * (2 + 3 * sensors) * np.log(2.0 * lines * sensors), LEAST_GAIN * lines * sensors)
+    price = max(0.5 * (2 + 3 * sensors) * np.log(2.0 * lines * sensors), LEAST_EXPLAINED * lines * sensors)
     return after.log_likelihood - before.log_likelihood - price
 
 

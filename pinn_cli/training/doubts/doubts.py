@@ -42,21 +42,21 @@ from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 # Least discrepancy over the rms force of the connections, and least noise of a sensor over the rms of the largest one
 # of its kind. Stiffer equations take all but the last digits of a column's information; at a resonance of 1 % damping
 # this much is half a per cent of the motion. What is smaller, far from where anything acts, is not asked.
-LEAST = 1e-4
+LEAST_LEVEL = 1e-4
 # Logarithm of how many times as probable a record must be with a doubt: among some hundred doubts, by chance once in a
 # hundred records.
-DECISIVE = 10.0
+DECISIVE_DOUBT = 10.0
 # Kinds that have one sign, and the share of its logarithm that what comes early has to lose against what comes late.
 ONE_SIGN, EARLY = (HIGH_PASS, FRICTION, BACKLASH, HYSTERESIS), 0.1
 # Part of the first doubt's logarithm that a further one must have, or it may be what a linear test leaves of the first;
 # and doubts that are told of one record.
-BESIDE = 0.1
+FURTHER_SHARE = 0.1
 MOST_CHOSEN = 3
 # How far the shapes of a term that is told are from each other, over those that are tried at first; in turn.
 SPANS = (0.75, 0.25, 0.08)
 # Products of columns, at every readout weight, that are added up: some seconds, and a gigabyte. A larger record is not
 # asked.
-MOST_PRODUCTS = 2e10
+MOST_DOUBT_PRODUCTS = 2e10
 
 
 def doubts(evidence: RecordEvidence, solution: RecordSolution, std: Response) -> tuple[Doubt, ...]:
@@ -74,7 +74,7 @@ def doubts(evidence: RecordEvidence, solution: RecordSolution, std: Response) ->
         return ()
     reduced = _Solution.of(evidence, solution)
     forces, sensors = force_terms(equations, point), sensor_terms(reduced.channels) if reduced else []
-    if reduced is None or equations.layout.size * (len(forces) + len(sensors)) ** 2 > MOST_PRODUCTS:
+    if reduced is None or equations.layout.size * (len(forces) + len(sensors)) ** 2 > MOST_DOUBT_PRODUCTS:
         return ()
     chosen, gains = _chosen(reduced, forces, sensors)
     if not chosen:
@@ -94,7 +94,7 @@ def _chosen(
     gains: list[float] = []
     while len(chosen) < MOST_CHOSEN:
         best, gain = solution.asked([*chosen, *forces, *sensors]).best(len(chosen))
-        if not gain > max([DECISIVE, *(BESIDE * first for first in gains[:1])]):
+        if not gain > max([DECISIVE_DOUBT, *(FURTHER_SHARE * first for first in gains[:1])]):
             break
         for span in SPANS:
             finer = best.finer(span) if isinstance(best, ForceTerm) else []
@@ -250,16 +250,16 @@ class _Asked:
 
 
 def _softened(evidence: RecordEvidence, noise: NoiseModel, force: float) -> NoiseModel:
-    """Noise levels of which none is below `LEAST`; ``force`` is that of the connections, N, rms."""
+    """Noise levels of which none is below `LEAST_LEVEL`; ``force`` is that of the connections, N, rms."""
     largest: defaultdict[str, float] = defaultdict(float)
     every = evidence.equations.channels
     for sensor in (sensor for channels in every for sensor in channels.sensors if sensor is not None):
         largest[sensor.quantity] = max(largest[sensor.quantity], float(sensor.values.std()))
     response = dict(noise.response)
     for channels in every:
-        least = [np.nan if sensor is None else LEAST * largest[sensor.quantity] for sensor in channels.sensors]
+        least = [np.nan if sensor is None else LEAST_LEVEL * largest[sensor.quantity] for sensor in channels.sensors]
         response[channels.name] = np.maximum(noise.response[channels.name], least)
-    return replace(noise, discrepancy=max(noise.discrepancy, LEAST * force), response=response)
+    return replace(noise, discrepancy=max(noise.discrepancy, LEAST_LEVEL * force), response=response)
 
 
 def _rms_force(equations: NormalEquations, point: Point) -> float:

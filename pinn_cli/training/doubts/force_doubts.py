@@ -30,7 +30,7 @@ from pinn_cli.training.point import Point
 # Oscillators that are attached are tried at frequencies in this ratio at first, or in a larger one, and damped so that
 # they reach each other; then nearer, with these damping ratios. Periods in the record of the lowest, and how many are
 # tried in all.
-RATIO, DAMPED, PERIODS, MOST_OSCILLATORS = 1.08, (0.005, 0.015, 0.04), 8.0, 160
+OSCILLATOR_RATIO, DAMPED, OSCILLATOR_PERIODS, MOST_OSCILLATORS = 1.08, (0.005, 0.015, 0.04), 8.0, 160
 # Shapes of a term that are tried at once.
 FINER = 7
 
@@ -162,11 +162,11 @@ class _Forces:
         """One mode more, on a DOF with a sensor or under a force."""
         record, inputs = self.equations.problem.record, self.equations.problem.record.sensors(FORCE)
         dofs = np.flatnonzero(np.any([inputs, *(record.sensors(q) for q in MOTION)], axis=0)).tolist()
-        lowest, highest = PERIODS / record.duration, self.highest
+        lowest, highest = OSCILLATOR_PERIODS / record.duration, self.highest
         each, reach = MOST_OSCILLATORS // max(len(dofs), 1), np.log(max(highest / lowest, 1.0))
         if not each:
             return
-        ratio = max(RATIO, float(np.exp(reach / each)))
+        ratio = max(OSCILLATOR_RATIO, float(np.exp(reach / each)))
         # At the edge of the band an oscillator is what a mass is.
         for frequency in highest / ratio ** np.arange(1, 1 + int(reach / np.log(ratio) * (1.0 - 1e-9))):
             yield from (self.of_oscillator(float(frequency), dof, ratio, (ratio - 1.0) / 2.0) for dof in dofs)

@@ -31,7 +31,7 @@ from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
 
 # Bands are this much wider than high, but have so many residuals of every sensor.
-RATIO, FEWEST = 1.25, 16
+BAND_RATIO, FEWEST_IN_BAND = 1.25, 16
 # No band is taken to be less noisy than the noisiest one by more than this (variance).
 QUIETEST = 1e-12
 # A channel's power over that of its noise from which on a band tells of the motion.
@@ -39,7 +39,7 @@ SIGNAL = 10.0
 # Share of the power of a coordinate's velocity in the bands where it moves.
 MOVING = 0.95
 # Rounds of weighted least squares at most, and the change of minus the logarithm that ends them.
-ROUNDS, SETTLED = 8, 0.01
+WEIGHTED_ROUNDS, WEIGHTED_SETTLED = 8, 0.01
 # Added to the diagonal of scaled normal equations: columns may be the same.
 SINGULAR = 1e-13
 
@@ -85,7 +85,7 @@ class LeftSpectra:
         own, prior, energy = self.gram[:, 1 + at][:, :, 1 + at], self.precision[np.ix_(at, at)], start
         across, x, inverse = self.gram[:, 1 + at, 0], np.zeros(len(at)), np.zeros((len(at), len(at)))
         minus_log = np.inf
-        for _ in range(ROUNDS):
+        for _ in range(WEIGHTED_ROUNDS):
             weight = self.freedom / np.maximum(energy, QUIETEST * energy.max())
             inverse = _inverse(np.einsum("b,bij->ij", weight, own) + prior)
             x = -inverse @ (weight @ across + self.pull[at])
@@ -93,7 +93,7 @@ class LeftSpectra:
             kept = np.concatenate(([0], 1 + at))
             energy = (self.gram[:, kept][:, :, kept] @ every) @ every
             last, minus_log = minus_log, self._minus_log(energy) + float((0.5 * x @ prior + self.pull[at]) @ x)
-            if abs(last - minus_log) < SETTLED:
+            if abs(last - minus_log) < WEIGHTED_SETTLED:
                 break
         step, information = np.zeros(len(self.pull)), np.zeros(len(self.pull))
         step[at], information[at] = x, 1.0 / np.maximum(np.diag(inverse), 1e-300)
@@ -120,7 +120,7 @@ def bands_of(length: float, highest: float, least: int) -> np.ndarray:
     """Edges, Hz, of bands of a record so long, s; each has at least so many of its cosines."""
     edges, step = [0.75 / length], 0.5 / length
     while edges[-1] < highest:
-        edges.append(max(edges[-1] * RATIO, edges[-1] + least * step))
+        edges.append(max(edges[-1] * BAND_RATIO, edges[-1] + least * step))
     edges[-1] = highest
     if len(edges) > 2 and edges[-1] - edges[-2] < least * step:
         del edges[-2]
@@ -162,7 +162,7 @@ def left_spectra(
     highest = 0.5 * min(equations.network.free_intervals, 1.0 / equations.problem.record.step)
     enforced = torch.nonzero(equations.target.equation).flatten().tolist()
     smooth = range(equations.dynamics.smooth.start, equations.dynamics.smooth.stop)
-    edges = bands_of(length, highest, FEWEST)
+    edges = bands_of(length, highest, FEWEST_IN_BAND)
     time = equations.target.physics_time
     of_equations = _of_equations(equations, point, noise, forces, moved)
     step = 1.0 / equations.network.free_intervals if equations.averages is not None else float(time[1] - time[0])

@@ -21,7 +21,7 @@ GAIN, DELAY, TILT, HIGH_PASS = "gain", "delay", "tilt", "high_pass"
 COMMON = (TILT, HIGH_PASS)
 # Of a record, the periods of the lowest corner of a filter that is tried; each next one is twice as high, as long as
 # what the filter takes has no more than half of the channel's power.
-PERIODS, MOST_TAKEN = 2.0, 0.5
+CORNER_PERIODS, MOST_TAKEN = 2.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def _taken(channel: ChannelAtPoint) -> dict[float, np.ndarray]:
     differentiated = ("acceleration", "velocity", GROUND)
     if SUPPORT.get(channel.quantity, channel.quantity) not in differentiated or np.ptp(steps) > 0.02 * steps[0]:
         return out
-    corner, felt = PERIODS / (channel.time[-1] - channel.time[0]), channel.gain * channel.felt
+    corner, felt = CORNER_PERIODS / (channel.time[-1] - channel.time[0]), channel.gain * channel.felt
     while True:
         kept = float(np.exp(-2.0 * np.pi * corner * steps[0]))
         slow = solve_banded((1, 0), np.outer((1.0, -kept), np.ones(len(felt))), (1.0 - kept) * felt)

@@ -1,4 +1,10 @@
-"""Channels with samples and a calibration of their own: its numbers are known, believed or unknown."""
+"""Channels with samples and a calibration of their own: its numbers are known, believed or unknown.
+
+The equation of a sensor's high-pass filter: p^(order) + ... + a_0 p = x, of which the sensor shows p^(order).
+
+The state p is a function of time as the motion is, and x is what the sensor feels. The equation holds on the average
+over every knot interval, as the equation of motion does.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +19,9 @@ from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.record.channels import channel_name, sensor_name
-from pinn_cli.record.gauge import DELAYS_ALLOWED, GAUGE, Gauge
-from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE, GROUND
+from pinn_cli.record.gauge import DELAYS_ALLOWED, GAUGE, Gauge, filter_polynomial
+from pinn_cli.system.functions import Jet
+from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE, GROUND, HIGH_PASS
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint, Part
 from pinn_cli.training.factors.factor import Channels, Factor, Piece
 from pinn_cli.training.factors.feels import Feels, WeightedSum, felt_by, weighted
@@ -23,6 +30,9 @@ from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_matrix.row_sums import Rows, RowSums, Touched
 from pinn_cli.training.point import Point
 from pinn_cli.training.sensor_samples import SensorSamples
+
+# What the equation may leave, over the rms of the channel: less than any sensor's noise.
+EXACT = 1e-4
 
 
 class Moment(NamedTuple):
@@ -77,7 +87,7 @@ class CalibratedChannel:
         places: Kind of a number of its calibration that is uncertain to its place among all parameters.
         time, measured: (J,), s, and samples that felt a motion within the record.
         feels: What it feels before a filter.
-        state: The function that is the state of its filter, see :mod:`pinn_cli.training.factors.sensor_filter`; None:
+        state: The function that is the state of its filter, see the top of this page; None:
             it is behind none.
     """
 
@@ -337,3 +347,63 @@ def summed_features(
         added = (factor[..., None] if isinstance(factor, Tensor) and factor.ndim else factor) * features(order)
         found[function] = found[function] + added if function in found else added
     return {function: gain * phi for function, phi in found.items()}
+
+
+class SensorFilter(Factor):
+    """That of one channel.
+
+    Args:
+        frame: Of the record.
+        channel: Which has a state.
+        state: The function that is.
+    """
+
+    name = "filter"
+
+    def __init__(self, frame: Frame, channel: CalibratedChannel, state: int) -> None:
+        super().__init__(frame)
+        self.channel, self.state, self.order = channel, state, channel.gauge.filter_order
+        self.segments, averages = frame.physics, frame.averages
+        own = (self.segments.displacement, self.segments.velocity, self.segments.acceleration)
+        self.features = own if averages is None else tuple(averages(phi) for phi in own)
+        values = channel.gauge.values
+        self.weight = (EXACT * (float(np.std(values)) or 1.0)) ** -2
+
+    def _corner(self, parameters: Mapping[str, Tensor]) -> float:
+        return 2.0 * math.pi * float(self.channel.value(HIGH_PASS, parameters))
+
+    def _jet(self, point: Point) -> Jet:
+        """Functions at the points, or their averages."""
+        local = self.frame.layout.weights(point.unknowns)[self.segments.feature]
+        return Jet(*(phi @ local for phi in self.features))
+
+    def _state(self, parameters: Mapping[str, Tensor]) -> list[Part]:
+        """What the state asks for."""
+        polynomial = filter_polynomial(self._corner(parameters), self.order)
+        return [Part(self.state, order, a) for order, a in enumerate(polynomial)]
+
+    def residual(self, point: Point) -> Tensor:
+        """(I, 1), or (I, S) at points, what the state asks for less what is felt."""
+        return self._left(self._jet(point), self.frame.parameters(point))
+
+    def _left(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Tensor:
+        asked = WeightedSum(self._state(parameters)).value(jet, parameters)
+        return asked - self.channel.feels.value(jet, parameters)
+
+    def loss(self, point: Point, noise: NoiseModel) -> float:
+        """See :meth:`Factor.loss`."""
+        return self.weight * float(self.residual(point).square().sum())
+
+    def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
+        """See :meth:`Factor.add_to`."""
+        jet, parameters, spread = self._jet(point), self.frame.parameters(point), self.frame.spread_by_place
+        felt, by = self.channel.feels.linearised(jet, parameters)
+        parts = self._state(parameters) + [Part(f, order, -w) for f, order, w in felt]
+        by, corner = {place: -column for place, column in by.items()}, self._corner(parameters)
+        if HIGH_PASS in self.channel.places:
+            slope = (1.0,) if self.order == 1 else (2.0 * corner, math.sqrt(2.0))
+            of_state = WeightedSum([Part(self.state, order, 2.0 * math.pi * a) for order, a in enumerate(slope)])
+            by[self.channel.places[HIGH_PASS]] = of_state.value(jet, parameters)
+        columns = {place: spread[place] * column for place, column in by.items()}
+        features = summed_features(parts, self.features.__getitem__)
+        add_products(sums, self.segments, features, self._left(jet, parameters), columns, self.weight)

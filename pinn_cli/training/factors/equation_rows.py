@@ -20,7 +20,7 @@ from pinn_cli.training.subdomains import Subdomains
 
 # Numbers of rows, or of their products, that are held at once: a whole spline of a small chain, little enough for the
 # caches, and no more than that for Fourier features.
-CHUNK = 2_000_000
+ROW_NUMBERS_AT_ONCE = 2_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ class EquationRows:
         """Every row by all functions: those of all functions at once are as many rows of a group."""
         groups, features = segments.feature.shape
         n = len(self.pattern.coupled)
-        chunk = max(1, CHUNK // (features * n + self.pattern.count + 1) ** 2)
+        chunk = max(1, ROW_NUMBERS_AT_ONCE // (features * n + self.pattern.count + 1) ** 2)
         for start in range(0, groups, chunk):
             part = slice(start, start + chunk)
             jacobian, parameter = self._by_every_function(segments, averages, part)
@@ -129,7 +129,7 @@ class EquationRows:
         """Every row by the functions in its slots: rows of one function after the other."""
         pattern, (groups, samples, n) = self.pattern, residual.shape
         width = len(pattern.offsets) * segments.feature.shape[1]
-        chunk = n if averages is not None else max(1, CHUNK // (groups * width * max(samples, width)))
+        chunk = n if averages is not None else max(1, ROW_NUMBERS_AT_ONCE // (groups * width * max(samples, width)))
         for first in range(0, n, chunk):
             count = min(chunk, n - first)
             dofs = pattern.standing(first, first + count)

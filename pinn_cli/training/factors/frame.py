@@ -31,7 +31,7 @@ from pinn_cli.training.subdomains import Subdomains
 # Numbers of the linearised equation of motion that are held at once: little enough for the caches.
 ROWS_AT_ONCE = 1_000_000
 # Numbers of a motion up to which all its windows are kept until the point changes; of a longer one the last is.
-KEPT = 4_000_000
+KEPT_NUMBERS = 4_000_000
 # Covariances that are taken from the inverse at once, at least.
 FEWEST_COVARIANCES = 64
 EVERY = slice(None)
@@ -146,7 +146,7 @@ class Frame:
             self._kept_point, self._kept_states = point, {}
         key = id(segments), part.start, part.stop
         if key not in self._kept_states:
-            if segments.mask.numel() * self.dynamics.size > KEPT:
+            if segments.mask.numel() * self.dynamics.size > KEPT_NUMBERS:
                 self._kept_states = {}
             self._kept_states[key] = self.fresh_states(segments.part(part), point)
         return self._kept_states[key]

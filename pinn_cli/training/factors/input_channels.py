@@ -32,8 +32,7 @@ from pinn_cli.record.channels import channel_name
 from pinn_cli.record.spectrum import noise_level
 from pinn_cli.system.functions import FLAT
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint, Part
-from pinn_cli.training.factors.constant_channels import ConstantChannels
-from pinn_cli.training.factors.constant_rows import ConstantRows
+from pinn_cli.training.factors.constant_channels import ConstantChannels, ConstantRows
 from pinn_cli.training.factors.frame import Frame
 from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
 from pinn_cli.training.point import Point

@@ -28,7 +28,7 @@ from pinn_cli.training.point import Point
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
 # Standard deviations of a mode's motion, over what a force that acts on all modes alike would make it.
-WIDE = 3.0
+MODE_WIDTH = 3.0
 # Damping ratio of modes at least, and frequencies at which their response is summed up.
 LEAST_DAMPING, FREQUENCIES = 0.02, 4096
 
@@ -56,7 +56,7 @@ def modal_deviation(problem: Problem) -> np.ndarray | None:
     level = force_and_velocity_scale(problem)[0]
     if seen:
         level = motion_amplitudes(record)["acceleration"] / float(np.sqrt(of_dofs.mean()))
-    deviation: np.ndarray = WIDE * level * np.sqrt(np.stack((velocity, acceleration), axis=1))
+    deviation: np.ndarray = MODE_WIDTH * level * np.sqrt(np.stack((velocity, acceleration), axis=1))
     return deviation
 
 

@@ -18,9 +18,8 @@ from pinn_cli.training.function_space.feature_system import (
     feature_operations,
     follows_features,
 )
-from pinn_cli.training.function_space.kernel import Block, pull, push
 from pinn_cli.training.function_space.network_frame import NetworkFrame
-from pinn_cli.training.function_space.system import DenseSystem, Linearised, System, dense_operations
+from pinn_cli.training.function_space.system import Block, DenseSystem, Linearised, System, dense_operations, pull, push
 from pinn_cli.training.minimise import FIRST_DAMPING
 from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.point import Point
@@ -152,7 +151,7 @@ class SolvedStep:
     forces: slice
 
     def step(self, system: NetworkSystem, room: np.ndarray) -> tuple[Tensor, np.ndarray]:
-        """See :meth:`pinn_cli.training.normal_matrix.shared_border.SharedFactor.step`; bounds are met by moving."""
+        """See :meth:`pinn_cli.training.normal_matrix.bordered.SharedFactor.step`; bounds are met by moving."""
         return self.way
 
 

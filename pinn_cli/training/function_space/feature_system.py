@@ -19,8 +19,7 @@ from torch import Tensor
 from pinn_cli.network.mlp import MlpNetwork
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.function_space.block_cholesky import BlockCholesky, BlockPattern, Blocks, entry
-from pinn_cli.training.function_space.kernel import Block, pull, push, sum_of
-from pinn_cli.training.function_space.system import PROBES, Linearised, System, probes
+from pinn_cli.training.function_space.system import TRACE_PROBES, Block, Linearised, System, probes, pull, push, sum_of
 
 Operator = Callable[[Tensor], Tensor]
 """From (M, k) to (M, k), symmetric and positive definite."""
@@ -219,5 +218,5 @@ def feature_operations(blocks: Sequence[Block]) -> float:
     weights += features * len(pattern.order)
     points = sum(4.0 * len(block.layers[0].inputs) * block.points for block in blocks)
     each = points * weights + 4.0 * features**2 * len(pattern.places)
-    columns = USUAL_ITERATIONS + USUAL_PROBE_ITERATIONS * PROBES
+    columns = USUAL_ITERATIONS + USUAL_PROBE_ITERATIONS * TRACE_PROBES
     return together * features**2 + pattern.operations * features**3 + columns * each

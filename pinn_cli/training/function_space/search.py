@@ -25,13 +25,13 @@ KEPT_PROMISE, SETTLED_ENOUGH = 1.5, 0.7
 LARGEST_FALL, LARGEST_RISE = 0.1, 4.0
 # Relative change below which levels have settled. Without model error the discrepancy may fall for ever; then this many
 # steps without a gain are enough.
-LEVEL_TOLERANCE, PATIENCE = 0.1, 4
+LEVEL_TOLERANCE, IDLE_STEPS = 0.1, 4
 # The same of the parameters' spread, which a few parameters tell to some tens of percent.
 SPREAD_TOLERANCE = 0.2
 # A discrepancy below this fraction of the force is below what the best load cells tell; one below that fraction of a
 # load cell's own noise makes no motion better known. Stiffer physics only leaves it to the parameters to make up for
 # what the network cannot follow.
-FINEST_DISCREPANCY, FINEST_OF_NOISE = 3e-4, 0.02
+FINEST_OF_FORCE, FINEST_OF_LOAD_CELL = 3e-4, 0.02
 
 
 class FunctionSpaceSearch(Stepwise):
@@ -138,15 +138,15 @@ class FunctionSpaceSearch(Stepwise):
     def _judge(self, gained_nothing: bool, nothing_to_gain: bool, settled: bool) -> None:
         """End once the levels stay and the residuals promise nothing, or nothing was gained for long."""
         self.idle = self.idle + 1 if gained_nothing else 0
-        if self.idle >= PATIENCE or (nothing_to_gain and settled):
+        if self.idle >= IDLE_STEPS or (nothing_to_gain and settled):
             self.stop_reason = "converged"
 
     @property
     def _finest(self) -> float:
         """The least discrepancy that is looked for, N."""
         measured = self.model.force[np.isfinite(self.model.force)]
-        of_noise = FINEST_OF_NOISE * float(measured.min()) if measured.size else 0.0
-        return max(FINEST_DISCREPANCY * self.largest, of_noise)
+        of_noise = FINEST_OF_LOAD_CELL * float(measured.min()) if measured.size else 0.0
+        return max(FINEST_OF_FORCE * self.largest, of_noise)
 
     def _note(self, losses: Mapping[str, float]) -> None:
         weights = {**noise_weights(self.model), "weights": self.equations.precision}

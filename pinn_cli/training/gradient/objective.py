@@ -12,8 +12,7 @@ from torch.nn.utils import parameters_to_vector
 
 from pinn_cli.network.base import Network
 from pinn_cli.settings.errors import DivergenceError
-from pinn_cli.training.gradient.loss_weights import EQUALISED, FIXED, PHYSICS, equalised_weights, fixed_weights
-from pinn_cli.training.gradient.losses import Losses
+from pinn_cli.training.gradient.losses import EQUALISED, FIXED, PHYSICS, Losses, equalised_weights, fixed_weights
 from pinn_cli.training.learned_parameters import LearnedParameters
 
 # Residuals are over the largest measured value, so this loss is some million times what any start gives.
@@ -46,7 +45,7 @@ class Objective:
         losses: The terms.
         network: Its weights are moved.
         parameters: Of the chain; the uncertain ones are moved.
-        weights: Of the terms, see :func:`pinn_cli.training.gradient.loss_weights.checked_weights`.
+        weights: Of the terms, see :func:`pinn_cli.training.gradient.losses.checked_weights`.
 
     Attributes:
         weights: By term.

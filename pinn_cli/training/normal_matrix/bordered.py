@@ -1,17 +1,28 @@
-"""Symmetric positive definite systems of many readout weights, with few system parameters as a border."""
+"""Symmetric positive definite systems of many readout weights, with few system parameters as a border.
+
+Bordered systems of several records that share their parameters: each record's band, and one border for all.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter, itemgetter
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.optimize import nnls
 from scipy.sparse import csr_matrix
 
+from pinn_cli.runs.side_by_side import Items
 from pinn_cli.training.normal_matrix.diagonals import Diagonals
+from pinn_cli.training.normal_matrix.dissection import FrontTree
 from pinn_cli.training.normal_matrix.elimination import Elimination
-from pinn_cli.training.normal_matrix.front_tree import FrontTree
+
+# Steps that a bounded solution may take per parameter; one or two is the rule.
+NNLS_STEPS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,3 +153,116 @@ class BorderedFactor(ParameterFactor):
         through = solve_triangular(self.schur, by_parameter - taken, lower=True)
         deviation: np.ndarray = np.sqrt(np.sum(own**2, axis=0) + np.sum(through**2, axis=0))
         return deviation
+
+
+@dataclass(frozen=True, eq=False)
+class SharedSystem:
+    """Normal equations of all records, one as well; those of each stay where the record is.
+
+    Attributes:
+        members: Where the records are.
+        columns: Of every record, the places of its own parameters among all p.
+        systems: A :class:`BorderedSystem` of every record.
+        repeated: (p,), what the corners of several records have of the parameters' prior beyond once.
+        pull: (p,), the same of their gradients.
+        held: (p, p), covariance of parameters that something else determines: they stay where they are; None: nothing
+            has.
+    """
+
+    members: Items[Any]
+    columns: Sequence[np.ndarray]
+    systems: Sequence[Any]
+    repeated: np.ndarray
+    pull: np.ndarray
+    held: np.ndarray | None = None
+
+    def factor(self, damping: float = 0.0) -> SharedFactor | None:
+        """Cholesky factors with the diagonal scaled to one plus ``damping``; None if not positive definite."""
+        eliminated = self.members.keep(BorderedSystem.eliminated, self.systems, [damping] * len(self.systems))
+        found = self.members.map(_complement, eliminated)
+        total, determinants = np.zeros((len(self.repeated),) * 2), []
+        for columns, own in zip(self.columns, found, strict=True):
+            if own is None:
+                return None
+            total[np.ix_(columns, columns)] += own[0]
+            determinants.append(own[1])
+        total[np.diag_indices_from(total)] -= (1.0 + damping) * self.repeated
+        total = total if self.held is None else np.linalg.inv(self.held)
+        try:
+            schur = np.linalg.cholesky((total + total.T) / 2.0)
+        except np.linalg.LinAlgError:
+            return None
+        return SharedFactor(schur, eliminated, determinants)
+
+    def readout_step(self) -> np.ndarray | None:
+        """All readout weights' part of the solution with the parameters held; None if not positive definite."""
+        found = self.members.map(BorderedSystem.readout_step, self.systems)
+        steps = [step for step in found if step is not None]
+        return np.concatenate(steps) if len(steps) == len(found) else None
+
+    def decrease(self, step: tuple[np.ndarray, np.ndarray]) -> float:
+        """What the system's own solution (w, x) takes off 2 [g, h] [w, x] + [w, x] H [w, x]."""
+        ends = np.cumsum(self.members.map(attrgetter("band.size"), self.systems))
+        own = zip(np.split(step[0], ends[:-1]), (step[1][columns] for columns in self.columns), strict=True)
+        return sum(self.members.map(BorderedSystem.decrease, self.systems, list(own))) + float(self.pull @ step[1])
+
+
+@dataclass(frozen=True, eq=False)
+class SharedFactor(ParameterFactor):
+    """A factored :class:`SharedSystem`: the parameters' part, all readout weights eliminated.
+
+    Attributes:
+        eliminated: An :class:`Eliminated` of every record, where the record is.
+        determinants: Logarithms of the determinants of every record's A.
+    """
+
+    eliminated: Sequence[Any]
+    determinants: list[float]
+
+    def step(self, system: SharedSystem, lower: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Solution (w, x) of the system: the least of its quadratic form, with x >= lower if that is given.
+
+        With the readout weights eliminated the bounded problem is as small as the parameters are few, so the bounds
+        are met exactly and not by a penalty or a transformation. The weights are those of all records, one after the
+        other.
+        """
+        members, columns = system.members, system.columns
+        reduced = members.keep(Eliminated.reduced, self.eliminated, system.systems)
+        right = system.pull.copy()
+        for own, part in zip(columns, members.map(itemgetter(1), reduced), strict=True):
+            right[own] += part
+        right = right if system.held is None else np.zeros_like(right)
+        x = self.corner_covariance @ right
+        x = self._bounded(right, lower) if lower is not None and np.any(x < lower) else x
+        steps = members.map(Eliminated.readout_step, self.eliminated, reduced, [x[own] for own in columns])
+        return np.concatenate(steps), x
+
+    def _bounded(self, right: np.ndarray, lower: np.ndarray) -> np.ndarray:
+        """The x >= lower (lower <= 0) that makes |R^T x - R^-1 right| least, R R^T the Schur complement.
+
+        With the unbounded x first and R^T = Q T, T upper triangular, the others are a non-negative least-squares
+        problem in the rows of T below. Lawson and Hanson's method ends at its solution; scipy's bounded one (bvls)
+        stops short where a freed variable is blocked at once.
+        """
+        lower, unit = np.minimum(lower, 0.0), 1.0 / np.linalg.norm(self.schur, axis=1)
+        order = np.argsort(np.isfinite(lower), kind="stable")
+        free, bound = np.split(order, [int(np.isinf(lower).sum())])
+        q, t = np.linalg.qr((self.schur.T * unit)[:, order])
+        target = q.T @ solve_triangular(self.schur, right, lower=True)
+        n, least = len(free), lower[bound] / unit[bound]
+        above, _ = nnls(t[n:, n:], target[n:] - t[n:, n:] @ least, maxiter=NNLS_STEPS * len(order))
+        x = np.empty(len(order))
+        x[bound] = lower[bound] + unit[bound] * above
+        x[free] = unit[free] * solve_triangular(t[:n, :n], target[:n] - t[:n, n:] @ (least + above))
+        return x
+
+    def schur_of(self, columns: np.ndarray) -> np.ndarray:
+        """Cholesky factor of the precision of some parameters, the others integrated out."""
+        if np.array_equal(columns, np.arange(len(self.schur))):
+            return self.schur
+        return np.linalg.cholesky(np.linalg.inv(self.corner_covariance[np.ix_(columns, columns)]))
+
+
+def _complement(found: Eliminated | None) -> tuple[np.ndarray, float] | None:
+    """The Schur complement (p, p), and the logarithm of the determinant of A."""
+    return None if found is None else (found.complement, found.readout.log_determinant)

@@ -10,7 +10,7 @@ from scipy.linalg.lapack import dpotrf, dtrtri
 from scipy.sparse import csr_matrix
 
 from pinn_cli.training.normal_matrix.diagonals import Diagonals
-from pinn_cli.training.normal_matrix.front_tree import Front, FrontTree, Runs
+from pinn_cli.training.normal_matrix.dissection import Front, FrontTree, Runs
 
 # Added to the diagonal of the scaled matrix (all ones) in every factorisation: a few times the rounding error of its
 # largest entry.

@@ -19,7 +19,7 @@ from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 # N; a model without any misfit is divided by it.
 LEAST_MISFIT = 1e-300
 # Force over misfit beyond which nothing is hidden; its square is still a number in any unit.
-LARGEST_RATIO = 1e100
+LARGEST_CONTRAST = 1e100
 
 
 def parameter_posterior(
@@ -97,7 +97,7 @@ def coherent_misfit(
     size = 1 + max((int(c.max()) for c in columns if len(c)), default=-1)
     weighed, weights = np.zeros(size), np.zeros(size)
     for own, (ratio, values) in zip(columns, each, strict=True):
-        limited = np.minimum(ratio, LARGEST_RATIO)
+        limited = np.minimum(ratio, LARGEST_CONTRAST)
         weighed[own] += values * limited
         weights[own] += values * limited**2
     return weighed, weights

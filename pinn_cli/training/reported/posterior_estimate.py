@@ -1,4 +1,7 @@
-"""From a trained linear readout to what is reported: posterior means and standard deviations."""
+"""From a trained linear readout to what is reported: posterior means and standard deviations.
+
+Whether records that were solved together say the same of their parameters.
+"""
 
 from __future__ import annotations
 
@@ -19,19 +22,21 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.acting_force import acting_force, sensor_share
 from pinn_cli.training.covariance import ReadoutPosterior
 from pinn_cli.training.doubts.doubts import doubts
-from pinn_cli.training.estimate import ConnectionHistories, Estimate, ParameterEstimate
+from pinn_cli.training.estimate import ConnectionHistories, Disagreement, Estimate, ParameterEstimate
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.history import History
 from pinn_cli.training.levels import values_taken
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
-from pinn_cli.training.reported.agreement import disagreements
-from pinn_cli.training.reported.connection_forces import connection_forces
-from pinn_cli.training.reported.dissipated_energy import dissipated_energy
-from pinn_cli.training.reported.end_state import end_state
+from pinn_cli.training.reported.connection_forces import connection_forces, dissipated_energy
+from pinn_cli.training.reported.hand_over import end_state
 from pinn_cli.training.reported.misfit_history import misfit_history
 from pinn_cli.training.reported.model_evidence import model_log_evidence
 from pinn_cli.training.reported.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
+
+# Directions of the parameters that a record tells and the others do not, over its own information: nothing compares
+# them.
+COMPARED = 1e-6
 
 
 def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -> Estimate:
@@ -206,3 +211,45 @@ def _effective_parameters(evidence: RecordEvidence, solution: RecordSolution) ->
 
 def _listed(sigma: np.ndarray) -> list[float | None]:
     return [None if np.isnan(s) else float(s) for s in sigma]
+
+
+def disagreements(evidence: Evidence, trained: Trained) -> tuple[Disagreement, ...]:
+    """How far every record pulls the parameters from where all of them ended, against chance.
+
+    The pull is what its own misfit falls with the parameters, its motion following them. With the record's information
+    S and the covariance C of all records together it has the covariance S - S C S if all measured one structure.
+    """
+    equations, out = evidence.equations, []
+    covariance = trained.factor.corner_covariance
+    at, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale
+    precision = equations.precision(trained.noise).numpy()
+    start = np.array([p.prescribed for p in equations.uncertain])
+    for columns, (whole, every) in zip(equations.columns, evidence.each_record(own_information, trained), strict=True):
+        # A bound holds others back, and says nothing about chance.
+        free = at[columns] > equations.lower[columns]
+        own, information, pull = columns[free], whole[np.ix_(free, free)], every[free]
+        square, freedom = _against_chance(information, pull, covariance[np.ix_(own, own)])
+        alone = at[own] + np.linalg.solve(information + np.diag(precision[own]), pull)
+        values = {equations.uncertain[i].name: float(start[i] + scale[i] * x) for i, x in zip(own, alone, strict=True)}
+        out.append(Disagreement(square, freedom, values))
+    return tuple(out)
+
+
+def own_information(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray, np.ndarray]:
+    """Of one record: its own information about its parameters (p, p), and its pull on them (p,)."""
+    system = evidence.equations.assemble(solution.point, solution.noise)
+    eliminated = system.eliminated()
+    if eliminated is None:
+        p = len(solution.point.parameters)
+        return np.zeros((p, p)), np.zeros(p)
+    return eliminated.complement, eliminated.reduced(system)[1]
+
+
+def _against_chance(information: np.ndarray, pull: np.ndarray, covariance: np.ndarray) -> tuple[float, int]:
+    """Sum of squares of the pull over its variance, and over how many directions."""
+    unit = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    scatter = (information - information @ covariance @ information) / np.outer(unit, unit)
+    values, vectors = np.linalg.eigh((scatter + scatter.T) / 2.0)
+    kept = values > COMPARED
+    along = vectors.T[kept] @ (pull / unit)
+    return float(np.sum(along**2 / values[kept])), int(kept.sum())

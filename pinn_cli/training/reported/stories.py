@@ -25,7 +25,7 @@ OF_FORCE, OF_RESPONSE = "force", "free run"
 # Parts of a record that are simulated each from the estimated state at its beginning.
 SEGMENTS = 10
 # A story that leaves as much of every sensor as there is predicts nothing.
-NOTHING = 100.0
+PREDICTS_NOTHING = 100.0
 
 
 def with_stories(found: Inference, estimate: Estimate) -> Estimate:
@@ -79,7 +79,7 @@ def _story(name: str, problems: Sequence[Problem], estimate: Estimate) -> Story:
 
 def _rank(story: Story) -> float:
     """What decides: the free run, else its segments where it goes nowhere."""
-    return story.free_run if story.free_run < NOTHING else NOTHING + story.segments
+    return story.free_run if story.free_run < PREDICTS_NOTHING else PREDICTS_NOTHING + story.segments
 
 
 def _missed(problems: Sequence[Problem], estimate: Estimate) -> tuple[float, float]:

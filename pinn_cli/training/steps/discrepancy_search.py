@@ -21,7 +21,7 @@ FAR_FROM_THE_PEAK, EASILY_FOLLOWED = 200.0, 3
 # A drop of the log evidence by this much ends the scan: the odds against anything stiffer are e^-20.
 DECISIVE_DROP = 20.0
 # The scan also ends after this many steps without a gain, or at this fraction of the force that it began with.
-PATIENCE, FINEST_DISCREPANCY = 3, 1e-8
+PATIENCE, FINEST_OF_START = 3, 1e-8
 # A discrepancy below this part of the noise of every measured input makes no motion better known: one step without a
 # gain ends the scan there.
 FINEST_OF_NOISE = 1e-2
@@ -81,7 +81,7 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
     point, discrepancy, idle, stride = start, largest, 0, SCAN_FACTOR
     best: Trained | None = None
     indifferent = min(filter(None, map(negligible, evidence.equations.each, noise.records)), default=0.0)
-    while discrepancy > FINEST_DISCREPANCY * largest and idle < PATIENCE:
+    while discrepancy > FINEST_OF_START * largest and idle < PATIENCE:
         trained = evidence.train(noise.with_discrepancy(discrepancy), point)
         followed = best is not None and best.solution.converged
         failed = trained is None or (followed and not trained.solution.converged)

@@ -24,7 +24,7 @@ LEAST_DETERMINED = 0.02
 # Parts of the band, on a logarithmic axis, and the lowest corners that are tried over the band's edge.
 PARTS, CORNERS = 16, (1.0, 0.3, 0.1, 0.03, 0.01)
 # Another spectrum must be so much more probable, as a logarithm.
-DECISIVE = 3.0
+DECISIVE_SPECTRUM = 3.0
 # A floor above the band that has this part of the power that the forces would give it, or more, may be theirs: a sensor
 # would have to be as noisy by chance. Many times as much is noise beside which forces do not show.
 OF_FORCES = (0.3, 3.0)
@@ -103,7 +103,7 @@ def spectrum_in_band(evidence: RecordEvidence, solution: RecordSolution) -> Driv
 
     now, _ = fit(inputs.correlation_time, inputs.damping_ratio)
     likelihood, best = max((fit(*process) for process in _processes(inputs)), key=lambda found: found[0])
-    return best if likelihood > now + DECISIVE else None
+    return best if likelihood > now + DECISIVE_SPECTRUM else None
 
 
 def _processes(inputs: Inputs) -> list[tuple[float, float]]:

@@ -32,11 +32,11 @@ FORCE_LEFT = 0.03
 # Parts of the first discrepancy: the last one moves a structure by nothing beside what the sensors are off by then.
 PARTS_LEFT = (1e-2, 1e-3, 1e-4)
 # Rounds at most to each.
-ROUNDS = 15
+FREE_ROUNDS = 15
 # Parts of a record that a score is summed over, and how many of them in a row are as good as independent of others.
-CELLS, IN_A_ROW = 200, 20
+CELLS, CELLS_IN_A_ROW = 200, 20
 # Parts that overlap count for one and a half times as many that do not.
-FREEDOM = 1.5 * CELLS / IN_A_ROW - 1.0
+FREEDOM = 1.5 * CELLS / CELLS_IN_A_ROW - 1.0
 
 
 def fit_free_run(found: Inference) -> Inference | None:
@@ -67,7 +67,7 @@ def fit_free_run(found: Inference) -> Inference | None:
 
 def _followed(evidence: Evidence, found: Trained, ends: list[float], first: tuple[NoiseModel, ...]) -> Trained | None:
     """The solution with a discrepancy that has come down to its end, step by step; None where it cannot be solved."""
-    for _ in range(ROUNDS):
+    for _ in range(FREE_ROUNDS):
         levels = tuple(evidence.each_record(_stiffer, found, ends, first))
         again = evidence.train(replace(found.noise, records=levels), found.solution.point)
         if again is None or not np.isfinite(again.log_evidence):
@@ -150,7 +150,7 @@ def _score_covariance(evidence: RecordEvidence, solution: RecordSolution) -> tup
     white = solution.factor.corner_covariance
     scores, information = (_in_parts(x) for x in _scores(evidence, solution))
     # Of a fit to the whole record the parts know, and few of them tell a variance roughly (Student 1908).
-    each = CELLS / IN_A_ROW / (1.0 - IN_A_ROW / CELLS) * FREEDOM / (FREEDOM - 2.0) / len(scores)
+    each = CELLS / CELLS_IN_A_ROW / (1.0 - CELLS_IN_A_ROW / CELLS) * FREEDOM / (FREEDOM - 2.0) / len(scores)
     of_score = each * scores.T @ scores
     by_chance = np.diag(white @ of_score @ white)
     loud = 0.5 * np.log(np.trace(information @ white, axis1=1, axis2=2).clip(1e-12))
@@ -172,7 +172,7 @@ def _slope(condition: np.ndarray, scores: np.ndarray, information: np.ndarray) -
 def _in_parts(cells: np.ndarray) -> np.ndarray:
     """Sums over so many cells in a row, wherever they begin."""
     total = np.concatenate((np.zeros((1, *cells.shape[1:])), np.cumsum(cells, axis=0)))
-    return total[IN_A_ROW:] - total[:-IN_A_ROW]
+    return total[CELLS_IN_A_ROW:] - total[:-CELLS_IN_A_ROW]
 
 
 def _scores(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray, np.ndarray]:

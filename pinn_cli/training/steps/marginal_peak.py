@@ -19,9 +19,9 @@ from pinn_cli.training.reported.model_evidence import of_motion
 from pinn_cli.training.solver import Inference
 
 # The pull, in standard deviations that it moves a parameter, that is not worth a round.
-NEGLIGIBLE = 0.1
+NEGLIGIBLE_PULL = 0.1
 # Most that it changes in one round, in the same unit: it is told by a step of a part of a deviation.
-LARGEST, STEP = 2.0, 0.1
+LARGEST_MOVE, TOLD_BY = 2.0, 0.1
 
 
 def move_to_marginal_peak(found: Inference) -> Inference | None:
@@ -30,7 +30,7 @@ def move_to_marginal_peak(found: Inference) -> Inference | None:
         return None
     evidence, trained = found.evidence, found.trained
     held, pulls, moved = zip(*evidence.each_record(pull_on, trained), strict=True)
-    if max(moved) < NEGLIGIBLE:
+    if max(moved) < NEGLIGIBLE_PULL:
         return None
     evidence.each_record(pulled, trained, pulls)
     again = evidence.train(trained.noise, trained.solution.point)
@@ -60,8 +60,8 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
     here, pull = factor(np.zeros(len(std))) if any(wanted) else np.nan, np.zeros(len(std))
     for i in np.flatnonzero(wanted) if np.isfinite(here) else ():
         # A discrepancy in a part of the band has as much fewer values: it was widened for these.
-        slope = noise.occupied * (factor(STEP * std * (np.arange(len(std)) == i)) - here) / (STEP * std[i])
-        pull[i] = np.clip(slope, before[i] - LARGEST / std[i], before[i] + LARGEST / std[i])
+        slope = noise.occupied * (factor(TOLD_BY * std * (np.arange(len(std)) == i)) - here) / (TOLD_BY * std[i])
+        pull[i] = np.clip(slope, before[i] - LARGEST_MOVE / std[i], before[i] + LARGEST_MOVE / std[i])
     pull = np.where(np.isfinite(pull), pull, 0.0)
     # The record may be computed in another process, which alone knows what pulls at it.
     return equations.pull, pull, float(np.max(np.abs(pull - before) * std, initial=0.0))

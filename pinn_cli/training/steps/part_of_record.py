@@ -29,9 +29,9 @@ FEWEST_PARTS = 2.5
 # Factor between the root mean squares of part and whole, of any channel, up to which a record is stationary enough.
 STATIONARY = 1.5
 # Steps of the scan from the part's discrepancy beyond which the part is no picture of the whole.
-NEAR = 2
+NEAR_STEPS = 2
 # Of a scan down to any discrepancy that is looked for.
-MOST_STEPS = 16
+MOST_SCAN_STEPS = 16
 
 
 def part_of_record(whole: JointProblem, network: LinearReadout) -> tuple[Problem, SplineNetwork] | None:
@@ -115,9 +115,9 @@ def _steps(largest: float, discrepancy: float) -> int:
 
 def _steps_to_indifference(noise: NoiseLevels, least: float) -> int:
     """Of a scan to the first discrepancy that makes no motion better known: how far beyond it goes is chance."""
-    return int(np.ceil(np.log(noise.discrepancy / least) / np.log(SCAN_FACTOR))) if least > 0 else MOST_STEPS
+    return int(np.ceil(np.log(noise.discrepancy / least) / np.log(SCAN_FACTOR))) if least > 0 else MOST_SCAN_STEPS
 
 
 def _are_near(begin: NoiseLevels, found: NoiseLevels) -> bool:
     """Whether the discrepancy was found near the place where it was looked for first."""
-    return found.discrepancy > begin.discrepancy / SCAN_FACTOR ** (NEAR + 0.5)
+    return found.discrepancy > begin.discrepancy / SCAN_FACTOR ** (NEAR_STEPS + 0.5)

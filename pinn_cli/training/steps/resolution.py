@@ -24,7 +24,7 @@ TOLERATED_NONLINEAR = 0.15
 # So far above the highest resonance a record still tells of stiffness.
 BEYOND_RESONANCE = 1.3
 # Draws from the posterior that tell how well the motion is known.
-DRAWS = 4
+RESOLUTION_DRAWS = 4
 # Most that the knots are multiplied by at once.
 LARGEST_FACTOR = 2.0
 
@@ -71,10 +71,10 @@ def _for_the_motion(evidence: RecordEvidence, solution: RecordSolution, error: n
     """
     equations = evidence.equations
     segments, square = equations.observation, np.zeros(len(error))
-    for drawn in solution.drawn(DRAWS, of_mean_length=True):
+    for drawn in solution.drawn(RESOLUTION_DRAWS, of_mean_length=True):
         for part in equations.windows(segments):
             values = equations.dynamics.sensed("acceleration", equations.jet(segments, drawn, part))
-            square += values.square().sum((0, 1)).cpu().numpy() / DRAWS
+            square += values.square().sum((0, 1)).cpu().numpy() / RESOLUTION_DRAWS
     known = np.sqrt(square / segments.samples)
     worst = float(np.max(error[known > 0] / known[known > 0], initial=0.0))
     is_linear = equations.dynamics.structure.nonlinearity_name == "linear"

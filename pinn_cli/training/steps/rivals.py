@@ -25,9 +25,9 @@ from pinn_cli.training.point import Point
 from pinn_cli.training.solver import Inference
 
 # Solutions that are weighed at most.
-MOST = 3
+MOST_WEIGHED = 3
 # Two solutions are one where no parameter differs by so many standard deviations, or by this part of its value.
-APART, LEAST_APART = 4.0, 0.05
+RIVALS_APART, RIVALS_LEAST_APART = 4.0, 0.05
 # As a logarithm: one that is less probable than the best by more is none.
 AS_GOOD = 6.0
 # Part of the record's band below which it shows no modes.
@@ -61,7 +61,7 @@ def _others(evidence: Evidence, trained: Trained) -> list[dict[Parameter, float]
     if not unknown or problem.structure.is_modal:
         return []
     structure = problem.structure.with_values({p: x for p, x in values.items() if p.kind not in CALIBRATION_UNITS})
-    found = twins(structure, unknown, seen_by(structure, [own.record for own in problem]), MOST)
+    found = twins(structure, unknown, seen_by(structure, [own.record for own in problem]), MOST_WEIGHED)
     return [other | _dampers(values, other) for other in found]
 
 
@@ -121,7 +121,9 @@ def _differ(evidence: Evidence, a: Trained, b: Trained) -> bool:
     spread = sum(np.diag(one.factor.corner_covariance) for one in (a, b)) ** 0.5
     scale, apart = evidence.equations.scale, np.abs(mine - theirs)
     relevant = np.array([p.unknown and p.kind in LINEAR_UNITS for p in evidence.equations.uncertain])
-    return bool(((apart > APART * spread * scale) & (apart > LEAST_APART * np.abs(mine)) & relevant).any())
+    return bool(
+        ((apart > RIVALS_APART * spread * scale) & (apart > RIVALS_LEAST_APART * np.abs(mine)) & relevant).any()
+    )
 
 
 def _distance(evidence: Evidence, trained: Trained) -> float:

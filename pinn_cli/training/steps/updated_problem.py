@@ -26,11 +26,11 @@ from pinn_cli.training.steps.known_levels import WORTHWHILE, softer_point
 from pinn_cli.training.steps.resolution import carried_over, knots_wanted
 
 # A contact turns where it is slower than so many times the speed over which its friction does.
-STRAIGHT = 3.0
+STRAIGHT_SPEEDS = 3.0
 # Beyond this part of the intervals too few are left to learn from.
-MOST = 0.8
+MOST_LOOSENED = 0.8
 # How much larger the error is about turns where a solution with one level says less: that one spreads it over all.
-FIRST = 10.0
+FIRST_LOOSER = 10.0
 # Relative change of damping's matrix below which modes are the same: beside what else is uncertain of damping that is
 # nothing. So is what coordinates that are exact at factors so far off leave out: 1e-4 of the motion.
 SAME_MODES, SAME_FACTORS = 2e-3, 5e-3
@@ -67,17 +67,17 @@ def _turning_points(equations: NormalEquations, point: Point, discrepancy: float
         speed = group.nonlinearity.reversal_speed
         if group.nonlinearity is not stuck.nonlinearity and speed is not None:
             own = rate[:, part.connections]
-            turning |= (own.abs() < STRAIGHT * speed).any(1)
+            turning |= (own.abs() < STRAIGHT_SPEEDS * speed).any(1)
             turning[1:] |= (own[1:] * own[:-1] < 0).any(1)
     assert isinstance(equations.network, SplineNetwork)
     turns = TurningPoints(time[turning].cpu().numpy(), 1.0, 1.0, discrepancy)
     near = turns.near(equations.averages.times(time), equations.network.spacing)
     square = equations.motion.residual(point)[:, 0, equations.dynamics.has_mass].square().mean(1).cpu().numpy()
-    if not 0.0 < near.mean() < MOST:
+    if not 0.0 < near.mean() < MOST_LOOSENED:
         return None
     before, (level, other) = equations.problem.turning_points, (float(np.sqrt(square[x].mean())) for x in (near, ~near))
     if before is None:
-        return replace(turns, level=level, looser=max(FIRST, level / other))
+        return replace(turns, level=level, looser=max(FIRST_LOOSER, level / other))
     return replace(turns, level=before.level, looser=before.level / other)
 
 

@@ -8,6 +8,8 @@ probable one, the least that is looked for is taken, as a search takes it that c
 stop at.
 
 A window that contradicts those before it, or that tells its discrepancy by itself, keeps its own.
+
+The discrepancy as the few independent values that it has.
 """
 
 from __future__ import annotations
@@ -19,20 +21,21 @@ import numpy as np
 from pinn_cli.model.knowledge import DiscrepancyEvidence
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.levels import floor
+from pinn_cli.training.record_evidence import occupied_share
 from pinn_cli.training.record_scales import force_and_velocity_scale
 from pinn_cli.training.solver import Inference
 from pinn_cli.training.steps.discrepancy_search import DECISIVE_DROP, NEGLIGIBLE_GAIN
 
 # From one discrepancy that is tried to the next, decades.
-STEP = 0.25
+STEP_DECADES = 0.25
 # Steps upwards at most.
 HIGHEST = 8
 # Log evidence from the smallest discrepancy's below which smaller ones than that are all the same.
-FLAT = 0.05
+FLAT_EVIDENCE = 0.05
 # Log evidence that a window's own discrepancy may have over that of all windows before it contradicts them.
 CONTRADICTION = 3.0
 # Relative decrease of the loss below which a solution under another discrepancy is near enough.
-NEAR = 1e-3
+NEAR_LOSS = 1e-3
 
 
 def combine_windows(found: Inference) -> Inference | None:
@@ -91,7 +94,7 @@ def _own(evidence: Evidence, trained: Trained, unit: float, between: tuple[float
 
     def tried(place: float) -> float:
         noise = trained.noise.with_discrepancy(unit * 10.0**place)
-        other = evidence.train(noise, trained.solution.point, NEAR, goes_on=True)
+        other = evidence.train(noise, trained.solution.point, NEAR_LOSS, goes_on=True)
         stiff = other is None or not np.isfinite(other.log_evidence)
         return -np.inf if other is None or stiff else other.log_evidence - trained.log_evidence
 
@@ -101,16 +104,19 @@ def _own(evidence: Evidence, trained: Trained, unit: float, between: tuple[float
         found[least] = value
         if value <= -DECISIVE_DROP:
             return None
-    place = STEP * np.floor(top / STEP)
+    place = STEP_DECADES * np.floor(top / STEP_DECADES)
     while place > least and np.isfinite(value := 0.0 if place == top else tried(place)):
         found[place] = value
-        if abs(value - found[least]) <= FLAT:
+        if abs(value - found[least]) <= FLAT_EVIDENCE:
             break
-        place -= STEP
-    place, highest = STEP * np.floor(top / STEP + 1.0), STEP * np.floor(top / STEP + HIGHEST)
+        place -= STEP_DECADES
+    place, highest = (
+        STEP_DECADES * np.floor(top / STEP_DECADES + 1.0),
+        STEP_DECADES * np.floor(top / STEP_DECADES + HIGHEST),
+    )
     while place <= highest and (value := tried(place)) > max(found.values()) - DECISIVE_DROP:
         found[place] = value
-        place += STEP
+        place += STEP_DECADES
     found[place] = max(found.values()) - DECISIVE_DROP  # or less: as improbable
     places = sorted(found)
     return DiscrepancyEvidence(10.0**top, True, np.array(places), np.array([found[place] for place in places]))
@@ -126,8 +132,27 @@ def _places(*each: DiscrepancyEvidence | None) -> np.ndarray:
     every = np.concatenate([np.zeros(0), *(one.places for one in each if one is not None)])
     if len(every) == 0:
         return every
-    return STEP * np.arange(np.floor(every.min() / STEP), np.ceil(every.max() / STEP) + 1)
+    return STEP_DECADES * np.arange(np.floor(every.min() / STEP_DECADES), np.ceil(every.max() / STEP_DECADES) + 1)
 
 
 def _at(windows: DiscrepancyEvidence | None, places: np.ndarray) -> np.ndarray:
     return np.zeros(len(places)) if windows is None else windows.at(places)
+
+
+def count_independent_values(found: Inference) -> Inference:
+    """The solution with the discrepancy that its own colour asks for."""
+    return replace(found, trained=widened(found.evidence, found.trained))
+
+
+def widened(evidence: Evidence, trained: Trained) -> Trained:
+    """Solved once more with a wider discrepancy; the same where that cannot be solved.
+
+    The search takes the discrepancy for K independent values per DOF. A model error that fills only part of the
+    features' band has fewer, N_eff, and larger ones; counting K of them makes states look better known than they
+    are. N_eff / K is the bandwidth of the physics residual, (sum S)^2 / (M sum S^2), over the M frequencies that
+    the features follow.
+    """
+    levels = zip(trained.noise.records, evidence.each_record(occupied_share, trained), strict=True)
+    noise = replace(trained.noise, records=tuple(level.widened(share) for level, share in levels))
+    wider = evidence.train(noise, trained.solution.point)
+    return wider if wider is not None and wider.solution.converged else trained

@@ -20,23 +20,22 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtrc
 
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.modal.modal_fit import IMPROBABLE
+from pinn_cli.scheme.modal.modal_fit import IMPROBABLE_PART
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.doubts.other_damping import DampingDoubt, damping_doubt, with_other_damping
 from pinn_cli.training.parameter_spread import updated_spread
-from pinn_cli.training.whittle.expected_spectra import ExpectedSpectra
-from pinn_cli.training.whittle.spectral_model import SpectralModel, is_spectral, spectra_in_band
+from pinn_cli.training.whittle.spectral_model import ExpectedSpectra, SpectralModel, is_spectral, spectra_in_band
 
 # Steps of Fisher scoring at most, and the decrease of -log p below which nothing is gained.
-STEPS, NEGLIGIBLE = 60, 1e-3
+STEPS, NEGLIGIBLE_DECREASE = 60, 1e-3
 # Most that a logarithm may change in one step.
 LARGEST_STEP = 2.0
 # Damping of a step, relative to the diagonal of the information: first, largest.
-FIRST_DAMPING, LARGEST_DAMPING = 1e-4, 1e4
+FIRST_FISHER_DAMPING, LARGEST_FISHER_DAMPING = 1e-4, 1e4
 # Rounds of the prior spreads; where those of the forces' spectrum and of differences between forces begin, and the
 # least: nepers.
-ROUNDS, FIRST_SPREAD, LEAST_SPREAD, SETTLED = 12, 0.3, 0.02, 0.05
+PRIOR_ROUNDS, FIRST_SPREAD, LEAST_SPREAD, PRIOR_SETTLED = 12, 0.3, 0.02, 0.05
 # Parts of the spectra that a misfit is looked for in, as wide as a resonance and its flanks, and values in one at the
 # least.
 PART_RATIO, FEWEST_IN_PART = 1.1, 20.0
@@ -215,7 +214,7 @@ class Whittle:
 
     def maximised(self, x: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, Scored, bool] | None:
         """The most probable unknowns by Fisher scoring with Levenberg's damping, and whether they are converged."""
-        here, damping = self.scored(x, precision), FIRST_DAMPING
+        here, damping = self.scored(x, precision), FIRST_FISHER_DAMPING
         if here is None:
             return None
         for _ in range(STEPS):
@@ -223,14 +222,14 @@ class Whittle:
             while True:
                 moved = np.maximum(x + self._limited(_step(here, damping, held)), self.lower)
                 there = self.scored(moved, precision)
-                if there is not None and there.value <= here.value + NEGLIGIBLE:
+                if there is not None and there.value <= here.value + NEGLIGIBLE_DECREASE:
                     break
                 damping *= 10.0
-                if damping > LARGEST_DAMPING:
+                if damping > LARGEST_FISHER_DAMPING:
                     return x, here, False
             decrease, x, here = here.value - there.value, moved, there
             damping = max(damping / 10.0, 1e-12)
-            if decrease < NEGLIGIBLE and damping < 1.0:
+            if decrease < NEGLIGIBLE_DECREASE and damping < 1.0:
                 return x, here, True
         return x, here, False
 
@@ -257,7 +256,7 @@ class Whittle:
                 continue
             off = np.einsum("g,gst->st", count[own], power[own]) / values - np.eye(size)
             by_chance = chdtrc(size**2, values * np.sum(np.abs(off) ** 2)) * parts
-            if by_chance < IMPROBABLE:
+            if by_chance < IMPROBABLE_PART:
                 worst = max(worst, float(np.linalg.norm(off, 2)))
         return worst
 
@@ -283,7 +282,7 @@ def known_parameters(whole: JointProblem, learn_spread: bool = True) -> KnownPar
     model = SpectralModel(problem, spectrum)
     whittle = Whittle(model, learn_spread)
     x, spreads = whittle.centre, np.array([FIRST_SPREAD, FIRST_SPREAD, 1.0])
-    for round_ in range(ROUNDS):
+    for round_ in range(PRIOR_ROUNDS):
         if round_:
             whittle.allow_for_leakage(x)
         found = whittle.maximised(x, whittle.precision(spreads))
@@ -293,7 +292,7 @@ def known_parameters(whole: JointProblem, learn_spread: bool = True) -> KnownPar
         model.follow_modes(x)
         covariance, before = np.linalg.inv(scored.information), spreads
         spreads = whittle.updated(spreads, x, covariance)
-        if round_ and np.abs(np.log(spreads / before)).max() < SETTLED:
+        if round_ and np.abs(np.log(spreads / before)).max() < PRIOR_SETTLED:
             break
     own = model.places["parameters"]
     misfit, doubt = whittle.misfit(x), _scored_damping(whittle, x, before)

@@ -21,8 +21,7 @@ from pinn_cli.training.factors import frame
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
-from pinn_cli.training.reported.connection_forces import connection_forces
-from pinn_cli.training.reported.dissipated_energy import dissipated_energy
+from pinn_cli.training.reported.connection_forces import connection_forces, dissipated_energy
 from pinn_cli.training.starting_noise import starting_noise
 
 
@@ -69,7 +68,7 @@ def everything(equations: NormalEquations, noise: NoiseModel) -> dict[str, np.nd
 def test_windows_change_nothing(structure: Structure, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = everything(*posed(structure))
     monkeypatch.setattr(frame, "ROWS_AT_ONCE", 600)
-    monkeypatch.setattr(frame, "KEPT", 0)
+    monkeypatch.setattr(frame, "KEPT_NUMBERS", 0)
     equations, noise = posed(structure)
     assert len(equations.windows(equations.physics)) > 3
     pieces = everything(equations, noise)
@@ -79,7 +78,7 @@ def test_windows_change_nothing(structure: Structure, monkeypatch: pytest.Monkey
 
 def test_no_more_than_a_window_of_a_long_motion_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(frame, "ROWS_AT_ONCE", 600)
-    monkeypatch.setattr(frame, "KEPT", 0)
+    monkeypatch.setattr(frame, "KEPT_NUMBERS", 0)
     equations, noise = posed(small_chain("duffing", 3))
     equations.assemble(equations.start(), noise)
     (states,) = equations._kept_states.values()

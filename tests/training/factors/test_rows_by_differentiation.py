@@ -21,12 +21,11 @@ from scipy.sparse import csr_matrix
 from pinn_cli.runs import side_by_side
 from pinn_cli.system.quantities import HIGH_PASS
 from pinn_cli.training.factors import equation_rows, frame
-from pinn_cli.training.factors.calibrated_channels import CalibratedChannels, Gains
+from pinn_cli.training.factors.calibrated_channels import CalibratedChannels, Gains, SensorFilter
 from pinn_cli.training.factors.equations_of_motion import EquationsOfMotion
 from pinn_cli.training.factors.factor import Channels, Factor, Residuals
 from pinn_cli.training.factors.known_state import KnownState
 from pinn_cli.training.factors.ridge import Ridge
-from pinn_cli.training.factors.sensor_filter import SensorFilter
 from pinn_cli.training.least_squares import LeastSquares
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
@@ -164,7 +163,7 @@ def check_rows(each: list[NormalEquations], rng: np.random.Generator, in_pieces:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(side_by_side, "usable_cores", lambda: [0])
         if in_pieces:
-            patch.setattr(equation_rows, "CHUNK", 3000)
+            patch.setattr(equation_rows, "ROW_NUMBERS_AT_ONCE", 3000)
             patch.setattr(frame, "ROWS_AT_ONCE", 2000)
         check_together(each, rng, spread)
 

@@ -24,9 +24,8 @@ from pinn_cli.training.function_space.feature_system import (
     coefficient_prior,
     follows_features,
 )
-from pinn_cli.training.function_space.kernel import Block
 from pinn_cli.training.function_space.network_frame import NetworkFrame
-from pinn_cli.training.function_space.system import DenseSystem
+from pinn_cli.training.function_space.system import Block, DenseSystem
 from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.point import Point

@@ -16,9 +16,8 @@ from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.function_space.collocation import collocate
 from pinn_cli.training.function_space.equations import NetworkEquations
-from pinn_cli.training.function_space.kernel import pull, push
 from pinn_cli.training.function_space.network_frame import NetworkFrame
-from pinn_cli.training.function_space.system import DenseSystem
+from pinn_cli.training.function_space.system import DenseSystem, pull, push
 from pinn_cli.training.minimise import FIRST_DAMPING
 from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.point import Point

@@ -12,7 +12,7 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
-from pinn_cli.verdict.records import APART, contradictions
+from pinn_cli.verdict.judge import APART, contradictions
 
 
 @cache

@@ -106,6 +106,6 @@ def test_several_records_are_searched_whole(problem, monkeypatch):
 def test_where_part_and_whole_have_little_in_common_all_of_it_is_searched(problem, monkeypatch):
     whole, _ = solved(problem)
     in_parts(monkeypatch)
-    monkeypatch.setattr(part_of_record, "NEAR", -1.0)
+    monkeypatch.setattr(part_of_record, "NEAR_STEPS", -1.0)
     found, _ = solved(problem)
     np.testing.assert_array_equal(found.trained.solution.point.parameters, whole.trained.solution.point.parameters)

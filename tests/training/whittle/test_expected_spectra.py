@@ -8,8 +8,7 @@ from ambient_records import ambient_record
 
 from pinn_cli.record.cross_spectra import taper
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
-from pinn_cli.training.whittle.expected_spectra import ExpectedSpectra, Leakage
-from pinn_cli.training.whittle.spectral_model import SpectralModel, spectra_in_band
+from pinn_cli.training.whittle.spectral_model import ExpectedSpectra, Leakage, SpectralModel, spectra_in_band
 from pinn_cli.training.whittle.whittle_estimate import Whittle
 
 SAMPLES, RESONANCE, DAMPING = 2000, 0.02, 0.005
