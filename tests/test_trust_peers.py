@@ -23,11 +23,13 @@ def test_both_peers_find_the_springs_of_a_chain(seed):
     assert (found["seconds"] > 0.0).all()
 
 
+@pytest.mark.slow
 def test_a_chain_with_cubic_springs_or_of_known_ones_is_not_for_them():
     assert drawn("chain", 5).peer is None
     assert compared(drawn("chain", 0)).empty
 
 
+@pytest.mark.slow
 def test_both_peers_find_springs_and_dampers_on_a_moving_ground():
     """Three storeys; absolute accelerations of two of them."""
     rng, times, mass = np.random.default_rng(3), np.arange(0.0, 40.0, 0.02), np.array([2e3, 2e3, 1.5e3])

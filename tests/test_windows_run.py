@@ -23,6 +23,7 @@ def parameters(run: str) -> pd.DataFrame:
     return pd.read_csv(f"{run}/parameters.csv").set_index("parameter")
 
 
+@pytest.mark.slow
 def test_windows_come_to_what_the_whole_record_says(pinn_run: PinnRun, tmp_path: Path) -> None:
     each = record(3, duration=10.02)
     data = written(each.record, tmp_path / "one.csv")

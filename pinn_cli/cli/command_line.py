@@ -274,10 +274,12 @@ def _begin(jobs: Jobs, options: Namespace) -> None:
             return
         jobs.stored.enter()
         overrides, config_dir = jobs.stored.arguments, None
-    from pinn_cli.cli.composing import configuration_text, show_hydra_help, start  # not for --help
+    from pinn_cli.cli.composing import configuration_text, show_by_hydra, start  # not for --help
 
     if options.hydra_help:
-        show_hydra_help()
+        show_by_hydra("--hydra-help")
+    elif options.shell_completion:
+        show_by_hydra("--shell-completion", overrides)
     elif options.cfg:
         jobs.terminal.say(configuration_text(options, overrides, config_dir))
     else:

@@ -280,8 +280,8 @@ def configuration_text(options: Namespace, overrides: Sequence[str], config_dir:
         return f"# @package {options.package}\n{text}" if OmegaConf.is_config(chosen) else str(text)
 
 
-def show_hydra_help() -> None:
-    """Have Hydra print what `--hydra-help` asks for."""
-    sys.argv[1:] = ["--hydra-help"]
+def show_by_hydra(option: str, overrides: Sequence[str] = ()) -> None:
+    """Have Hydra print what `--hydra-help` or `--shell-completion` asks for: neither makes anything of the settings."""
+    sys.argv[1:] = [option, *overrides]
     with environment({"HYDRA_FULL_ERROR": "1"}):  # so that Hydra raises, rather than prints and exits with status 1
         hydra.main(version_base="1.3", config_path="pkg://pinn_cli.conf", config_name=CONFIG)(lambda config: None)()

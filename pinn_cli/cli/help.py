@@ -57,6 +57,7 @@ Options
   --multirun, -m       run every combination of comma-separated values
   --config-dir DIR     add configs of your own: DIR/experiment/my_rig.yaml is then experiment=my_rig
   --version            print the version
+  --shell-completion install=bash    print what makes the Tab key complete settings (also zsh, fish)
   --hydra-help         the options of Hydra, which reads the configuration
 
 Results are written to outputs/CASE/DATE_TIME, a sweep's to outputs/sweeps/SETTINGS_DIGEST; the last line printed is

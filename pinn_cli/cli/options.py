@@ -18,7 +18,7 @@ from pinn_cli.settings.override_syntax import setting_of
 # Of ours and of Hydra's, which has no public list of them: `pinn-run --hydra-help` prints them. Long name, short name,
 # and how argparse reads them; those without take no value. Left out are --experimental-rerun, which unpickles the file
 # that it is given, --config-path, which imports a package, --config-name, which would have another main configuration,
-# and --info and --shell-completion, which would act on a configuration before it is checked.
+# and --info, which would act on a configuration before it is checked.
 OPTIONS: dict[tuple[str, ...], dict[str, Any]] = {
     ("--help", "-h"): {},
     ("--hydra-help",): {},
@@ -29,8 +29,9 @@ OPTIONS: dict[tuple[str, ...], dict[str, Any]] = {
     ("--run", "-r"): {},
     ("--multirun", "-m"): {},
     ("--config-dir", "-cd"): {"nargs": None},
+    ("--shell-completion", "-sc"): {},
 }
-_EXCLUSIVE = ("run", "multirun", "cfg")
+_EXCLUSIVE = ("run", "multirun", "cfg", "shell_completion")
 # Settings that go ill with a subcommand, and what is to be known of it.
 _LEFT_OUT = {
     # What goes on with a run, or makes several, has nothing to do with a look at a record.

@@ -33,7 +33,7 @@ from pinn_cli.runs.machine import usable_cores
 from pinn_cli.runs.process import environment
 from pinn_cli.runs.resume import asked_to_resume, going_on, is_finished, is_tracked, stored_score
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.legal_values import is_whole_number
+from pinn_cli.settings.legal_values import is_whole_number, positive_number
 from pinn_cli.sweep.composing import Composer
 from pinn_cli.sweep.jobs import DEFECT, FINISHED, UNFINISHED, Failure, Job, Sweep, written_since
 
@@ -253,6 +253,8 @@ class JoblibLauncher(WorkLauncher):
         super().__init__(work)
         if not is_whole_number(n_jobs) or not n_jobs:
             raise InputError("hydra.launcher.n_jobs", n_jobs, "a whole number, -1: as many as the cores can run")
+        if settings.get("timeout") is not None:  # joblib finds out when its workers have begun
+            positive_number("hydra.launcher.timeout", settings["timeout"])
         threads = int(work.config.get("threads", 1))
         self.processes = jobs_at_once(threads) if n_jobs == -1 else effective_n_jobs(n_jobs)
         self.settings = settings

@@ -53,6 +53,7 @@ def test_every_name_is_there_and_nothing_slow_is_imported_for_it() -> None:
         pinn_cli.sweeep  # noqa: B018
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_command_s_results_bit_for_bit(tmp_path: Path) -> None:
     # In a process that has loaded the linear algebra with as many threads as it likes, as a notebook has.
     code = f"import scipy.linalg\nfrom pinn_cli import run\nprint(run(*{QUICK!r}, directory='python').directory)"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -187,8 +188,17 @@ def test_help_lists_groups_and_examples(pinn_run: PinnRun) -> None:
 def test_the_options_are_those_of_hydra(pinn_run: PinnRun) -> None:
     """Hydra has no public list of them; its help does."""
     flags = [line.partition(" : ")[0] for line in pinn_run("--hydra-help").out.splitlines() if line.startswith("--")]
-    left_out = {"--config-path,-cp", "--config-name,-cn", "--experimental-rerun", "--info,-i", "--shell-completion,-sc"}
+    left_out = {"--config-path,-cp", "--config-name,-cn", "--experimental-rerun", "--info,-i"}
     assert sorted({",".join(names) for names in OPTIONS} | left_out) == sorted(flags)
+
+
+def test_settings_are_completed_by_the_shell() -> None:
+    command = [sys.executable, "-m", "pinn_cli.main", "--shell-completion"]
+    installed = subprocess.run([*command, "install=bash"], capture_output=True, text=True, check=True).stdout
+    assert "complete -o nospace" in installed
+    asked = os.environ | {"COMP_LINE": "pinn-run system=duf", "COMP_POINT": "19"}
+    found = subprocess.run([*command, "query=bash"], capture_output=True, text=True, check=True, env=asked).stdout
+    assert found.split() == ["system=duffing"]
 
 
 def test_a_reader_that_leaves_is_no_defect() -> None:

@@ -190,6 +190,7 @@ def test_messages_about_a_file_name_the_dof_as_the_user_does(composed: Compose, 
         prepare_problem(RunConfig.read(config))
 
 
+@pytest.mark.slow
 def test_files_and_sentences_of_a_run_have_the_names(pinn_run: PinnRun, tmp_path: Path) -> None:
     record = ("simulation.duration=8", "simulation.samples=512", "excitation.band=[1,10]", "excitation.rms=1e3")
     made = pinn_run(*FRAME, *record, "excitation.dofs=[roof]", "scheme.unobserved=[mezzanine]")

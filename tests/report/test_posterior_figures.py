@@ -82,7 +82,9 @@ def check_pairs(figure: Figure, size: int) -> None:
         assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
 
 
-@pytest.mark.parametrize(("names", "chains"), [(("k_1",), 1), (DUFFING, 4), (TWELVE, 2)])
+@pytest.mark.parametrize(
+    ("names", "chains"), [(("k_1",), 1), (DUFFING, 4), pytest.param(TWELVE, 2, marks=pytest.mark.slow)]
+)
 def test_every_figure_is_drawn(names, chains):
     before = dict(mpl.rcParams)
     draws, statistics, parameters = _groups(names=names, chains=chains, draws=60)

@@ -88,6 +88,7 @@ def test_workers_import_nothing_from_the_current_folder(launcher: str, tmp_path:
     assert "2 jobs: 2 finished" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_killed_worker_takes_only_its_own_job_along(tmp_path: Path) -> None:
     (tmp_path / "sitecustomize.py").write_text(KILLS_ITS_WORKER)
     process = start(tmp_path, *SWEEP, "seed=0,1,2,3", env={"PYTHONPATH": str(tmp_path)})

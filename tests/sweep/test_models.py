@@ -128,6 +128,7 @@ def test_the_evidence_is_that_of_the_model_not_of_the_features(record: Any) -> N
     assert fine == pytest.approx(coarse, abs=6.0)
 
 
+@pytest.mark.slow
 def test_a_wider_prior_costs_what_it_is_wider(record: Any) -> None:
     evidence = [
         run("system=linear", f"scheme.prior_width={width}", *RIG, data=record, keep=False).run_record["training"]

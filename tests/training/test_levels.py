@@ -43,6 +43,7 @@ def test_the_noise_of_every_sensor_is_found(per_period):
     np.testing.assert_allclose(ratios(made, estimate, "force"), 1.0, atol=0.1)
 
 
+@pytest.mark.slow
 def test_pooled_sensors_have_the_noise_that_is_common():
     made, rng = frame_record(rate=100.0, duration=15.0), np.random.default_rng(8)
     acceleration = made.truth.acceleration + 0.05 * rng.standard_normal(made.truth.acceleration.shape)

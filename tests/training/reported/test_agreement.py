@@ -38,6 +38,7 @@ def test_records_of_one_structure_agree_within_chance():
     assert not found.by_record[0].disagreements
 
 
+@pytest.mark.slow
 def test_a_record_of_another_structure_contradicts_the_rest():
     found = solved(18.0)
     assert max(d.square for d in found.disagreements) > 2.0 * APART**2
