@@ -48,6 +48,7 @@ def strict_fitness(directory) -> pd.Series:
     return pd.Series(100 * (1 - np.linalg.norm(estimate - true, axis=0) / np.linalg.norm(true, axis=0)), names)
 
 
+@pytest.mark.slow
 def test_a_cubic_stop_at_the_tip_is_found(in_folder_with_a_beam: PinnRun):
     pair = "system.drifts={bend: [a, tip]}"
     outcome = in_folder_with_a_beam(*SMALL, *IDENTIFY, f"system.connections={STOP}", pair)
@@ -67,6 +68,7 @@ def test_a_cubic_stop_at_the_tip_is_found(in_folder_with_a_beam: PinnRun):
     assert (fitness > 99.0).all(), fitness
 
 
+@pytest.mark.slow
 def test_a_model_without_connections_has_no_drifts_to_draw(in_folder_with_a_beam: PinnRun):
     outcome = in_folder_with_a_beam(*SMALL, "simulation.samples=129", "scheme.parameter_uncertainty=0", "figures=true")
     assert outcome.status == 0, outcome.err

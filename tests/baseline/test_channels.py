@@ -63,6 +63,7 @@ def test_a_sample_that_is_missing_tells_nothing() -> None:
         assert rows[~gone, row].any()
 
 
+@pytest.mark.slow
 def test_gains_and_offsets_are_found_beside_the_motion() -> None:
     measurements = made(snr_db=40.0)
     record = in_doubt(measurements.record)

@@ -113,6 +113,7 @@ def _place(panel) -> tuple[int, int]:
     return place.rowspan.start, place.colspan.start
 
 
+@pytest.mark.slow
 def test_many_parameters_show_the_most_correlated():
     figure = _pairs(names=TWELVE, draws=60)
     assert f"the {IN_PAIRS} of 12 parameters that are most correlated with another" in _notes(figure)

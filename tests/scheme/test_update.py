@@ -69,6 +69,7 @@ def test_two_halves_one_after_the_other_are_both_together():
     np.testing.assert_allclose(spread, both, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_a_spring_that_lost_a_twentieth_is_named_and_left_open():
     _, model = first()
     same = estimated(Update(model).pose(PRESCRIBED, [record(2).record]), UpdatedNetwork)

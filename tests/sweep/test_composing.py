@@ -48,7 +48,7 @@ JOBS = (
 OF_SWEEP = ["hydra/launcher=basic", "hydra.job.config.override_dirname.exclude_keys=[seed]"]
 
 
-@pytest.mark.parametrize("overrides", [[], OF_SWEEP])
+@pytest.mark.parametrize("overrides", [pytest.param([], marks=pytest.mark.slow), OF_SWEEP])
 def test_jobs_are_as_hydra_composes_them(loader: Any, overrides: list[str]) -> None:
     sweep = of_sweep(loader, *overrides)
     composer = Composer(loader, sweep)

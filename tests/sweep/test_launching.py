@@ -55,6 +55,7 @@ def test_a_ray_cluster_that_is_not_there_is_told_in_one_line(pinn_run: PinnRun, 
     assert not Path("sweep").exists()
 
 
+@pytest.mark.slow
 def test_a_finished_trial_of_a_search_returns_its_score_and_is_not_run_again(
     pinn_run: PinnRun, tmp_path: Path, monkeypatch
 ) -> None:

@@ -118,6 +118,7 @@ def test_the_true_law_wins(record: Any, tmp_path: Path, monkeypatch: pytest.Monk
     assert (sweep.directory / "figures" / "models.png").is_file()
 
 
+@pytest.mark.slow
 def test_the_evidence_is_that_of_the_model_not_of_the_features(record: Any) -> None:
     every = [
         run("system=duffing", f"network.knots_per_period={knots}", *RIG, data=record, keep=False).run_record["training"]
@@ -138,6 +139,7 @@ def test_a_wider_prior_costs_what_it_is_wider(record: Any) -> None:
     assert narrow - wide == pytest.approx(2.0 * np.log(10.0), abs=0.5)  # of c and k
 
 
+@pytest.mark.slow
 def test_missing_values_are_named_together(record: Any) -> None:
     given = ("system=linear", "system.c=30", "system.k=6e3")
     with pytest.raises(InputError, match="scheme.unknown=missing: must be used with a structure that lacks values"):

@@ -92,7 +92,10 @@ def test_a_search_is_reported_and_failed_trials_take_no_other_along(search: Call
     assert (tmp_path / "found" / str(best["directory"]) / ".hydra").is_dir()
 
 
-@pytest.mark.parametrize(("stop", "at_once"), [(0, 1), pytest.param(3, 1, marks=pytest.mark.slow), (2, 2)])
+@pytest.mark.parametrize(
+    ("stop", "at_once"),
+    [pytest.param(0, 1, marks=pytest.mark.slow), (3, 1), pytest.param(2, 2, marks=pytest.mark.slow)],
+)
 def test_a_stopped_search_goes_on_as_if_never_stopped(
     search: Callable[..., int], tmp_path: Path, stop: int, at_once: int
 ) -> None:

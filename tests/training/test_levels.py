@@ -130,6 +130,7 @@ def test_the_scatter_of_repeats_stays_what_it_is():
         np.testing.assert_allclose(found, record.repeats.noise_of_mean(quantity)[there])
 
 
+@pytest.mark.slow
 def test_sensors_of_one_kind_and_very_different_noise_keep_their_own():
     made = frame_record(rate=100.0, duration=15.0, snr_db=300.0)
     noisy = measured(made.structure, made.truth, {"acceleration": (1, 2, 3)}, 40.0)

@@ -198,6 +198,7 @@ def test_a_run_with_one_sensor_is_scored(pinn_run: PinnRun, monkeypatch: pytest.
     assert pinn_run(*ONE, "validation=heldout").err.endswith("validation=forecast withholds blocks of time\n")
 
 
+@pytest.mark.slow
 def test_the_evidence_prefers_the_right_model(pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch) -> None:
     without_figures(monkeypatch)
     scores = {}

@@ -48,6 +48,7 @@ def test_a_ruined_channel(problem, kind):
     assert (cause.kind, cause.suspect) == (kind, "acceleration of DOF 3")
 
 
+@pytest.mark.slow
 def test_causes_beside_stiffnesses_that_are_unknown(from_afar):
     assert found(from_afar) == []
     (cause,) = found(replace(from_afar, record=altered(from_afar.record, 3, RUINED["sign"])))

@@ -113,6 +113,7 @@ def test_a_run_that_was_killed_while_it_was_told_is_one_run_in_the_end(tmp_path:
     assert {file.name for file in tmp_path.iterdir()} == {"mlflow.db", "run"}
 
 
+@pytest.mark.slow
 def test_a_finished_run_is_told_afterwards(pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """One that was not tracked, or was killed between its last file and the tracker's last call; and only once."""
     without_figures(monkeypatch)
