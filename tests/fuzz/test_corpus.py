@@ -13,7 +13,7 @@ from fuzz.trial import Trial
 CORPUS = sorted((Path(__file__).parent / "corpus").glob("*.json"))
 # Inputs that take long, and families of such: a whole estimate, or all the time that a reader may take.
 LONG = {
-    "numbers", "physics", "disk", "terminal", "csv-7e425c516b", "csv-12f0fd67e6", 
+    "numbers", "physics", "disk", "terminal", "csv-7e425c516b", "csv-12f0fd67e6",
     "directories-023ccd1569", "bombs-245f9af192", "bombs-496ea42d09", "bombs-6408ddf675", "bombs-7d0fef6c52",
     "bombs-804c8eba4e", "bombs-a7a59722df", "csv-d6dc8d3d69", "directories-01af4ba74f", "directories-029ce5dfaf",
     "directories-2d9f2155f2", "directories-058be63100", "directories-03876deda4",
