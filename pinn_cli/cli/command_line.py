@@ -321,7 +321,7 @@ def _collect(jobs: Jobs, cut_off: bool = False) -> None:
     if jobs.full_error:
         for kept in filter(None, (Failure.read(job.directory) for job in begun)):
             print(printable(kept.traceback), file=sys.stderr)
-    jobs.refused = ended.is_refused(found) or (cut_off and not begun)
+    jobs.refused = ended.is_refused(found, begun) or (cut_off and not begun)
     if jobs.refused:
         jobs.reasons = list(dict.fromkeys(job.reason for job in begun))
         for reason in () if cut_off else jobs.reasons:  # of what has cut it off there is a line of its own

@@ -108,18 +108,20 @@ def run_job(
 
     with stages("config"):
         resuming = asked_to_resume(composed, directory)
-        done = finished() and is_tracked(directory, composed)
+        ended = finished()
+        done = ended and is_tracked(directory, composed)
         config = None if done else RunConfig.read(composed, base, follows)
     if config is not None:
         current().lock()
-        done = finished() and is_tracked(directory, composed)  # by the process that was in there
+        ended = finished()  # by the process that was in there
+        done = ended and is_tracked(directory, composed)
     if config is None or done:
         current().left = True
         text = "finished before, nothing to do"
     else:
         with nullcontext() if in_sweep or follows else signs_of_life(stages):
             prepared = None
-            if not finished():
+            if not ended:
                 prepared = _prepared(config, directory, stages, terminal, resuming, in_sweep, follows)
             text = _tracked(config, composed, stages, resuming, prepared, carry_out)
     terminal.say(f"{text}\n{directory}" if text else str(directory))

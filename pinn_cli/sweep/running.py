@@ -103,11 +103,10 @@ class RunningSweep:
         """The jobs that the sweep has begun, or refused."""
         return [job for job in jobs if written_since(job.directory, self.since)]
 
-    def is_refused(self, jobs: list[Job]) -> bool:
-        """Whether no input of any job of the sweep was good."""
+    def is_refused(self, jobs: list[Job], begun: list[Job]) -> bool:
+        """Whether no input of any job of the sweep was good; ``begun``: those of the jobs that it has begun."""
         expected = {self.sweep.directory / name for name in self.sweep.expected}
         finished = any(job.status == FINISHED for job in jobs if job.directory in expected)
-        begun = self.begun(jobs)
         return bool(begun) and not finished and all(job.exit_status == INPUT for job in begun)
 
     def restore(self) -> None:
