@@ -52,6 +52,7 @@ def test_motion_and_forces_with_their_bands(first_frequency, rate, duration, edg
     assert judge(problem.alone, estimate).word == "sound"
 
 
+@pytest.mark.slow
 def test_the_colour_of_forces_is_found_and_the_bands_are_as_wide_as_the_errors():
     squares = []
     for seed in range(4):

@@ -33,6 +33,7 @@ def inside(estimate: np.ndarray, std: np.ndarray, truth: np.ndarray) -> float:
     return float(np.mean(np.abs(estimate - truth) < 1.96 * std))
 
 
+@pytest.mark.slow
 def test_a_hidden_force():
     structure = hysteretic()
     simulation = Simulation(12.0, 801)

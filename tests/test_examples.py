@@ -20,12 +20,10 @@ EXAMPLES = {
 DISPLACEMENT = {"ambient_vibration": 90.0}
 # What the roof of a frame does, other frames do too.
 SEVERAL = ("shear_building_earthquake",)
-SLOW = ("ambient_vibration", "shear_building_earthquake", "frame_with_hysteretic_brace")
 
 
-@pytest.mark.parametrize(
-    "example", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in EXAMPLES]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("example", EXAMPLES)
 def test_an_example_finds_what_it_asks_for(pinn_run: PinnRun, example: str) -> None:
     outcome = pinn_run(f"experiment=examples/{example}", "figures=false")
     assert outcome.status == 0, outcome.err

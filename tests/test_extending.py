@@ -152,6 +152,7 @@ def test_a_network(example):
     assert fitness(example("A network")) > 99.0
 
 
+@pytest.mark.slow
 def test_a_file_format_of_records(example, rig):
     directory = example("A file format of records")
     parameters = pd.read_csv(directory / "parameters.csv").set_index("parameter")

@@ -27,6 +27,7 @@ def files(folder: Path) -> dict[str, tuple[str, ...]]:
     }
 
 
+@pytest.mark.slow
 def test_records_one_after_the_other(pinn_run: PinnRun, tmp_path: Path) -> None:
     data = files(tmp_path)
     first = pinn_run(*FIRST, *data["one"], "hydra.run.dir=first")

@@ -31,6 +31,7 @@ def parameters(directory: Path) -> pd.DataFrame:
     return pd.read_csv(directory / "parameters.csv").set_index("parameter")
 
 
+@pytest.mark.slow
 def test_three_records_make_one_report(pinn_run: PinnRun, tmp_path: Path) -> None:
     write(tmp_path, duration=6.0, snr_db=30.0)
     paths = [tmp_path / f"storey_{storey}.csv" for storey in (1, 2, 3)]

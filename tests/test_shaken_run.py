@@ -40,6 +40,7 @@ def test_a_frame_in_an_earthquake(pinn_run: PinnRun) -> None:
     assert verdict == "sound", outcome.out
 
 
+@pytest.mark.slow
 def test_a_frame_of_which_the_roof_leaves_two_open(pinn_run: PinnRun) -> None:
     """Storeys of 4 and 1 MN/m move the roof as two of 2 MN/m do."""
     outcome = pinn_run(

@@ -99,6 +99,7 @@ def test_columns_are_named_by_what_they_measure(simulated: Record, frame: pd.Dat
     assert found == ["data=frame", f"data.path='{table.path.name}'"]
 
 
+@pytest.mark.slow
 def test_several_frames_are_several_records(frame: pd.DataFrame) -> None:
     shorter = frame.iloc[:300].drop(columns="acceleration.1")
     result = run(*CHAIN, data=[frame, shorter], keep=False)

@@ -72,6 +72,7 @@ def test_a_directory_that_is_none(result: Result, tmp_path: Path) -> None:
         load(tmp_path)
 
 
+@pytest.mark.slow
 def test_draws_of_a_posterior() -> None:
     settings = ("scheme=bayesian", "posterior=laplace", "noise.repeats=2", "figures=false", "system.ndof=2")
     result = run(*SMALL, *settings, keep=False)

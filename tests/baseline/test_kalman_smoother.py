@@ -118,6 +118,7 @@ def test_bands_cover_the_truth() -> None:
     assert all(np.mean(share) > 0.85 for share in shares.values()), shares
 
 
+@pytest.mark.slow
 def test_a_force_that_nobody_measures_is_found() -> None:
     structure = small_chain("duffing")
     measurements = measured(structure, snr_db=40.0, duration=24.0, samples=513)

@@ -125,6 +125,7 @@ def test_many_parameters_show_the_most_correlated():
     assert most_correlated(correlation[:3, :3], 4) == [0, 1, 2]
 
 
+@pytest.mark.slow
 def test_draws_that_do_not_move():
     draws = make_samples().draws.copy()
     draws[..., 0] = 1.0

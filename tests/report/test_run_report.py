@@ -87,6 +87,7 @@ def test_what_there_is_not_brings_no_table(results, tmp_path, unknown, found):
     assert [path.name for name in ("correlation", "identifiability") for path in tmp_path.glob(f"{name}*")] == found
 
 
+@pytest.mark.slow
 def test_a_posterior_brings_its_files_parameters_and_verdict(results, tmp_path):
     start = [parameter_estimate(name, 1.0, 1.0, 0.1, 0.9, 1.1) for name in DUFFING]
     samples = make_samples()

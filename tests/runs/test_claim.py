@@ -87,6 +87,7 @@ def test_a_command_that_waits_changes_nothing(stopped: Path, tmp_path: Path) -> 
     owner.wait()
 
 
+@pytest.mark.slow
 def test_a_refused_sweep_leaves_another_one_as_it_was(pinn_run: PinnRun, tmp_path: Path) -> None:
     sweep = ("--multirun", *ADAM, "training.iterations=1", "hydra.sweep.dir=sweep")
     assert pinn_run(*sweep, "seed=0,1").status == 0

@@ -277,6 +277,7 @@ def test_an_interrupted_training_that_keeps_nothing_says_so(
 MLP = (*SMALL, "network=mlp", "training.collocation_points=60", "figures=false")
 
 
+@pytest.mark.slow
 def test_a_long_step_is_broken_off_and_taken_anew(
     pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

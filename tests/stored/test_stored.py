@@ -68,6 +68,7 @@ def test_a_checkpoint_is_taken_up_by_the_release_that_wrote_it(stored: Path, pin
         assert wrote[name] == now[name] or f"{name}={now[name]} (was {wrote[name]})" in outcome.err
 
 
+@pytest.mark.slow
 def test_windows_go_on(stored: Path, pinn_run: PinnRun) -> None:
     first = (stored / "windows" / "windows" / "0001" / "window.json").read_bytes()
     outcome = pinn_run("resume=windows")
@@ -87,6 +88,7 @@ def test_a_sweep_is_collected_and_goes_on(stored: Path, pinn_run: PinnRun) -> No
     assert (job / "run.json").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_search_goes_on(stored: Path, pinn_run: PinnRun) -> None:
     pytest.importorskip("optuna", reason="the extra optuna is not installed")
     before = pd.read_csv(stored / "search" / "search.csv")

@@ -74,7 +74,8 @@ def test_ctrl_c_ends_all_and_the_same_command_goes_on(tmp_path: Path) -> None:
         assert (tmp_path / "sweep" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
-@pytest.mark.parametrize("launcher", ["joblib", pytest.param("workstation", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("launcher", ["joblib", "workstation"])
+@pytest.mark.slow
 def test_workers_import_nothing_from_the_current_folder(launcher: str, tmp_path: Path) -> None:
     if launcher == "workstation":
         pytest.importorskip("submitit", reason="not installed: pip install 'pinn-cli[slurm]'")

@@ -108,6 +108,7 @@ def record() -> Any:
 RIG = ("scheme=state_parameter", "scheme.unknown=missing", "system.ndof=1", "system.m=40", "figures=false", "threads=1")
 
 
+@pytest.mark.slow
 def test_the_true_law_wins(record: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     sweep = run("system=linear,duffing", "data.validation={start: 6, stop: 7.475}", *RIG, data=record, multirun=True)

@@ -110,6 +110,7 @@ def test_a_stopped_search_goes_on_as_if_never_stopped(
     assert rest.made == undisturbed.made - stop  # what has a score is not made again
 
 
+@pytest.mark.slow
 def test_a_finished_search_makes_no_trial_and_more_may_be_asked_for(search: Callable[..., int], tmp_path: Path) -> None:
     search(trials=1)
     before = read(tmp_path)
@@ -171,6 +172,7 @@ def test_another_search_does_not_go_on_with_its_trials(search: Callable[..., int
     assert "another search" in outcome.err or "they differ in seed=" in outcome.err
 
 
+@pytest.mark.slow
 def test_where_and_how_trials_run_may_change(search: Callable[..., int], tmp_path: Path) -> None:
     search("threads=2", task=StopsAt(3))
     assert search("figures=false", "tracking=none") == 0
@@ -199,6 +201,7 @@ def test_a_search_without_any_score_says_so(pinn_run: PinnRun) -> None:
     assert outcome.err.splitlines()[-1].endswith("every trial failed: diverged at iteration 7")
 
 
+@pytest.mark.slow
 def test_a_preset_of_real_runs(pinn_run: PinnRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two trials of the splines' preset, each scored by the sensors that it did not see."""
     without_figures(monkeypatch)

@@ -34,7 +34,8 @@ def assert_right(estimate: Estimate, truth: Response) -> None:
     assert estimate.doubts == ()
 
 
-@pytest.mark.parametrize(("ground", "order"), [(False, 1), pytest.param(True, 2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("ground", "order"), [(False, 1), (True, 2)])
+@pytest.mark.slow
 def test_behind_a_known_filter_displacements_are_in_their_bands(ground: bool, order: int):
     truth = moved(ground, 1, ())
     shown = dict(enumerate(high_passed(truth.acceleration, CORNER, order).T))
@@ -56,6 +57,7 @@ def test_an_unknown_corner_is_found(order: int):
             assert abs(p.estimate - CORNER) < 4.0 * p.std < 0.1
 
 
+@pytest.mark.slow
 def test_an_unknown_tilt_is_found():
     truth = moved(True, 1, ())
     record = recorded(truth, {2: truth.acceleration[:, 2] + 3.0 * truth.displacement[:, 2]})

@@ -55,6 +55,7 @@ def test_pooled_sensors_have_the_noise_that_is_common():
     assert found[0] == pytest.approx(0.05, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_lone_sensor_with_as_many_features_as_samples_does_not_lose_its_noise():
     """The motion could follow every sample; then the least of residuals is rounding, and no noise level."""
     made = frame_record(rate=100.0, duration=8.0, sensors=(("acceleration", (3,)),))
@@ -64,6 +65,7 @@ def test_a_lone_sensor_with_as_many_features_as_samples_does_not_lose_its_noise(
     assert 0.3 < ratios(made, estimate, "acceleration")[0] < 2.0
 
 
+@pytest.mark.slow
 def test_an_accelerometer_beside_a_poor_load_cell_has_the_noise_that_its_spectrum_shows():
     """The motion follows it wherever it goes, and leaves its noise for the load cell's."""
     ratio, z = [], []

@@ -91,6 +91,7 @@ def spread(given: Model, seen: Record, **settings) -> float:
     return float(np.sqrt(np.mean(predicted(given, seen, draws=40, **settings).std.displacement ** 2)))
 
 
+@pytest.mark.slow
 def test_discrepancy_and_noise_of_a_measured_force_widen_the_bands():
     known, exact, noisy = model(0.001), force_alone(), with_noise(force_alone(), 30.0)
     quiet = spread(known, noisy, measured_input=False)

@@ -187,6 +187,7 @@ def without_truth(measure):
     return blind
 
 
+@pytest.mark.slow
 def test_a_run_with_one_sensor_is_scored(pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch) -> None:
     without_figures(monkeypatch)
     scored = pinn_run(*ONE, "validation=forecast")

@@ -55,6 +55,7 @@ def steps_of(database: Path, run: Any, metric: str) -> list[int]:
     return [m.step for m in client.get_metric_history(run.info.run_id, metric)]
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_is_told_once_it_has_ended(
     pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

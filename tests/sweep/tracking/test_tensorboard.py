@@ -29,6 +29,7 @@ def events(folder: Path) -> Any:
     return found
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_is_one_run_in_the_end(
     pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -70,6 +71,7 @@ def test_rows_between_the_last_note_and_a_kill_are_there_once(pinn_run: PinnRun,
     assert [e.step for e in found.Scalars("loss/observation")] == history["iteration"].tolist()
 
 
+@pytest.mark.slow
 def test_in_a_folder_with_files_of_others_those_stay(pinn_run: PinnRun, tmp_path: Path) -> None:
     """Whether the run is new, takes another one's place, or is refused."""
     place = tmp_path / "boards" / "default" / "run"

@@ -98,6 +98,7 @@ def test_a_mode_that_is_not_in_the_model_is_named_by_its_frequency(seed: int):
     assert first.share > 0.8
 
 
+@pytest.mark.slow
 def test_a_late_load_cell_is_named_and_not_an_early_sensor():
     truth = moved(False, 1, ())
     record, late = recorded(truth), 0.4 / RATE
@@ -125,7 +126,8 @@ def test_floors_that_all_turn_are_named_together(ground: bool):
     assert doubt.value == pytest.approx(3.0, rel=0.1)
 
 
-@pytest.mark.parametrize("order", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.slow
 def test_accelerometers_that_pass_no_slow_motion_are_named(order: int):
     truth = moved(False, 1, ())
     filtered = high_passed(truth.acceleration, 0.3, order)
@@ -134,7 +136,8 @@ def test_accelerometers_that_pass_no_slow_motion_are_named(order: int):
     assert 0.15 < doubt.value < 0.6
 
 
-@pytest.mark.parametrize("ground", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.parametrize("ground", [True, False])
+@pytest.mark.slow
 def test_a_wrong_mass_is_named(ground: bool):
     doubt, *_ = solved(posed(recorded(moved(ground, 1, ())), m=[9e3, 10.5e3, 8e3])).doubts
     assert (doubt.kind, doubt.of) == ("m", "DOF 2")

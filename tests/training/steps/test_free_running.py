@@ -66,6 +66,7 @@ def output_error(record: Record) -> tuple[np.ndarray, float]:
     return np.exp(found.x), 100.0 * float(np.mean(found.fun**2))
 
 
+@pytest.mark.slow
 def test_a_model_without_its_drag_gets_the_parameters_of_an_output_error_fit():
     estimate, (fitted, missed) = identified(300.0), output_error(dragged(300.0))
     story, other = estimate.stories
