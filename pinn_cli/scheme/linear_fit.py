@@ -43,9 +43,13 @@ def what_acts(record: Record) -> list[Channel] | None:
 
 def spectra_under(record: Record, acting: Sequence[Channel]) -> CrossSpectra[Channel]:
     """Of the response and of what acts, up to the end of the record's band."""
+    return CrossSpectra.of_bands(record, channels(record), acting, lines_in_band(record))
+
+
+def lines_in_band(record: Record) -> list[int]:
+    """Groups of lines of a spectrum up to the end of the record's band; see :func:`band_edges`."""
     stop = int(np.searchsorted(np.fft.rfftfreq(len(record.time), record.step), record_band(record), side="right"))
-    stop = min(max(stop, LOWEST_BINS + 8), len(record.time) // 2 + 1)
-    return CrossSpectra.of_bands(record, channels(record), acting, band_edges(LOWEST_BINS, stop, MOST_FREQUENCIES))
+    return band_edges(LOWEST_BINS, min(max(stop, LOWEST_BINS + 8), len(record.time) // 2 + 1), MOST_FREQUENCIES)
 
 
 class LinearStructure:

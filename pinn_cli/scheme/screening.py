@@ -144,17 +144,9 @@ def grid_of_starts(model: JointFit, records: Sequence[Record], guess: Mapping[st
     mass, stiffness = (np.where(np.isnan(known[kind]), guess[kind], known[kind]) for kind in ("m", "k"))
     if not len(free["m"]) and not len(free["k"]):
         return [model.start(mass, stiffness)]
-    rates = np.linalg.eigvalsh(
-        model.structure.stretch.T @ (stiffness[:, None] * model.structure.stretch) / np.sqrt(np.outer(mass, mass))
-    )
-    # A chain that is loose somewhere has frequencies of zero, which say nothing about its stiffness.
-    stiff = rates[rates > RIGID * rates[-1]]
-    if not stiff.size:
+    factors = common_factors(model.structure.stretch, mass, stiffness, records, PER_DECADE)
+    if not len(factors):
         return [model.start(mass, stiffness)]
-    slow, fast = np.sqrt(stiff[[0, -1]]) / (2.0 * np.pi)
-    duration, band = max(each.duration for each in records), max(map(record_band, records))
-    least, most = 2.0 * np.log10(SLOWEST / duration / fast), 2.0 * np.log10(FASTEST * band / slow)
-    factors = 10.0 ** np.linspace(least, most, max(2, int(PER_DECADE * (most - least))))
     # Frequencies go with the root of either; where no stiffness is free it is the masses that are too large or small.
     lighter = np.ones_like(factors) if len(free["k"]) else factors
     tried = [model.start(mass / by, factor * stiffness) for factor, by in zip(factors, lighter, strict=True)]
@@ -166,6 +158,29 @@ def grid_of_starts(model: JointFit, records: Sequence[Record], guess: Mapping[st
     ]
     valleys.sort(key=lambda i: misfits[i])
     return [model.start(mass, stiffness), *(tried[i] for i in valleys[: SURVIVORS[0]])]
+
+
+def common_factors(
+    stretch: np.ndarray, mass: np.ndarray, stiffness: np.ndarray, records: Sequence[Record], per_decade: int
+) -> np.ndarray:
+    """Factors on all stiffnesses at which records can tell a structure's frequencies; none where it has none.
+
+    Args:
+        stretch: (C, n), which coordinates stretch each connection.
+        mass: (n,).
+        stiffness: (C,).
+        records: Which.
+        per_decade: Of the factors, so many.
+    """
+    rates = np.linalg.eigvalsh(stretch.T @ (stiffness[:, None] * stretch) / np.sqrt(np.outer(mass, mass)))
+    # A chain that is loose somewhere has frequencies of zero, which say nothing about its stiffness.
+    stiff = rates[rates > RIGID * rates[-1]]
+    if not stiff.size:
+        return stiff
+    slow, fast = np.sqrt(stiff[[0, -1]]) / (2.0 * np.pi)
+    duration, band = max(each.duration for each in records), max(map(record_band, records))
+    least, most = 2.0 * np.log10(SLOWEST / duration / fast), 2.0 * np.log10(FASTEST * band / slow)
+    return np.asarray(10.0 ** np.linspace(least, most, max(2, int(per_decade * (most - least)))))
 
 
 def _distinct(found: list[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:

@@ -1,23 +1,26 @@
 """Where unknown parameters start, and how far they may go: what the user says, else what the structure must be like.
 
 Masses, dampers and springs come from linear chains that make of the measured force what the sensors saw
-(:mod:`pinn_cli.scheme.screening`); several where one is not clearly the best. Where no force is known, or no linear
-chain comes near, they come from the record's own scale.
+(:mod:`pinn_cli.scheme.screening`); several where one is not clearly the best. Where no linear chain comes near, what is
+said of the springs keeps its ratios, and the structure's own free run tells how stiff they are together
+(:mod:`pinn_cli.scheme.own_motion`). Where no force is known, they come from the record's own scale.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from pinn_cli.record.channels import motion_amplitudes
 from pinn_cli.record.cross_spectra import misses_samples
+from pinn_cli.record.free_run import is_linear
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.linear_fit import STARTING_RATIO, last_ends
-from pinn_cli.scheme.screening import SAME_START, Candidate, screened
+from pinn_cli.scheme.own_motion import distance
+from pinn_cli.scheme.screening import SAME_START, Candidate, common_factors, screened
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.system.connection.base import Hysteresis
@@ -28,6 +31,9 @@ from pinn_cli.system.structure import Structure
 AUTO, GIVEN = "auto", "given"
 # Damping ratios of structures that may start.
 RATIOS = 1e-3, 0.3
+# Where no linear chain comes near, free runs take so many common factors on the springs in a decade, in so many decades
+# either way.
+FREE_RUNS, DECADES_OFF = 4, 2.0
 # A linear chain that explains nothing has a misfit of one, and with one above the first of these nothing can be said;
 # where missing samples scatter everything, the right one explains a little only. Those with so many times the least
 # misfit are worth a start of their own, so many at most.
@@ -132,13 +138,41 @@ def parameter_starts(
         candidates = [c for c in candidates[:MOST_RIVALS] if c.misfit <= RIVAL * candidates[0].misfit]
     own = Candidate(_unscreened(known, guess), np.inf, calibration=candidates[0].calibration if candidates else {})
     if not candidates[:most]:
-        candidates = [own]
+        candidates = [own if most == 0 else _by_own_motion(own, prescribed, records, unknown, given)]
     elif most != 1 and _is_said(unknown, given) and all(_apart(own, one, unknown) for one in candidates[:most]):
         candidates = [*candidates[: None if most is None else most - 1], own]
     return [
         _starts(prescribed, records, unknown, given, one.parameters) | _of_sensors(one.calibration)
         for one in candidates[: most or None]
     ]
+
+
+def _by_own_motion(
+    own: Candidate,
+    prescribed: Structure,
+    records: Sequence[Record],
+    unknown: Collection[Parameter],
+    given: Mapping[Parameter, float],
+) -> Candidate:
+    """Of a structure that is no linear one, with the common factor on its unknown springs that its free run speaks for.
+
+    See :mod:`pinn_cli.scheme.own_motion`.
+    """
+    free = [p.index for p in unknown if p.kind == "k"]
+    stretch = prescribed.stretch.matrix[prescribed.added].toarray()[:, : prescribed.coordinates]
+    factors = common_factors(stretch, own.parameters["m"], own.parameters["k"], records, FREE_RUNS)
+    best, least = own, np.inf
+    for factor in factors[np.abs(np.log10(factors)) <= DECADES_OFF] if free else ():
+        k = own.parameters["k"].copy()
+        k[free] *= factor
+        starts = _starts(prescribed, records, unknown, given, own.parameters | {"k": k})
+        structure = prescribed.with_values({parameter: start.value for parameter, start in starts.items()})
+        if is_linear(structure):
+            break  # it has been compared
+        apart = distance(structure, records)
+        if apart < least:
+            best, least = replace(own, parameters=own.parameters | {"k": k}), apart
+    return best
 
 
 def _is_said(unknown: Collection[Parameter], given: Mapping[Parameter, float]) -> bool:

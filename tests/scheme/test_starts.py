@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
-from independent_records import IndependentRecord, frame_record
+from independent_records import IndependentRecord, frame, frame_record, measured, random_force
 
 from pinn_cli.record.channels import motion_amplitudes
 from pinn_cli.record.excitation import BandedNoise
@@ -205,3 +207,14 @@ def test_what_is_missing_is_told_as_it_would_be_given():
         check_given(structure)
     assert error.value.setting == "system.mass.x2, system.connections.tie.c, system.connections.storey.k"
     check_given(structure, list(structure.every_parameter()))
+
+
+@pytest.mark.parametrize("factor", [pytest.param(0.1, marks=pytest.mark.slow), 10.0])
+def test_where_no_linear_chain_comes_near_the_free_run_says_how_stiff_it_is(factor):
+    s = replace(frame(), kappa=np.array([0.0, 2e12, 2e12]))
+    time = np.arange(600) / 100.0
+    record = measured(s, s.moved(random_force(0.5, 20.0, 8000.0, 6.0), time), {"acceleration": (1, 3)}, 40.0).record
+    values = {"m": s.m.tolist(), "c": s.c.tolist(), "k": (factor * s.k).tolist(), "kappa": s.kappa.tolist()}
+    problem = StateParameter(unobserved=[], unknown="k_*").pose(build_chain(3, Duffing(), **values), [record])
+    (start,) = starts(problem)
+    assert np.abs(np.log10(start / s.k)).max() < 0.3
