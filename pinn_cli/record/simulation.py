@@ -79,20 +79,30 @@ class StateEquation:
         """From a state and a load to d(state)/dt."""
         structure = self.structure
         products = structure.incidence.products()
-        if self.shaken or products is None or len(structure.groups) > 1 or len(structure.memory):
+        if self.shaken or products is None:
             return self._slope
-        (group,), parameters, (elongation, pull) = structure.groups, self._parameters, products
+        (elongation, pull), n, mass = products, structure.coordinates, self._parameters[MASS]
+        force, hidden_rate = structure.laws_of(self._parameters)
 
         # The same operations as `Structure.acceleration` in the same order, to the same bits: a simulation takes them
         # ten thousand times, and half of its time was finding out again which they are.
         def slope(state: np.ndarray, load: np.ndarray) -> np.ndarray:
             found = np.empty_like(state)
             found[0] = velocity = state[1]
-            force = group.force(state[0].dot(elongation), velocity.dot(elongation), parameters)
-            np.divide(load - force.dot(pull), parameters[MASS], out=found[1])
+            np.divide(
+                load - force(state[0].dot(elongation), velocity.dot(elongation), None).dot(pull), mass, out=found[1]
+            )
             return found
 
-        return slope
+        def slope_with_memory(state: np.ndarray, load: np.ndarray) -> np.ndarray:
+            found = np.empty_like(state)
+            found[:n] = velocity = state[n : 2 * n]
+            e, de, z = state[:n].dot(elongation), velocity.dot(elongation), state[2 * n :]
+            np.divide(load - force(e, de, z).dot(pull), mass, out=found[n : 2 * n])
+            found[2 * n :] = hidden_rate(e, de, z)
+            return found
+
+        return slope_with_memory if len(structure.memory) else slope
 
     def _slope(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
         structure, p = self.structure, self._parameters

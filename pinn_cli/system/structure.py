@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol
@@ -305,12 +305,24 @@ class Structure:
     def hidden_rate(self, e: Array, de: Array, z: Array, parameters: Mapping[str, Array] | None = None) -> Array:
         """dz/dt of the hidden forces (..., h), N/s, from elongations and rates (..., C) and the hidden forces."""
         p = self.parameters_like(e) if parameters is None else parameters
+        return self._hidden_rate(e, de, z, [part.own(p) for part in self.parts])
+
+    def _hidden_rate(self, e: Array, de: Array, z: Array, own: Sequence[Mapping[str, Array]]) -> Array:
+        """The same from the parameters of every group's connections (..., C of the group)."""
         rates = []
-        for group, part in zip(self.groups, self.parts, strict=True):
+        for group, part, values in zip(self.groups, self.parts, own, strict=True):
             if isinstance(group.nonlinearity, Hysteresis):
-                at, own = part.connections, part.own(p)
-                rates.append(group.nonlinearity.rate(e[..., at], de[..., at], z[..., part.hidden], own))
+                at = part.connections
+                rates.append(group.nonlinearity.rate(e[..., at], de[..., at], z[..., part.hidden], values))
         return namespace(e).concatenate(rates, -1)
+
+    def laws_of(self, parameters: Mapping[str, Array]) -> tuple[Callable[..., Array], Callable[..., Array]]:
+        """:meth:`connection_force` and :meth:`hidden_rate` of (e, de, z) at these parameters, sorted out once."""
+        own = [part.own(parameters) for part in self.parts]
+        return (
+            lambda e, de, z: self._connection_force(e, de, own, z),
+            lambda e, de, z: self._hidden_rate(e, de, z, own),
+        )
 
     def restoring_force(
         self, u: Array, v: Array, parameters: Mapping[str, Array] | None = None, z: Array | None = None

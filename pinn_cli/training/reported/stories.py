@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -38,10 +40,12 @@ def with_stories(found: Inference, estimate: Estimate) -> Estimate:
     if not found.free:
         return estimate
     problems = found.evidence.problem.each
-    every = [of_free_running(found, free, estimate) for free in found.free]
-    free, other = min(((_story(OF_RESPONSE, problems, own), own) for own in every), key=lambda one: _rank(one[0]))
-    of_force = _story(OF_FORCE, problems, estimate)
-    stories, chosen = ((free, of_force), other) if _rank(free) < _rank(of_force) else ((of_force, free), estimate)
+    free = min(
+        (_Told(OF_RESPONSE, problems, of_free_running(found, free, estimate)) for free in found.free),
+        key=lambda told: told.rank,
+    )
+    best, other = sorted((_Told(OF_FORCE, problems, estimate), free), key=lambda told: told.rank)
+    stories, chosen = (best.story, other.story), best.estimate
     motions = [tuple(own.parameters) for own in estimate.by_record]
     records = tuple(replace(own, of_motion=motion) for own, motion in zip(chosen.records, motions, strict=False))
     return replace(chosen, stories=stories, of_motion=motions[0], records=records)
@@ -73,39 +77,48 @@ def _at_mode(found: ParameterEstimate, mode: float) -> ParameterEstimate:
     return replace(found, estimate=mode, lower_90=lower, upper_90=upper)
 
 
-def _story(name: str, problems: Sequence[Problem], estimate: Estimate) -> Story:
-    return Story(name, tuple(estimate.parameters), *_missed(problems, estimate))
+@dataclass(frozen=True, eq=False)
+class _Told:
+    """A story, and what it misses of the response's sensors of all records: a mean NMSE, %."""
+
+    name: str
+    problems: Sequence[Problem]
+    estimate: Estimate
+
+    @cached_property
+    def free_run(self) -> float:
+        return self._missed(1)
+
+    @cached_property
+    def segments(self) -> float:
+        return self._missed(SEGMENTS)
+
+    @property
+    def rank(self) -> float:
+        """What decides: the free run, else its segments where it goes nowhere."""
+        return self.free_run if self.free_run < PREDICTS_NOTHING else PREDICTS_NOTHING + self.segments
+
+    @property
+    def story(self) -> Story:
+        return Story(self.name, tuple(self.estimate.parameters), self.free_run, self.segments)
+
+    def _missed(self, parts: int) -> float:
+        each = zip(self.problems, self.estimate.by_record, strict=True)
+        return float(np.mean([_missed_of(problem, own, parts) for problem, own in each]))
 
 
-def _rank(story: Story) -> float:
-    """What decides: the free run, else its segments where it goes nowhere."""
-    return story.free_run if story.free_run < PREDICTS_NOTHING else PREDICTS_NOTHING + story.segments
-
-
-def _missed(problems: Sequence[Problem], estimate: Estimate) -> tuple[float, float]:
-    """NMSE of a free run and of segments, %, mean over the response's sensors of all records."""
-    every = [_missed_of(*each) for each in zip(problems, estimate.by_record, strict=True)]
-    free_run, segments = np.mean(every, axis=0)
-    return float(free_run), float(segments)
-
-
-def _missed_of(problem: Problem, estimate: Estimate) -> tuple[float, float]:
-    """Of one record."""
+def _missed_of(problem: Problem, estimate: Estimate, parts: int) -> float:
+    """Of one record, in so many parts; infinite where there is no free run."""
     record, motion = as_calibrated(problem.record, estimate), estimate.response
     structure = estimated_structure(problem.structure, estimate.parameters)
-    ends = np.linspace(0, len(record.time), SEGMENTS + 1).astype(int)
-
-    def left(parts: Sequence[tuple[int, int]]) -> float:
-        total = []
-        for first, last in parts:
-            try:
-                response = free_run_of(structure, record.until(last), motion, first, first)
-            except NoFreeRunError:
-                return np.inf
-            total.append(_squares(record, response, slice(first, last)))
-        return 100.0 * float(np.mean(np.sum(total, axis=0) / _powers(record)))
-
-    return left([(0, len(record.time))]), left(list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)))
+    ends, total = np.linspace(0, len(record.time), parts + 1).astype(int).tolist(), []
+    for first, last in pairwise(ends):
+        try:
+            response = free_run_of(structure, record.until(last), motion, first, first)
+        except NoFreeRunError:
+            return np.inf
+        total.append(_squares(record, response, slice(first, last)))
+    return 100.0 * float(np.mean(np.sum(total, axis=0) / _powers(record)))
 
 
 def _squares(record: Record, response: Response, part: slice) -> np.ndarray:
