@@ -128,7 +128,7 @@ class WindowedRun:
                 # Not above: matplotlib takes a while, and may not be wanted.
                 from pinn_cli.report.figures import write_over_time_figure
 
-                write_over_time_figure(pd.read_csv(self.directory / OVER_TIME), self.directory / "figures")
+                write_over_time_figure(pd.read_csv(self.directory / OVER_TIME), self.directory / "figures", "Window")
         digest = hashlib.sha256(" ".join(e["observed"] for e in entries).encode()).hexdigest()[:16]
         content = run_facts(self.solver.run, entries[-1]["training"], digest, stages.seconds)
         told = ("number", "start", "hand_over", "stop", "verdict", "reasons", "changed")
