@@ -98,7 +98,7 @@ def summary_text(summary: pd.DataFrame) -> str:
         notes.append(f"the first {SETTINGS_SHOWN} of {len(wide)} settings; all: summary.csv")
         wide = wide.head(SETTINGS_SHOWN)
     text = wide.map(percent).reset_index().to_string(index=False)
-    return "\n".join(["mean fitness over all DOFs and seeds, printed formula (%)", text, *notes])
+    return "\n".join(["mean fitness over all DOFs and seeds, 1 - error / deviation (%)", text, *notes])
 
 
 def numeric_settings(table: pd.DataFrame, settings: Sequence[str]) -> list[str]:

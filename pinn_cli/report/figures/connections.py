@@ -32,9 +32,7 @@ _TRUE_PEAK: style.Look = {
 }  # fmt: skip
 
 
-def drift_figure(
-    drifts: Histories, truth_label: str = "truth", shown_s: tuple[float, float] | None = None
-) -> Figure:
+def drift_figure(drifts: Histories, truth_label: str = "truth", shown_s: tuple[float, float] | None = None) -> Figure:
     """A row for each connection, its drift over time with its 95 % band; on the right the peaks with 90 % intervals.
 
     Of more than `ROWS_IN_FULL` connections the histories of those with the largest peaks are shown; the peaks of all.

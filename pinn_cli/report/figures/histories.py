@@ -161,8 +161,8 @@ def response_figure(results: Results) -> Figure:
     Drawn are the estimate with its band of 95 %, the truth where it is known, observations as points (at most `POINTS`
     of a channel), the true response of the equivalent linear system, and that of the baseline. Where the ground moves,
     its acceleration stands in a last row. The force has one scale for all DOFs, so that an estimated force where there
-    is none is seen in proportion; its root mean square is written there. Of a record with too many periods, those about the
-    largest measured force or motion of the ground: a hammer's blow is among them.
+    is none is seen in proportion; its root mean square is written there. Of a record with too many periods, those
+    about the largest measured force or motion of the ground: a hammer's blow is among them.
     """
     record, run, estimate = results.record, results.run, results.estimate.response
     rows = shown_dofs(record.ndof)

@@ -82,7 +82,7 @@ def residuals_figure(estimate: Estimate, record: Record) -> Figure:
 
 
 def compared_channels(estimate: Estimate, record: Record) -> list[Channel]:
-    """The sensors that an estimate is compared with: not those of which it has nothing, or that it was given as exact."""
+    """The sensors that an estimate is compared with: not those that it has nothing of, or was given as exact."""
     out = []
     for channel in every_channel(record):
         left = channel.measured - channel.of(estimate.response)
@@ -94,9 +94,9 @@ def compared_channels(estimate: Estimate, record: Record) -> list[Channel]:
 def validation_figure(run: ValidationRun, estimate: Estimate) -> Figure:
     """A row for each response sensor: its history beside the run's with its 95 % band, and what is between them.
 
-    The band of the error holds the sensor's noise as well, of a sensor that the estimator has seen. Of a record with too many periods the histories show the
-    last ones, where errors of the parameters have added up; the error is shown as a whole. Of more than `ROWS_IN_FULL`
-    sensors those with the largest NMSE are shown. The run has a response.
+    The band of the error holds the sensor's noise as well, of a sensor that the estimator has seen. Of a record with
+    too many periods the histories show the last ones, where errors of the parameters have added up; the error is shown
+    as a whole. Of more than `ROWS_IN_FULL` sensors those with the largest NMSE are shown. The run has a response.
     """
     every = channels(run.record, RESPONSE_QUANTITIES)
     errors = [nmse_percent(m - s, m) for m, s, _ in map(run.compared, every)]

@@ -45,7 +45,14 @@ SYMBOLS = {
 
 # Fonts with the signs of many scripts, for names that the first one cannot write.
 _FONT, _OTHER_FONTS = "STIXGeneral", ("Noto Sans CJK", "Source Han Sans", "WenQuanYi", "Droid Sans Fallback", "Unifont")
-_FROM_THEIR_SYSTEMS = ("Arial Unicode MS", "Hiragino Sans", "PingFang SC", "Yu Gothic", "Microsoft YaHei", "Malgun Gothic")
+_FROM_THEIR_SYSTEMS = (
+    "Arial Unicode MS",
+    "Hiragino Sans",
+    "PingFang SC",
+    "Yu Gothic",
+    "Microsoft YaHei",
+    "Malgun Gothic",
+)
 
 _STYLE: dict[Any, Any] = {
     "mathtext.fontset": "stix", "font.size": 8,
