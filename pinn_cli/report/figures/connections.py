@@ -72,13 +72,13 @@ def _draw_peaks(axes: Axes, drifts: Histories, factor: float) -> None:
     found = drifts.peak_estimates()
     place = np.arange(len(found.estimate))
     known = np.isfinite(found.std).all()
+    dot = {**_PEAK, "markersize": 2.0} if known else _PEAK
+    axes.plot(factor * found.estimate, place, **dot, label="peak, 90 % interval" if known else "peak")
     if known:
         ends = factor * np.maximum(found.interval, 0.0)
         axes.hlines(place, *ends, color=style.VERMILLION, linewidth=1.2)
         for end in ends:  # upright bars, higher than the dot, which hides a short interval
             axes.plot(end, place, "|", color=style.VERMILLION, markersize=12.0, markeredgewidth=0.9)
-    dot = {**_PEAK, "markersize": 2.0} if known else _PEAK
-    axes.plot(factor * found.estimate, place, **dot, label="peak, 90 % interval" if known else "peak")
     axes.plot(factor * found.true, place, **_TRUE_PEAK)
     axes.set_xlim(left=0.0)
     axes.set_ylim(-0.6, len(place) - 0.4)

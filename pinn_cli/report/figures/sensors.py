@@ -31,7 +31,7 @@ DECADES = 9  # that a spectrum shows at most, if that is enough to see the resid
 # Sensors whose frequency response is shown, and lines of the spectrum that are averaged to one measured value.
 MOST, AVERAGED = 6, 3
 MARKED, LINES = 60, ("-", "--", "-.", ":")  # iterations up to which each is marked; of a term of the loss
-WITH_NOISE, WITHOUT_NOISE = "95 % band with the sensor's noise", "95 % band, noise of the sensor unknown"
+WITH_NOISE, WITHOUT_NOISE = "95 % with noise", "95 %, noise unknown"
 ROUND_OFF = 1e-9  # of the largest value of a sensor: what is left of one that the estimate was given
 # What the terms of a loss are called.
 TERMS = {
