@@ -49,6 +49,7 @@ CAPTIONS = {
     "history": "Terms of the loss and their weights, by iteration",
     "posterior_pairs": "Distribution of the parameters",
 }
+IN_PYTHON = "Read all numbers in Python:", "import pinn_cli; result = pinn_cli.load('DIRECTORY')"
 PAGE_DOFS = 40  # beyond these the rows of single DOFs are left to fitness.csv
 
 _THREE, _FOUR = (partial(text.number, digits=digits) for digits in (3, 4))
@@ -137,14 +138,13 @@ def sheet_of(titles: tuple[str, str, str], columns: Mapping[str, Column], table:
 def parameter_sheets(parameters: pd.DataFrame) -> list[Sheet]:
     """Of the unknown parameters, and of those that were prescribed."""
     tables, left_out = text.parameter_tables(parameters)
+    named = [(columns, rows.assign(parameter=rows["parameter"].str.removesuffix(" *"))) for columns, rows in tables]
     believed = " ".join(["What was given, and what the record makes of it.", *left_out])
     titles = {
         "start": ("unknown", "Unknown parameters", "Identified from the record; start is where the search began."),
         "prescribed": ("prescribed", "Prescribed parameters", believed),
     }
-    return [
-        sheet_of(titles["start" if "start" in columns else "prescribed"], columns, rows) for columns, rows in tables
-    ]
+    return [sheet_of(titles["start" if "start" in columns else "prescribed"], columns, rows) for columns, rows in named]
 
 
 def fitness_sheets(fitness: pd.DataFrame) -> list[Sheet]:
@@ -181,5 +181,4 @@ def next_steps(results: Results, verdict: Verdict | None) -> list[tuple[str, str
         steps.append(("Predict the response to other forces: add", "scheme=predict"))
     if not measured:
         steps.append(("See how far it goes with noise:", "pinn-run --multirun noise.snr_db=50,30,20 'seed=range(5)'"))
-    steps.append(("Read all numbers in Python:", "import pinn_cli; result = pinn_cli.load('DIRECTORY')"))
-    return steps
+    return [*steps, IN_PYTHON]

@@ -128,11 +128,11 @@ class WindowedRun:
             if self.drawn:
                 # Not above: matplotlib takes a while, and may not be wanted.
                 from pinn_cli.report.figures import write_over_time_figure
-                from pinn_cli.report.page import Page, fitness_sheets, parameter_sheets
+                from pinn_cli.report.page import IN_PYTHON, Page, fitness_sheets, parameter_sheets
 
                 write_over_time_figure(pd.read_csv(self.directory / OVER_TIME), self.directory / "figures", "Window")
                 sheets = [*parameter_sheets(parameters), *fitness_sheets(fitness)]
-                Page(self.solver.run.case, verdict, sheets, entries[-1]["doubts"]).write(self.directory)
+                Page(self.solver.run.case, verdict, sheets, entries[-1]["doubts"], [IN_PYTHON]).write(self.directory)
         digest = hashlib.sha256(" ".join(e["observed"] for e in entries).encode()).hexdigest()[:16]
         content = run_facts(self.solver.run, entries[-1]["training"], digest, stages.seconds)
         told = ("number", "start", "hand_over", "stop", "verdict", "reasons", "changed")
