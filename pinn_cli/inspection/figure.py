@@ -96,6 +96,7 @@ def _draw_responses(magnitude: Axes, coherence: Axes, found: Inspection) -> None
         for axes, values in ((magnitude, size[:, k]), (coherence, spectra.coherence[1:, k])):
             kept = _spectral_indices(values)
             axes.plot(spectra.frequency[1:][kept], np.where(values > 0.0, values, np.nan)[kept], **look)
+    magnitude.legend(loc="best", fontsize=6, ncols=2, handlelength=1.2)  # peaks have their place above
     for axes in (magnitude, coherence):
         _draw_peaks(axes, found)
         axes.set_xlabel("Frequency (Hz)", labelpad=2)
@@ -108,7 +109,6 @@ def _draw_responses(magnitude: Axes, coherence: Axes, found: Inspection) -> None
     coherence.set_xlim(spectra.frequency[1], spectra.frequency[-1])
     coherence.set_ylim(0.0, 1.02)
     coherence.set_ylabel("coherence")
-    magnitude.legend(loc="best", fontsize=6, ncols=2, handlelength=1.2)
 
 
 def _spectral_indices(values: np.ndarray) -> np.ndarray:
