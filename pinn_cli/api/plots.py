@@ -42,6 +42,9 @@ FIGURES = (
 )  # fmt: skip
 
 
+OF_TIME = ("response", "drift")  # those that can be asked for a part of the record
+
+
 class Plots:
     """``result.plot``: each method returns a matplotlib figure, which a notebook shows.
 
@@ -55,6 +58,8 @@ class Plots:
     - ``history()``: loss terms and weights over the iterations
     - ``posterior()``: distributions of the parameters, with ``scheme=bayesian``
 
+    ``response(between=(1.9, 2.5))`` and ``drift`` likewise show those seconds of the record, such as a hammer's blow.
+
     Args:
         directory: Of the run whose figures they are; of several records solved together those of the first.
 
@@ -66,10 +71,19 @@ class Plots:
         self._directory = directory
 
     @cached_property
+    def _results(self) -> Results:
+        with undamaged("directory", self._directory):
+            return stored_results(self._directory)
+
+    @cached_property
     def _builders(self) -> dict[str, Callable[[], Figure]]:
+        return self._showing(None)
+
+    def _showing(self, between: tuple[float, float] | None) -> dict[str, Callable[[], Figure]]:
+        """How each is built, with histories between two times, s."""
         place = self._directory
+        results = replace(self._results, shown=between)
         with undamaged("directory", place):
-            results = stored_results(place)
             drawings = [*record_drawings(results, place), *run_drawings(results, place)]
             found: dict[str, Callable[[], Figure]] = {drawing.name: drawing.build for drawing in drawings}
             if (place / "posterior.nc").is_file():
@@ -86,15 +100,21 @@ class Plots:
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *FIGURES]
 
-    def __getattr__(self, name: str) -> Callable[[], Figure]:
+    def __getattr__(self, name: str) -> Callable[..., Figure]:
         if name not in FIGURES:
             raise AttributeError(f"a run has no figure {name!r}")
         return partial(self._drawn, name)
 
-    def _drawn(self, name: str) -> Figure:
+    def _drawn(self, name: str, between: tuple[float, float] | None = None) -> Figure:
         if name not in self._builders:
             raise InputError(f"plot.{name}", "()", f"one of {', '.join(self.names)}", "the run has nothing for it")
-        figure = self._builders[name]()
+        first, *_, last = self._results.record.time
+        if between is not None and (name not in OF_TIME or not max(between[0], first) < min(between[1], last)):
+            hint = f"the record goes from {first:g} s to {last:g} s; {' and '.join(OF_TIME)} take it"
+            raise InputError(
+                f"plot.{name}", f"between={between}", "two times of the record, the earlier one first", hint
+            )
+        figure = (self._builders if between is None else self._showing(between))[name]()
         # Figures that pyplot has not made are shown by no notebook of their own accord.
         figure._repr_png_ = partial(_png, figure)  # type: ignore[attr-defined]
         return figure

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 # Which run it is: columns that are the same in every row of a run's tables.
 _RUN = ("case", "scheme", "ndof", "nonlinearity", "model_error", "snr_db", "seed")
 _ROWS_SHOWN = 40
+# Of fitness and of free runs: empty where there is nothing to compare with.
+_SCORE = "fitness_percent"
 
 
 def load(directory: str | os.PathLike[str]) -> Result | SweepResult:
@@ -78,17 +80,21 @@ class _Tables:
         with undamaged("directory", self.directory):
             return read_table(self.directory / f"{name}.csv", *COLUMNS.get(f"{name}.csv", ()))
 
+    def _shown(self, table: pd.DataFrame) -> pd.DataFrame:
+        """A table as a property has it: as it is."""
+        return table
+
 
 def _table(name: str, text: str) -> cached_property[pd.DataFrame]:
     """A table as a property."""
-    found = cached_property[Any](lambda result: result.table(name))
+    found = cached_property[Any](lambda result: result._shown(result.table(name)))
     found.__doc__ = text
     return found
 
 
 def _optional(name: str, text: str) -> cached_property[pd.DataFrame | None]:
     """A table that not every run has, as a property."""
-    found = cached_property[Any](lambda result: result.table(name) if name in result.tables else None)
+    found = cached_property[Any](lambda result: result._shown(result.table(name)) if name in result.tables else None)
     found.__doc__ = text
     return found
 
@@ -104,7 +110,7 @@ class Result(_Tables):
     """
 
     fitness = _table(
-        "fitness", "Fitness by group of DOFs and quantity, of every estimator; NaN where the truth is unknown."
+        "fitness", "Fitness by group of DOFs and quantity, of every estimator, where the truth is known: else no row."
     )
     parameters = _table(
         "parameters", "A row for each: ``estimate``, ``std``, ``lower_90`` and ``upper_90`` beside what was given."
@@ -116,6 +122,12 @@ class Result(_Tables):
         "free_run", "How well the structure by itself follows, under the measured forces; None where it has not run."
     )
     validation = _optional("validation", "The system on data that no estimator has seen; None without such data.")
+
+    def _shown(self, table: pd.DataFrame) -> pd.DataFrame:
+        """Without rows that lack their score; which run it is, the same in every row, stands in the last columns."""
+        labels = [name for name in _RUN if name in table]
+        table = table[[*(name for name in table if name not in labels), *labels]]
+        return table.dropna(subset=[_SCORE]).reset_index(drop=True) if _SCORE in table else table
 
     @cached_property
     def plot(self) -> Plots:
@@ -179,7 +191,7 @@ class Result(_Tables):
     def _repr_html_(self) -> str:
         """What a notebook shows: the verdict with its reasons, parameters, and fitness where there is a truth."""
         reasons = "".join(f"<li>{html.escape(reason)}</li>" for reason in self.reasons)
-        overall = self.fitness[(self.fitness["group"] == "all") & self.fitness["fitness_percent"].notna()]
+        overall = self.fitness[self.fitness["group"] == "all"]
         parts = [
             f"<b>{html.escape(str(self.run_record.get('case')))}</b>: {html.escape(self.verdict or 'no verdict')}",
             f"<ul>{reasons}</ul>" if reasons else "",

@@ -13,7 +13,7 @@ from importlib.metadata import version
 from typing import Any, NoReturn
 
 from pinn_cli.settings.errors import InputError, suggestion
-from pinn_cli.settings.override_syntax import setting_of
+from pinn_cli.settings.override_syntax import setting_of, with_folder_quoted
 
 # Of ours and of Hydra's, which has no public list of them: `pinn-run --hydra-help` prints them. Long name, short name,
 # and how argparse reads them; those without take no value. Left out are --experimental-rerun, which unpickles the file
@@ -77,6 +77,7 @@ def read_options(arguments: Sequence[str]) -> Namespace:
     for names, settings in OPTIONS.items():
         parser.add_argument(*names, **(settings or {"action": "store_true"}))
     options = parser.parse_intermixed_args(arguments)
+    options.overrides = [with_folder_quoted(override) for override in options.overrides]
     chosen = [name for name in _EXCLUSIVE if getattr(options, name)]
     if len(chosen) > 1:
         raise InputError("options", " ".join(f"--{name}" for name in chosen), "one of them at a time")

@@ -22,10 +22,14 @@ FIRST = 300  # lines of a spectrum that are all drawn
 DECADES = 10  # that a spectrum shows at most
 
 _LINE: dict[str, Any] = {"color": style.BLUE, "linewidth": 0.6, "zorder": 2}
-_FLOOR: dict[str, Any] = {"color": style.VERMILLION, "linewidth": 0.9, "linestyle": "--", "zorder": 3}
-_BAND: dict[str, Any] = {"color": style.SKY, "alpha": 0.15, "linewidth": 0, "zorder": 0}
-_PEAK: dict[str, Any] = {"color": style.GREY, "linewidth": 0.5, "zorder": 1}
-_MODE: dict[str, Any] = {"color": style.ORANGE, "linewidth": 0.9, "linestyle": ":", "zorder": 1}
+_FLOOR: dict[str, Any] = {"color": style.VERMILLION, "linewidth": 0.9, "linestyle": "--", "zorder": 3, "label": "noise"}
+_BAND: dict[str, Any] = {
+    "color": style.SKY, "alpha": 0.15, "linewidth": 0, "zorder": 0, "label": "band: signal above its noise",
+}  # fmt: skip
+_PEAK: dict[str, Any] = {"color": style.GREY, "linewidth": 0.5, "zorder": 1, "label": "natural frequency found"}
+_MODE: dict[str, Any] = {
+    "color": style.ORANGE, "linewidth": 0.9, "linestyle": ":", "zorder": 1, "label": "of the structure given",
+}  # fmt: skip
 
 
 def inspection_figure(found: Inspection) -> Figure:
@@ -34,7 +38,7 @@ def inspection_figure(found: Inspection) -> Figure:
     responses = bool(found.spectra.acting) and bool(found.spectra.sensors)
     with style.look():
         figure, panels = style.panels(
-            len(shown) + responses, 2, 0.95, margins=(0.66, 0.1, 0.4, 0.5), gaps=(0.6, 0.34), width_ratios=(1.2, 1.0)
+            len(shown) + responses, 2, 0.95, margins=(0.66, 0.1, 0.56, 0.5), gaps=(0.6, 0.34), width_ratios=(1.2, 1.0)
         )
         for (left, right), signal in zip(panels, shown, strict=False):
             _draw_history(left, found, signal)
@@ -49,9 +53,9 @@ def inspection_figure(found: Inspection) -> Figure:
             for axes, place in zip(panels[-1], box, strict=True):
                 axes.set_position((place.x0, place.y0, place.width, place.height - 0.25 * lower))
         for axes, title in zip(panels[0], ("History", "Power spectral density"), strict=True):
-            axes.annotate(title, (0.5, 1.0), xycoords="axes fraction", xytext=(0, 13), textcoords="offset points",
-                          ha="center", fontsize=8.5)  # fmt: skip
+            style.head(axes, title)
         figure.align_ylabels(list(panels[:, 0]))
+        style.legend(figure, rows.flat)
     return figure
 
 
@@ -63,8 +67,7 @@ def _draw_history(axes: Axes, found: Inspection, signal: Signal) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(6))
     axes.ticklabel_format(axis="y", style="sci", scilimits=(-3, 4))
     axes.set_ylabel(_label(signal))
-    if signal.shown_unit:
-        unit = style.literal(signal.shown_unit).replace("^2", "\N{SUPERSCRIPT TWO}")
+    if unit := _unit(signal):
         axes.set_title(f"({unit})", loc="left", fontsize=7, pad=2)
 
 
@@ -79,6 +82,8 @@ def _draw_spectrum(axes: Axes, found: Inspection, signal: Signal) -> None:
         axes.axvspan(row["band_low_hz"], row["band_high_hz"], **_BAND)
     if row["noise"] > 0.0:
         axes.axhline(2.0 * row["noise"] ** 2 / found.sampling.rate, **_FLOOR)
+    if unit := _unit(signal):
+        axes.set_title(f"({unit})\N{SUPERSCRIPT TWO}/Hz", loc="left", fontsize=7, pad=2)
     _draw_peaks(axes, found)
     _logarithmic(axes, float(power.max()), (spectra.frequency[1], spectra.frequency[-1]))
 
@@ -91,16 +96,19 @@ def _draw_responses(magnitude: Axes, coherence: Axes, found: Inspection) -> None
         for axes, values in ((magnitude, size[:, k]), (coherence, spectra.coherence[1:, k])):
             kept = _spectral_indices(values)
             axes.plot(spectra.frequency[1:][kept], np.where(values > 0.0, values, np.nan)[kept], **look)
+    magnitude.legend(loc="best", fontsize=6, ncols=2, handlelength=1.2)  # peaks have their place above
     for axes in (magnitude, coherence):
         _draw_peaks(axes, found)
         axes.set_xlabel("Frequency (Hz)", labelpad=2)
     _logarithmic(magnitude, float(np.nanmax(size)), (spectra.frequency[1], spectra.frequency[-1]))
     magnitude.set_ylabel("response")
+    sensed, acting = ({_unit(signal) for signal in signals} for signals in (spectra.sensors[:ROWS], spectra.acting))
+    if len(sensed) == len(acting) == 1 and "" not in sensed | acting:  # else each line has a unit of its own
+        magnitude.set_title(f"({sensed.pop()}) / {acting.pop()}", loc="left", fontsize=7, pad=2)
     coherence.set_xscale("log")
     coherence.set_xlim(spectra.frequency[1], spectra.frequency[-1])
     coherence.set_ylim(0.0, 1.02)
     coherence.set_ylabel("coherence")
-    magnitude.legend(loc="best", fontsize=6, ncols=2, handlelength=1.2)
 
 
 def _spectral_indices(values: np.ndarray) -> np.ndarray:
@@ -124,6 +132,11 @@ def _logarithmic(axes: Axes, top: float, within: tuple[float, float]) -> None:
     axes.set_ylim(max(axes.get_ylim()[0], top * 10.0**-DECADES), 3.0 * top)
     axes.yaxis.set_major_locator(LogLocator(numticks=5))
     axes.yaxis.set_minor_locator(NullLocator())
+
+
+def _unit(signal: Signal) -> str:
+    """As it is printed; "" where nobody said."""
+    return style.literal(signal.shown_unit).replace("^2", style.SQUARED) if signal.shown_unit else ""
 
 
 def _label(signal: Signal) -> str:

@@ -18,9 +18,9 @@ from pinn_cli.paper.nonlinearity import NonlinearityScores, nonlinearity_realisa
 from pinn_cli.paper.realisations import PINN, ScoredRealisations
 from pinn_cli.paper.runs import BESIDE, SMOOTHER, FinishedRun
 from pinn_cli.paper.seeds import SeedScores, seed_realisations
-from pinn_cli.paper.sheet import render
 from pinn_cli.paper.tables import GROUP_TITLES, PaperTable, paper_tables
 from pinn_cli.report.run_record import package_versions
+from pinn_cli.report.sheet import render
 from pinn_cli.runs.writing import replacing, write_text
 
 FORMATS = ("png", "svg", "pdf")  # those that a browser shows come first
@@ -45,6 +45,7 @@ def write_report(runs: Sequence[FinishedRun], failures: Sequence[str], output: P
         sheet.write(output / "seeds")
     text = render(
         "report.html",
+        package="pinn_cli.paper",
         runs=runs,
         failures=failures,
         tables=tables,

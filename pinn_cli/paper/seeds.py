@@ -12,9 +12,9 @@ import pandas as pd
 
 from pinn_cli.paper.realisations import PINN, Realisation, ScoredRealisations
 from pinn_cli.paper.runs import BESIDE, SMOOTHER, TABLES, CaseTable
-from pinn_cli.paper.sheet import Cell, Row, Sheet, block, mark
 from pinn_cli.paper.tables import case_title, fitness_groups, fitness_rows
 from pinn_cli.report import published
+from pinn_cli.report.sheet import Cell, Row, Sheet, block, mark
 from pinn_cli.runs.writing import write_table
 
 SEEDS = 10

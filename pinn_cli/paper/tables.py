@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.paper.runs import TABLES, CaseTable, FinishedRun
-from pinn_cli.paper.sheet import Cell, Row, Sheet, block, mark
 from pinn_cli.record.response import QUANTITIES
+from pinn_cli.report.sheet import Cell, Row, Sheet, block, mark
 from pinn_cli.runs.writing import write_table
 
 FITNESS_COLUMNS = (

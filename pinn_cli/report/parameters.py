@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pinn_cli.posterior.base import PosteriorSamples
     from pinn_cli.system.parameters import Parameter
 
-_ESTIMATE = ("estimate", "std", "lower_90", "upper_90")
+ESTIMATE = ("estimate", "std", "lower_90", "upper_90")
 
 PARAMETER_COLUMNS = (
     "parameter", "true", "prescribed", "start", "estimate", "error_percent", "std", "lower_90", "upper_90",
@@ -30,10 +30,10 @@ IDENTIFIABILITY_COLUMNS = (
     "parameter", "prior_std", "std", "std_ratio", "relative_std_percent", "largest_correlation", "correlated_with",
     "verdict",
 )  # fmt: skip
-STORY_COLUMNS = ("story", "parameter", *_ESTIMATE, "free_run_nmse_percent", "segments_nmse_percent")
+STORY_COLUMNS = ("story", "parameter", *ESTIMATE, "free_run_nmse_percent", "segments_nmse_percent")
 OVER_TIME = "parameters_over_time.csv"
 OVER_TIME_COLUMNS = (
-    "record", "run", "parameter", "unit", *_ESTIMATE, "alone", "alone_std", "change", "change_std", "chance", "changed",
+    "record", "run", "parameter", "unit", *ESTIMATE, "alone", "alone_std", "change", "change_std", "chance", "changed",
 )  # fmt: skip
 DIAGNOSTICS = ("parameter", "mean", "std", "lower_90", "upper_90", "r_hat", "ess_bulk", "ess_tail", "mcse_mean")
 WELL_DETERMINED = "well determined"
@@ -58,7 +58,7 @@ KNOWN_WELL_ENOUGH = 0.05
 def estimate_rows(estimates: Iterable[ParameterEstimate]) -> pd.DataFrame:
     """``parameter``, ``estimate``, ``std``, ``lower_90`` and ``upper_90``, one row each."""
     rows = [(p.name, p.estimate, p.std, p.lower_90, p.upper_90) for p in estimates]
-    return pd.DataFrame(rows, columns=["parameter", *_ESTIMATE])
+    return pd.DataFrame(rows, columns=["parameter", *ESTIMATE])
 
 
 def parameter_table(

@@ -94,6 +94,7 @@ class Results:
         true: The structure that a simulated record comes from, for scoring.
         validation: What the identified system is tried on and no estimator has seen.
         model: What the run began with, of an earlier run.
+        shown: From when to when figures show histories, s; None: a stretch of a long record that each chooses.
         further: Of records that were solved together with this one, whose ``estimate`` then has the parameters of all.
     """
 
@@ -110,6 +111,7 @@ class Results:
     true: Structure | None = None
     validation: ValidationRecord | None = None
     model: Model | None = None
+    shown: tuple[float, float] | None = None
     further: tuple[Results, ...] = ()
 
     @property

@@ -14,8 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES
+from pinn_cli.report.parameters import ESTIMATE, estimate_rows
 from pinn_cli.runs.identity import package_version
 from pinn_cli.runs.reading import stamp
 from pinn_cli.runs.resume import FORMAT
@@ -36,6 +38,7 @@ def run_record(results: Results, verdict: Verdict | None, seconds: Mapping[str, 
     """Seconds by stage, the training's summary (iterations, why it stopped, ...), and what it takes to run it again."""
     run, observed = results.run, observed_digest(own.record for own in results.by_record)
     content = run_facts(run, results.estimate.summary, observed, seconds)
+    content["parameters"] = parameters_of(estimate_rows(results.estimate.parameters))
     if results.further:
         content["records"] = [own.estimate.summary for own in results.by_record]
     if results.baseline:
@@ -68,6 +71,12 @@ def run_facts(
         "versions": package_versions(),
         "platform": platform.platform(),
     }
+
+
+def parameters_of(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Name, estimate, deviation and 90 % interval of every row of ``parameters.csv``; None where one is not known."""
+    rows = table[["parameter", *ESTIMATE]].rename(columns={"parameter": "name"}).to_dict(orient="records")
+    return [{str(k): x if isinstance(x, str) else _finite(x) for k, x in row.items()} for row in rows]
 
 
 def _sampling(posterior: PosteriorResult) -> dict[str, Any]:

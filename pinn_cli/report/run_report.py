@@ -36,6 +36,8 @@ from pinn_cli.verdict.parameter_findings import posterior_findings
 if TYPE_CHECKING:
     import xarray as xr
 
+    from pinn_cli.report.page import Page
+
 # Parts that the figures are drawn in, side by side.
 _SHARES = 2
 RECORD_COLUMNS = (
@@ -230,13 +232,12 @@ class RunReport:
         results, estimate, posterior = self.results, self.results.estimate, self.results.posterior
         verdict, free, (ours, *others) = self.verdict, self.free_run, self.tables
         baseline = next(iter(others), None)
-        warnings = parameters.identifiability_warnings(estimate.before_any_record, estimate.correlation)
         scored = bool(np.isfinite(ours.fitness[list(FORMULAS)].to_numpy()).any())
         paragraphs = [
             "" if results.run.simulated else text.sensors_text(self.residuals, results.run.baseline),
-            text.parameters_text(ours.parameters, warnings, baseline),
+            text.parameters_text(ours.parameters, self._warnings, baseline),
             text.fitness_text(ours.fitness, results.record.observed, fitness_of(self.labels)),
-            text.free_run_text(*free) if scored else text.free_run_line(*free),
+            text.free_run_text(*free, results.run.truth_label) if scored else text.free_run_line(*free),
             text.stories_text(estimate.stories),
             "" if posterior is None else text.diagnostics_text(posterior.diagnostics, posterior.verdict),
             "" if self.validation is None else text.validation_text(*self.validation),
@@ -277,6 +278,7 @@ class RunReport:
                 write_table(table, directory / name)
             if not results.estimate.peaks:
                 write_run_model(results, verdict, directory)
+        page = None if drawn is None else self._page()
         if drawn is not None:
             with self.stages("figures"):
                 self._draw_tables()
@@ -287,7 +289,24 @@ class RunReport:
                 from pinn_cli.report.figures import write_posterior_figures
 
                 write_posterior_figures(results, groups, directory / "figures")
+        if page is not None:
+            with self.stages("page"):
+                page.write(directory)
         write_json(run_record(results, verdict, self.stages.seconds), directory / "run.json")
+
+    def _page(self) -> Page:
+        """All of ``report.html`` but the figures, which are still being drawn."""
+        # Not above: who draws nothing has no need of templates.
+        from pinn_cli.report.page import run_page
+
+        results, ours = self.results, self.tables[0]
+        return run_page(results, self.verdict, ours.parameters, ours.fitness, self.residuals, self._warnings)
+
+    @property
+    def _warnings(self) -> list[str]:
+        """What a reader must know before trusting the unknown parameters."""
+        estimate = self.results.estimate
+        return parameters.identifiability_warnings(estimate.before_any_record, estimate.correlation)
 
     def _further_tables(self) -> dict[str, pd.DataFrame]:
         """Those that not every run has, by their files: of several records, of other data, of records before."""

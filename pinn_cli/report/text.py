@@ -60,25 +60,28 @@ def percent(value: float) -> str:
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a printed table: its heading, its width, negative where it is flush left, and the text of a cell."""
+    """A column of a printed table: its heading, its width, negative where it is flush left, and the text of a cell.
+
+    What is wider than that makes its column wider.
+    """
 
     title: str
     width: int
     text: Callable[[Any], str] = str
 
-    def align(self, text: str) -> str:
-        """The text in a cell of this width."""
-        return f"{text:>{self.width}}" if self.width > 0 else f"{text:<{-self.width}}"
+    def aligned(self, cells: Sequence[str]) -> list[str]:
+        """The heading and the cells below it, with a blank between them and the column before, or after."""
+        every = [self.title, *cells]
+        width = max(abs(self.width), 1 + max(map(len, every)))
+        return [f"{text:>{width}}" if self.width > 0 else f"{text:<{width}}" for text in every]
 
 
 def table_lines(columns: Mapping[str, Column], table: pd.DataFrame) -> list[str]:
     """The headings, a rule, and a line per row of the table, with the columns named."""
-    head = "".join(column.align(column.title) for column in columns.values())
-    rows = [
-        "".join(column.align(column.text(row[name])) for name, column in columns.items()).rstrip()
-        for row in table.to_dict(orient="records")
-    ]
-    return [head, "-" * len(head), *rows]
+    rows = table.to_dict(orient="records")
+    cells = [column.aligned([column.text(row[name]) for row in rows]) for name, column in columns.items()]
+    head, *lines = ("".join(of_row) for of_row in zip(*cells, strict=True))
+    return [head, "-" * len(head), *(line.rstrip() for line in lines)]
 
 
 def marked_lines(sentence: str) -> list[str]:
@@ -96,7 +99,7 @@ _SENSORS = {
     "free_run_nmse_percent": Column("free run (%)", 13, _THREE),
     "band_share_percent": Column("in band (%)", 12, percent),
 }
-_OF_SENSORS = (
+OF_SENSORS = (
     "noise: standard deviation found; NMSE: mean square residual over the sensor's variance (0: perfect,",
     "100: predicts nothing); free run: the same of the estimated system under the measured force;",
     "in band: share of the sensor's power where it stands out of its noise; more: residuals.csv",
@@ -122,7 +125,7 @@ _DIAGNOSTICS = {
     "mcse_mean": Column("MCSE", 10, _TWO),
 }
 _HEADINGS = {"displacement": "displ.", "velocity": "veloc.", "acceleration": "accel.", "force": "force"}
-_TITLES = ("fitness, printed formula (%)", "fitness by range, as in the tables (%)")
+_TITLES = ("fitness, 1 - error / deviation (%)", "fitness, 1 - error / range (%)")
 _CELL, _GAP = 9, "   "
 
 
@@ -134,9 +137,18 @@ def sensors_text(records: Sequence[Sequence[pd.DataFrame]], baseline: str = "") 
             whose NMSE stands beside ours.
         baseline: Its name.
     """
-    table = pd.concat([ours.assign(record=i) for i, (ours, *_) in enumerate(records, start=1)], ignore_index=True)
-    if table.empty:
+    columns, shown = sensors_table(records, baseline)
+    if shown.empty:
         return ""
+    lines, notes = _sensor_lines(columns, shown, "residuals.csv")
+    return "\n".join([*lines, *notes, *OF_SENSORS])
+
+
+def sensors_table(
+    records: Sequence[Sequence[pd.DataFrame]], baseline: str = ""
+) -> tuple[dict[str, Column], pd.DataFrame]:
+    """Its columns and rows; arguments as of :func:`sensors_text`."""
+    table = pd.concat([ours.assign(record=i) for i, (ours, *_) in enumerate(records, start=1)], ignore_index=True)
     # ``acceleration 3``, ``ground``, ``support 1`` or the name of a sensor that feels something else.
     quantity = table["quantity"].where(~table["quantity"].isin(list(SUPPORT)), "support")
     own = table["channel"].str.rsplit(" ", n=1).str[-1]
@@ -149,8 +161,7 @@ def sensors_text(records: Sequence[Sequence[pd.DataFrame]], baseline: str = "") 
         for theirs in records[0][1:]:  # with the same sensors in the same order
             shown["baseline"] = theirs["nmse_percent"].to_numpy()
             columns["baseline"] = Column(f"{baseline} (%)", len(baseline) + 5, _THREE)
-    lines, notes = _sensor_lines(columns, shown, "residuals.csv")
-    return "\n".join([*lines, *notes, *_OF_SENSORS])
+    return columns, shown
 
 
 def validation_text(run: ValidationRun, table: pd.DataFrame) -> str:
@@ -189,8 +200,25 @@ def parameters_text(table: pd.DataFrame, warnings: Sequence[str] = (), baseline:
     Returns:
         Text, or "" if there are no parameters.
     """
-    if table.empty:
-        return ""
+    tables, notes = parameter_tables(table, baseline)
+    lines: list[str] = []
+    for columns, rows in tables:
+        head, rule, *cells = table_lines(columns, rows)
+        lines += [*([rule] if lines else []), head, rule, *cells]
+    lines += notes
+    if table["start"].notna().any():
+        lines += ["* unknown: identified from the record; start is where the search for it began"]
+        more = [f"and {len(warnings) - WARNINGS_SHOWN} more: identifiability.csv"]
+        told = [*warnings[:WARNINGS_SHOWN], *(more if len(warnings) > WARNINGS_SHOWN else [])]
+        lines += [line for sentence in told for line in marked_lines(sentence)]
+        lines += [] if warnings else ["every unknown parameter is well determined"]
+    return "\n".join(lines)
+
+
+def parameter_tables(
+    table: pd.DataFrame, baseline: EstimatorTables | None = None
+) -> tuple[list[tuple[dict[str, Column], pd.DataFrame]], list[str]]:
+    """Columns and rows of the unknown parameters and of the prescribed ones, and what is left out; see above."""
     table, columns = _with_interval(table), {"estimate": Column("estimate", 12, number), **_INTERVAL}
     if table["true"].notna().any():
         columns |= _TRUTH
@@ -206,20 +234,12 @@ def parameters_text(table: pd.DataFrame, warnings: Sequence[str] = (), baseline:
         moved = (prescribed["estimate"] / prescribed["prescribed"] - 1.0).abs()
         notes = [f"the {limit} of {len(moved)} that moved furthest from their prescribed values; all: parameters.csv"]
         prescribed = prescribed.loc[moved.nlargest(limit).index.sort_values()]
-    lines: list[str] = []
+    tables = []
     for given, rows in (("start", found), ("prescribed", prescribed)):
         if len(rows):
             first = {"parameter": Column("parameter", -12), given: Column(given, 12, number)}
-            head, rule, *cells = table_lines(first | columns, rows)
-            lines += [*([rule] if lines else []), head, rule, *cells]
-    lines += notes
-    if len(found):
-        lines += ["* unknown: identified from the record; start is where the search for it began"]
-        more = [f"and {len(warnings) - WARNINGS_SHOWN} more: identifiability.csv"]
-        told = [*warnings[:WARNINGS_SHOWN], *(more if len(warnings) > WARNINGS_SHOWN else [])]
-        lines += [line for sentence in told for line in marked_lines(sentence)]
-        lines += [] if warnings else ["every unknown parameter is well determined"]
-    return "\n".join(lines)
+            tables.append((first | columns, rows))
+    return tables, notes
 
 
 def _with_interval(table: pd.DataFrame) -> pd.DataFrame:
@@ -290,10 +310,11 @@ def free_run_line(run: FreeRun, table: pd.DataFrame) -> str:
     return textwrap.fill(run.finding or agrees, WIDTH)
 
 
-def free_run_text(run: FreeRun, table: pd.DataFrame) -> str:
+def free_run_text(run: FreeRun, table: pd.DataFrame, truth: str = "truth") -> str:
     """The free run's fitness over all DOFs against truth, sensors and estimate, and what was found of it.
 
-    The sensors are left out where the whole truth is known, and quantities of which neither knows anything.
+    The sensors are left out where the whole truth is known, and quantities of which neither knows anything. ``truth``
+    is what the truth is called: of a measured record it is what sensors that were held out have measured.
     """
     finding = textwrap.fill(run.finding, WIDTH)
     if run.response is None:
@@ -304,9 +325,11 @@ def free_run_text(run: FreeRun, table: pd.DataFrame) -> str:
     for name in dict.fromkeys(table["against"]):
         scores = every.loc[name].reindex(quantities).to_numpy().T
         if np.isfinite(scores).any() and not (name == "sensors" and np.isfinite(every.loc["truth"].to_numpy()).all()):
-            rows.append((name, scores))
+            rows.append((truth if name == "truth" else name, scores))
     title = "free run: the estimated system from its estimated start under the measured force; mean over DOFs"
-    return "\n".join([title, *_score_lines("against", quantities, rows), *([finding] if finding else [])])
+    width = max(12, 1 + max((len(name) for name, _ in rows), default=0))
+    lines = _score_lines("against", quantities, rows, width=width)
+    return "\n".join([title, *lines, *([finding] if finding else [])])
 
 
 def comparison_text(ours: EstimatorTables, theirs: EstimatorTables, seconds: Mapping[str, float]) -> str:
@@ -320,7 +343,7 @@ def comparison_text(ours: EstimatorTables, theirs: EstimatorTables, seconds: Map
     known = [q for q in QUANTITIES if any(table.loc[q, list(FORMULAS)].notna().any() for table in every.values())]
     if not known:
         return "seconds: " + ", ".join(f"{each} {taken}" for each, taken in used.items())
-    titles = "mean over DOFs, printed formula (%)", "by range, as in the tables (%)"
+    titles = "mean of 1 - error / deviation (%)", "1 - error / range (%)"
     rows = [(name, table.loc[known, list(FORMULAS)].to_numpy(dtype=float).T) for name, table in every.items()]
     lines = _score_lines("estimator", known, rows, titles, width=16)
     beside = ["", "seconds", "", *used.values()]

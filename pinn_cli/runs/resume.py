@@ -53,6 +53,16 @@ class Trained(TypedDict, total=False):
     model_log_evidence: float | None
 
 
+class Found(TypedDict, total=False):
+    """What `run.json` says of a parameter; what is not known is null."""
+
+    name: str
+    estimate: float | None
+    std: float | None
+    lower_90: float | None
+    upper_90: float | None
+
+
 class RunFile(TypedDict, total=False):
     """What is read of `run.json`, which says much more."""
 
@@ -66,6 +76,7 @@ class RunFile(TypedDict, total=False):
     observed: str
     verdict: str
     reasons: list[str]
+    parameters: list[Found]
     validation: Scored
     baseline: dict[str, Any]
 

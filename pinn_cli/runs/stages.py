@@ -80,7 +80,8 @@ def signs_of_life(stages: Stages, first_s: float = FIRST_S) -> Iterator[None]:
     def tell() -> None:
         begun, wait = time.monotonic(), first_s
         while not over.wait(wait):
-            log.warning("still running after %.0f s, now in %s", time.monotonic() - begun, stages.current or "no stage")
+            where = f", now in {stages.current}" if stages.current else ""
+            log.warning("still running after %.0f s%s", time.monotonic() - begun, where)
             wait = min(2.0 * wait, MOST_S)
 
     teller = threading.Thread(target=tell, name="signs of life", daemon=True)

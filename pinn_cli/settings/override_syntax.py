@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 from pinn_cli.settings.errors import InputError
@@ -22,6 +23,13 @@ def quoted(value: str) -> str:
     # A backslash is itself but before a quotation mark, where it is written twice.
     escaped = re.sub(r"(\\*)('|$)", lambda found: found[1] * 2 + ("\\'" if found[2] else ""), value)
     return f"'{escaped}'"
+
+
+def with_folder_quoted(override: str) -> str:
+    """``model=sweeps/a=1,b=2`` as Hydra reads it; of a sweep's job the folder's name has signs of Hydra's grammar."""
+    name, _, value = override.partition("=")
+    plain = name != "model" or not re.search(r"[=,]", value) or not Path(value).expanduser().is_dir()
+    return override if plain else f"{name}={quoted(value)}"
 
 
 def setting_of(override: str) -> str:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report.figures import style
@@ -33,7 +34,9 @@ MOST_LINES = len(style.CYCLE)  # beyond these a line is one of many, and their m
 _LOGARITHMIC = 30.0  # ratio of the largest to the smallest value from which a setting has a logarithmic axis
 _FINEST = 1e-3  # errors in per cent below this are drawn at it
 _MOST_COLUMNS, _MOST_VALUES_NAMED = 6, 6
+_FEW_DECADES = 1e3  # ratio of the ends of an axis up to which 2 and 5 of each decade have a number
 _MARKERS = "os^Dv<>"
+_LEGENDS_ABREAST = 4  # entries of legends side by side, over all columns of panels
 
 
 def is_seed(setting: str) -> bool:
@@ -95,7 +98,7 @@ def summary_text(summary: pd.DataFrame) -> str:
         notes.append(f"the first {SETTINGS_SHOWN} of {len(wide)} settings; all: summary.csv")
         wide = wide.head(SETTINGS_SHOWN)
     text = wide.map(percent).reset_index().to_string(index=False)
-    return "\n".join(["mean fitness over all DOFs and seeds, printed formula (%)", text, *notes])
+    return "\n".join(["mean fitness over all DOFs and seeds, 1 - error / deviation (%)", text, *notes])
 
 
 def numeric_settings(table: pd.DataFrame, settings: Sequence[str]) -> list[str]:
@@ -135,9 +138,16 @@ def sweep_figure(summary: pd.DataFrame, settings: Sequence[str]) -> Figure | Non
                 column[-1].minorticks_off()
             column[-1].set_xlabel(setting)
             if any(column[0].get_legend_handles_labels()[1]):
-                column[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=6.5)
+                beside = max(1, _LEGENDS_ABREAST // len(numeric))
+                column[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=6.5, ncols=beside)
         for row, quantity in zip(panels, quantities, strict=True):
             row[0].set_yscale("log")
+            low, high = row[0].get_ylim()
+            # A decade or two hold one power of ten, or none.
+            between = LogLocator(subs=(1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,), numticks=8)
+            row[0].yaxis.set_major_locator(MaxNLocator(4) if high < 5.0 * low else between)
+            row[0].yaxis.set_major_formatter("{x:g}")
+            row[0].yaxis.set_minor_locator(NullLocator())
             row[0].set_ylabel(f"100 - fitness of {style.SYMBOLS[quantity]} (%)")
             for axes in row:
                 axes.grid(True, axis="y")

@@ -83,7 +83,7 @@ class History:
         row.update({f"weight_{name}": weight for name, weight in weights.items()})
         self.rows.append(row)
         self.watch(row)
-        self.bar.set_postfix({**{name: f"{value:.2g}" for name, value in values.items()}, **shown})
+        self.bar.set_postfix(loss=f"{sum(values.values()):.3g}", **shown)
 
     def add_step(self, losses: Mapping[str, float], noise: NoiseModel) -> None:
         """Note a step under a noise model, whose variances are the weights."""

@@ -24,7 +24,14 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Result:
 
 def test_tables_are_those_of_the_files(result: Result) -> None:
     for name in ("fitness", "parameters", "modes", "residuals", "free_run", "history"):
-        pd.testing.assert_frame_equal(getattr(result, name), pd.read_csv(result.directory / f"{name}.csv"))
+        written, shown = pd.read_csv(result.directory / f"{name}.csv"), getattr(result, name)
+        scored = [column for column in written if column == "fitness_percent"]
+        kept = written.dropna(subset=scored).reset_index(drop=True)
+        pd.testing.assert_frame_equal(shown, kept, check_like=True)
+        assert "case" not in shown or list(shown)[-1] == "seed"
+    assert list(result.parameters)[:2] == ["estimator", "parameter"]
+    (k_2,) = [found for found in result.run_record["parameters"] if found["name"] == "k_2"]
+    assert k_2["estimate"] == pytest.approx(result.parameters.set_index("parameter").loc["k_2", "estimate"])
     assert result.validation is None
     assert result.posterior is None
     assert result.verdict == result.run_record["verdict"]
@@ -53,6 +60,11 @@ def test_figures_are_those_that_the_run_drew(result: Result) -> None:
         assert np.abs(again - first).mean() < 1e-5, name  # tables have ten digits: a pixel may fall to its neighbour
     with pytest.raises(InputError, match=r"plot.hysteresis=\(\): must be one of response"):
         result.plot.hysteresis()
+    assert result.plot.response(between=(1.0, 2.0)).axes[0].get_xlim() == pytest.approx((1.0, 2.0), abs=0.2)
+    with pytest.raises(InputError, match=r"plot.response=between=\(2, 1\): must be two times of the record"):
+        result.plot.response(between=(2, 1))
+    with pytest.raises(InputError, match="response and drift take it"):
+        result.plot.modes(between=(1.0, 2.0))
 
 
 def test_a_notebook_shows_them(result: Result) -> None:

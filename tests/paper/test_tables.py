@@ -12,7 +12,6 @@ from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.paper.__main__ import make_table
 from pinn_cli.paper.runs import TABLES, CaseFailedError
-from pinn_cli.paper.sheet import Cell, written
 from pinn_cli.paper.tables import (
     FITNESS_COLUMNS,
     PARAMETER_COLUMNS,
@@ -24,6 +23,7 @@ from pinn_cli.paper.tables import (
     parameter_sheet,
     wrong_values_sheet,
 )
+from pinn_cli.report.sheet import Cell, written
 
 TABLE1, TABLE2, TABLE3, *_ = TABLES
 NAN = float("nan")

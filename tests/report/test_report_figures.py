@@ -25,6 +25,7 @@ from pinn_cli.report.figures import (
     write_figures,
 )
 from pinn_cli.report.figures.histories import shown_dofs
+from pinn_cli.report.figures.sensors import compared_channels
 from pinn_cli.report.figures.style import line_indices
 
 
@@ -89,13 +90,41 @@ def test_what_is_unknown_is_not_drawn(make_case):
     assert drawn == [[False] * 4, [False, True, False, False], [False] * 4]
 
 
-def test_a_long_record_shows_its_middle(make_case):
+def test_a_long_record_shows_a_hammers_blow(make_case):
     case = make_case(ndof=2, observed=1, samples=20000, duration=2000.0)
-    figure = response_figure(results_of(case))
+    force = case.record.force.copy()
+    force[4000, 0] = 1e3 * np.abs(force[:, 0]).max()
+    struck = results_of(case)
+    struck = replace(struck, record=replace(struck.record, force=force))
+    figure = response_figure(struck)
     first, last = figure.axes[0].get_xlim()
-    assert 600.0 < (first + last) / 2.0 < 1400.0
+    assert first < struck.record.time[4000] < last
     assert 5.0 < last - first < 400.0
-    assert any("middle of the record from 0 s to 2000 s" in text.get_text() for text in figure.texts)
+    assert any("part of the record from 0 s to 2000 s" in text.get_text() for text in figure.texts)
+    chosen = response_figure(replace(struck, shown=(1000.0, 1010.0))).axes[0].get_xlim()
+    assert chosen == pytest.approx((1000.0, 1010.0), abs=0.11)
+
+
+def test_what_an_estimate_was_given_has_no_residuals(make_case):
+    case = make_case(ndof=2, observed=1)
+    given = replace(case.estimate, response=replace(case.estimate.response, force=case.record.force * (1.0 + 1e-15)))
+    quantities = {channel.quantity for channel in compared_channels(given, case.record)}
+    assert "acceleration" in quantities
+    assert "force" not in quantities
+    assert "force" in {channel.quantity for channel in compared_channels(case.estimate, case.record)}
+
+
+def test_terms_without_a_value_have_no_place_in_the_legend():
+    steps = np.arange(5)
+    history = pd.DataFrame({"iteration": steps, "loss_physics": 1.0 + steps, "loss_ridge": 0.0 * steps})
+    assert _texts(history_figure(history)) == ["equation of motion"]
+
+
+def test_names_that_no_font_has_are_no_warning(tmp_path, recwarn):
+    figure = history_figure(pd.DataFrame({"iteration": [1, 2], "loss_physics": [1.0, 2.0]}))
+    figure.axes[0].set_ylabel("\N{CJK UNIFIED IDEOGRAPH-4E00}\N{CJK UNIFIED IDEOGRAPH-968E}")
+    save(figure, tmp_path, "named")
+    assert not [warning for warning in recwarn if "Glyph" in str(warning.message)]
 
 
 def test_error_map_frames_each_run_of_observed_dofs(make_case):
@@ -138,6 +167,10 @@ def test_unknown_parameters_are_drawn_in_their_units_above_the_prescribed(make_c
     np.testing.assert_array_equal(figure.axes[0].get_xticks(), [2, 4])
     upper, lower = (_texts(place) for place in figure.subfigs)
     assert upper == ["truth", "start, off the scale", "estimate, 90 % interval"]
+    one_kind = parameters_figure(_identified(case, "k_2", "k_4")[:8], case.truth.parameters)
+    one_kind.draw_without_rendering()
+    for legend in (legend for place in one_kind.subfigs or [one_kind] for legend in place.legends):
+        assert 0.0 < legend.get_window_extent().x0 < legend.get_window_extent().x1 < one_kind.bbox.x1
     assert lower == ["prescribed", "truth", "estimate, 90 % interval"]
 
 

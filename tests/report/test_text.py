@@ -20,12 +20,14 @@ from pinn_cli.report.results import with_labels
 from pinn_cli.report.text import (
     PARAMETERS_SHOWN,
     WIDTH,
+    Column,
     comparison_text,
     diagnostics_text,
     fitness_text,
     free_run_line,
     parameters_text,
     sensors_text,
+    table_lines,
 )
 from pinn_cli.training.estimate import ParameterEstimate
 
@@ -156,6 +158,13 @@ def test_sensors_beside_a_baseline_fit_and_of_many_the_worst_are_shown(make_case
     assert fits(text)
     assert "kalman_smoother (%)" in text
     assert sum(line.startswith(("acceleration", "force")) for line in text.splitlines()) == 24
+
+
+def test_columns_never_meet():
+    columns = {"name": Column("name", -3), "x": Column("x", 4), "y": Column("y", 5)}
+    lines = table_lines(columns, pd.DataFrame({"name": ["long_name"], "x": ["11.8"], "y": ["0.000533"]}))
+    assert lines[2].split() == ["long_name", "11.8", "0.000533"]
+    assert len(lines[0]) == len(lines[1]) == len(lines[2])
 
 
 def test_a_free_run_in_a_sentence(make_case):

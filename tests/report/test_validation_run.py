@@ -12,7 +12,7 @@ from small_problems import measured, small_chain
 from pinn_cli.record.gauge import Calibration, Gauge
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.validation_data import ValidationRecord
-from pinn_cli.report.figures.sensors import validation_figure
+from pinn_cli.report.figures.sensors import WITH_NOISE, WITHOUT_NOISE, validation_figure
 from pinn_cli.report.free_run import VALIDATION_COLUMNS, ValidationRun, validation_table
 from pinn_cli.report.text import validation_text
 from pinn_cli.system.parameters import Parameter
@@ -139,6 +139,18 @@ def test_without_deviations_there_is_no_band():
     assert "acceleration 3" in validation_text(run, table)
     assert "inside" not in validation_text(run, table).splitlines()[0]
     assert len(validation_figure(run, blank).axes) == 4
+
+
+def test_the_noise_of_a_sensor_that_was_held_out_is_unknown():
+    structure, estimate, record, data = tried(sigma=0.1)
+    held_out = replace(estimate, summary=estimate.summary | {"sigma_acceleration": [0.1, None, None]})
+    run = ValidationRun.of(structure, held_out, record, data)
+    figure = validation_figure(run, held_out)
+    texts = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert texts[-2:] == [WITH_NOISE, WITHOUT_NOISE]
+    figure.draw_without_rendering()
+    extent = figure.legends[0].get_window_extent()
+    assert 0.0 < extent.x0 < extent.x1 < figure.bbox.x1
 
 
 def test_a_system_that_runs_away_is_told():

@@ -66,6 +66,8 @@ def test_a_figure_has_a_column_per_numeric_setting_and_lines_for_the_others() ->
     assert len(axes[0].containers) == 4  # b times scheme
     assert len(axes[1].containers) == 6
     np.testing.assert_allclose(axes[0].containers[0].lines[0].get_ydata(), 9.5)
+    low, high = axes[0].get_ylim()
+    assert [tick for tick in axes[0].get_yticks() if low <= tick <= high]
 
 
 def test_many_lines_are_told_by_their_median() -> None:

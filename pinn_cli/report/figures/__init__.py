@@ -24,6 +24,7 @@ from pinn_cli.report.figures.posterior import (
     trace_figure,
 )
 from pinn_cli.report.figures.sensors import (
+    compared_channels,
     frequency_response_figure,
     history_figure,
     residuals_figure,
@@ -93,15 +94,16 @@ def record_drawings(results: Results, directory: Path) -> list[Drawing]:
     rows, label = len(shown_dofs(record.ndof)), results.run.truth_label
     found: dict[str, tuple[int, Callable[[], Figure]]] = {
         "response": (5 * rows, partial(response_figure, results)),
-        "residuals": (12, partial(residuals_figure, estimate, record)),
         "error_map": (8, partial(error_map_figure, estimate, record, truth.response)),
     }
+    if compared_channels(estimate, record):
+        found["residuals"] = 12, partial(residuals_figure, estimate, record)
     if record.band is not None:
         estimated = estimated_structure(prescribed, estimate.parameters)
         found["frequency_response"] = 6, partial(frequency_response_figure, record, estimated)
     stretched, forces = drifts(prescribed, estimate, truth.response), connection_forces(prescribed, estimate, truth)
     if stretched.places:
-        found["drift"] = 2 * rows, partial(drift_figure, stretched, label)
+        found["drift"] = 2 * rows, partial(drift_figure, stretched, label, results.shown)
     if (discrepancy := Discrepancy.of(results)) is not None:
         found["discrepancy"] = 4, partial(discrepancy_figure, discrepancy)
     if forces is not None and len(prescribed.memory):
@@ -110,9 +112,9 @@ def record_drawings(results: Results, directory: Path) -> list[Drawing]:
     return [Drawing(directory, name, *how) for name, how in found.items()]
 
 
-def write_over_time_figure(table: pd.DataFrame, directory: Path) -> list[Path]:
+def write_over_time_figure(table: pd.DataFrame, directory: Path, of: str = "Record") -> list[Path]:
     """Draw and save ``parameters_over_time``; the files written."""
-    return save(over_time_figure(table), directory, "parameters_over_time")
+    return save(over_time_figure(table, of), directory, "parameters_over_time")
 
 
 def write_posterior_figures(results: Results, groups: Mapping[str, xr.Dataset], directory: Path) -> list[Path]:

@@ -26,26 +26,32 @@ CLASSES = 24  # of equal size, whose means tell whether the force follows someth
 MOST_DOTS = 4000  # of a longer record, evenly chosen
 
 _PEAK: style.Look = {"color": style.VERMILLION, "linestyle": "none", "marker": "o", "markersize": 3.5}
-_TRUE_PEAK: style.Look = {"color": style.BLACK, "linestyle": "none", "marker": "|", "markersize": 9.0}
+_TRUE_PEAK: style.Look = {
+    "color": style.BLACK, "linestyle": "none", "marker": "D", "markersize": 5.0, "markerfacecolor": "none",
+    "markeredgewidth": 0.8,
+}  # fmt: skip
 
 
-def drift_figure(drifts: Histories, truth_label: str = "truth") -> Figure:
+def drift_figure(drifts: Histories, truth_label: str = "truth", shown_s: tuple[float, float] | None = None) -> Figure:
     """A row for each connection, its drift over time with its 95 % band; on the right the peaks with 90 % intervals.
 
     Of more than `ROWS_IN_FULL` connections the histories of those with the largest peaks are shown; the peaks of all.
     Of a record with too many periods, the histories about the largest of all peaks. ``truth_label`` is what the legend
-    calls the truth, which is drawn where it is known.
+    calls the truth, which is drawn where it is known. Histories are shown between two times, if they are given.
     """
     estimate, (peaks, sample) = drifts.of("estimate"), drifts.peaks()
     shown = style.largest(peaks, ROWS_IN_FULL)
     window = histories.window_about(int(sample[np.argmax(peaks)]), np.diff(estimate, axis=0, prepend=0.0))
+    if shown_s is not None:
+        window = histories.window_between(drifts.time, shown_s)
     with style.look():
         figure, panels = style.panels(
             len(shown), 2, 0.75, margins=(0.75, 0.08, 0.5, 0.42), gaps=(0.75, 0.12), width_ratios=(2.4, 1.0)
         )
         factor = histories.draw_column(panels[:, 0], drifts, shown, window, histories.looks(true=truth_label))
         for axes, place in zip(panels[:, 0], shown, strict=True):
-            axes.plot(drifts.time[sample[place]], factor * estimate[sample[place], place], **_PEAK)
+            if window.start <= sample[place] < window.stop:
+                axes.plot(drifts.time[sample[place]], factor * estimate[sample[place], place], **_PEAK)
             name = drifts.places[place]
             axes.set_ylabel(f"connection {name}" if name.isdecimal() else name)  # a number alone would not say of what
         figure.align_ylabels(list(panels[:, 0]))
@@ -66,9 +72,13 @@ def _draw_peaks(axes: Axes, drifts: Histories, factor: float) -> None:
     found = drifts.peak_estimates()
     place = np.arange(len(found.estimate))
     known = np.isfinite(found.std).all()
+    dot = {**_PEAK, "markersize": 2.0} if known else _PEAK
+    axes.plot(factor * found.estimate, place, **dot, label="peak, 90 % interval" if known else "peak")
     if known:
-        axes.hlines(place, *(factor * np.maximum(found.interval, 0.0)), color=style.VERMILLION, linewidth=1.2)
-    axes.plot(factor * found.estimate, place, **_PEAK, label="peak, 90 % interval" if known else "peak")
+        ends = factor * np.maximum(found.interval, 0.0)
+        axes.hlines(place, *ends, color=style.VERMILLION, linewidth=1.2)
+        for end in ends:  # upright bars, higher than the dot, which hides a short interval
+            axes.plot(end, place, "|", color=style.VERMILLION, markersize=12.0, markeredgewidth=0.9)
     axes.plot(factor * found.true, place, **_TRUE_PEAK)
     axes.set_xlim(left=0.0)
     axes.set_ylim(-0.6, len(place) - 0.4)

@@ -127,6 +127,13 @@ def thinned(samples: int) -> int:
     return -(-samples // POINTS)
 
 
+def window_between(time: np.ndarray, shown: tuple[float, float]) -> slice:
+    """The samples from one time to another, two at least."""
+    first, stop = (int(i) for i in np.searchsorted(time, shown))
+    first = min(first, len(time) - 2)
+    return slice(first, max(stop + 1, first + 2))
+
+
 def window_about(
     middle: int, histories: np.ndarray, shown: int = PERIODS_SHOWN, in_full: int = PERIODS_IN_FULL
 ) -> slice:
@@ -154,11 +161,15 @@ def response_figure(results: Results) -> Figure:
     Drawn are the estimate with its band of 95 %, the truth where it is known, observations as points (at most `POINTS`
     of a channel), the true response of the equivalent linear system, and that of the baseline. Where the ground moves,
     its acceleration stands in a last row. The force has one scale for all DOFs, so that an estimated force where there
-    is none is seen in proportion; its root mean square is written there. Of a record with too many periods, the middle.
+    is none is seen in proportion; its root mean square is written there. Of a record with too many periods, those
+    about the largest measured force or motion of the ground: a hammer's blow is among them.
     """
     record, run, estimate = results.record, results.run, results.estimate.response
+    rows = shown_dofs(record.ndof)
     # The velocity's periods: the displacement may ride on a drift.
-    rows, window = shown_dofs(record.ndof), window_about(len(record.time) // 2, estimate.velocity)
+    window = window_about(_largest_input(record), estimate.velocity)
+    if results.shown is not None:
+        window = window_between(record.time, results.shown)
     ground = None if record.ground_acceleration is None else ground_history(results)
     every = thinned(len(record.time[window]))
     seen = "observations" + (f" (one in {every} shown)" if every > 1 else "")
@@ -184,9 +195,20 @@ def response_figure(results: Results) -> Figure:
         style.legend(figure, markerscale=1.5, **room)
         notes = [] if record.observed[rows].all() else ["* no response sensor"]
         if len(record.time[window]) < len(record.time):
-            notes.append(f"middle of the record from {record.time[0]:g} s to {record.time[-1]:g} s")
+            notes.append(f"part of the record from {record.time[0]:g} s to {record.time[-1]:g} s")
         style.note(figure, "; ".join(notes))
     return figure
+
+
+def _largest_input(record: Record) -> int:
+    """The sample of the largest measured force; else of the ground's largest acceleration; else the middle one."""
+    acting = np.where(record.sensors("force"), record.force, 0.0)
+    if not acting.any():
+        acting = np.zeros((len(record.time), 1))
+        if record.ground_acceleration is not None:
+            acting[:, 0] = record.ground_acceleration
+    size = np.nan_to_num(np.abs(acting - np.nanmean(acting, axis=0)).max(axis=1))
+    return int(np.argmax(size)) if size.any() else len(record.time) // 2
 
 
 def _with_others(each: Histories, results: Results) -> Histories:
@@ -204,8 +226,8 @@ def _draw_ground(rows: np.ndarray, ground: Histories, window: slice, looks: Look
     for empty in rows[-1, np.arange(len(QUANTITIES)) != column]:
         empty.set_axis_off()
     draw_column(rows[-1:, column], ground, [0], window, looks)
-    # There is no room between panels for a title and the times, which stand below.
-    axes.text(0.03, 0.93, axes.get_title(), transform=axes.transAxes, va="top", fontsize=7)
+    # There is no room between panels for a title, but beside them, where none is drawn.
+    axes.text(-0.25, 0.5, axes.get_title(), transform=axes.transAxes, ha="right", va="center", fontsize=8.5)
     axes.set_title("")
     above.tick_params(labelbottom=False)
     above.set_xlabel("")

@@ -20,6 +20,7 @@ from pinn_cli.training.bounded_estimates import HALF_WIDTH_90
 from pinn_cli.training.estimate import ParameterEstimate
 
 Truth = Mapping[str, np.ndarray] | None  # values (members,) by kind, where known
+LEGEND = 4.6  # inch, of a legend with all that there is
 REACH = 1.0  # heights of a panel that a start may be away from all else; further off it would squash the scale
 NAMED = 20  # names below a panel, at most
 TICKS_IN_FULL = 8  # of values in a panel: up to these, exactly their connections are marked
@@ -60,7 +61,7 @@ def parameters_figure(estimates: Sequence[ParameterEstimate], true: Truth) -> Fi
         raise ValueError("there is no estimated parameter that is unknown or has a prescribed value other than zero")
     longest = max(len(p.parameter.label) for row in rows for p in row)
     with style.look():
-        width = min(1.2 + 2.0 * max(map(len, kinds)), style.PAGE_WIDTH)
+        width = float(np.clip(1.2 + 2.0 * max(map(len, kinds)), LEGEND, style.PAGE_WIDTH))
         bottom = 0.12 + 0.056 * longest if longest else 0.39  # inch, with room for upright names
         height = 1.91 + bottom
         figure = Figure(figsize=(width, height * len(kinds)))
@@ -191,11 +192,11 @@ def write_correlation(axes: Axes, place: tuple[float, float], value: float, text
     axes.text(*place, text.replace("-", "\N{MINUS SIGN}"), ha="center", va="center", color=colour, **look)
 
 
-def over_time_figure(table: pd.DataFrame) -> Figure:
+def over_time_figure(table: pd.DataFrame, of: str = "Record") -> Figure:
     """A panel for every parameter: its estimate after each record with its 90 % band, and what the record says alone.
 
     Of more than `MOST_OVER_TIME` parameters those that changed are shown, and those that are known best. The table is
-    that of `pinn_cli.report.parameters.parameters_over_time`.
+    that of `pinn_cli.report.parameters.parameters_over_time`; ``of`` is what its ``record`` counts.
     """
     last = table[table["record"] == table["record"].max()].set_index("parameter")
     relative = (last["std"] / last["estimate"].abs()).replace(np.nan, np.inf)
@@ -211,7 +212,7 @@ def over_time_figure(table: pd.DataFrame) -> Figure:
         for axes, name in zip(panels.flat, shown, strict=False):
             _draw_over_records(axes, table[table["parameter"] == name], name)
         for axes in panels[-1]:
-            axes.set_xlabel("Record", labelpad=2)
+            axes.set_xlabel(of, labelpad=2)
         style.legend(figure)
     return figure
 
@@ -220,12 +221,12 @@ def _draw_over_records(axes: Axes, own: pd.DataFrame, name: str) -> None:
     factor, prefix = style.unit_prefix(float(own["estimate"].abs().max()), kilo=True)
     record, unit = own["record"].to_numpy(), str(own["unit"].iloc[-1]) if own["unit"].notna().all() else ""
     estimate, lower, upper, alone = factor * own[["estimate", "lower_90", "upper_90", "alone"]].to_numpy(float).T
-    axes.plot(record, estimate, color=style.BLUE, marker="o", markersize=2.5, linewidth=1.0, label="after the record")
+    axes.plot(record, estimate, color=style.BLUE, marker="o", markersize=2.5, linewidth=1.0, label="with all so far")
     axes.fill_between(record, lower, upper, color=style.BLUE, alpha=0.25, linewidth=0, label="90 % band")
     low, high = axes.get_ylim()
     half = factor * HALF_WIDTH_90 * own["alone_std"].to_numpy()
     dots: style.Look = {"color": style.GREY, "linestyle": "none", "marker": ".", "markersize": 3.0, "elinewidth": 0.6}
-    axes.errorbar(record + 0.12, alone, half, label="by the record alone", **dots)
+    axes.errorbar(record + 0.12, alone, half, label="by itself", **dots)
     reach = np.clip(alone, low - 2 * (high - low), high + 2 * (high - low))
     spread, margin = reach[np.isfinite(reach)], 0.1 * (high - low)
     axes.set_ylim(min(low, spread.min(initial=low)) - margin, max(high, spread.max(initial=high)) + margin)

@@ -31,7 +31,13 @@ DECADES = 9  # that a spectrum shows at most, if that is enough to see the resid
 # Sensors whose frequency response is shown, and lines of the spectrum that are averaged to one measured value.
 MOST, AVERAGED = 6, 3
 MARKED, LINES = 60, ("-", "--", "-.", ":")  # iterations up to which each is marked; of a term of the loss
-WITH_NOISE = "95 % band with the sensor's noise"
+WITH_NOISE, WITHOUT_NOISE = "95 % with noise", "95 %, noise unknown"
+ROUND_OFF = 1e-9  # of the largest value of a sensor: what is left of one that the estimate was given
+# What the terms of a loss are called.
+TERMS = {
+    "physics": "equation of motion", "ridge": "regularisation", "unforced": "DOFs without a force",
+    "forced": "DOFs with a force",
+}  # fmt: skip
 
 _RESIDUAL: style.Look = {"color": style.BLUE, "linewidth": 0.6, "zorder": 2}
 _SIGNAL: style.Look = {"color": style.GREY, "alpha": 0.55, "linewidth": 0.6, "zorder": 1, "label": "sensor"}
@@ -44,9 +50,9 @@ def residuals_figure(estimate: Estimate, record: Record) -> Figure:
     The noise found is drawn as a dashed line: 1.96 standard deviations to either side of the history, its level in the
     spectrum, behind which the sensor's own lies. The autocorrelation of white noise stays in the shaded band 95 % of
     the time. Of more than `ROWS_IN_FULL` sensors those with the largest NMSE are shown, the ground's only where its
-    motion was estimated.
+    motion was estimated. There is one, see `compared_channels`.
     """
-    every = [c for c in every_channel(record) if np.isfinite(c.of(estimate.response)).all()]
+    every = compared_channels(estimate, record)
     errors = [nmse_percent(c.measured - c.of(estimate.response), c.measured) for c in every]
     shown = [every[i] for i in style.largest(errors, ROWS_IN_FULL)]
     labels = "measured less estimated", r"noise found ($\pm$1.96 $\sigma$; level)"
@@ -75,12 +81,22 @@ def residuals_figure(estimate: Estimate, record: Record) -> Figure:
     return figure
 
 
+def compared_channels(estimate: Estimate, record: Record) -> list[Channel]:
+    """The sensors that an estimate is compared with: not those that it has nothing of, or was given as exact."""
+    out = []
+    for channel in every_channel(record):
+        left = channel.measured - channel.of(estimate.response)
+        if np.isfinite(left).all() and np.abs(left).max() > ROUND_OFF * np.abs(channel.measured).max():
+            out.append(channel)
+    return out
+
+
 def validation_figure(run: ValidationRun, estimate: Estimate) -> Figure:
     """A row for each response sensor: its history beside the run's with its 95 % band, and what is between them.
 
-    The band of the error holds the sensor's noise as well. Of a record with too many periods the histories show the
-    last ones, where errors of the parameters have added up; the error is shown as a whole. Of more than `ROWS_IN_FULL`
-    sensors those with the largest NMSE are shown. The run has a response.
+    The band of the error holds the sensor's noise as well, of a sensor that the estimator has seen. Of a record with
+    too many periods the histories show the last ones, where errors of the parameters have added up; the error is shown
+    as a whole. Of more than `ROWS_IN_FULL` sensors those with the largest NMSE are shown. The run has a response.
     """
     every = channels(run.record, RESPONSE_QUANTITIES)
     errors = [nmse_percent(m - s, m) for m, s, _ in map(run.compared, every)]
@@ -88,7 +104,7 @@ def validation_figure(run: ValidationRun, estimate: Estimate) -> Figure:
     simulated = np.stack([run.of_channel(channel)[1] for channel in shown], axis=1)
     window = histories.window_about(len(simulated), np.diff(simulated, axis=0, prepend=0.0))
     time = run.record.time[run.first :]
-    looks, labels = histories.looks(true="measured", estimate="identified system"), ("error", WITH_NOISE)
+    looks = histories.looks(true="measured", estimate="identified system")
     with style.look():
         figure, panels = style.panels(
             len(shown), 2, 0.95, margins=(0.62, 0.08, 0.56, 0.42), gaps=(0.5, 0.28), width_ratios=(1.25, 1.0)
@@ -101,7 +117,9 @@ def validation_figure(run: ValidationRun, estimate: Estimate) -> Figure:
             histories.draw(history, each, 0, window, factor, looks)
             history.set_title(f"({style.unit(name, prefix)})", loc="left", fontsize=7, pad=2)
             left, known = (measured - found)[:, 0], np.isfinite(measured[:, 0])
-            edge = BAND * np.hypot(std[:, 0], np.nan_to_num(noise_found(estimate, channel)))
+            noise = noise_found(estimate, channel)
+            edge = BAND * np.hypot(std[:, 0], np.nan_to_num(noise))
+            labels = "error", WITH_NOISE if np.isfinite(noise) else WITHOUT_NOISE
             factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(left), initial=0.0)))
             _draw_residual(error, time[known], factor * left[known], factor * edge[known], labels)
             error.set_title(f"({style.unit(name, prefix)})", loc="left", fontsize=7, pad=2)
@@ -118,8 +136,9 @@ def _draw_residual(axes: Axes, time: np.ndarray, left: np.ndarray, edge: np.ndar
     kept = style.line_indices(left)
     axes.plot(time[kept], left[kept], **_RESIDUAL, label=labels[0])
     if np.isfinite(edge).any():
-        axes.plot(time[kept], edge[kept], **_NOISE, label=labels[1])
-        axes.plot(time[kept], -edge[kept], **_NOISE)
+        look = _NOISE | ({"linestyle": ":"} if labels[1] == WITHOUT_NOISE else {})
+        axes.plot(time[kept], edge[kept], **look, label=labels[1])
+        axes.plot(time[kept], -edge[kept], **look)
     axes.set_xlim(time[0], time[-1])
     style.ticks(axes)
 
@@ -242,13 +261,15 @@ def history_figure(history: pd.DataFrame) -> Figure:
             for name in columns[start]:
                 values, term = history[name].to_numpy(dtype=float), name.removeprefix(start)
                 kept = np.flatnonzero(np.isfinite(values) & (values > 0.0))
-                kept = kept[style.line_indices(np.log(values[kept]))] if kept.size else kept
+                if not kept.size:
+                    continue
+                kept = kept[style.line_indices(np.log(values[kept]))]
                 place, marker = terms.index(term), "o" if len(iterations) <= MARKED else "none"
                 look: style.Look = {
                     "color": style.CYCLE[place % len(style.CYCLE)],
                     "linestyle": LINES[place % len(LINES)],
                 }
-                label = term.replace("_", " ")
+                label = TERMS.get(term, term.replace("_", " "))
                 axes.plot(iterations[kept], values[kept], **look, marker=marker, markersize=2.2, label=label)
             axes.set_yscale("log")
             axes.set_ylabel(titles[start])

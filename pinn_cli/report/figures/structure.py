@@ -1,7 +1,4 @@
-"""What was understood of a structure that a user wrote down: its masses, the ground, and what joins them.
-
-Masses stand in layers above the ground, by how many connections lead there, in an order in which few lines cross.
-"""
+"""What was understood of a structure that a user wrote down: its masses, the ground, and what joins them."""
 
 from __future__ import annotations
 
@@ -14,10 +11,9 @@ from matplotlib.lines import Line2D
 from scipy.sparse import csr_matrix
 
 from pinn_cli.report.figures import style
+from pinn_cli.report.layout import layout
 from pinn_cli.system.structure import Structure
 
-MOST_IN_A_ROW = 6
-_SWEEPS = 12  # over the layers, in which their orders settle
 _ACROSS, _UP, _HIGHEST = 1.35, 0.95, 9.0  # inch, from mass to mass, from layer to layer, and of the figure
 _FEW = 12  # of connections, up to which letters are large and weights are written down
 # Where along its line the name of a connection may stand, the best place first; and how near to others it may not.
@@ -26,53 +22,6 @@ _ROOM = (0.5, 0.22)
 _ABOVE = np.array([0.0, 0.13])  # the name of a dot stands there
 _AROUND = [np.array((x, y)) for y in (0.0, 0.2, -0.2, 0.35, -0.35) for x in (0.0, 0.3, -0.3, 0.6, -0.6)]
 _POINTS = np.linspace(0.0, 1.0, 41)[:, None]
-
-
-def layout(matrix: csr_matrix) -> tuple[np.ndarray, bool]:
-    """Places of the masses (n, 2), across and up, and whether a connection ends at the ground.
-
-    Row i of the matrix (C, n) says which coordinates stretch connection i. Layers are one apart, and so are neighbours
-    within one.
-    """
-    pattern = csr_matrix(abs(matrix) > 0, dtype=float)
-    to_ground = np.asarray(pattern.sum(axis=1)).reshape(-1) == 1
-    neighbours, distance = csr_matrix(pattern.T @ pattern), _distances(matrix, to_ground)
-    layers = []
-    for level in range(int(distance.max()) + 1):
-        layer = np.flatnonzero(distance == level)
-        layers += [part for part in np.array_split(layer, -(-len(layer) // MOST_IN_A_ROW)) if part.size]
-    places = np.empty((matrix.shape[1], 2))
-    for level, layer in enumerate(layers, start=1):
-        places[layer] = np.column_stack((_centred(layer), np.full(len(layer), float(level))))
-    for sweep in range(_SWEEPS):
-        for layer in layers if sweep % 2 == 0 else layers[::-1]:
-            wanted = [places[neighbours[dof].indices, 0].mean() for dof in layer]
-            places[layer[np.argsort(wanted, kind="stable")], 0] = _centred(layer)
-    return places, bool(to_ground.any())
-
-
-def _centred(layer: np.ndarray) -> np.ndarray:
-    return np.arange(len(layer)) - (len(layer) - 1) / 2.0
-
-
-def _distances(matrix: csr_matrix, to_ground: np.ndarray) -> np.ndarray:
-    """(n,), connections from each coordinate to the ground, by those that were written down first.
-
-    A brace that comes after the storeys leaves them where they are. What no path leads to begins anew.
-    """
-    # Of a frame in the plane the ends at the ground are told by weights that do not cancel.
-    ends = to_ground if to_ground.any() else np.abs(np.asarray(matrix.sum(axis=1)).reshape(-1)) > 1e-9
-    rows = [matrix[i].indices for i in range(matrix.shape[0])]
-    distance = np.full(matrix.shape[1], -1)
-    while (distance < 0).any():
-        placed = [(row, end or bool((distance[row] >= 0).any())) for row, end in zip(rows, ends, strict=True)]
-        reached = next((row for row, leads_on in placed if leads_on and (distance[row] < 0).any()), None)
-        if reached is None:
-            distance[np.argmax(distance < 0)] = 0
-            continue
-        below = distance[reached][distance[reached] >= 0]
-        distance[reached[distance[reached] < 0]] = below.min() + 1 if below.size else 0
-    return distance
 
 
 def structure_figure(structure: Structure) -> Figure:

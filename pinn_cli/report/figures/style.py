@@ -7,8 +7,10 @@ and no backend to choose.
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.font_manager import fontManager
 from matplotlib.ticker import MaxNLocator
 
 from pinn_cli.record.response import UNITS
@@ -40,8 +43,19 @@ SYMBOLS = {
     "support_velocity": r"$\dot{s}$", "support_acceleration": r"$\ddot{s}$",
 }  # fmt: skip
 
+# Fonts with the signs of many scripts, for names that the first one cannot write.
+_FONT, _OTHER_FONTS = "STIXGeneral", ("Noto Sans CJK", "Source Han Sans", "WenQuanYi", "Droid Sans Fallback", "Unifont")
+_FROM_THEIR_SYSTEMS = (
+    "Arial Unicode MS",
+    "Hiragino Sans",
+    "PingFang SC",
+    "Yu Gothic",
+    "Microsoft YaHei",
+    "Malgun Gothic",
+)
+
 _STYLE: dict[Any, Any] = {
-    "font.family": "STIXGeneral", "mathtext.fontset": "stix", "font.size": 8,
+    "mathtext.fontset": "stix", "font.size": 8,
     "axes.titlesize": 8.5, "axes.labelsize": 8, "xtick.labelsize": 7, "ytick.labelsize": 7, "legend.fontsize": 8,
     "legend.frameon": False, "axes.linewidth": 0.6, "axes.edgecolor": "#404040",
     "xtick.direction": "in", "xtick.major.width": 0.6, "xtick.major.size": 2.5,
@@ -58,8 +72,17 @@ _STYLE: dict[Any, Any] = {
 @contextmanager
 def look() -> Iterator[None]:
     """The look of this package's figures, for the length of a block; matplotlib's own settings are back afterwards."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(_STYLE | {"font.family": _fonts()}), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)  # it is drawn as an empty box
         yield
+
+
+@cache
+def _fonts() -> list[str]:
+    """The figures' font, and what this machine has for other scripts."""
+    there = sorted({font.name for font in fontManager.ttflist})
+    found = [name for name in there if name.startswith(_OTHER_FONTS) or name in _FROM_THEIR_SYSTEMS]
+    return [_FONT, "DejaVu Sans", *found]
 
 
 def panels(

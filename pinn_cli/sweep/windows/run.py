@@ -15,7 +15,7 @@ from pinn_cli.model.file import NAME as MODEL
 from pinn_cli.record.windows import RecordWindows
 from pinn_cli.report.export import Export
 from pinn_cli.report.parameters import OVER_TIME, history
-from pinn_cli.report.run_record import run_facts
+from pinn_cli.report.run_record import parameters_of, run_facts
 from pinn_cli.report.text import fitness_text, parameters_text, verdict_text
 from pinn_cli.runs.resume import RESULT
 from pinn_cli.runs.stages import Stages
@@ -123,18 +123,22 @@ class WindowedRun:
                 with xr.open_dataset(self.directory / RESPONSE) as data:
                     for export in self.exports:
                         export.write(data, self.directory / f"response.{export.name}")
+        parameters = pd.read_csv(self.directory / "parameters.csv")
         with stages("figures"):
             if self.drawn:
                 # Not above: matplotlib takes a while, and may not be wanted.
                 from pinn_cli.report.figures import write_over_time_figure
+                from pinn_cli.report.page import IN_PYTHON, Page, fitness_sheets, parameter_sheets
 
-                write_over_time_figure(pd.read_csv(self.directory / OVER_TIME), self.directory / "figures")
+                write_over_time_figure(pd.read_csv(self.directory / OVER_TIME), self.directory / "figures", "Window")
+                sheets = [*parameter_sheets(parameters), *fitness_sheets(fitness)]
+                Page(self.solver.run.case, verdict, sheets, entries[-1]["doubts"], [IN_PYTHON]).write(self.directory)
         digest = hashlib.sha256(" ".join(e["observed"] for e in entries).encode()).hexdigest()[:16]
         content = run_facts(self.solver.run, entries[-1]["training"], digest, stages.seconds)
         told = ("number", "start", "hand_over", "stop", "verdict", "reasons", "changed")
         content["windows"] = [{name: entry.get(name) for name in told} for entry in entries]
+        content["parameters"] = parameters_of(parameters)
         write_json({**content, **verdict.record()}, self.directory / RESULT)
-        parameters = pd.read_csv(self.directory / "parameters.csv")
         texts = (parameters_text(parameters, entries[-1]["doubts"]), fitness_text(fitness), verdict_text(verdict))
         return "\n\n".join(text for text in texts if text)
 

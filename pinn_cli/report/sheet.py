@@ -1,4 +1,4 @@
-"""A table as it is read, with its symbols, and its forms: Markdown, LaTeX and, in the report, HTML."""
+"""A table as it is read, with its symbols, and its forms: Markdown, LaTeX and, in reports, HTML; pages of these."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from pinn_cli.runs.reading import printable
 from pinn_cli.runs.writing import write_text
 
 Mark = Literal["", "better", "worse"]
 Form = Literal["plain", "latex", "html"]
 
+PACKAGE = "pinn_cli.report"
 DASH = "-"
 SIGNS = {"better": "▲", "worse": "▼"}
 LATEX_MARKS = {"": "%s", "better": r"\textbf{%s}", "worse": r"\underline{%s}"}
@@ -85,13 +87,13 @@ def mark(ours: float, published: float, more_is_better: bool = False) -> Mark:
 
 @dataclass(frozen=True)
 class Sheet:
-    """A table of the paper with its values and ours.
+    """A table with heads at its left and groups of columns, such as one of the paper with its values and ours.
 
     Attributes:
         name: Of its files.
         title: One line.
         note: What the reader must know of its numbers, one paragraph.
-        heads: Titles of the two columns at the left.
+        heads: Titles of the columns at the left.
         groups: Title of each group of columns and these: quantities (``displacement``), parameters (``k_2``) or text.
         rows: In order.
     """
@@ -99,7 +101,7 @@ class Sheet:
     name: str
     title: str
     note: str
-    heads: tuple[str, str]
+    heads: tuple[str, ...]
     groups: Sequence[tuple[str, Sequence[str]]]
     rows: Sequence[Row]
 
@@ -130,20 +132,26 @@ class Sheet:
         write_text(self.latex, directory / f"{self.name}.tex")
 
 
-def render(name: str, **content: object) -> str:
-    """The template ``<name>.j2`` with its content filled in; in HTML all text is escaped."""
-    return _environment().get_template(f"{name}.j2").render(content)
+def render(name: str, package: str = PACKAGE, **content: object) -> str:
+    """The template ``<name>.j2`` of a package with its content filled in; in HTML all text is escaped."""
+    return _environment(package).get_template(f"{name}.j2").render(content)
 
 
 @cache
-def _environment() -> Environment:
+def _environment(package: str) -> Environment:
     environment = Environment(
-        loader=PackageLoader("pinn_cli.paper"), trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined,
+        loader=ChoiceLoader([PackageLoader(package), PackageLoader(PACKAGE)]), trim_blocks=True, lstrip_blocks=True,
+        undefined=StrictUndefined, finalize=_printable,
         autoescape=lambda name: bool(name and name.endswith(".html.j2")),
     )  # fmt: skip
     environment.filters |= {"symbols": written, "data_uri": _data_uri}
     environment.globals |= {"signs": SIGNS, "marks": LATEX_MARKS}
     return environment
+
+
+def _printable(value: object) -> object:
+    """Names of channels and of files may be anything."""
+    return printable(value) if type(value) is str else value
 
 
 def _data_uri(image: Path) -> str:
@@ -152,6 +160,7 @@ def _data_uri(image: Path) -> str:
 
 def written(text: str, form: Form) -> str:
     """Text for a form: names of quantities and parameters (``k_2/mu_2`` too) as symbols, all else escaped."""
+    text = printable(text)
     names = text.split("/")
     if all(name in _QUANTITIES or _PARAMETER.fullmatch(name) for name in names):
         text = "/".join(_symbol(name, form) for name in names)

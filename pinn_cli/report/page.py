@@ -1,0 +1,184 @@
+"""``report.html``: what a run found, on one page that needs no network: verdict, tables, figures, what to do next."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from markupsafe import Markup
+
+from pinn_cli.record.response import QUANTITIES
+from pinn_cli.report import text
+from pinn_cli.report.estimates import ModeEstimates, mode_table
+from pinn_cli.report.fitness import FORMULAS
+from pinn_cli.report.layout import moving_modes
+from pinn_cli.report.results import Results
+from pinn_cli.report.sheet import Cell, Row, Sheet, render
+from pinn_cli.report.text import Column
+from pinn_cli.runs.identity import package_version
+from pinn_cli.runs.writing import write_text
+from pinn_cli.verdict.finding import Verdict
+
+NAME = "report.html"
+MEANING = {
+    "sound": "Nothing speaks against the estimate.",
+    "questionable": "Something speaks against the estimate: read the reasons before you use a number.",
+    "failed": "Do not use the numbers: the estimated structure does not do what was measured, or is far off.",
+}
+# What each figure shows, in the order of the page; others stand behind them.
+CAPTIONS = {
+    "response": "Motion and force of the DOFs: the estimate with its 95 % band, and what is known beside it",
+    "validation": "The identified system on data that no estimator has seen",
+    "parameters": "Parameters with their 90 % intervals",
+    "parameters_over_time": "Parameters from record to record, or from window to window",
+    "correlation": "Which parameters the record cannot tell apart",
+    "modes": "Mode shapes, natural frequencies and damping ratios",
+    "structure": "The structure as it was understood",
+    "drift": "How far the connections are stretched, and the peaks",
+    "hysteresis": "Forces of the connections that have a memory, over their elongation",
+    "discrepancy": "The force that the model leaves out",
+    "frequency_response": "Frequency responses, measured and estimated",
+    "residuals": "What the estimate leaves of every sensor",
+    "error_map": "Errors, or standard deviations where there is no truth, over time and DOF",
+    "history": "Terms of the loss and their weights, by iteration",
+    "posterior_pairs": "Distribution of the parameters",
+}
+IN_PYTHON = "Read all numbers in Python:", "import pinn_cli; result = pinn_cli.load('DIRECTORY')"
+PAGE_DOFS = 40  # beyond these the rows of single DOFs are left to fitness.csv
+
+_THREE, _FOUR = (partial(text.number, digits=digits) for digits in (3, 4))
+_MODES = {
+    "mode": Column("mode", 6),
+    "frequency": Column("frequency (Hz)", 12, _FOUR),
+    "lower_90": Column("90 % from", 12, _FOUR),
+    "upper_90": Column("to", 12, _FOUR),
+    "damping_ratio": Column("damping ratio", 12, _THREE),
+    "damping_ratio_lower_90": Column("90 % from", 12, _THREE),
+    "damping_ratio_upper_90": Column("to", 12, _THREE),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    """What stands on the page beside the figures, which lie in the run's directory.
+
+    Attributes:
+        case: Of the run.
+        verdict: Of the run; None: there is none.
+        sheets: Its tables.
+        warnings: What a reader must know of the parameters, a sentence each.
+        steps: What to do next: a sentence, and a command or "".
+        moving: Pictures (SVG) of the modes, the lowest first.
+    """
+
+    case: str
+    verdict: Verdict | None
+    sheets: Sequence[Sheet]
+    warnings: Sequence[str] = ()
+    steps: Sequence[tuple[str, str]] = ()
+    moving: Sequence[str] = ()
+
+    def write(self, directory: Path) -> None:
+        """Write it, with all figures that lie there."""
+        command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+        content = render(
+            "run.html", title=f"{self.case}: {self.verdict.word if self.verdict else 'estimate'}", page=self,
+            meaning=MEANING, moving=[Markup(picture) for picture in self.moving], figures=figures_in(directory),
+            command=command, directory=str(directory), version=package_version("pinn-cli"),
+        )  # fmt: skip
+        write_text(content, directory / NAME)
+
+
+def run_page(
+    results: Results, verdict: Verdict | None, parameters: pd.DataFrame, fitness: pd.DataFrame,
+    residuals: Sequence[Sequence[pd.DataFrame]], warnings: Sequence[str],
+) -> Page:  # fmt: skip
+    """Of a run; tables are those of its files, ``residuals`` as :func:`pinn_cli.report.text.sensors_text` has them."""
+    modes = ModeEstimates.of(results.prescribed, results.estimate, results.true)
+    columns, sensors = text.sensors_table(residuals, results.run.baseline)
+    sheets = [*parameter_sheets(parameters), *fitness_sheets(fitness)]
+    if len(sensors):
+        sheets.append(sheet_of(("sensors", "Sensors", " ".join(text.OF_SENSORS)), columns, sensors))
+    if modes is not None:
+        note = "Of the estimated structure, linearised about rest; the shapes stand in modes.csv."
+        sheets.append(sheet_of(("modes", "Natural modes", note), _MODES, mode_table(modes).head(text.SENSORS_SHOWN)))
+    moving = [] if modes is None else list(moving_modes(results.prescribed, modes))
+    return Page(results.run.case, verdict, sheets, warnings, next_steps(results, verdict), moving)
+
+
+def figures_in(directory: Path) -> list[tuple[str, Path]]:
+    """Caption and file of all figures of a run, those of further records last."""
+    found = []
+    folders = [directory, *sorted(directory.glob("record_*"), key=lambda folder: (len(folder.name), folder.name))]
+    for folder in folders:
+        own = sorted((folder / "figures").glob("*.png"))
+        order = {name: i for i, name in enumerate(CAPTIONS)}
+        of_record = "" if folder == directory else f"{folder.name.replace('_', ' ')}: "
+        own.sort(key=lambda file: (order.get(file.stem, len(order)), file.stem))
+        found += [(of_record + CAPTIONS.get(file.stem, file.stem.replace("_", " ")), file) for file in own]
+    return found
+
+
+def sheet_of(titles: tuple[str, str, str], columns: Mapping[str, Column], table: pd.DataFrame) -> Sheet:
+    """A table as it is printed, without columns of which nothing is known; its name, title and note are given."""
+    first, *others = [name for name in columns if table[name].notna().any()]
+    rows = [
+        Row((columns[first].text(row[first]),), tuple(Cell(columns[name].text(row[name])) for name in others))
+        for row in table.to_dict(orient="records")
+    ]
+    return Sheet(*titles, (columns[first].title,), [("", [columns[name].title for name in others])], rows)
+
+
+def parameter_sheets(parameters: pd.DataFrame) -> list[Sheet]:
+    """Of the unknown parameters, and of those that were prescribed."""
+    tables, left_out = text.parameter_tables(parameters)
+    named = [(columns, rows.assign(parameter=rows["parameter"].str.removesuffix(" *"))) for columns, rows in tables]
+    believed = " ".join(["What was given, and what the record makes of it.", *left_out])
+    titles = {
+        "start": ("unknown", "Unknown parameters", "Identified from the record; start is where the search began."),
+        "prescribed": ("prescribed", "Prescribed parameters", believed),
+    }
+    return [sheet_of(titles["start" if "start" in columns else "prescribed"], columns, rows) for columns, rows in named]
+
+
+def fitness_sheets(fitness: pd.DataFrame) -> list[Sheet]:
+    """By group of DOFs and quantity, by both formulas; none where there is nothing to compare with."""
+    known = fitness[np.isfinite(fitness[list(FORMULAS)]).any(axis=1)]
+    quantities = [quantity for quantity in QUANTITIES if quantity in set(known["quantity"])]
+    groups = list(dict.fromkeys(known["group"]))
+    single = [name for name in groups if name.startswith("dof_")]
+    shown = groups if len(single) <= PAGE_DOFS else [name for name in groups if name not in single]
+    rows = []
+    for name in shown:
+        own = known[known["group"] == name].set_index("quantity").reindex(quantities)
+        rows.append(Row((name,), tuple(Cell(text.percent(x)) for formula in FORMULAS for x in own[formula])))
+    note = "100 is perfect; error: root mean square of the difference. DOF by DOF, then the mean over the DOFs."
+    formulas = [(f"1 - error / {what} of the truth (%)", quantities) for what in ("deviation", "range")]
+    return [Sheet("fitness", "Fitness", note, ("DOFs",), formulas, rows)] if rows else []
+
+
+def next_steps(results: Results, verdict: Verdict | None) -> list[tuple[str, str]]:
+    """What a reader may do with such a run: a sentence each, and a command or ""."""
+    measured, unknown = not results.run.simulated, [p.name for p in results.estimate.parameters if p.unknown]
+    steps = []
+    if verdict is not None and not verdict.sound:
+        steps.append(("Mend what the first reason names, and run the same command again.", ""))
+    if measured and results.validation is None and verdict is not None:
+        time = results.record.time
+        last = f"'data.validation={{start: {time[0] + 0.8 * (time[-1] - time[0]):.4g}}}'"
+        steps.append(("Try the identified system on data that it was not identified from: add", last))
+    if results.baseline is None and verdict is not None:
+        steps.append(("See what another estimator makes of the same record: add", "baseline=kalman_smoother"))
+    if measured and (verdict is None or verdict.sound):
+        use = "Use what is known of the structure for its next record:" if unknown else "Use it for the next record:"
+        steps.append((use, "pinn-run model=DIRECTORY data=csv data.path=next.csv ..."))
+        steps.append(("Predict the response to other forces: add", "scheme=predict"))
+    if not measured:
+        steps.append(("See how far it goes with noise:", "pinn-run --multirun noise.snr_db=50,30,20 'seed=range(5)'"))
+    return [*steps, IN_PYTHON]
