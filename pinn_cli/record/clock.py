@@ -252,7 +252,8 @@ def recognised(path: Path) -> FileFormat:
     by_name = [one for one in FORMATS if suffix in (*one.suffixes, *one.other_suffixes)]
     arrays = [one() for one in (*by_name, *FORMATS) if issubclass(one, ArrayFormat)]
     for own in arrays:
-        if own.begins(content) and (type(own) in by_name or not (by_name or isinstance(own, MatFormat))):
+        foreign = by_name or (isinstance(own, MatFormat) and not content.startswith(b"MATLAB"))
+        if own.begins(content) and (type(own) in by_name or not foreign):
             return own
     if any(suffix in one.suffixes for one in by_name):
         return next(one() for one in by_name if suffix in one.suffixes)

@@ -41,6 +41,12 @@ def seconds_of(texts: Sequence[str]) -> np.ndarray | None:
     return None if days is None else np.asarray(clock - clock[0] + _DAY_S * (days - days[0]))
 
 
+def first_other(texts: Sequence[str]) -> int | None:
+    """Place of the first text that is no date or time of day, where the first one of all is; else None."""
+    others = (i for i, text in enumerate(texts) if _WRITTEN.fullmatch(text) is None)
+    return next(others, None) or None
+
+
 def _of_the_day(part: Sequence[str | None]) -> float:
     """Seconds since midnight, of UTC where the zone is a number."""
     hours, minutes, seconds, half, _, sign, zone_hours, zone_minutes = part[3:]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.files.dates import seconds_of
+from pinn_cli.record.files.dates import first_other, seconds_of
 from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.legal_values import LARGEST, SMALLEST, USABLE
 
@@ -32,7 +32,7 @@ SAME_TIME = 0.01
 _WRITTEN_AS = (
     (
         re.compile(r"\d{4}-\d\d|\d\d?[./]\d\d?[./]\d|\d\d?:\d\d"),
-        "write times as seconds, such as 0, 0.01, or as dates: 2026-03-01T12:00:00.25",
+        "write times as seconds, such as 0, 0.01, or all as dates: 2026-03-01T12:00:00.25, 1.3.2026 12:00:00.25",
     ),
     (re.compile(r"[+-]?\d+,\d+([eE].*)?$"), "write decimals with a point"),
     (re.compile(r"(true|false|yes|no|on|off)$", re.IGNORECASE), "write 1 and 0 if these are numbers"),
@@ -140,12 +140,20 @@ class Table:
         return replace(self, columns={name: values for name, values in self.columns.items() if name in names})
 
     def with_dates(self, column: str) -> Table:
-        """The same with a column whose every cell is a date or a time of day, in s from the first of them."""
+        """The same with a column whose every cell is a date or a time of day, in s from the first of them.
+
+        Raises:
+            InputError: One among dates is none.
+        """
         texts = self.odd_cells.get(column, {})
         if not texts or len(texts) < len(self):
             return self
         since = seconds_of(list(texts.values()))
         if since is None:
+            row = first_other(list(texts.values()))
+            if row is not None:
+                text = shortened(list(texts.values())[row])
+                raise InputError(self.place(column, list(texts)[row]), text, "a date as in the lines before", _LEFT_OUT)
             return self
         return replace(self, columns={**self.columns, column: since}, odd_cells={**self.odd_cells, column: {}})
 
