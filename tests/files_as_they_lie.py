@@ -130,7 +130,9 @@ def universal(path: Path) -> None:
               "abscissa_inc": 1.0 / RATE}  # fmt: skip
     sets = [(f, 1, 13, "N"), (a[:, 0], 1, 12, "m/s^2"), (a[:, 1], 2, 12, "m/s^2")]
     pyuff.UFF(str(path)).write_sets([
-        pyuff.prepare_58(**common, data=values, rsp_node=node, ordinate_spec_data_type=kind, ordinate_axis_units_lab=unit)
+        pyuff.prepare_58(
+            **common, data=values, rsp_node=node, ordinate_spec_data_type=kind, ordinate_axis_units_lab=unit
+        )
         for values, node, kind, unit in sets
     ])  # fmt: skip
 

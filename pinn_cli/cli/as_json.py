@@ -31,4 +31,6 @@ def _rows(file: Path) -> list[dict[str, Any]]:
     import pandas as pd
 
     rows = pd.read_csv(file).to_dict(orient="records")
-    return [{str(k): None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()} for row in rows]
+    return [
+        {str(k): None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()} for row in rows
+    ]

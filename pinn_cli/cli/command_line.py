@@ -69,7 +69,6 @@ class Terminal:
         """Print one line on standard error."""
         print(printable(f"pinn-run: {' '.join(text.split())}"), file=sys.stderr)
 
-
     def conclude(self, directory: Path) -> None:
         """Print where the results are: the last line."""
         self.say(str(directory))

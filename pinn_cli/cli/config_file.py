@@ -19,15 +19,17 @@ _PLAIN = re.compile(r"(?!(?:true|false|null|nan|inf)$)[a-z_][\w./-]*", re.ASCII 
 def overrides_of(file: str, typed: Sequence[str]) -> list[str]:
     """What a file says, but for settings that are typed, too.
 
-    ``system: linear`` chooses an option, ``system: {ndof: 3}`` and ``system.ndof: 3`` set one of its settings; a list of
-    ``defaults``, as an experiment has it, chooses options.
+    ``system: linear`` chooses an option, ``system: {ndof: 3}`` and ``system.ndof: 3`` set one of its settings; a
+    list of ``defaults``, as an experiment has it, chooses options.
 
     Raises:
         InputError: There is no such file, or it holds something else than settings.
     """
     path = Path(file)
     if not path.is_file():
-        raise InputError("--config", file or "''", "a file of settings (YAML) that exists", "--config-dir takes a folder")
+        raise InputError(
+            "--config", file or "''", "a file of settings (YAML) that exists", "--config-dir takes a folder"
+        )
     plain: Any = OmegaConf.to_container(read_yaml(path), resolve=False)
     given = {setting_of(override) for override in typed}
     return [f"{name}={value}" for name, value in _settings(path, plain) if name not in given]

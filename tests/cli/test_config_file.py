@@ -34,7 +34,9 @@ def test_settings_of_a_file_are_overrides(tmp_path: Path) -> None:
 
 
 def test_a_command_with_a_file(pinn_run: PinnRun, tmp_path: Path) -> None:
-    (tmp_path / "my.yaml").write_text("system: linear\nsystem.ndof: 3\nnoise: {snr_db: 20.0}\nexcitation.dofs: [1, 2]\n")
+    (tmp_path / "my.yaml").write_text(
+        "system: linear\nsystem.ndof: 3\nnoise: {snr_db: 20.0}\nexcitation.dofs: [1, 2]\n"
+    )
     text = pinn_run("--config", "my.yaml", "system.ndof=4", "--cfg", "job", "-p", "system").out
     assert "ndof: 4" in text
     assert "linear.Linear" in text

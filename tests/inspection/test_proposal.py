@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,8 @@ from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.prepare import prepare_problem
 
 WITHOUT_FORCE = ("wind.csv",)
+# Those that the quick suite looks at by the command; tests/record/files reads them all.
+QUICK = ("local dates.csv", "rows.csv", "struct.mat")
 
 
 def proposed(out: str) -> list[str]:
@@ -26,7 +27,9 @@ def proposed(out: str) -> list[str]:
     return shlex.split(text.replace("\\ ", " "))[1:]
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in FILES]
+)
 def test_a_file_is_looked_at_and_the_command_gets_as_far_as_a_problem(name, pinn_run, tmp_path, in_this_process):
     FILES[name](tmp_path / name)
     outcome = pinn_run("inspect", name, "figures=false")
@@ -142,8 +145,3 @@ def test_a_rate_is_enough_beside_a_column_of_dates(pinn_run, tmp_path):
     (tmp_path / "rig.csv").write_text(text)
     assert "line 77" in pinn_run("inspect", "rig.csv", "figures=false").err
     assert pinn_run("inspect", "rig.csv", "data.sampling_rate=50", "figures=false").status == 0
-
-
-if __name__ == "__main__":  # the files, to try by hand
-    for one, write in FILES.items():
-        write(Path(sys.argv[1]) / one)

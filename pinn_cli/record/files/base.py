@@ -200,7 +200,13 @@ def answer(memory: int, limit_s: int) -> None:
     except InputError as error:
         refused = str(error)
     layout = [
-        (list(t.columns), {n: astuple(hint) for n, hint in t.hints.items()}, t.time is not None, t.odd_cells, t.first_line)
+        (
+            list(t.columns),
+            {n: astuple(hint) for n, hint in t.hints.items()},
+            t.time is not None,
+            t.odd_cells,
+            t.first_line,
+        )
         for t in tables
     ]
     arrays = [values for t in tables for values in (*t.columns.values(), *(() if t.time is None else (t.time,)))]

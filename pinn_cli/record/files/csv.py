@@ -145,7 +145,9 @@ class CsvFormat(FileFormat):
             first = next((i for i, line in enumerate(lines) if line.strip()), 0)
         separator = "," if self.separator is None else self.separator
         rows = rows_of(lines[first : first + 1], separator)
-        return Heading(separator, first, first + 1, first + 1, tuple(rows), (), rows_of(lines[first + 1 :][:1], separator))
+        return Heading(
+            separator, first, first + 1, first + 1, tuple(rows), (), rows_of(lines[first + 1 :][:1], separator)
+        )
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Excel files, by openpyxl: a sheet as the text that it would be saved as, whose names and numbers are found as there."""
+"""Excel files, by openpyxl: a sheet as the text that it would be saved as, read as such."""
 
 from __future__ import annotations
 

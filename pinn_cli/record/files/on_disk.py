@@ -82,7 +82,9 @@ def read_text(path: Path, setting: str = "data.path", encoding: str | None = Non
     if (kind and kind != BEGINNINGS[_UNIVERSAL]) or path.suffix.lower() in _PACKED:
         hint = f"it is {kind}: unpack it, or {_SAVE_AS}" if kind else f"unpack it, and {_SAVE_AS}"
         raise InputError(setting, path, "a text file", hint)
-    given = encoding or next((name for mark, name in _MARKS.items() if content.startswith(mark)), None) or _wide(content)
+    given = (
+        encoding or next((name for mark, name in _MARKS.items() if content.startswith(mark)), None) or _wide(content)
+    )
     if given is None and (place := content.find(b"\0")) >= 0:
         hint = f"it is a binary file, or UTF-16 without a mark: {_SAVE_AS}"
         raise InputError(_line(path, content, place), "byte 0x00", "text", hint)

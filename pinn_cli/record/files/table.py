@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 _NAMES, _NAME_LENGTH = 20, 60
 # What a column of times should be called, and may be, in large letters or small ones: T is a temperature.
 TIMES, _ALSO_TIMES = "t", (
-    "time", "zeit", "timestamp", "zeitstempel", "datetime", "date/time", "date time", "date_time", "datum/zeit", "datum uhrzeit",
-    "uhrzeit", "elapsed time", "relative time", "time stamp", "x_value", "seconds", "date", "datum",
+    "time", "zeit", "timestamp", "zeitstempel", "datetime", "date/time", "date time", "date_time", "datum/zeit",
+    "datum uhrzeit", "uhrzeit", "elapsed time", "relative time", "time stamp", "x_value", "seconds", "date", "datum",
 )  # fmt: skip
 # A unit in brackets at the end of a column's name.
 IN_BRACKETS = re.compile(r"(?P<name>.*\S)\s*[\[(]\s*(?P<unit>[^\[\]()]+?)\s*[\])]\s*$")
