@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,24 +16,25 @@ MASS, STIFFNESS, DAMPING = 2.0, 1500.0, 4.0
 BEGIN = datetime(2026, 11, 26, 23, 59, 55)
 
 
+@cache
 def rig() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times (N,), s, force on DOF 1 (N,), N, and accelerations (N, 2), m/s^2, of two masses; 1 % of noise."""
-    random = np.random.default_rng(4)
+    random, fine = np.random.default_rng(4), 10  # steps of the simulation in one of the record
     spectrum = np.fft.rfft(random.normal(size=SAMPLES))
     spectrum[np.fft.rfftfreq(SAMPLES, 1.0 / RATE) > 8.0] = 0.0
-    force = 10.0 * np.fft.irfft(spectrum, SAMPLES)
+    force = 10.0 * fine * np.fft.irfft(spectrum, fine * SAMPLES)
     shape = np.array([[2.0, -1.0], [-1.0, 1.0]])
     a = np.block([[np.zeros((2, 2)), np.eye(2)], [-STIFFNESS / MASS * shape, -DAMPING / MASS * shape]])
     b = np.array([[0.0], [0.0], [1.0 / MASS], [0.0]])
-    c = a[2:]
+    step, push, _, through, _ = cont2discrete((a, b, np.eye(4), np.zeros((4, 1))), 1.0 / RATE / fine, "foh")
     state, states = np.zeros(4), []
-    step, push, _, through, _ = cont2discrete((a, b, np.eye(4), np.zeros((4, 1))), 1.0 / RATE, "foh")
     for f in force:
         states.append(state + through[:, 0] * f)
         state = step @ state + push[:, 0] * f
-    motion = np.array(states) @ c.T
+    motion = np.array(states) @ a[2:].T
     motion[:, 0] += force / MASS
-    noisy = [x + 0.01 * x.std(axis=0) * random.normal(size=x.shape) for x in (force, motion)]
+    seen = (force[::fine], motion[::fine])
+    noisy = [x + 0.01 * x.std(axis=0) * random.normal(size=x.shape) for x in seen]
     return np.arange(SAMPLES) / RATE, noisy[0], noisy[1]
 
 
