@@ -82,7 +82,10 @@ class Terminal:
 class Quiet(Terminal):
     """`--quiet`: errors and the last line."""
 
-    shows_progress = False
+    @property
+    def shows_progress(self) -> bool:
+        """Nobody does."""
+        return False
 
     def say(self, text: str) -> None:
         """Print nothing."""
