@@ -21,6 +21,7 @@ from hydra import compose, initialize_config_module
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.inspecting import Inspected
+from pinn_cli.cli.options import read_options
 from pinn_cli.cli.prepare import check_windows
 from pinn_cli.inspection.inspection import inspect_record
 from pinn_cli.record.windows import GrowingWindows
@@ -88,11 +89,13 @@ def test_a_documented_run_gets_as_far_as_training(line: str, rig: Path) -> None:
 
 
 @pytest.mark.parametrize("line", LOOKS)
-def test_a_documented_look_is_had(line: str, rig: Path) -> None:
+def test_a_documented_look_is_had(line: str, rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(rig)
     with initialize_config_module("pinn_cli.conf", version_base="1.3"):
-        composed = compose("config", overrides=first_job(shlex.split(line)[2:]))
+        arguments = shlex.split(line)[1:]
+        composed = compose("config", overrides=first_job(read_options(arguments).overrides))
     looked_at = Inspected.read(composed, rig)
-    assert inspect_record(looked_at.signals, looked_at.time, [], looked_at.frequencies).command
+    assert inspect_record(looked_at.signals, looked_at.time, looked_at.said, looked_at.frequencies).command
 
 
 @pytest.mark.parametrize("line", FOLLOWED)

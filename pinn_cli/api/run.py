@@ -16,7 +16,7 @@ from typing import Any, Literal, overload
 
 from pinn_cli.api.data import settings_of
 from pinn_cli.api.results import Result, SweepResult, load
-from pinn_cli.cli.command_line import REPORTED, Jobs, Silence, perform
+from pinn_cli.cli.command_line import REPORTED, WITHOUT_LOGS, Jobs, Silence, perform
 from pinn_cli.main import run as run_job
 from pinn_cli.runs.interruption import watched
 from pinn_cli.runs.process import borrowed
@@ -26,7 +26,6 @@ from pinn_cli.settings.override_syntax import quoted, setting_of
 # A run sets what belongs to the process (:mod:`pinn_cli.runs.process`): a second thread waits.
 _ONE_AT_A_TIME = threading.Lock()
 # The process has logs of its own, which Hydra would replace.
-_WITHOUT_LOGS = ("hydra/job_logging=none", "hydra/hydra_logging=none")
 _ELSEWHERE = {
     "collect": "pinn_cli.load(DIRECTORY) puts a sweep together",
     "hydra.run.dir": "directory=... is an argument",
@@ -136,7 +135,7 @@ def _check(overrides: Sequence[str], directory: object, keep: bool) -> None:
 
 def _performed(arguments: Sequence[str]) -> Path:
     """The directory that the command with these arguments leaves its results in."""
-    jobs = Jobs(partial(run_job, terminal=Silence()), Silence(), of_hydra=_WITHOUT_LOGS)
+    jobs = Jobs(partial(run_job, terminal=Silence()), Silence(), of_hydra=WITHOUT_LOGS)
     try:
         with borrowed(arguments):
             here = Path.cwd()

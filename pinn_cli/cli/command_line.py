@@ -21,12 +21,14 @@ import traceback
 from argparse import Namespace
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, suppress
+from functools import partial
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
+from pinn_cli.cli.as_json import json_of
 from pinn_cli.cli.help import help_text
 from pinn_cli.cli.options import read_options
 from pinn_cli.cli.override_errors import explain
@@ -49,6 +51,9 @@ LOST_WORKERS = ("TerminatedWorkerError", "BrokenProcessPool")
 
 Task = Callable[[DictConfig], float | None]
 
+# Overrides that leave the terminal to us; pinn-run.log is written all the same.
+WITHOUT_LOGS = ("hydra/job_logging=none", "hydra/hydra_logging=none")
+
 # Errors that a user can mend, or must know of: one line each.
 REPORTED = (InputError, DivergenceError, WriteError, NotSoundError)
 
@@ -63,6 +68,39 @@ class Terminal:
     def complain(self, text: str) -> None:
         """Print one line on standard error."""
         print(printable(f"pinn-run: {' '.join(text.split())}"), file=sys.stderr)
+
+    def conclude(self, directory: Path) -> None:
+        """Print where the results are: the last line."""
+        self.say(str(directory))
+
+    @property
+    def shows_progress(self) -> bool:
+        """Whether somebody looks at a bar."""
+        return sys.stderr.isatty()
+
+
+class Quiet(Terminal):
+    """`--quiet`: errors and the last line."""
+
+    @property
+    def shows_progress(self) -> bool:
+        """Nobody does."""
+        return False
+
+    def say(self, text: str) -> None:
+        """Print nothing."""
+
+    def conclude(self, directory: Path) -> None:
+        """See :class:`Terminal`."""
+        print(printable(str(directory)))
+
+
+class AsJson(Quiet):
+    """`--json`: errors, and one JSON object of the run."""
+
+    def conclude(self, directory: Path) -> None:
+        """Print what the run has found, instead of its directory."""
+        print(json_of(directory))
 
 
 class Silence(Terminal):
@@ -227,6 +265,9 @@ def perform(jobs: Jobs, watch: AbstractContextManager[None], tasks: dict[str, Ta
         options = read_options(sys.argv[1:])
         if options.subcommand and tasks:
             jobs.task = tasks[options.subcommand]
+        if options.quiet or options.json:
+            jobs.terminal, jobs.of_hydra = AsJson() if options.json else Quiet(), WITHOUT_LOGS
+            jobs.task = partial(jobs.task, terminal=jobs.terminal)
             jobs.goes_on_by = "the same command" if options.subcommand == "follow" else ""
         with watch:
             _begin(jobs, options)
@@ -255,20 +296,21 @@ def perform(jobs: Jobs, watch: AbstractContextManager[None], tasks: dict[str, Ta
 def _begin(jobs: Jobs, options: Namespace) -> None:
     """Print what is asked for, put a sweep together, or start."""
     if options.help:
-        jobs.terminal.say(help_text(options.config_dir))
+        Terminal().say(help_text(options.config_dir, options.overrides))
         return
     directory = asked_for(options)
     if directory is not None:
         sweep = Sweep.read(directory)
         jobs.terminal.say(Collection.of(sweep, sweep.jobs()).text())
-        jobs.terminal.say(str(directory))
+        jobs.terminal.conclude(directory)
         return
     overrides, config_dir = options.overrides, options.config_dir
     jobs.stored = StoredRun.asked_for(options)
     if jobs.stored is not None:
         if jobs.stored.finished():
             jobs.directory = jobs.stored.directory
-            jobs.terminal.say(f"finished before, nothing to do\n{jobs.stored.directory}")
+            jobs.terminal.say("finished before, nothing to do")
+            jobs.terminal.conclude(jobs.stored.directory)
             if jobs.stored.strict:
                 check_sound(jobs.stored.directory)
             return
@@ -281,7 +323,7 @@ def _begin(jobs: Jobs, options: Namespace) -> None:
     elif options.shell_completion:
         show_by_hydra("--shell-completion", overrides)
     elif options.cfg:
-        jobs.terminal.say(configuration_text(options, overrides, config_dir))
+        Terminal().say(configuration_text(options, overrides, config_dir))
     else:
         start(jobs, [*overrides, *jobs.of_hydra], config_dir, options.multirun)
         _collect(jobs)
@@ -336,4 +378,4 @@ def _collect(jobs: Jobs, cut_off: bool = False) -> None:
         jobs.status = max(jobs.status, collection.exit_status)
     jobs.directory = sweep.directory
     jobs.terminal.say(collection.text())
-    jobs.terminal.say(str(sweep.directory))
+    jobs.terminal.conclude(sweep.directory)

@@ -5,6 +5,7 @@ They are read from the files: Hydra would go through all its configs for the sam
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -14,22 +15,25 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.instantiation import CONF
 
 WIDTH = 120
+# Options of a group that are shown at once.
+_MOST_SHOWN = 12
 
 _BEFORE = """\
 pinn-run: the response of a structural chain where there is no sensor, its parameters, and how far to trust both
 
-usage: pinn-run [inspect | follow] [GROUP=OPTION ...] [SETTING=VALUE ...]
+usage: pinn-run [inspect FILE | follow] [GROUP=OPTION ...] [SETTING=VALUE ...]
 
 Examples
   pinn-run                                             6-DOF Duffing chain, sensors on DOFs 1 and 2, SNR 50 dB
   pinn-run system.ndof=20 noise.snr_db=20              a longer chain, more noise
   pinn-run experiment=paper/sr_6dof_perturbed          a row of the paper's tables
   pinn-run data=csv data.path=rig.csv system.ndof=3 system.m=5    your own record; `pinn-run data=csv --cfg job` lists
-    its settings; or data=mat, uff, parquet, tdms, hdf5, netcdf (docs/how-to/own-record.md)
-  pinn-run inspect data=csv data.path=rig.csv          look at a record first: gaps, noise, natural frequencies, a
+    its settings; or data=mat, uff, parquet, tdms, hdf5, netcdf, excel (docs/how-to/own-record.md)
+  pinn-run inspect rig.csv                             look at a record first: gaps, noise, natural frequencies, a
     command to go on with
   pinn-run follow data=csv data.path=rig.csv data.window=60 ...    a record that is still being measured
     (docs/how-to/follow.md)
@@ -55,7 +59,11 @@ Settings (`pinn-run --cfg job` prints them with every value; each is explained i
 Options
   --cfg job            print the settings that a command would run with
   --multirun, -m       run every combination of comma-separated values
+  --help GROUP         the options of a group, or one (--help network=mlp), with their settings
+  --config FILE        settings of this command in a file (YAML); what is typed goes before them
   --config-dir DIR     add configs of your own: DIR/experiment/my_rig.yaml is then experiment=my_rig
+  --quiet, -q          print errors and the last line alone
+  --json               print one JSON object at the end: directory, verdict, reasons, parameters
   --version            print the version
   --shell-completion install=bash    print what makes the Tab key complete settings (also zsh, fish)
   --hydra-help         the options of Hydra, which reads the configuration
@@ -120,13 +128,45 @@ def _names(node: Any, prefix: str = "") -> Iterator[str]:
                 yield from _names(value, f"{prefix}{key}.")
 
 
-def help_text(config_dir: str | None = None) -> str:
-    """The help, its long lines folded.
+def help_text(config_dir: str | None = None, asked: Sequence[str] = ()) -> str:
+    """The help, its long lines folded; or that of groups and options, `network` and `network=mlp`: their files.
 
     Args:
         config_dir: A folder of more configs, whose options are listed too.
+        asked: What is asked for; nothing: all of it.
+
+    Raises:
+        InputError: There is no such group or option.
     """
+    if asked:
+        return "\n\n".join(_help_of(word, config_dir) for word in asked)
     groups = [f"{group}: {', '.join(option_names(group, config_dir))}" for group in group_names(config_dir)]
     lines = [*_BEFORE.splitlines(), *groups, *_AFTER.splitlines()]
     return "\n".join(textwrap.fill(line, WIDTH, subsequent_indent=" " * 4, break_on_hyphens=False)
                      if len(line) > WIDTH else line for line in lines)  # fmt: skip
+
+
+def _help_of(word: str, config_dir: str | None) -> str:
+    """The files of a group's options, which explain every setting."""
+    name, _, chosen = word.partition("=")
+    group, _, setting = name.partition(".")
+    chosen = "" if setting else chosen
+    if group not in group_names(config_dir):
+        names = group_names(config_dir)
+        raise InputError("--help", group, f"a group: {', '.join(names)}", suggestion(group, names))
+    options = [name for name in option_names(group, config_dir) if chosen in ("", name)]
+    if not options:
+        every = list(option_names(group, config_dir))
+        raise InputError(group, chosen, f"one of {', '.join(every)}", suggestion(chosen, every))
+    if len(options) > _MOST_SHOWN:
+        return f"{group}: {', '.join(options)}\n`pinn-run --help {group}={options[0]}` shows one of them."
+    return "\n\n".join(f"--- {group}={option}\n{_shown(group, option, config_dir)}" for option in options)
+
+
+def _shown(group: str, option: str, config_dir: str | None) -> str:
+    """Text of an option's file, without what only Hydra reads, and of the files of the group that it is based on."""
+    file = next(f for place in _places(config_dir) if (f := place / group / f"{option}.yaml").is_file())
+    lines = file.read_text(encoding="utf-8").splitlines()
+    kept = [line for line in lines if not re.match(r"\s*_target_:|defaults:|  - |# @package", line) and line.strip()]
+    bases = re.findall(r"^  - (_\w+)$", "\n".join(lines), re.MULTILINE)
+    return "\n".join([*kept, *(_shown(group, base, config_dir) for base in bases if base != "_self_")])

@@ -1,9 +1,9 @@
-"""`pinn-run inspect data=...`: from the configuration to the columns that are looked at, and the structure beside."""
+"""`pinn-run inspect FILE`: from the configuration to the columns that are looked at, and the structure beside."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ from pinn_cli.settings.legal_values import entries, finite_number, located
 if TYPE_CHECKING:
     import numpy as np
 
+    from pinn_cli.inspection.proposal import Said
     from pinn_cli.record.data_channels import DataChannel
     from pinn_cli.record.signal import Signal
 
@@ -35,21 +36,29 @@ class Inspected:
         time: (N,), s.
         frequencies: Natural frequencies of the linear part of the structure, Hz; None where its parameters were not
             given.
+        said: By the command.
     """
 
     signals: Sequence[Signal]
     time: np.ndarray
     frequencies: np.ndarray | None
+    said: Said
 
     @classmethod
-    def read(cls, config: DictConfig, base: Path) -> Inspected:
+    def read(cls, config: DictConfig, base: Path, said: Said | None = None) -> Inspected:
         """Of a composed configuration, without its `hydra` node.
+
+        Args:
+            config: As composed.
+            base: The folder that relative paths start from.
+            said: Overrides and options of the command; None: there are none.
 
         Raises:
             InputError: The record cannot be read.
         """
         import numpy as np
 
+        from pinn_cli.inspection.proposal import Said
         from pinn_cli.system.modes import modes_of
 
         config = resolved(config)
@@ -70,16 +79,23 @@ class Inspected:
             hint = "one after the other: data.path=... and its columns"
             raise InputError("data.records", data["records"], "left out with inspect, which looks at one record", hint)
         if "path" not in data or "format" not in data:
-            raise InputError("data", data.get("kind"), "csv or another format of files with inspect")
-        return cls(*_columns(data | {"format": build(config.data.format, "data.format")}, base), frequencies)
+            hint = "pinn-run inspect FILE"
+            raise InputError("data", data.get("kind"), "csv or another format of files with inspect", hint)
+        settings = {"data": data, "system": OmegaConf.to_container(config.system)}
+        columns = data | {"format": build(config.data.format, "data.format")}
+        signals, time, of_times = _columns(columns, base)
+        return cls(signals, time, frequencies, replace(said or Said(), settings=settings, time=of_times))
 
 
-def _columns(data: Mapping[str, Any], base: Path) -> tuple[list[Signal], np.ndarray]:
-    """The columns that the settings name, else all that there are; within the window."""
+def _columns(data: Mapping[str, Any], base: Path) -> tuple[list[Signal], np.ndarray, str]:
+    """The columns that the settings name, else all that have numbers; within the window.
+
+    And their times, and the column that has these where nobody has said so.
+    """
     import numpy as np
 
     from pinn_cli.record.clock import MeasuredFiles
-    from pinn_cli.record.files.table import SensorHint
+    from pinn_cli.record.files.table import SensorHint, is_called_times
 
     paths = [data["path"]] if isinstance(data["path"], str) else entries(data["path"])
     if not paths or not all(isinstance(path, str) and path for path in paths):
@@ -90,7 +106,14 @@ def _columns(data: Mapping[str, Any], base: Path) -> tuple[list[Signal], np.ndar
         data.get("time_unit"),
     )  # fmt: skip
     said = {channel.column: channel for channel in _channels(data)}
-    clock = files.read({channel.setting: channel.column for channel in said.values()} or None)
+    wanted = {channel.setting: channel.column for channel in said.values()} or None
+    unsaid = None
+    if wanted is None and len(files.paths) == 1:
+        read = files.table(files.paths[0], None)
+        unsaid = files.unsaid_times(read)
+        clock = replace(files, time=unsaid or files.time).clock(read)
+    else:
+        clock = files.read(wanted)
     table, time = clock.table, clock.time
     first, last = (
         None if data.get(name) is None else finite_number(f"data.{name}", data[name]) for name in ("start", "stop")
@@ -101,13 +124,16 @@ def _columns(data: Mapping[str, Any], base: Path) -> tuple[list[Signal], np.ndar
     )
     signals = []
     for column in table.columns:
-        if column != clock.column:
+        idle = not said and (is_called_times(column) or not np.isfinite(table.columns[column]).any())
+        if column != clock.column and not idle:
             unit = table.hints.get(column, SensorHint()).unit
             values = table.numbers(column, within.start, within.stop)
             signals.append(_signal(column, values, unit, said.get(column)))
     if not signals:
+        for column in (name for name in table.columns if name != clock.column):
+            table.numbers(column)  # which says what its cells are, where they are no numbers
         raise InputError("data.path", data["path"], "a file with columns of numbers beside the times")
-    return signals, time[within]
+    return signals, time[within], unsaid or ""
 
 
 def _channels(data: Mapping[str, Any]) -> list[DataChannel]:

@@ -30,6 +30,8 @@ from pinn_cli.runs.resume import (
     stored_score,
 )
 from pinn_cli.runs.stages import Stages, signs_of_life
+from pinn_cli.settings.override_syntax import quoted
+from pinn_cli.settings.yaml_file import SCHEME
 
 if TYPE_CHECKING:
     from pinn_cli.cli.prepare import PreparedProblem
@@ -124,7 +126,9 @@ def run_job(
             if not ended:
                 prepared = _prepared(config, directory, stages, terminal, resuming, in_sweep, follows)
             text = _tracked(config, composed, stages, resuming, prepared, carry_out)
-    terminal.say(f"{text}\n{directory}" if text else str(directory))
+    if text:
+        terminal.say(text)
+    terminal.conclude(directory)
     if composed.get("strict") is True:
         check_sound(directory)
     return stored_score(directory)
@@ -145,7 +149,7 @@ def _prepared(
         from pinn_cli.runs.checkpoint import open_checkpoints
         from pinn_cli.training.estimate import RunContext
         from pinn_cli.validation.base import Setup
-    context = RunContext(config.device, config.seed, directory, progress=sys.stderr.isatty() and not in_sweep)
+    context = RunContext(config.device, config.seed, directory, progress=terminal.shows_progress and not in_sweep)
     draws = not in_sweep if config.figures is None else config.figures
     if config.source.windows is not None:
 
@@ -255,21 +259,33 @@ def results_of(job: Job, problem: JointProblem, estimate: Estimate, **more: Any)
     return replace(results, further=further_results(results, problem.each[1:], prepared.truths[1:]))
 
 
-def inspect(composed: DictConfig) -> None:
+def inspect(composed: DictConfig, terminal: Terminal | None = None) -> None:
     """Look at a record before anything is estimated: a table, a figure and a command to go on with."""
-    runtime, stages = HydraConfig.get().runtime, Stages()
+    hydra, stages, terminal = HydraConfig.get(), Stages(), terminal or Terminal()
+    runtime = hydra.runtime
     directory = Path(runtime.output_dir)
     with signs_of_life(stages):
-        with stages("record"):
-            looked_at = Inspected.read(composed, Path(runtime.cwd))
         with stages("imports"):
             from pinn_cli.inspection.inspection import inspect_record
+            from pinn_cli.inspection.proposal import Said
             from pinn_cli.inspection.report import write_inspection
+        with stages("record"):
+            said = Said(list(hydra.overrides.task), _folders(runtime), chosen=dict(runtime.choices))
+            looked_at = Inspected.read(composed, Path(runtime.cwd), said)
         with stages("inspection"):
-            overrides = list(HydraConfig.get().overrides.task)
-            found = inspect_record(looked_at.signals, looked_at.time, overrides, looked_at.frequencies)
+            found = inspect_record(looked_at.signals, looked_at.time, looked_at.said, looked_at.frequencies)
         current().lock()
         current().take()
         with stages("report"):
             text = write_inspection(found, directory, composed.get("figures") is not False)
-    Terminal().say(f"{text}\n{directory}")
+    terminal.say(text)
+    terminal.conclude(directory)
+
+
+def _folders(runtime: Any) -> list[str]:
+    """The options that have the same folders of configurations searched."""
+    found = [Path(source.path) for source in runtime.config_sources if source.schema == SCHEME]
+    here = Path(runtime.cwd)
+    first, *others = [str(one.relative_to(here) if one.is_relative_to(here) else one) for one in found] or [""]
+    further = [f"hydra.searchpath=[{','.join(quoted(f'file://{other}') for other in others)}]"] if others else []
+    return ["--config-dir", first, *further] if found else []

@@ -10,12 +10,14 @@ import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, NoReturn
 
+from pinn_cli.cli.config_file import overrides_of, written
 from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.override_syntax import setting_of, with_folder_quoted
 
-# Of ours and of Hydra's, which has no public list of them: `pinn-run --hydra-help` prints them. Long name, short name,
+# Those of Hydra's, which has no public list of them: `pinn-run --hydra-help` prints them. Long name, short name,
 # and how argparse reads them; those without take no value. Left out are --experimental-rerun, which unpickles the file
 # that it is given, --config-path, which imports a package, --config-name, which would have another main configuration,
 # and --info, which would act on a configuration before it is checked.
@@ -31,6 +33,12 @@ OPTIONS: dict[tuple[str, ...], dict[str, Any]] = {
     ("--config-dir", "-cd"): {"nargs": None},
     ("--shell-completion", "-sc"): {},
 }
+# Ours alone.
+OWN_OPTIONS: dict[tuple[str, ...], dict[str, Any]] = {
+    ("--config",): {"nargs": None},
+    ("--quiet", "-q"): {},
+    ("--json",): {},
+}
 _EXCLUSIVE = ("run", "multirun", "cfg", "shell_completion")
 # Settings that go ill with a subcommand, and what is to be known of it.
 _LEFT_OUT = {
@@ -38,6 +46,7 @@ _LEFT_OUT = {
     "inspect": (("resume", "collect", "model"), "one record is looked at at a time"),
     "follow": (("resume", "collect"), "one record is followed at a time; the same command goes on where it was"),
 }
+SUBCOMMANDS = tuple(_LEFT_OUT)
 # Of a followed record the same at every start, so that the same command goes on.
 _FOLLOWS_IN = "hydra.run.dir=outputs/${case}/follow"
 
@@ -47,7 +56,7 @@ class _Parser(ArgumentParser):
         """What argparse says, as setting, value and what is allowed."""
         unknown = re.match(r"unrecognized arguments: (\S+)", message)
         if unknown:
-            known = [name for names in OPTIONS for name in names]
+            known = [name for names in (*OPTIONS, *OWN_OPTIONS) for name in names]
             raise InputError("option", unknown[1], "one that pinn-run --help lists", suggestion(unknown[1], known))
         choice = re.match(r"argument ([^:]+): invalid choice: '?([^' ]*)'? \(choose from (.*)\)", message)
         if choice:
@@ -72,15 +81,19 @@ def read_options(arguments: Sequence[str]) -> Namespace:
     if "--version" in arguments:
         print(f"pinn-run {version('pinn-cli')}")
         sys.exit(0)
-    parser = _Parser(add_help=False)
+    parser = _Parser(add_help=False, allow_abbrev=False)
     parser.add_argument("overrides", nargs="*")
-    for names, settings in OPTIONS.items():
+    for names, settings in (OPTIONS | OWN_OPTIONS).items():
         parser.add_argument(*names, **(settings or {"action": "store_true"}))
     options = parser.parse_intermixed_args(arguments)
     options.overrides = [with_folder_quoted(override) for override in options.overrides]
     chosen = [name for name in _EXCLUSIVE if getattr(options, name)]
     if len(chosen) > 1:
         raise InputError("options", " ".join(f"--{name}" for name in chosen), "one of them at a time")
+    if options.json and (options.multirun or options.cfg):
+        raise InputError("--json", "given", "left out with --multirun and --cfg", "it prints what one run has found")
+    if options.config is not None:
+        options.overrides = [*overrides_of(options.config, options.overrides), *options.overrides]
     options.subcommand = next((word for word in _LEFT_OUT if word in options.overrides), "")
     if options.subcommand:
         _take_out(options, options.subcommand)
@@ -96,5 +109,21 @@ def _take_out(options: Namespace, word: str) -> None:
         if setting_of(override) in left_out:
             raise InputError(setting_of(override), override.partition("=")[2], f"left out with {word}", hint)
     options.overrides.remove(word)
+    if word == "inspect":
+        options.overrides = _with_file(options.overrides)
     if word == "follow" and not any(setting_of(o) == setting_of(_FOLLOWS_IN) for o in options.overrides):
         options.overrides.append(_FOLLOWS_IN)
+
+
+def _with_file(overrides: list[str]) -> list[str]:
+    """`inspect rig.csv` as `data=csv data.path=rig.csv`; several files stand on one clock."""
+    files = [word for word in overrides if "=" not in word and not word.startswith("~")]
+    if not files:
+        return overrides
+    from pinn_cli.record.clock import recognised  # not for other commands: it imports NumPy
+
+    formats = [recognised(Path(file)) for file in files]
+    paths = [written(file) for file in files]
+    others = [override for override in overrides if override not in files]
+    kind = [] if any(setting_of(override) == "data" for override in others) else [f"data={formats[0].name}"]
+    return [*kind, f"data.path={paths[0] if len(paths) == 1 else '[' + ','.join(paths) + ']'}", *others]

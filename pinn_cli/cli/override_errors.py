@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
@@ -11,6 +13,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from pinn_cli.cli.help import option_names, options_with, setting_names
+from pinn_cli.cli.options import SUBCOMMANDS
 from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.override_syntax import setting_of
 
@@ -85,6 +88,11 @@ def _bad_syntax(error: OverrideParseException, overrides: Sequence[str]) -> Inpu
     if not equals:
         spaced = error.override in overrides[1:]
         hint = "a value with spaces needs quotes inside quotes: 'data.path=\"my rig.csv\"'" if spaced else ""
+        hint = suggestion(error.override, SUBCOMMANDS) or hint
+        if Path(error.override).is_file():
+            hint = (
+                f"pinn-run inspect {shlex.quote(error.override)} looks at a record; --config takes a file of settings"
+            )
         return InputError("override", error.override, "of the form setting=value", hint)
     hint = "brackets, braces and commas need quotes for the shell"
     depth = sum(value.count(bracket) for bracket in "[{(") - sum(value.count(bracket) for bracket in "]})")

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from pinn_cli.inspection.proposal import proposed_command
+from pinn_cli.inspection.guesses import guessed
+from pinn_cli.inspection.proposal import Look, Said, proposed_command
 from pinn_cli.record.channels import clipped_percent, constant_percent
 from pinn_cli.record.cross_spectra import CrossSpectra
 from pinn_cli.record.record import MINIMUM_SAMPLES
-from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
+from pinn_cli.record.response import GROUND
 from pinn_cli.record.signal import Peak, Sampling, Signal, find_peaks, spectra_of
 from pinn_cli.record.spectrum import noise_level, signal_edges, visible_floor
 from pinn_cli.settings.errors import InputError
@@ -47,14 +47,6 @@ _RATIOS = {
     1e-6: "the other one is in um or um/s?",
     1e-3 / GRAVITY: "the acceleration is in g, the other one in mm or mm/s?",
 }
-# What columns are called, when nobody has said what they are.
-_NAMES = (
-    (GROUND, re.compile(r"ground|base|table|\bag\b|ugdd", re.IGNORECASE)),
-    ("force", re.compile(r"^(f|p)\W*\d*\b|^f[a-z]?\d|forc|load|hammer|shaker|kraft", re.IGNORECASE)),
-    ("acceleration", re.compile(r"^a\W*\d*\b|^a[a-z]?\d|acc|beschl|udd", re.IGNORECASE)),
-    ("velocity", re.compile(r"^v\W*\d*\b|^v[a-z]?\d|vel|geschw", re.IGNORECASE)),
-    ("displacement", re.compile(r"^(u|d|x|y)\W*\d*\b|^[ud][a-z]?\d|disp|lvdt|laser|weg", re.IGNORECASE)),
-)
 
 
 def channel_table(signals: Sequence[Signal], sampling: Sampling) -> pd.DataFrame:
@@ -118,6 +110,7 @@ class Inspection:
         peaks: Columns `PEAK_COLUMNS`; the last three compare with the structure, NaN without one.
         notes: Sentences about what is odd.
         command: What to type next, word by word.
+        remarks: Sentences beside the command.
     """
 
     sampling: Sampling
@@ -127,12 +120,13 @@ class Inspection:
     peaks: pd.DataFrame
     notes: Sequence[str]
     command: Sequence[str]
+    remarks: Sequence[str] = ()
 
 
 def inspect_record(
     signals: Sequence[Signal],
     time: np.ndarray,
-    overrides: Sequence[str],
+    said: Said,
     frequencies: np.ndarray | None,
 ) -> Inspection:
     """Look at a record.
@@ -140,7 +134,7 @@ def inspect_record(
     Args:
         signals: Its columns, (N,) each.
         time: (N,), s, increasing.
-        overrides: That the command was given, for the one that is proposed.
+        said: What the command was given, for the one that is proposed.
         frequencies: Natural frequencies of the structure, Hz; None: its parameters were not given.
 
     Raises:
@@ -150,7 +144,7 @@ def inspect_record(
         allowed = f"a record of at least {MINIMUM_SAMPLES} samples"
         raise InputError("data.start, data.stop", f"{len(time)} samples", allowed)
     sampling = Sampling(time)
-    guesses = _guesses(signals)
+    guesses, notes = guessed(signals)
     converted = [signal.in_si() for signal in guesses or signals]
     signals = [signal for signal, _ in converted]
     alive = [signal for signal in signals if _varies(signal.values)]
@@ -160,25 +154,17 @@ def inspect_record(
     highest = float(np.nanmax(channels["band_high_hz"].to_numpy(dtype=float), initial=0.0))
     spectra = spectra_of(alive, sampling, highest)
     peaks = find_peaks(spectra)
-    notes = ["what columns are is guessed by their names: see the command below"] if guesses else []
     notes += [note for _, note in converted if note]
     notes += [*_of_sampling(sampling), *_of_channels(channels), *_offsets(alive, sampling), *_of_one_dof(spectra)]
     notes += [*_opposed(spectra, peaks), *_against_the_ground(spectra, peaks)]
-    command = proposed_command(overrides, signals, sampling, highest, len(peaks), frequencies is not None)
-    return Inspection(sampling, signals, channels, spectra, peak_table(peaks, frequencies), notes, command)
-
-
-def _guesses(signals: Sequence[Signal]) -> list[Signal]:
-    """The same by their headers or names, where nobody has said what any of them is; empty where that says nothing."""
-    if any(signal.quantity for signal in signals):
-        return []
-    found = []
-    for signal in signals:
-        quantity = next((quantity for quantity, names in _NAMES if names.search(signal.column)), "")
-        numbers = re.findall(r"\d+", signal.place or signal.column)
-        place = "" if quantity in ("", GROUND) else (numbers[0] if numbers else "1")
-        found.append(Signal(signal.column, signal.values, quantity, place, signal.unit))
-    return found if any(signal.quantity in RESPONSE_QUANTITIES for signal in found) else []
+    look = Look(
+        signals, sampling, highest, len(peaks), frequencies is not None, bool(guesses),
+        [signal.column for signal in alive if signal.quantity == "acceleration" and _has_offset(signal)],
+        [signal.column for signal, note in converted if note],
+    )  # fmt: skip
+    command, remarks = proposed_command(said, look)
+    table = peak_table(peaks, frequencies)
+    return Inspection(sampling, signals, channels, spectra, table, notes, command, remarks)
 
 
 def peak_table(peaks: Sequence[Peak], frequencies: np.ndarray | None) -> pd.DataFrame:
@@ -229,6 +215,11 @@ def _of_channels(channels: pd.DataFrame) -> Iterator[str]:
             yield f"{name} is hardly above its noise: {row['snr_db']:.1f} dB"
 
 
+def _has_offset(signal: Signal) -> bool:
+    there = signal.values[np.isfinite(signal.values)]
+    return abs(float(there.mean())) > OFFSET * float(there.std())
+
+
 def _offsets(signals: Sequence[Signal], sampling: Sampling) -> Iterator[str]:
     for signal in signals:
         if signal.quantity not in ("acceleration", GROUND):
@@ -239,7 +230,7 @@ def _offsets(signals: Sequence[Signal], sampling: Sampling) -> Iterator[str]:
         if gravity is not None and abs(mean) > rms:
             unit = "m/s^2" if gravity == GRAVITY else "g"
             yield f"the mean of {signal.name} is {mean:.4g}: gravity, in {unit}?"
-        elif abs(mean) > OFFSET * rms:
+        elif _has_offset(signal):
             drift = abs(mean) * sampling.duration
             yield (
                 f"the mean of {signal.name} is {mean:.3g}, {abs(mean) / rms:.0%} of its rms: integrated over the record"

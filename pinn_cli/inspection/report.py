@@ -35,6 +35,8 @@ def inspection_text(found: Inspection) -> str:
             lines.append(f"    {word}")
         else:
             lines[-1] += f" {word}"
+    for remark in found.remarks:
+        lines += ["", *marked_lines(remark[0].upper() + remark[1:] + ".")]
     return "\n".join(lines)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pinn_cli.record.clock import Clock, MeasuredFiles, format_of
+from pinn_cli.record.clock import BY_NAME, Clock, MeasuredFiles, format_of
 from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.table import Table, column_of_times
@@ -85,7 +85,7 @@ class TextReader(Reader):
         whole = complete and self.place + len(content) == size
         end = len(content) if whole else content.rfind(b"\n") + 1
         content = content[:end]
-        few = not self.head and not complete and content.count(b"\n") < self.format.names_line + ENOUGH_LINES
+        few = not self.head and not complete and content.count(b"\n") < (self.format.names_line or 1) + ENOUGH_LINES
         return None if few or not content.strip() else content
 
 
@@ -217,8 +217,9 @@ class Arriving:
         if self.files.sampling_rate is not None:
             return (self.samples + np.arange(len(table))) / self.files.sampling_rate
         column = self.files.time_column(table.path)
-        if column is not None:
-            return Clock.by_column(table, column or column_of_times(table.columns), self.files.time_unit).time
+        column = column_of_times(table.columns) if column == BY_NAME else column
+        if column is not None and (table.time is None or column in table.columns):
+            return Clock.by_column(table, column, self.files.time_unit).time
         if table.time is None:
             raise InputError("data.sampling_rate", None, "given, in Hz, or data.time, a column of times")
         return table.time

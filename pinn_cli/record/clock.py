@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from pinn_cli.record.files.base import FileFormat
+from pinn_cli.record.files.base import ArrayFormat, FileFormat
 from pinn_cli.record.files.csv import CsvFormat
+from pinn_cli.record.files.excel import ExcelFormat
 from pinn_cli.record.files.hdf5 import Hdf5Format
 from pinn_cli.record.files.mat import MatFormat
 from pinn_cli.record.files.netcdf import NetcdfFormat
+from pinn_cli.record.files.on_disk import looks_like_text, read_bytes
 from pinn_cli.record.files.parquet import ParquetFormat
 from pinn_cli.record.files.table import SensorHint, Table, check_names, column_of_times, is_called_times, joined
 from pinn_cli.record.files.tdms import TdmsFormat
@@ -20,12 +22,15 @@ from pinn_cli.record.files.uff import UffFormat
 from pinn_cli.settings.errors import InputError
 
 FORMATS: tuple[type[FileFormat], ...] = (
-    CsvFormat, MatFormat, UffFormat, ParquetFormat, TdmsFormat, Hdf5Format, NetcdfFormat,
+    CsvFormat, MatFormat, UffFormat, ParquetFormat, TdmsFormat, Hdf5Format, NetcdfFormat, ExcelFormat,
 )  # fmt: skip
 # Units of a column of times, and how many of them a second has.
-TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6}
+TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "min": 1.0 / 60.0, "h": 1.0 / 3600.0}
 # Stands for the column of times, whatever it is called.
 BY_NAME = ""
+
+# Of a file, bytes that tell what it is.
+STARTS = 4096
 
 # Times are printed with few digits: let each be off the regular axis by this part of a step, or by its last digit.
 TIME_TOLERANCE = 0.01
@@ -175,8 +180,8 @@ class MeasuredFiles:
                 that do not overlap, or columns of the same name in two of them.
         """
         if len(self.paths) == 1:
-            return self._clock(self._table(self.paths[0], wanted))
-        clocks = [self._clock(self._table(path, None)) for path in self.paths]
+            return self.clock(self.table(self.paths[0], wanted))
+        clocks = [self.clock(self.table(path, None)) for path in self.paths]
         times = {clock.column for clock in clocks}
         if wanted is not None:
             names = [name for clock in clocks for name in clock.table.columns if name not in times]
@@ -198,24 +203,68 @@ class MeasuredFiles:
         looked_for = {self.time_column(path) for path in self.paths}
         return column in looked_for or (BY_NAME in looked_for and is_called_times(column))
 
-    def _table(self, path: Path, wanted: Mapping[str, str] | None) -> Table:
+    def table(self, path: Path, wanted: Mapping[str, str] | None) -> Table:
+        """The columns of one of the files; see :meth:`read`."""
         time = self.time_column(path)
         if wanted is not None and time is not None:
             wanted = {"data.time": time, **wanted}
         return format_of(path, self.format).read(path, wanted)
 
-    def _clock(self, table: Table) -> Clock:
+    def clock(self, table: Table) -> Clock:
+        """When the samples of one of the files were taken.
+
+        Raises:
+            InputError: Nothing tells it, or a column of times cannot be used.
+        """
         if self.sampling_rate is not None:
             return Clock.by_rate(table, self.sampling_rate)
         column = self.time_column(table.path)
+        if column == BY_NAME:
+            column = column_of_times(table.columns)
+            column = None if table.time is not None and column not in table.columns else column
         if column is not None:
-            column = column or column_of_times(table.columns)
             check_names(table.path, {"data.time": column}, table.columns, "or give data.sampling_rate, in Hz")
             return Clock.by_column(table.with_dates(column), column, self.time_unit)
         if table.time is None:
             hint = f"{table.path.name} does not say when its samples were taken"
             raise InputError("data.sampling_rate", None, "given, in Hz, or data.time, a column of times", hint)
         return Clock(table, "", table.time)
+
+    def unsaid_times(self, table: Table) -> str | None:
+        """The first column of one of the files, where it rises and nobody has said what the times are; else None."""
+        column = self.time_column(table.path)
+        said = self.sampling_rate is not None or table.time is not None or column not in (BY_NAME, None)
+        if said or (column == BY_NAME and column_of_times(table.columns) in table.columns):
+            return None
+        named = column_of_times(table.columns)
+        first = named if named in table.columns else next(iter(table.columns), "")
+        values = table.with_dates(first).columns.get(first, np.zeros(0))
+        return first if len(values) > 1 and bool(np.all(np.diff(values) > 0)) else None
+
+
+def recognised(path: Path) -> FileFormat:
+    """The format of a file, by its suffix and how it begins.
+
+    Raises:
+        InputError: It is missing, cannot be read, or is in no format that anybody here reads.
+    """
+    content, suffix = read_bytes(path, most=STARTS), _suffix(path)
+    by_name = [one for one in FORMATS if suffix in (*one.suffixes, *one.other_suffixes)]
+    arrays = [one() for one in (*by_name, *FORMATS) if issubclass(one, ArrayFormat)]
+    for own in arrays:
+        foreign = by_name or (isinstance(own, MatFormat) and not content.startswith(b"MATLAB"))
+        if own.begins(content) and (type(own) in by_name or not foreign):
+            return own
+    if any(suffix in one.suffixes for one in by_name):
+        return next(one() for one in by_name if suffix in one.suffixes)
+    if looks_like_text(content):
+        return CsvFormat()
+    every = ", ".join(f"{one.name} ({', '.join(one.suffixes)})" for one in FORMATS)
+    raise InputError("data.path", path, f"a file in one of the formats {every}")
+
+
+def _suffix(path: Path) -> str:
+    return (path.with_suffix("") if path.suffix.lower() == ".gz" else path).suffix.lower()
 
 
 def format_of(path: Path, chosen: FileFormat) -> FileFormat:
@@ -225,7 +274,7 @@ def format_of(path: Path, chosen: FileFormat) -> FileFormat:
         path: Of the file.
         chosen: By ``data=...``.
     """
-    suffix = (path.with_suffix("") if path.suffix.lower() == ".gz" else path).suffix.lower()
+    suffix = _suffix(path)
     if suffix in (*chosen.suffixes, *chosen.other_suffixes):
         return chosen
     return next((other() for other in FORMATS if suffix in other.suffixes), chosen)

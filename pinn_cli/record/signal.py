@@ -86,7 +86,8 @@ class Signal:
             factor = si_factor(f"unit of {self.column}", self.unit, self.quantity)
         except InputError:
             says = f"the file says that {self.name} is in {self.unit}, which is no unit of it"
-            return replace(self, unit=plain), f"{says}: a run will ask for data.channels.{self.column}.unit"
+            how = f"unit: 1 in the command below takes one {self.unit} for one {plain}"
+            return replace(self, unit=plain), f"{says}: {how}; or say how many (data.channels.{self.column}.unit)"
         return replace(self, values=factor * self.values if factor != 1.0 else self.values, unit=plain), ""
 
 

@@ -117,8 +117,8 @@ def test_the_header_tells_times_unless_the_user_does(tmp_path):
 
 
 def test_a_file_without_times_names_the_column_that_was_looked_for(tmp_path):
-    table().rename(columns={"t": "seconds"}).to_csv(tmp_path / "rig.csv", index=False)
-    with pytest.raises(InputError, match="data.time='t': must be a column of rig.csv, which has 'seconds', 'f', 'a'"):
+    table().rename(columns={"t": "counter"}).to_csv(tmp_path / "rig.csv", index=False)
+    with pytest.raises(InputError, match="data.time='t': must be a column of rig.csv, which has 'counter', 'f', 'a'"):
         read(tmp_path)
 
 

@@ -115,8 +115,7 @@ class ArrayFormat(FileFormat):
             InputError: The file is damaged, lacks a column or does not fit into memory; or a package does not work.
         """
         try:
-            names = None if wanted is None else [column or TIMES for column in wanted.values()]
-            tables = tables_of(path, self.variables(path, names), wanted)
+            tables = self.read_tables(path, wanted)
             size: float = sum(values.nbytes for table in tables for values in table.columns.values())
         except InputError:
             raise
@@ -129,6 +128,11 @@ class ArrayFormat(FileFormat):
             raise damaged(path, self.expected, reason) from None
         check_size(path, size)
         return tables
+
+    def read_tables(self, path: Path, wanted: Mapping[str, str] | None) -> list[Table]:
+        """See :meth:`tables`; raises what :meth:`variables` does."""
+        names = None if wanted is None else [column or TIMES for column in wanted.values()]
+        return tables_of(path, self.variables(path, names), wanted)
 
     def begins(self, content: bytes) -> bool:
         """Whether a file of this format may begin so."""
@@ -169,10 +173,11 @@ def read_apart(own: ArrayFormat, path: Path, wanted: Mapping[str, str] | None) -
         raise InputError.read(refused)
     arrays = (answered[name] for name in answered.files[1:])
     tables = []
-    for names, hints, timed in layout:
+    for names, hints, timed, odd, first_line in layout:
         columns = {name: next(arrays) for name in names}
         told = {name: SensorHint(*texts) for name, texts in hints.items()}
-        tables.append(Table(path, columns, {}, told, next(arrays) if timed else None))
+        cells = {name: {int(row): text for row, text in of_column.items()} for name, of_column in odd.items()}
+        tables.append(Table(path, columns, cells, told, next(arrays) if timed else None, first_line))
     return tables
 
 
@@ -194,7 +199,16 @@ def answer(memory: int, limit_s: int) -> None:
         tables = own.tables(Path(path), wanted)
     except InputError as error:
         refused = str(error)
-    layout = [(list(t.columns), {n: astuple(hint) for n, hint in t.hints.items()}, t.time is not None) for t in tables]
+    layout = [
+        (
+            list(t.columns),
+            {n: astuple(hint) for n, hint in t.hints.items()},
+            t.time is not None,
+            t.odd_cells,
+            t.first_line,
+        )
+        for t in tables
+    ]
     arrays = [values for t in tables for values in (*t.columns.values(), *(() if t.time is None else (t.time,)))]
     np.savez(out, np.array(json.dumps([refused, layout])), *arrays)
     out.close()

@@ -18,23 +18,29 @@ import pandas as pd
 
 from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.on_disk import check_size, read_text
-from pinn_cli.record.files.table import Table, asked_for
+from pinn_cli.record.files.table import Table, asked_for, is_called_times
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import whole_number
 
-# A unit in brackets at the end of a name, of those that sensors have: a1 (roof) has none.
-_SYMBOL = r"(?:[num\u00b5\u03bckM]?(?:m|s|g|N|V|A|Pa)|cm|in|ft|lbf?|[Gg]al|Hz|rad|deg|min|h)"
-_UNIT = re.compile(rf".*[\[(]\s*({_SYMBOL}(?:\s*[/*^\u00b7 ]?\s*(?:{_SYMBOL}|[-\u00b2]?\d|\u00b2))*)\s*[\])]\s*$")
+# A unit, of those that sensors have; in brackets at the end of a name: a1 (roof) has none.
+_SYMBOL = r"(?:[num\u00b5\u03bckM]?(?:m|s|g|N|V|A|Pa)|cm|in|ft|lbf?|[Gg]al|Hz|rad|deg|min|h|sec)"
+_SYMBOLS = rf"{_SYMBOL}(?:\s*[/*^\u00b7 ]?\s*(?:{_SYMBOL}|[-\u00b2]?\d|\u00b2))*"
+_UNIT = re.compile(rf".*[\[(]\s*({_SYMBOLS})\s*[\])]\s*$")
+_ONLY_UNIT = re.compile(rf"[\[(]?\s*({_SYMBOLS})\s*[\])]?$")
 # In the order in which they are tried; the last stands for any number of blanks.
 BLANKS = " "
 SEPARATORS = ("\t", ";", ",", "|", BLANKS)
-# Lines that are looked at to find out which it is.
-_LINES = 20
+# Lines among which the names are looked for, and rows of numbers below them that are looked at.
+_SOUGHT, _LINES = 200, 20
+# Rows of names and units that may stand over each other.
+_MOST_ROWS = 3
 _CELL = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?$|[+-]?(nan|inf)$|$", re.IGNORECASE)
+_DATE = re.compile(r"\d{1,4}[-./]\d\d?[-./]\d{1,4}|\d\d?:\d\d")
 _POINT = re.compile(r"[+-]?\d*\.\d+([eE][+-]?\d+)?\s*$")
 _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?\s*$")
 # What no unit begins with.
 _NUMBER = re.compile(r"[+-]?\.?\d|nan|inf|true|false", re.IGNORECASE)
+_NAMES_LINE = "lines above the names? Name theirs in data.format.names_line"
 
 
 @dataclass(frozen=True)
@@ -46,7 +52,7 @@ class CsvFormat(FileFormat):
         decimal: ``.`` or ``,``.
         encoding: Of the text, as Python calls it.
         names_line: Line of the columns' names, counted from 1; what stands above is passed over. A line of units may
-            follow it.
+            follow it, or a second line of names.
 
     Raises:
         InputError: Naming ``data.format.<setting>``.
@@ -55,7 +61,7 @@ class CsvFormat(FileFormat):
     separator: str | None = None
     decimal: str | None = None
     encoding: str | None = None
-    names_line: int = 1
+    names_line: int | None = None
 
     name = "csv"
     suffixes = (".csv", ".txt", ".tsv", ".dat", ".asc")
@@ -74,7 +80,8 @@ class CsvFormat(FileFormat):
         except (LookupError, TypeError):
             allowed = "null or an encoding of text, such as utf-8, cp1252 or utf-16"
             raise InputError("data.format.encoding", self.encoding, allowed) from None
-        whole_number("data.format.names_line", self.names_line, least=1)
+        if self.names_line is not None:
+            whole_number("data.format.names_line", self.names_line, least=1)
 
     def read(self, path: Path, wanted: Mapping[str, str] | None = None) -> Table:
         """See :class:`FileFormat`."""
@@ -86,57 +93,215 @@ class CsvFormat(FileFormat):
         Raises:
             InputError: See :meth:`read`.
         """
-        lines = text.splitlines(keepends=True) if self.names_line > 1 else [text]
-        if len(lines) < self.names_line:
+        lines = list(islice(StringIO(text, newline=""), max(self.names_line or 0, 1) + _SOUGHT))
+        if len(lines) < (self.names_line or 0):
             allowed = f"a line of {path.name}, which has {len(lines)}"
             raise InputError("data.format.names_line", self.names_line, allowed)
-        text = "".join(lines[self.names_line - 1 :])
         try:
-            return self._columns(path, text, wanted)
+            return self._columns(path, text, lines, wanted)
         except (csv.Error, pd.errors.EmptyDataError, pd.errors.ParserError) as error:
-            raise InputError("data.path", path, "a readable file of comma-separated values", str(error)) from None
+            reason = f"{str(error).strip()}; {_NAMES_LINE}"
+            raise InputError("data.path", path, "a readable file of comma-separated values", reason) from None
 
-    def _columns(self, path: Path, text: str, wanted: Mapping[str, str] | None) -> Table:
-        """The columns of a text that begins with their names."""
-        lines = list(islice((line for line in StringIO(text, newline="") if line.strip()), _LINES))
-        separator = self.separator or next((one for one in SEPARATORS if _separates(one, lines)), ",")
-        decimal = self.decimal or _decimal(rows_of(lines[1:], separator), separator)
+    def _columns(self, path: Path, text: str, lines: Sequence[str], wanted: Mapping[str, str] | None) -> Table:
+        """The columns of a text.
+
+        Args:
+            path: Of the file, for errors.
+            text: All of it.
+            lines: Its first ones, down to the names and beyond.
+            wanted: See :meth:`read`.
+        """
+        heading = self._heading(lines)
+        separator = heading.separator
+        decimal = self.decimal or _decimal(heading.numbers, separator)
         dialect: dict[str, Any] = {"sep": r"\s+" if separator == BLANKS else separator, "decimal": decimal}
-        header = list(map(str, _frame(text, dialect, nrows=0).columns))
-        asked = asked_for(path, {f"column {name!r}": name for name in header} if wanted is None else wanted, header)
-        units = _checked_units(path, rows_of(lines[:2], separator), asked)
+        below = text[sum(map(len, lines[: heading.first_line])) :]
+        head = "".join(lines[heading.line : heading.end]) if len(heading.names) < 2 else heading.joined()
+        header = list(map(str, _frame(head, dialect, nrows=0).columns))
+        asked = asked_for(
+            path, {f"column {name!r}": name for name in header} if wanted is None else wanted, header, _NAMES_LINE
+        )
+        _check_names(path, heading, asked)
         # Blank lines are kept, so that rows and lines go together; those at the end are no gap.
-        frame = _frame(text, dialect, usecols=sorted(set(asked.values())), skiprows=[1] if units else None)
+        frame = _frame(head + below, dialect, usecols=sorted(set(asked.values())))
         filled = np.flatnonzero(frame.notna().any(axis=1))
         check_size(path, 8 * frame.size)
         frame = frame.iloc[: filled[-1] + 1 if len(filled) else 0]
         cells = {str(name): frame[name] for name in frame.columns}
         in_brackets = {name: match[1].strip() for name in cells if (match := _UNIT.match(name))}
-        first_line = self.names_line + (2 if units else 1)
-        return Table.of_cells(path, cells, in_brackets | units, decimal, first_line)
+        units = {name: unit.strip("[]() ") for name, unit in zip(header, heading.units, strict=False) if unit}
+        return Table.of_cells(path, cells, in_brackets | units, decimal, heading.first_line + 1)
+
+    def _heading(self, lines: Sequence[str]) -> Heading:
+        """Where the names are: by ``names_line``, else above the first rows of numbers."""
+        separators = SEPARATORS if self.separator is None else (self.separator,)
+        first = self.names_line if self.names_line is None else self.names_line - 1
+        found = (Heading.sought(lines, one, first) for one in separators)
+        heading = next((one for one in found if one is not None), None)
+        if heading is not None:
+            return heading
+        if first is None:
+            first = next((i for i, line in enumerate(lines) if line.strip()), 0)
+        separator = "," if self.separator is None else self.separator
+        rows = rows_of(lines[first : first + 1], separator)
+        return Heading(
+            separator, first, first + 1, first + 1, tuple(rows), (), rows_of(lines[first + 1 :][:1], separator)
+        )
 
 
-def _checked_units(path: Path, rows: Sequence[Sequence[str]], wanted: Mapping[str, str]) -> dict[str, str]:
-    """Name to unit, where the first line after the names has no number at all.
+@dataclass(frozen=True)
+class Heading:
+    """What stands above the numbers of a text. Lines are counted from 0.
+
+    Attributes:
+        separator: Between cells.
+        line: That of the names.
+        end: The one after the names.
+        first_line: Of the numbers.
+        names: A row of cells, or two.
+        units: Cells; empty where no row has units.
+        numbers: The first rows of numbers.
+    """
+
+    separator: str
+    line: int
+    end: int
+    first_line: int
+    names: tuple[list[str], ...]
+    units: Sequence[str]
+    numbers: Sequence[list[str]]
+
+    @classmethod
+    def sought(cls, lines: Sequence[str], separator: str, names_line: int | None) -> Heading | None:
+        """Of a text with some separator; None: it has no table by it.
+
+        Args:
+            lines: Of the text.
+            separator: Between cells.
+            names_line: Where the names are; None: it is looked for.
+        """
+        try:
+            rows = _numbered(lines, separator, names_line or 0)
+        except (csv.Error, ValueError):
+            return None
+        cells = [row for _, _, row in rows]
+        first = next((i for i in range(1, len(rows)) if _begins_numbers(cells[i:], cells[i - 1])), len(rows))
+        top = 0 if names_line is not None else _top(cells[:first])
+        over, numbers = rows[top:first], cells[first : first + _LINES]
+        if not over or not numbers or len(over) > _MOST_ROWS:
+            return None
+        names, units = _names_and_units(cells[top:first])
+        width = max(map(_filled, names))
+        if width < 2 or any(not _filled(row) <= width <= max(len(row), 1) for row in numbers[1:] or numbers):
+            return None
+        end = over[len(names) - 1][1]
+        return cls(separator, over[0][0], end, rows[first][0], tuple(names), units, numbers)
+
+    @property
+    def width(self) -> int:
+        """Number of columns that have a name."""
+        return max(map(len, self.names), default=0)
+
+    def joined(self) -> str:
+        """Two rows of names as one line; a cell that is left empty above has the name to its left."""
+        above, below = self.names
+        left, cells = "", []
+        for i in range(self.width):
+            top, name = (row[i] if i < len(row) else "" for row in (above, below))
+            left = top or (left if name else "")
+            times = next((cell for cell in (top, name) if cell and is_called_times(cell)), "")
+            cells.append(times or " ".join(filter(None, dict.fromkeys((left, name)))))
+        line = StringIO()
+        csv.writer(line, delimiter=self.separator, lineterminator="\n").writerow(cells)
+        return line.getvalue()
+
+
+def _numbered(lines: Sequence[str], separator: str, first: int) -> list[tuple[int, int, list[str]]]:
+    """Rows with a cell, each with its first line and the one after it."""
+    reader = csv.reader(lines[first:], delimiter=separator, skipinitialspace=True)
+    rows, begin = [], first
+    if separator == BLANKS:
+        return [(i, i + 1, lines[i].split()) for i in range(first, len(lines)) if lines[i].strip()]
+    for row in reader:
+        cells = list(map(str.strip, row))
+        if any(cells):
+            rows.append((begin, first + reader.line_num, cells))
+        begin = first + reader.line_num
+    return rows
+
+
+def _is_number(cell: str) -> bool:
+    return bool(cell) and (_CELL.match(cell) is not None or _DATE.match(cell) is not None)
+
+
+def _is_words(row: Sequence[str]) -> bool:
+    return not any(map(_is_number, row))
+
+
+def _begins_numbers(rows: Sequence[Sequence[str]], above: Sequence[str]) -> bool:
+    """Whether numbers begin with the first of some rows: no row of words follows, or they stand right below names."""
+    rows = rows[:_LINES]
+    if not any(map(_is_words, rows)):
+        cells = [cell for row in rows for cell in row if cell]
+        return 2 * sum(map(_is_number, cells)) >= len(cells)
+    below = all(all(map(_is_number, row)) for row in rows[:2])
+    return below and _is_words(above) and _filled(above) == _filled(rows[0])
+
+
+def _top(rows: Sequence[Sequence[str]]) -> int:
+    """Of the rows above the numbers, the one where the names begin."""
+    last = len(rows) - 1
+    if last > 0 and _is_units(rows[last]) and _is_words(rows[last - 1]) and _filled(rows[last - 1]) > 1:
+        last -= 1
+    if last <= 0 or not _is_words(rows[last - 1]):
+        return max(last, 0)
+    above, names = rows[last - 1], rows[last]
+    repeated = "" in names or len(set(names)) < len(names)
+    timed, named = (any(map(is_called_times, row)) for row in (above, names))
+    over = 1 < _filled(above) <= len(names) and (timed or 2 * sum(map(bool, above)) > len(names))
+    return last - 1 if over and ((timed and not named) or (repeated and timed >= named)) else last
+
+
+def _names_and_units(rows: Sequence[list[str]]) -> tuple[list[list[str]], Sequence[str]]:
+    """The same rows apart: a row or two of names, and that of the units.
+
+    A row below names that are all there holds units, whether we know them or not, if it has one of the times.
+    """
+    *names, last = rows
+    if not names:
+        return list(rows), ()
+    complete = "" not in names[0] and len(set(names[0])) == len(names[0])
+    of_times = any(cell and is_called_times(name) for name, cell in zip(names[0], last, strict=False))
+    if len(names) > 1 or _is_units(last) or (complete and of_times):
+        return names, last
+    return list(rows), ()
+
+
+def _is_units(row: Sequence[str]) -> bool:
+    """Whether half of the cells are units that we know, and none is the name of the times."""
+    words = [cell for cell in row if cell not in ("", "-")]
+    known = sum(_ONLY_UNIT.match(word) is not None for word in words)
+    return bool(words) and 2 * known >= len(words) and not any(map(is_called_times, words))
+
+
+def _check_names(path: Path, heading: Heading, wanted: Mapping[str, str]) -> None:
+    """Refuse names that do not fit the columns.
 
     Raises:
         InputError: A name that is asked for is there twice; or the first row of numbers, which may end with separators,
             has more cells than there are names.
     """
-    header, cells = [*rows, [], []][:2]
+    (header,) = heading.names if len(heading.names) == 1 else ([],)
     for setting, column in wanted.items():
         if header.count(column) > 1:
             hint = f"it is there {header.count(column)} times: give each its own name"
             raise InputError(setting, repr(column), f"the name of one column of {path.name}", hint)
-    filled = _filled(cells)
-    if filled > len(header):
-        hint = "a decimal comma, or a column without a name? Cells belong together by their place"
+    filled = _filled(heading.numbers[0]) if heading.numbers else 0
+    if filled > heading.width:
+        hint = f"a decimal comma, or a column without a name? Cells belong together by their place; or {_NAMES_LINE}"
         place = f"{path.name}, first row of numbers"
-        raise InputError(place, f"{filled} cells", f"as many as the header has names, {len(header)}", hint)
-    words = [cell for cell in cells if cell]
-    if len(words) < len(header) / 2 or any(_NUMBER.match(word) or word[0].isdigit() for word in words):
-        return {}
-    return {name: cell.strip("[]() ") for name, cell in zip(header, cells, strict=False)}
+        raise InputError(place, f"{filled} cells", f"as many as the header has names, {heading.width}", hint)
 
 
 def _frame(text: str, dialect: dict[str, Any], **options: Any) -> pd.DataFrame:
@@ -158,19 +323,6 @@ def rows_of(lines: Sequence[str], separator: str) -> list[list[str]]:
     if separator == BLANKS:
         return [line.split() for line in lines]
     return [list(map(str.strip, row)) for row in csv.reader(lines, delimiter=separator, skipinitialspace=True)]
-
-
-def _separates(separator: str, lines: Sequence[str]) -> bool:
-    """Whether every row has the header's number of cells by it, and half of them are numbers."""
-    try:
-        header, *rows = rows_of(lines, separator)
-    except (csv.Error, ValueError):
-        return False
-    count = _filled(header)
-    if count < 2 or not rows or any(not _filled(row) <= count <= max(len(row), 1) for row in rows[1:] or rows):
-        return False
-    cells = [cell for row in rows for cell in row]
-    return 2 * sum(_CELL.match(cell) is not None for cell in cells) >= len(cells)
 
 
 def _filled(row: Sequence[str]) -> int:

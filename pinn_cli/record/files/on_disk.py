@@ -17,7 +17,7 @@ PART_OF_MEMORY = 16
 _UNIVERSAL, _GZIP = b"    -1", b"\x1f\x8b"
 BEGINNINGS = {
     _GZIP: "gzip",
-    b"PK\x03\x04": "a zip archive or a spreadsheet",
+    b"PK\x03\x04": "a zip archive or a spreadsheet (data=excel)",
     b"BZh": "bzip2",
     b"\xfd7zXZ": "xz",
     b"\x28\xb5\x2f\xfd": "Zstandard",
@@ -82,7 +82,9 @@ def read_text(path: Path, setting: str = "data.path", encoding: str | None = Non
     if (kind and kind != BEGINNINGS[_UNIVERSAL]) or path.suffix.lower() in _PACKED:
         hint = f"it is {kind}: unpack it, or {_SAVE_AS}" if kind else f"unpack it, and {_SAVE_AS}"
         raise InputError(setting, path, "a text file", hint)
-    given = encoding or next((name for mark, name in _MARKS.items() if content.startswith(mark)), None)
+    given = (
+        encoding or next((name for mark, name in _MARKS.items() if content.startswith(mark)), None) or _wide(content)
+    )
     if given is None and (place := content.find(b"\0")) >= 0:
         hint = f"it is a binary file, or UTF-16 without a mark: {_SAVE_AS}"
         raise InputError(_line(path, content, place), "byte 0x00", "text", hint)
@@ -94,6 +96,21 @@ def read_text(path: Path, setting: str = "data.path", encoding: str | None = Non
     hint = f"the file is in another encoding, or no text: give data.format.encoding, or {_SAVE_AS}"
     byte = f"byte 0x{content[place]:02x}" if content else "nothing"
     raise InputError(_line(path, content, place), byte, f"text in {name}", hint)
+
+
+def looks_like_text(content: bytes) -> bool:
+    """Whether bytes that a file begins with may be text, packed by gzip perhaps."""
+    marked = content.startswith((_GZIP, *_MARKS)) or _wide(content) is not None
+    return marked or (bool(content) and not _kind(content) and min(content) >= 9)
+
+
+def _wide(content: bytes) -> str | None:
+    """UTF-16 without a mark, where every second byte of the first ones is 0."""
+    start = content[:64]
+    odd, even = start[1::2], start[::2]
+    if len(start) > 3 and not any(odd) and all(even):
+        return "utf-16-le"
+    return "utf-16-be" if len(start) > 3 and not any(even) and all(odd) else None
 
 
 def check_size(path: Path, size: float, setting: str = "data.path") -> None:

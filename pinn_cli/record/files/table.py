@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pinn_cli.record.files.dates import first_other, seconds_of
 from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.legal_values import LARGEST, SMALLEST, USABLE
 
@@ -19,7 +20,10 @@ if TYPE_CHECKING:
 # What an error says of the names of columns at most.
 _NAMES, _NAME_LENGTH = 20, 60
 # What a column of times should be called, and may be, in large letters or small ones: T is a temperature.
-TIMES, _ALSO_TIMES = "t", ("time", "zeit", "timestamp")
+TIMES, _ALSO_TIMES = "t", (
+    "time", "zeit", "timestamp", "zeitstempel", "datetime", "date/time", "date time", "date_time", "datum/zeit",
+    "datum uhrzeit", "uhrzeit", "elapsed time", "relative time", "time stamp", "x_value", "seconds", "date", "datum",
+)  # fmt: skip
 # A unit in brackets at the end of a column's name.
 IN_BRACKETS = re.compile(r"(?P<name>.*\S)\s*[\[(]\s*(?P<unit>[^\[\]()]+?)\s*[\])]\s*$")
 # Times that differ by less than this part of the shortest step are the same.
@@ -28,7 +32,7 @@ SAME_TIME = 0.01
 _WRITTEN_AS = (
     (
         re.compile(r"\d{4}-\d\d|\d\d?[./]\d\d?[./]\d|\d\d?:\d\d"),
-        "write times as seconds, such as 0, 0.01, or as dates: 2026-03-01T12:00:00.25",
+        "write times as seconds, such as 0, 0.01, or all as dates: 2026-03-01T12:00:00.25, 1.3.2026 12:00:00.25",
     ),
     (re.compile(r"[+-]?\d+,\d+([eE].*)?$"), "write decimals with a point"),
     (re.compile(r"(true|false|yes|no|on|off)$", re.IGNORECASE), "write 1 and 0 if these are numbers"),
@@ -136,16 +140,21 @@ class Table:
         return replace(self, columns={name: values for name, values in self.columns.items() if name in names})
 
     def with_dates(self, column: str) -> Table:
-        """The same with a column whose every cell is a date, as ISO 8601 writes it, in s from the first of them."""
+        """The same with a column whose every cell is a date or a time of day, in s from the first of them.
+
+        Raises:
+            InputError: One among dates is none.
+        """
         texts = self.odd_cells.get(column, {})
         if not texts or len(texts) < len(self):
             return self
-        import pandas as pd
-
-        dates = pd.to_datetime(pd.Series(texts), format="ISO8601", errors="coerce", utc=True)
-        if dates.isna().any():
+        since = seconds_of(list(texts.values()))
+        if since is None:
+            row = first_other(list(texts.values()))
+            if row is not None:
+                text = shortened(list(texts.values())[row])
+                raise InputError(self.place(column, list(texts)[row]), text, "a date as in the lines before", _LEFT_OUT)
             return self
-        since = (dates - dates.iloc[0]).dt.total_seconds().to_numpy(dtype=np.float64)
         return replace(self, columns={**self.columns, column: since}, odd_cells={**self.odd_cells, column: {}})
 
     def refuse_gaps(self, column: str, values: np.ndarray, first: int = 0) -> None:
@@ -179,27 +188,46 @@ def bare(column: str) -> str:
 
 def is_called_times(column: str) -> bool:
     """Whether a column is called as a column of times is."""
-    name = bare(column.rpartition("/")[2])
-    return name == TIMES or name.casefold() in _ALSO_TIMES
+    return _rank(column) is not None
+
+
+def _rank(column: str) -> int | None:
+    """How many better names of times there are than that of a column; None: it is none. Groups stand before it."""
+    name = bare(column)
+    for last in (name, re.split(r"[/.]", name)[-1].strip()):
+        if last == TIMES:
+            return 0
+        if last.casefold() in _ALSO_TIMES:
+            return 1 + _ALSO_TIMES.index(last.casefold())
+    return None
 
 
 def column_of_times(names: Collection[str]) -> str:
-    """That which is called as it should be; else the first that is called so."""
-    return TIMES if TIMES in names else next(filter(is_called_times, names), TIMES)
+    """That which is called as it should be; else the one with the best of the other names, the first of several."""
+    ranked = [(rank, name) for name in names if (rank := _rank(name)) is not None]
+    return min(ranked, key=lambda one: one[0])[1] if ranked else TIMES
 
 
-def asked_for(path: Path, wanted: Mapping[str, str], names: Collection[str]) -> dict[str, str]:
+def asked_for(path: Path, wanted: Mapping[str, str], names: Collection[str], otherwise: str = "") -> dict[str, str]:
     """Setting to column, with that of the times by its own name where it is asked for as "".
+
+    Args:
+        path: Of the file.
+        wanted: Setting to the name of the column that it asks for.
+        names: Of the file's columns.
+        otherwise: See :func:`check_names`.
 
     Raises:
         InputError: The file lacks a column.
     """
     asked = {setting: column or column_of_times(names) for setting, column in wanted.items()}
-    check_names(path, asked, names)
+    check_names(path, asked, names, otherwise=otherwise)
     return asked
 
 
-def check_names(path: Path, wanted: Mapping[str, str], names: Collection[str], hint: str = "") -> None:
+def check_names(
+    path: Path, wanted: Mapping[str, str], names: Collection[str], hint: str = "", otherwise: str = ""
+) -> None:
     """Refuse a file that lacks a column.
 
     Args:
@@ -207,13 +235,14 @@ def check_names(path: Path, wanted: Mapping[str, str], names: Collection[str], h
         wanted: Setting to the name of the column that it asks for, e.g. ``{"data.force.1": "fp (N)"}``.
         names: Of the file's columns.
         hint: The likely cause, where it is known.
+        otherwise: What it may be where no name is near.
 
     Raises:
         InputError: Naming the setting, and the columns that there are.
     """
     for setting, column in wanted.items():
         if column not in names:
-            likely = hint or suggestion(column, list(names))
+            likely = hint or suggestion(column, list(names)) or otherwise
             raise InputError(setting, repr(column), f"a column of {path.name}, which has {listed(names)}", likely)
 
 

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from pinn_cli.record.files.table import SensorHint, Table, check_names, column_of_times, same_length
+from pinn_cli.record.files.table import SensorHint, Table, check_names, column_of_times, is_called_times, same_length
 from pinn_cli.settings.errors import InputError
 
 NO_HINT = SensorHint()
+# Scalars that say how often was sampled: in Hz, or the step in s; in small letters.
+_RATES = ("fs", "f_s", "fsamp", "sampling_rate", "samplingrate", "sample_rate", "samplerate", "sampling_frequency")
+_STEPS = ("dt", "ts", "delta_t", "sampling_interval", "sample_interval", "time_step")
 _OTHERS = {"b": "true or false", "c": "complex numbers", "S": "text", "U": "text", "M": "dates", "m": "durations"}
 
 
@@ -85,7 +90,8 @@ def tables_of(path: Path, variables: Mapping[str, Variable], wanted: Mapping[str
     """The columns that are asked for, one table for each clock.
 
     Column j, from 1, of the matrix ``acc`` is ``acc.1``, ``acc.2`` and so on. Where none is asked for, they are those
-    that have times, and of others those of the length that most have.
+    that have times, and of others those of the length that most have. Where none is called as times are, a scalar such
+    as ``fs`` or ``dt`` tells them.
 
     Raises:
         InputError: Naming the setting: there is no such variable, or it is no vector of numbers; or the columns differ
@@ -94,8 +100,10 @@ def tables_of(path: Path, variables: Mapping[str, Variable], wanted: Mapping[str
     every = {column: (v, j) for name, v in variables.items() for j, column in enumerate(_columns_of(name, v))}
     first: dict[tuple[Variable, int], str] = {}
     own = [column for column, place in every.items() if first.setdefault(place, column) == column]
+    told = None if any(map(is_called_times, own)) else _told_rate(variables)
     if wanted is not None:
-        wanted = {setting: column or column_of_times(own) for setting, column in wanted.items()}
+        by_name = {setting: column or column_of_times(own) for setting, column in wanted.items()}
+        wanted = {setting: column for setting, column in by_name.items() if wanted[setting] or told is None}
     for setting, column in (wanted or {}).items():
         if column not in every:
             _refuse(path, setting, column, variables, own)
@@ -113,7 +121,20 @@ def tables_of(path: Path, variables: Mapping[str, Variable], wanted: Mapping[str
         same_length(path, columns)
         hints = {name: variable.hint for name, variable in of_clock.items() if variable.hint != NO_HINT}
         tables.append(Table(path, columns, {}, hints, np.frombuffer(clock) if clock else None))
+    if told is not None and len(tables) == 1 and tables[0].time is None:
+        tables = [replace(tables[0], time=np.arange(len(tables[0])) / told)]
     return tables or [Table(path, {})]
+
+
+def _told_rate(variables: Mapping[str, Variable]) -> float | None:
+    """Hz, as a scalar of the file says."""
+    for name, variable in variables.items():
+        last = re.split(r"[./]", name)[-1].casefold()
+        if last in (*_RATES, *_STEPS) and not variable.content and math.prod(variable.shape) == 1:
+            value = float(np.asarray(variable.load()).ravel()[0])
+            if math.isfinite(value) and value > 0.0:
+                return value if last in _RATES else 1.0 / value
+    return None
 
 
 def _columns_of(name: str, variable: Variable) -> list[str]:

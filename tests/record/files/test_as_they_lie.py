@@ -1,0 +1,119 @@
+"""Files as programs of measurement leave them: names, units and times are found wherever they stand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from files_as_they_lie import FILES, GRAVITY, RATE, SAMPLES, rig
+from refusals import refusal
+
+from pinn_cli.record.clock import MeasuredFiles, recognised
+from pinn_cli.record.files.csv import CsvFormat
+from pinn_cli.record.files.dates import first_other, seconds_of
+from pinn_cli.record.files.excel import ExcelFormat
+
+pytestmark = pytest.mark.usefixtures("in_this_process")
+
+# Names and units of force and accelerations.
+COLUMNS = {
+    "local dates.csv": {"F1 [N]": "N", "A1 [m/s²]": "m/s^2", "A2 [m/s²]": "m/s^2"},
+    "zone.csv": {"Force 1 (N)": "N", "Acc 1 (m/s^2)": "m/s^2", "Acc 2 (m/s^2)": "m/s^2"},
+    "commas.csv": {"Kraft 1 (N)": "N", "Beschl 1 (m/s²)": "m/s^2", "Beschl 2 (m/s²)": "m/s^2"},
+    "above.txt": {"f1": "", "a1": "", "a2": ""},
+    "brackets.csv": {"Load cell (kN)": "kN", "Channel 2 (g)": "g", "Channel 3 (g)": "g"},
+    "units.tsv": {"force": "kN", "acc_1": "m/s^2", "acc_2": "m/s^2"},
+    "rows.csv": {"Force Floor 1": "N", "Acceleration Floor 1": "m/s^2", "Acceleration Floor 2": "m/s^2"},
+    "semicolons.csv": {"F1": "", "A1": "", "A2": ""},
+    "wide.txt": {"f1 (N)": "N", "a1 (m/s²)": "m/s^2", "a2 (m/s²)": "m/s^2"},
+    "struct.mat": {"rig.force": "", "rig.acc.1": "", "rig.acc.2": ""},
+    "shaker.uff": {"force 1:+Z": "N", "acceleration 1:+Z": "m/s^2", "acceleration 2:+Z": "m/s^2"},
+    "labview.tdms": {"Untitled/cDAQ1Mod1/ai0": "N", "Untitled/cDAQ1Mod2/ai0": "g", "Untitled/cDAQ1Mod2/ai1": "g"},
+    "sheet.xlsx": {"Force 1 (kN)": "kN", "Acc 1 (g)": "g", "Acc 2 (g)": "g"},
+}
+FACTORS = {"kN": 1e3, "g": GRAVITY}
+
+
+@pytest.mark.parametrize("name", COLUMNS)
+def test_a_file_is_read_without_a_word(tmp_path, name):
+    path = tmp_path / name
+    FILES[name](path)
+    clock = MeasuredFiles((path,), recognised(path)).read()
+    np.testing.assert_allclose(clock.time - clock.time[0], np.arange(SAMPLES) / RATE, atol=1e-9)
+    _, force, acceleration = rig()
+    for (column, unit), values in zip(COLUMNS[name].items(), (force, *acceleration.T), strict=True):
+        hint = clock.table.hints.get(column)
+        assert (hint.unit if hint else "") == unit
+        read = FACTORS.get(unit, 1.0) * clock.table.numbers(column)
+        np.testing.assert_allclose(read, values, rtol=1e-5, atol=1e-6 * np.abs(values).max())
+
+
+@pytest.mark.parametrize(
+    ("text", "columns", "first_line"),
+    [
+        ("My rig\n2026\n\nt,a\n0,1\n1,2\n", ["t", "a"], 5),
+        ("Operator,Smith\nRate,50\nGain,2\nt,a\n0,1\n1,2\n", ["t", "a"], 5),
+        ("\n\nt,a\ns,g\n0,1\n1,2\n", ["t", "a"], 5),
+        ("t,a\nsec,milli-gee\n0,1\n1,2\n", ["t", "a"], 3),
+        ("Time,Ch1,Ch2\n,Roof,Floor\n0,1,2\n1,2,3\n", ["Time", "Ch1 Roof", "Ch2 Floor"], 3),
+        ("Time;Acc;;Force\n;Roof;Floor;Roof\n0;1;2;3\n", ["Time", "Acc Roof", "Acc Floor", "Force Roof"], 3),
+        ("t,1,2\n0,1,2\n1,2,3\n", ["t", "1", "2"], 2),
+        ("t,a\n0,1\n1,2\nbroken,off\n3,4\n", ["t", "a"], 2),
+    ],
+)
+def test_where_the_names_are(tmp_path, text, columns, first_line):
+    (tmp_path / "rig.csv").write_text(text)
+    table = CsvFormat().read(tmp_path / "rig.csv")
+    assert (list(table.columns), table.first_line) == (columns, first_line)
+
+
+def test_lines_above_that_nobody_can_tell_apart_are_named(tmp_path):
+    (tmp_path / "rig.csv").write_text("t,a\n1,2,3\n4,5,6\n")
+    assert "data.format.names_line" in refusal(CsvFormat().read, tmp_path / "rig.csv")
+    assert "data.format.names_line" in refusal(CsvFormat(names_line=2).read, tmp_path / "rig.csv", {"data.time": "x"})
+
+
+@pytest.mark.parametrize(
+    ("texts", "seconds"),
+    [
+        (["2026-11-26T23:59:59.5", "2026-11-27T00:00:01"], [0, 1.5]),
+        (["26.11.2026 23:59:59,5", "27.11.2026 00:00:01,0"], [0, 1.5]),
+        (["11/26/2026 11:59:59.5 PM", "11/27/2026 12:00:01 AM"], [0, 1.5]),
+        (["3/4/2026 23:59", "4/4/2026 0:01"], [0, 120]),
+        (["4/3/2026 23:59", "4/4/2026 0:01"], [0, 120]),
+        (["25.10.2026 02:59:59 +0200", "25.10.2026 02:00:00 +0100"], [0, 1]),
+        (["26.11.26 10:00:00 CET", "26.11.26 10:00:01 CET"], [0, 1]),
+        (["23:59:59.75", "00:00:00.25", "23:59:59.75"], [0, 0.5, 86400]),
+        (["0:00:01", "100:00:01"], [0, 360000]),
+        (["25.10.2026 02:59:59 CEST", "25.10.2026 02:00:00 CET"], None),
+        (["31.2.2026 10:00", "1.3.2026 10:00"], None),
+        (["10:00", "26.11.2026 10:00"], None),
+        (["10:00:00", "ten"], None),
+    ],
+)
+def test_dates_and_times_of_day(texts, seconds):
+    found = seconds_of(texts)
+    assert (found is None) == (seconds is None)
+    if seconds is not None:
+        np.testing.assert_allclose(found, seconds, atol=1e-9)
+
+
+def test_the_first_that_is_no_date():
+    assert first_other(["1.2.2026", "2.2.2026", "soon"]) == 2
+    assert first_other(["soon", "1.2.2026"]) is None
+
+
+def test_excel_has_sheets_and_evaluates_nothing(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["t", "a"])
+    book.active.append([0, "=1+1"])
+    book.active.append([1, 2.5])
+    book.create_sheet("second").append(["t", "b"])
+    book["second"].append([0, 7])
+    book.save(tmp_path / "rig.xlsx")
+    table = ExcelFormat().read(tmp_path / "rig.xlsx")
+    np.testing.assert_array_equal(table.columns["a"], [np.nan, 2.5])  # openpyxl itself has worked out nothing
+    assert ExcelFormat(sheet="second").read(tmp_path / "rig.xlsx").columns["b"].tolist() == [7.0]
+    assert "data.format.sheet=secnd" in refusal(ExcelFormat(sheet="secnd").read, tmp_path / "rig.xlsx")
+    (tmp_path / "broken.xlsx").write_bytes((tmp_path / "rig.xlsx").read_bytes()[:500])
+    assert "damaged or cut off?" in refusal(ExcelFormat().read, tmp_path / "broken.xlsx")
