@@ -51,7 +51,8 @@ LOST_WORKERS = ("TerminatedWorkerError", "BrokenProcessPool")
 
 Task = Callable[[DictConfig], float | None]
 
-# Overrides that leave the terminal to us; pinn-run.log is written all the same.
+# Overrides that leave the terminal to us: the run's log is written all the same; or the process's logging is its own.
+SILENT = ("hydra/job_logging=silent", "hydra/hydra_logging=none")
 WITHOUT_LOGS = ("hydra/job_logging=none", "hydra/hydra_logging=none")
 
 # Errors that a user can mend, or must know of: one line each.
@@ -266,7 +267,7 @@ def perform(jobs: Jobs, watch: AbstractContextManager[None], tasks: dict[str, Ta
         if options.subcommand and tasks:
             jobs.task = tasks[options.subcommand]
         if options.quiet or options.json:
-            jobs.terminal, jobs.of_hydra = AsJson() if options.json else Quiet(), WITHOUT_LOGS
+            jobs.terminal, jobs.of_hydra = AsJson() if options.json else Quiet(), SILENT
             jobs.task = partial(jobs.task, terminal=jobs.terminal)
             jobs.goes_on_by = "the same command" if options.subcommand == "follow" else ""
         with watch:

@@ -23,7 +23,7 @@ from pinn_cli.settings.instantiation import CALLBACKS, CONF, check_classes, chec
 from pinn_cli.settings.override_syntax import setting_of
 
 # Options of the two logs, which go to the terminal or nowhere: ours, and of Hydra's those that open no file.
-LOGS = ("pinn_run", "none", "disabled", "stdout")
+LOGS = ("pinn_run", "silent", "none", "disabled", "stdout")
 # Of the libraries: they choose how a run is computed, and name no file.
 ENVIRONMENT = (
     "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "VECLIB_MAXIMUM_THREADS",

@@ -128,7 +128,7 @@ def test_a_file_without_times_names_the_column_that_was_looked_for(tmp_path):
         ("data.sampling_rate=0", {"sampling_rate": 0}),
         ("data.sampling_rate=fast", {"sampling_rate": "fast"}),
         ("data.sampling_rate=100", {"sampling_rate": 100, "time": "t"}),
-        ("data.time_unit=min", {"time_unit": "min"}),
+        ("data.time_unit=day", {"time_unit": "day"}),
         ("data.force.1='t'", {"force": {1: "t"}}),
     ],
 )

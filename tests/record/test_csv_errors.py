@@ -75,7 +75,7 @@ def test_a_blank_line_in_the_middle_is_a_gap_on_its_own_line(tmp_path):
         (b"t,f,a1,a2\n0,1,2,\x81\n", "rig.csv, line 2=byte 0x81"),
         (b"t,f,a1,a2\n0,1,\x00,2\n", "rig.csv, line 2=byte 0x00"),
         (gzip.compress(b"t,f,a1,a2\n0,1,2,3\n" * 99, mtime=0)[:40], "must be a gzip file that is whole; damaged"),
-        (b"PK\x03\x04 no more", "must be a text file; it is a zip archive or a spreadsheet: unpack it"),
+        (b"PK\x03\x04 no more", "must be a text file; it is a zip archive or a spreadsheet (data=excel): unpack it"),
         (b"t,f,a1,a1,a2\n0,1,2,3,4\n", "data.acceleration.1='a1'"),
         (b"t,f,a1,a2," + b"x" * 140_000 + b"\n0,1,2,3,4\n", "must be a readable file"),
         (b"t,f,a1,A2\n", "which has 't', 'f', 'a1', 'A2'"),
