@@ -1,4 +1,4 @@
-"""`pinn-run inspect data=...`: from the configuration to the columns that are looked at, and the structure beside."""
+"""`pinn-run inspect data=...` and `modes`: from the configuration to the columns, and the structure beside."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 
 from pinn_cli.cli.config import resolved
-from pinn_cli.cli.records import numbered
+from pinn_cli.cli.records import data_of_records, numbered, of_record
 from pinn_cli.cli.source import read_structure
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build, check_classes
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from pinn_cli.record.data_channels import DataChannel
     from pinn_cli.record.signal import Signal
+    from pinn_cli.system.modes import NaturalModes
 
 # Settings of which one at least describes a structure.
 DESCRIBING = ("m", "k", "mass", "connections", "dofs", "M", "K")
@@ -35,43 +36,61 @@ class Inspected:
         time: (N,), s.
         frequencies: Natural frequencies of the linear part of the structure, Hz; None where its parameters were not
             given.
+        modes: Of the same; None.
     """
 
     signals: Sequence[Signal]
     time: np.ndarray
     frequencies: np.ndarray | None
+    modes: NaturalModes | None = None
 
     @classmethod
     def read(cls, config: DictConfig, base: Path) -> Inspected:
-        """Of a composed configuration, without its `hydra` node.
+        """Of a composed configuration, without its `hydra` node, that has one record.
 
         Raises:
             InputError: The record cannot be read.
         """
+        if config.data.get("records"):
+            hint = "one after the other: data.path=... and its columns"
+            given: Any = OmegaConf.to_container(config.data.records)
+            raise InputError("data.records", given, "left out with inspect, which looks at one record", hint)
+        return cls.read_all(config, base, "inspect")[0]
+
+    @classmethod
+    def read_all(cls, config: DictConfig, base: Path, command: str = "modes") -> list[Inspected]:
+        """Of all records that a composed configuration has.
+
+        Raises:
+            InputError: A record cannot be read.
+        """
         import numpy as np
 
-        from pinn_cli.system.modes import modes_of
+        from pinn_cli.system.modes import NaturalModes, modes_of
 
         config = resolved(config)
         check_classes(config)
-        frequencies = None
+        frequencies, modes = None, None
         try:
             structure = read_structure(config, base)
             config = numbered(config, structure.labels)
             natural = modes_of(structure).natural_frequencies
-            frequencies = natural if np.isfinite(natural).any() else None
+            if np.isfinite(natural).any():
+                frequencies, modes = natural, NaturalModes.of(structure)
         except np.linalg.LinAlgError:  # NaN among the parameters
             pass
         except InputError:
             if any(config.system.get(name) is not None for name in DESCRIBING):
                 raise
-        data: Any = OmegaConf.to_container(config.data)
-        if data.get("records"):
-            hint = "one after the other: data.path=... and its columns"
-            raise InputError("data.records", data["records"], "left out with inspect, which looks at one record", hint)
-        if "path" not in data or "format" not in data:
-            raise InputError("data", data.get("kind"), "csv or another format of files with inspect")
-        return cls(*_columns(data | {"format": build(config.data.format, "data.format")}, base), frequencies)
+        if "path" not in config.data or "format" not in config.data:
+            raise InputError("data", config.data.get("kind"), f"csv or another format of files with {command}")
+        files, found = build(config.data.format, "data.format"), []
+        each = data_of_records(config.data)
+        for number, data in enumerate(each, start=1):
+            with of_record(number, len(each)):
+                plain: Any = OmegaConf.to_container(data)
+                found.append(cls(*_columns(plain | {"format": files}, base), frequencies, modes))
+        return found
 
 
 def _columns(data: Mapping[str, Any], base: Path) -> tuple[list[Signal], np.ndarray]:

@@ -1,4 +1,4 @@
-"""The options of `pinn-run`, which begin with a dash, and its subcommands, `inspect` and `follow`.
+"""The options of `pinn-run`, which begin with a dash, and its subcommands, `inspect`, `modes` and `follow`.
 
 They are read before Hydra reads them: a slip is told in one line.
 """
@@ -36,6 +36,7 @@ _EXCLUSIVE = ("run", "multirun", "cfg", "shell_completion")
 _LEFT_OUT = {
     # What goes on with a run, or makes several, has nothing to do with a look at a record.
     "inspect": (("resume", "collect", "model"), "one record is looked at at a time"),
+    "modes": (("resume", "collect", "model"), "modes are those that records show by themselves"),
     "follow": (("resume", "collect"), "one record is followed at a time; the same command goes on where it was"),
 }
 # Of a followed record the same at every start, so that the same command goes on.

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
+from pinn_cli.inspection.modes import ModalRecord
 from pinn_cli.inspection.proposal import proposed_command
 from pinn_cli.record.channels import clipped_percent, constant_percent
 from pinn_cli.record.cross_spectra import CrossSpectra
+from pinn_cli.record.identification.modes import RecordMode
 from pinn_cli.record.record import MINIMUM_SAMPLES
-from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
-from pinn_cli.record.signal import Peak, Sampling, Signal, find_peaks, spectra_of
+from pinn_cli.record.response import GROUND
+from pinn_cli.record.signal import Sampling, Signal, guessed, spectra_of
 from pinn_cli.record.spectrum import noise_level, signal_edges, visible_floor
 from pinn_cli.settings.errors import InputError
 
@@ -24,7 +25,7 @@ COLUMNS = (
     "snr_db",
 )  # fmt: skip
 PEAK_COLUMNS = (
-    "frequency_hz", "frequency_std_hz", "damping_percent", "damping_std_percent", "coherence", "mode", "structure_hz",
+    "frequency_hz", "frequency_std_hz", "damping_percent", "damping_std_percent", "explained", "mode", "structure_hz",
     "difference_percent",
 )  # fmt: skip
 # Samples of a channel below which nothing is said of it but how many there are.
@@ -47,14 +48,6 @@ _RATIOS = {
     1e-6: "the other one is in um or um/s?",
     1e-3 / GRAVITY: "the acceleration is in g, the other one in mm or mm/s?",
 }
-# What columns are called, when nobody has said what they are.
-_NAMES = (
-    (GROUND, re.compile(r"ground|base|table|\bag\b|ugdd", re.IGNORECASE)),
-    ("force", re.compile(r"^(f|p)\W*\d*\b|^f[a-z]?\d|forc|load|hammer|shaker|kraft", re.IGNORECASE)),
-    ("acceleration", re.compile(r"^a\W*\d*\b|^a[a-z]?\d|acc|beschl|udd", re.IGNORECASE)),
-    ("velocity", re.compile(r"^v\W*\d*\b|^v[a-z]?\d|vel|geschw", re.IGNORECASE)),
-    ("displacement", re.compile(r"^(u|d|x|y)\W*\d*\b|^[ud][a-z]?\d|disp|lvdt|laser|weg", re.IGNORECASE)),
-)
 
 
 def channel_table(signals: Sequence[Signal], sampling: Sampling) -> pd.DataFrame:
@@ -150,38 +143,27 @@ def inspect_record(
         allowed = f"a record of at least {MINIMUM_SAMPLES} samples"
         raise InputError("data.start, data.stop", f"{len(time)} samples", allowed)
     sampling = Sampling(time)
-    guesses = _guesses(signals)
+    guesses = guessed(signals)
     converted = [signal.in_si() for signal in guesses or signals]
     signals = [signal for signal, _ in converted]
-    alive = [signal for signal in signals if _varies(signal.values)]
+    alive = [signal for signal in signals if signal.varies]
     if not alive:
         raise InputError("data.path", f"{len(signals)} columns", "a record with a column that varies")
     channels = channel_table(signals, sampling)
     highest = float(np.nanmax(channels["band_high_hz"].to_numpy(dtype=float), initial=0.0))
     spectra = spectra_of(alive, sampling, highest)
-    peaks = find_peaks(spectra)
+    modal = ModalRecord.of_alive(alive, sampling)
+    peaks = modal.modes
     notes = ["what columns are is guessed by their names: see the command below"] if guesses else []
     notes += [note for _, note in converted if note]
     notes += [*_of_sampling(sampling), *_of_channels(channels), *_offsets(alive, sampling), *_of_one_dof(spectra)]
+    notes += [*_machines(modal.identified.machines)]
     notes += [*_opposed(spectra, peaks), *_against_the_ground(spectra, peaks)]
     command = proposed_command(overrides, signals, sampling, highest, len(peaks), frequencies is not None)
     return Inspection(sampling, signals, channels, spectra, peak_table(peaks, frequencies), notes, command)
 
 
-def _guesses(signals: Sequence[Signal]) -> list[Signal]:
-    """The same by their headers or names, where nobody has said what any of them is; empty where that says nothing."""
-    if any(signal.quantity for signal in signals):
-        return []
-    found = []
-    for signal in signals:
-        quantity = next((quantity for quantity, names in _NAMES if names.search(signal.column)), "")
-        numbers = re.findall(r"\d+", signal.place or signal.column)
-        place = "" if quantity in ("", GROUND) else (numbers[0] if numbers else "1")
-        found.append(Signal(signal.column, signal.values, quantity, place, signal.unit))
-    return found if any(signal.quantity in RESPONSE_QUANTITIES for signal in found) else []
-
-
-def peak_table(peaks: Sequence[Peak], frequencies: np.ndarray | None) -> pd.DataFrame:
+def peak_table(peaks: Sequence[RecordMode], frequencies: np.ndarray | None) -> pd.DataFrame:
     """A row for each peak, beside the structure's nearest natural frequency; columns `PEAK_COLUMNS`."""
     rows = []
     known = np.zeros(0) if frequencies is None else frequencies[np.isfinite(frequencies) & (frequencies > 0.0)]
@@ -189,7 +171,7 @@ def peak_table(peaks: Sequence[Peak], frequencies: np.ndarray | None) -> pd.Data
         row = dict.fromkeys(PEAK_COLUMNS, np.nan) | {
             "frequency_hz": peak.frequency, "frequency_std_hz": peak.frequency_std,
             "damping_percent": 100.0 * peak.damping, "damping_std_percent": 100.0 * peak.damping_std,
-            "coherence": peak.coherence,
+            "explained": peak.explained,
         }  # fmt: skip
         if len(known):
             nearest = int(np.argmin(np.abs(np.log(known / peak.frequency))))
@@ -197,11 +179,6 @@ def peak_table(peaks: Sequence[Peak], frequencies: np.ndarray | None) -> pd.Data
             row["difference_percent"] = 100.0 * (float(known[nearest]) / peak.frequency - 1.0)
         rows.append(row)
     return pd.DataFrame(rows, columns=list(PEAK_COLUMNS))
-
-
-def _varies(values: np.ndarray) -> bool:
-    there = values[np.isfinite(values)]
-    return len(there) >= MINIMUM_SAMPLES and bool(np.ptp(there) > 0.0)
 
 
 def _of_sampling(sampling: Sampling) -> Iterator[str]:
@@ -247,6 +224,12 @@ def _offsets(signals: Sequence[Signal], sampling: Sampling) -> Iterator[str]:
             )
 
 
+def _machines(frequencies: Sequence[float]) -> Iterator[str]:
+    if frequencies:
+        named = ", ".join(f"{frequency:.4g}" for frequency in frequencies)
+        yield f"steady lines at {named} Hz, as of machines or of mains: no modes"
+
+
 def _of_one_dof(spectra: CrossSpectra[Signal]) -> Iterator[str]:
     """An acceleration against the displacement or velocity of the same DOF."""
     for i, a in enumerate(spectra.sensors):
@@ -282,7 +265,7 @@ def _cause(ratio: float) -> str:
     return f"; {unit}" if unit else "; a gain or a unit is wrong?"
 
 
-def _opposed(spectra: CrossSpectra[Signal], peaks: Sequence[Peak]) -> Iterator[str]:
+def _opposed(spectra: CrossSpectra[Signal], peaks: Sequence[RecordMode]) -> Iterator[str]:
     """At a resonance, an accelerometer where the force acts moves ahead of it by a quarter period, never behind."""
     for j, force in enumerate(spectra.acting):
         for i, sensor in enumerate(spectra.sensors):
@@ -298,7 +281,7 @@ def _opposed(spectra: CrossSpectra[Signal], peaks: Sequence[Peak]) -> Iterator[s
                 yield f"{sensor.name} moves against {force.name}: the sign of one of them is wrong?"
 
 
-def _against_the_ground(spectra: CrossSpectra[Signal], peaks: Sequence[Peak]) -> Iterator[str]:
+def _against_the_ground(spectra: CrossSpectra[Signal], peaks: Sequence[RecordMode]) -> Iterator[str]:
     """Far below the first natural frequency the structure moves as the ground does."""
     if [signal.quantity for signal in spectra.acting] != [GROUND] or not peaks:
         return
