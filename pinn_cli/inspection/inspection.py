@@ -34,6 +34,8 @@ FEWEST = 16
 # in time, % of a step.
 CLIPPED, CONSTANT, QUIET_DB, JITTER = 0.05, 5.0, 10.0, 3.0
 
+# A force that is mostly below this part of its deviation comes in blows; the median of a normal distribution's size.
+BLOWS, NORMAL_MEDIAN = 0.2, 0.6745
 # Two sensors of one DOF agree within this part; less coherent than this, they say nothing of each other.
 AGREE, COHERENT = 0.1, 0.5
 # An acceleration whose mean is more than this part of its rms has an offset; gravity is recognised within a fiftieth.
@@ -78,7 +80,8 @@ def _row(signal: Signal, sampling: Sampling) -> dict[str, object]:
         return row
     values, step = sampling.on_regular(signal.values), 1.0 / sampling.rate
     low, high = signal_edges(values, step)
-    visible = visible_floor(values, step)
+    visible = _rest(values) if signal.quantity == "force" else None
+    visible = visible_floor(values, step) if visible is None else visible
     noise = noise_level(values, step) if visible is None else visible
     power = max(float(np.var(values)) - noise**2, 0.0)
     snr = 10.0 * np.log10(power / noise**2) if noise > 0.0 and power > 0.0 else np.nan
@@ -86,6 +89,15 @@ def _row(signal: Signal, sampling: Sampling) -> dict[str, object]:
         "band_low_hz": low, "band_high_hz": high, "noise": noise, "noise_is_visible": visible is not None,
         "snr_db": snr,
     }  # fmt: skip
+
+
+def _rest(values: np.ndarray) -> float | None:
+    """Standard deviation of a force between short blows; None: it acts most of the time.
+
+    A blow fills the spectrum, and would pass for noise there.
+    """
+    level = float(np.median(np.abs(values - np.median(values)))) / NORMAL_MEDIAN
+    return level if level < BLOWS * float(values.std()) else None
 
 
 def longest_gap(values: np.ndarray, sampling: Sampling) -> float:
@@ -200,7 +212,8 @@ def _of_channels(channels: pd.DataFrame) -> Iterator[str]:
             continue
         if row["clipped_percent"] > CLIPPED:
             yield f"{row['clipped_percent']:.2g} % of {name} sits at its largest or least value: clipped?"
-        if row["constant_percent"] > CONSTANT:
+        # Between blows a load cell may read the same throughout.
+        if row["constant_percent"] > CONSTANT and not (row["quantity"] == "force" and row["noise"] == 0.0):
             yield f"{row['constant_percent']:.2g} % of {name} are repeated values: held, or a slower sensor?"
         if row["snr_db"] < QUIET_DB:
             yield f"{name} is hardly above its noise: {row['snr_db']:.1f} dB"

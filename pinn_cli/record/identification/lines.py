@@ -8,6 +8,8 @@ import numpy as np
 
 # A band reaches so many half widths of its mode to either side, and this part of its frequency at most.
 HALF_WIDTHS, WIDEST = 10.0, 0.3
+# What is added to the factor on a variance where a half-power width has one line: measured, see `widened`.
+FEW = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,10 +102,24 @@ class Fitted:
     explained: float
 
 
+def widened(covariance: np.ndarray, pole: Pole, duration: float, factors: tuple[float, float]) -> np.ndarray:
+    """A covariance (2, 2) of first order as wide as errors of simulated records were, and wider the fewer lines tell.
+
+    Args:
+        covariance: Of the logarithms of frequency and damping ratio.
+        pole: Of the mode.
+        duration: Of the record, s.
+        factors: On the variances of both, where a half-power width has many lines.
+    """
+    lines = 2.0 * pole.damping * pole.frequency * duration
+    factor = np.sqrt(np.array(factors) + FEW / max(lines, 0.5))
+    return np.asarray(covariance * np.outer(factor, factor))
+
+
 def normalised(shape: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A shape (S,) whose largest is one, and deviations of the real part, from the covariance (S, S) of its entries."""
     largest = int(np.argmax(np.abs(shape)))
-    ratio = shape / shape[largest]
+    ratio = shape / (shape[largest] or 1.0)
     of_both = 2.0 * (ratio.conj() * noise[largest]).real
     variance = np.diag(noise).real - of_both + np.abs(ratio) ** 2 * noise[largest, largest].real
-    return ratio, np.sqrt(np.maximum(0.5 * variance, 0.0)) / abs(shape[largest])
+    return ratio, np.sqrt(np.maximum(0.5 * variance, 0.0)) / max(abs(shape[largest]), 1e-300)

@@ -18,7 +18,7 @@ from pinn_cli.record.identification.response_fit import ResponseFit
 from pinn_cli.record.identification.subspace import MOST_DAMPED, Stabilisation, assurance, stabilisation
 
 # Logarithm of the probability that chance makes a mode; part of the motion at its peak that is its own, at least.
-CHANCE, LEAST_EXPLAINED = -16.0, 0.2
+CHANCE, LEAST_EXPLAINED = -16.0, 0.5
 # Relative deviations of a frequency and of a damping ratio that is determined; lines in a half-power width, at least.
 MOST_UNCERTAIN, MOST_UNCERTAIN_DAMPING, NARROWEST = 0.02, 0.7, 0.5
 # Modes nearer than this part of their half-power width are one, unless their shapes differ.

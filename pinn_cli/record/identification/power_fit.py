@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pinn_cli.record.identification.lines import Fitted, Lines, Pole, normalised
+from pinn_cli.record.identification.lines import Fitted, Lines, Pole, normalised, widened
 
 # Lines of a band at least; the sensors' other motion is taken to be even in this part.
 FEWEST_LINES, SHRUNK = 40, 0.05
@@ -24,11 +24,14 @@ FEWEST_LINES, SHRUNK = 40, 0.05
 LEAST_LEVEL, STEPS = 0.02, 60
 # An envelope that is so steady is a machine's, where a mode's would have changed so often.
 STEADY, FEWEST_TIMES = 1.4, 25.0
-# What the variance of a frequency is of that to first order, measured on simulated records, and in a half-power width
-# of one line so much more.
-WIDENED, FEW = 1.3, 3.0
-# An edge has so many lines to either side.
-EDGE_LINES = 4
+# A line counts for the shape by this power of the mode's part in it.
+OWN = 6
+# Part of the lines that is independent under Hann's window.
+HANN = 18.0 / 35.0
+# What the variances of a frequency and a damping ratio are of those to first order: measured, see `widened`.
+WIDENED = 1.3, 1.0
+# An edge has so many lines to either side; of the logarithm of the likelihood, by how much a mode is better than one.
+EDGE_LINES, LIKELIER = 4, 10.0
 
 
 class PowerFit:
@@ -149,7 +152,7 @@ class PowerFit:
     def solve(self) -> Fitted | None:
         """None where an edge of the spectrum says as much."""
         poles, values, cost, expected = self._scored([self.pole, *self.free], moving=1 + len(self.free))
-        if not values[:2].any() or _edge(self.power) < cost:
+        if not values[:2].any() or _edge(self.power) < cost + LIKELIER:
             return None
         moved = [s for i, p in enumerate(poles) for s in self._slopes(p, values[2 * i : 2 * i + 2])]
         linear = np.concatenate((self._shapes(poles), self._background()), axis=1)
@@ -163,9 +166,7 @@ class PowerFit:
         grouped = inverse @ (scores.T @ scores) @ inverse / np.outer(norm, norm)
         even = inverse / np.outer(norm, norm)
         covariance = (even if np.trace(even[:2, :2]) > np.trace(grouped[:2, :2]) else grouped)[:2, :2]
-        wide = 2.0 * poles[0].damping * poles[0].frequency * self.band.duration
-        factor = np.array([WIDENED + FEW / max(wide, 1.0), 1.0]) ** 0.5
-        covariance = covariance * np.outer(factor, factor)
+        covariance = widened(covariance, poles[0], self.band.duration, WIDENED)
         peak = self._shapes(poles[:1]) @ values[:2]
         own = np.clip(peak / expected, 0.0, 1.0)
         top = int(np.argmax(peak))
@@ -187,12 +188,14 @@ class PowerFit:
     def _shape(self, own: np.ndarray, expected: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of what goes together with the weighed sum of the sensors, where that is the mode's."""
         y = self.band.outputs
+        y = y[1:-1] - 0.5 * (y[:-2] + y[2:])  # Hann's window: a machine's line far away has left its mark in every line
         coordinate = y @ self.weights
-        weight = own**2 / expected
-        size = float(np.sum(weight * np.abs(coordinate) ** 2))
+        weight = own[1:-1] ** OWN / expected[1:-1]
+        size = max(float(np.sum(weight * np.abs(coordinate) ** 2)), 1e-300)
         shape = (weight * coordinate.conj()) @ y / size
         left = y - coordinate[:, None] * shape
         together = (left.conj() * (weight**2 * np.abs(coordinate) ** 2)[:, None]).T @ left / size**2
+        together = together / HANN
         return normalised(shape, together)
 
 

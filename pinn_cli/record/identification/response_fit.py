@@ -15,11 +15,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pinn_cli.record.identification.lines import Fitted, Lines, Pole, normalised
+from pinn_cli.record.identification.lines import Fitted, Lines, Pole, normalised, widened
 
 # Degree of the polynomials; lines for every column; and inputs have so many more lines of power than columns.
 DEGREE, LINES_OF_COLUMN, MORE_LINES = 3, 3.0, 3.0
 STEPS, LARGEST_LEVERAGE = 30, 0.7
+# What the variances of a frequency and a damping ratio are of those to first order: measured, see `widened`.
+WIDENED = 1.1, 1.1
 
 
 class ResponseFit:
@@ -164,7 +166,8 @@ class ResponseFit:
         near = np.abs(self.band.frequency - poles[0].frequency) <= width
         own, other = (np.sum(np.abs(x[near]) ** 2, axis=0) for x in (mode, self.y - mode))
         part = float(np.max(own / np.maximum(own + other, 1e-300)))
-        return Fitted(tuple(poles), covariance[:2, :2], shape, shape_std, part)
+        covariance = widened(covariance[:2, :2], poles[0], self.band.duration, WIDENED)
+        return Fitted(tuple(poles), covariance, shape, shape_std, part)
 
 
 def _lines_of_power(inputs: np.ndarray) -> float:

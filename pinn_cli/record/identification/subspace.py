@@ -18,14 +18,14 @@ import numpy as np
 from pinn_cli.record.spectrum import decimate
 
 # Lags of a block: between these, and in all with the sensors as many rows; the highest order, of how many states.
-FEWEST_LAGS, MOST_LAGS, ROWS, HIGHEST_ORDER = 10, 40, 120, 32
+FEWEST_LAGS, MOST_LAGS, ROWS, HIGHEST_ORDER = 10, 30, 80, 24
 # Samples of a scale at least, and of every row of the two blocks; the part of its sampling rate in which poles are
 # read: of the slowest one the lower.
 FEWEST_SAMPLES, SAMPLES_OF_A_ROW, LOWEST_PART, HIGHEST_PART, LOWEST_OF_LAST = 160, 3.0, 0.16, 0.45, 0.02
 # Two orders have the same pole, relative in frequency, in damping ratio, and by the modal assurance criterion.
 SAME_FREQUENCY, SAME_DAMPING, SAME_RATIO, SAME_SHAPE = 0.01, 0.25, 0.002, 0.9
-# Damping ratios of a vibration; part of the orders in which a stable pole is there; as many sensors are taken.
-MOST_DAMPED, PART_OF_ORDERS, MOST_SENSORS = 0.2, 0.2, 24
+# Damping ratios of a vibration; part of the orders in which a stable pole is there; more sensors are taken together.
+MOST_DAMPED, PART_OF_ORDERS, MOST_SENSORS = 0.2, 0.2, 8
 # Added to a matrix of covariances, of its mean power.
 RIDGE = 1e-7
 
@@ -93,9 +93,8 @@ def stabilisation(outputs: np.ndarray, inputs: np.ndarray, step: float) -> Stabi
         inputs: (N, F), what acts; F may be 0.
         step: From sample to sample, s.
     """
-    taken = np.argsort(-outputs.std(axis=0), kind="stable")[:MOST_SENSORS] if outputs.shape[1] > MOST_SENSORS else None
-    values = np.concatenate((outputs if taken is None else outputs[:, np.sort(taken)], inputs), axis=1)
-    sensors, rows, orders = values.shape[1] - inputs.shape[1], [], 0
+    values, sensors = np.concatenate((outputs, inputs), axis=1), outputs.shape[1]
+    rows, orders = [], 0
     for scale, (part, its_step, bottom) in enumerate(_scales(values, step)):
         last = np.zeros((0, 2)), np.zeros((0, sensors))
         for order, poles, shapes in _by_order(part, sensors, its_step):
@@ -108,9 +107,7 @@ def stabilisation(outputs: np.ndarray, inputs: np.ndarray, step: float) -> Stabi
             last = poles, shapes
     table = np.array(rows).reshape(len(rows), 5 + sensors)
     f, damping, order, scales, stable = table[:, :5].real.T
-    every = np.zeros((len(rows), outputs.shape[1]), complex)
-    every[:, slice(None) if taken is None else np.sort(taken)] = table[:, 5:]
-    return Stabilisation(f, damping, order.astype(int), scales.astype(int), every, stable > 0, orders)
+    return Stabilisation(f, damping, order.astype(int), scales.astype(int), table[:, 5:], stable > 0, orders)
 
 
 def _scales(values: np.ndarray, step: float) -> Iterator[tuple[np.ndarray, float, float]]:
@@ -123,6 +120,15 @@ def _scales(values: np.ndarray, step: float) -> Iterator[tuple[np.ndarray, float
 
 def _by_order(values: np.ndarray, sensors: int, step: float) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
     """Order, its poles (P, 2), frequency in Hz and damping ratio, and their shapes (P, S)."""
+    size = np.maximum(values[:, :sensors].std(axis=0), 1e-300)
+    back = np.diag(size)
+    if sensors > MOST_SENSORS:  # their principal components instead
+        _, _, directions = np.linalg.svd(np.cov(values[:, :sensors].T / size[:, None]), hermitian=True)
+        back = size[:, None] * directions[:MOST_SENSORS].T
+        values = np.concatenate((values[:, :sensors] / size @ directions[:MOST_SENSORS].T, values[:, sensors:]), axis=1)
+        sensors = MOST_SENSORS
+    else:
+        values = np.concatenate((values[:, :sensors] / size, values[:, sensors:]), axis=1)
     lags = min(ROWS / sensors, len(values) / (SAMPLES_OF_A_ROW * values.shape[1]), MOST_LAGS)
     observability = _observability(values, sensors, max(int(lags), FEWEST_LAGS))
     if observability is None:
@@ -133,7 +139,7 @@ def _by_order(values: np.ndarray, sensors: int, step: float) -> Iterator[tuple[i
         discrete, vectors = np.linalg.eig(state)
         with np.errstate(divide="ignore", invalid="ignore"):
             poles = np.log(discrete.astype(complex)) / step
-        shapes = (gamma[:sensors] @ vectors).T
+        shapes = (back @ gamma[:sensors] @ vectors).T
         size = np.abs(poles)
         kept = (poles.imag > 1e-9 * size) & (poles.real < 0.0) & (-poles.real < MOST_DAMPED * size)
         yield order, np.stack((size, -poles.real / size), axis=1)[kept] / (2.0 * np.pi, 1.0), shapes[kept]

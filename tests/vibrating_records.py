@@ -118,3 +118,90 @@ def shaken(
     pushed = -ground[:, None] * structure.shapes.sum(axis=0)
     a = structure.accelerations(pushed, FINER * rate) + ground[:, None]
     return noisy(random, ground[::FINER], 0.3 * noise), noisy(random, a[::FINER], noise)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A record.
+
+    Attributes:
+        outputs: (N, S).
+        inputs: (N, F).
+        rate: Hz.
+        structure: That it is of.
+    """
+
+    outputs: np.ndarray
+    inputs: np.ndarray
+    rate: float
+    structure: Vibrating
+
+
+BUILDING = Vibrating.chain(1.2, [1.0, 1.0, 1.1], [0.015, 0.01, 0.02])
+RIG = Vibrating.chain(7.245, [40.0, 36.0, 44.0], [0.004, 0.008, 0.01])
+FRAME = Vibrating.chain(1.3, [1.0] * 4, [0.02] * 4)
+
+
+def _orthogonal(frequencies: list[float], damping: list[float], dofs: int) -> Vibrating:
+    shapes, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(dofs, len(frequencies))))
+    return Vibrating(np.array(frequencies), np.array(damping), shapes)
+
+
+BRIDGE = _orthogonal([0.42, 0.9, 2.0, 2.08, 3.6], [0.008, 0.012, 0.01, 0.01, 0.015], 6)
+AIRCRAFT = _orthogonal([5.1, 6.3, 7.2, 9.2], [0.01, 0.012, 0.02, 0.015], 5)
+
+
+def _alone(outputs: np.ndarray, rate: float, structure: Vibrating) -> Measured:
+    return Measured(outputs, np.zeros((len(outputs), 0)), rate, structure)
+
+
+def of_building(seed: int) -> Measured:
+    """Ten minutes of ambient motion."""
+    return _alone(ambient(BUILDING, 600.0, 50.0, seed), 50.0, BUILDING)
+
+
+def of_building_with_machines(seed: int) -> Measured:
+    """The same with a drive of 1 Hz and harmonics, and one whose speed wanders a little."""
+    random, a = np.random.default_rng(seed), ambient(BUILDING, 600.0, 50.0, seed)
+    time, size = np.arange(len(a)) / 50.0, a.std(axis=0)
+    for k, f in enumerate((1.0, 2.0, 4.1, 7.3)):
+        a = a + (0.5 + 0.3 * k) * size * np.sin(2.0 * np.pi * f * time + k)[:, None] * np.array([1.0, 0.7, -0.5])
+    wandering = np.cumsum(2.0 * np.pi * (9.0 + 0.03 * coloured(random, len(a), 50.0, 0.0, 0.2))) / 50.0
+    return _alone(a + size * np.sin(wandering)[:, None], 50.0, BUILDING)
+
+
+def of_bridge(seed: int) -> Measured:
+    """Half an hour of ambient motion; two modes are close."""
+    return _alone(ambient(BRIDGE, 1800.0, 20.0, seed), 20.0, BRIDGE)
+
+
+def of_hammer(seed: int) -> Measured:
+    """Six blows in a minute; the force is zero between them."""
+    force, a = forced(RIG, hammer(30_000, 500.0, seed, 6, 0.008), 0, 500.0, seed)
+    return Measured(a, force[:, None], 500.0, RIG)
+
+
+def of_short_shaker(seed: int) -> Measured:
+    """Fifteen seconds, of which a half-power width of the first mode has one line."""
+    force, a = forced(RIG, shaker(3750, 250.0, seed, 2.0, 60.0), 0, 250.0, seed)
+    return Measured(a, force[:, None], 250.0, RIG)
+
+
+def of_multisine(seed: int) -> Measured:
+    """Four periods, every other line between 4 and 60 Hz, at 400 Hz; three of five places."""
+    force, a = forced(AIRCRAFT, multisine(8192, 4, 400.0, seed, 4.0, 60.0, 2), 0, 400.0, seed)
+    return Measured(a[:, :3], force[:, None], 400.0, AIRCRAFT)
+
+
+def of_drive(seed: int) -> Measured:
+    """A drive of 1 Hz with its harmonics, measured."""
+    force, a = forced(AIRCRAFT, multisine(400, 40, 400.0, seed, 0.5, 60.0), 0, 400.0, seed)
+    return Measured(a[:, :3], force[:, None], 400.0, AIRCRAFT)
+
+
+def of_ground(seed: int) -> Measured:
+    """A short earthquake."""
+    time = np.arange(FINER * 4000) / (FINER * 100.0)
+    ground = coloured(np.random.default_rng(seed), len(time), FINER * 100.0, 0.2, 20.0)
+    moved, a = shaken(FRAME, ground * np.exp(-(((time - 12.0) / 8.0) ** 2)), 100.0, seed)
+    return Measured(a, moved[:, None], 100.0, FRAME)
