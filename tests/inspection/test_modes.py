@@ -46,7 +46,7 @@ def test_displacements_and_accelerations_have_one_shape():
     moved = np.fft.irfft(np.where(omega > 5.0, -spectrum / np.maximum(omega, 5.0) ** 2, 0.0), 30_000)
     sensors = [Signal(f"a{i + 1}", record.outputs[:, i], "acceleration", str(i + 1)) for i in range(2)]
     mixed = ModalRecord.of([*sensors, Signal("u", moved, "displacement", "3")], np.arange(30_000) / 50.0)
-    np.testing.assert_allclose(mixed.shapes.real, recorded(record).shapes.real, atol=0.03)
+    np.testing.assert_allclose(mixed.shapes.real, recorded(record).shapes.real, atol=0.1)
 
 
 def test_records_beside_each_other(building):

@@ -122,7 +122,7 @@ def identify(outputs: np.ndarray, inputs: np.ndarray, step: float) -> Identified
         if _is_line(fit, pole, lines):
             lone.append(pole)
         elif _holds(fitted, candidate, lines) and not any(_same(pole, fitted.shape, *other) for other in found):
-            found.append((pole, fitted.shape))
+            found.append((pole, shape))
     modes = []
     for pole, shape in found:
         beside = [*(other for other, _ in found if other is not pole), *lone]

@@ -31,7 +31,7 @@ HANN = 18.0 / 35.0
 # What the variances of a frequency and a damping ratio are of those to first order: measured, see `widened`.
 WIDENED = 1.3, 1.0
 # An edge has so many lines to either side; of the logarithm of the likelihood, by how much a mode is better than one.
-EDGE_LINES, LIKELIER = 4, 10.0
+EDGE_LINES, LIKELIER = 4, 15.0
 
 
 class PowerFit:
@@ -53,7 +53,7 @@ class PowerFit:
             other for other in beside
             if other not in self.free and f[0] - reach < other.frequency < f[-1] + reach
         )  # fmt: skip
-        self.weights = self._filter(shape)
+        self.shape, self.weights = shape, self._filter(shape)
         self.power = np.abs(self.band.outputs @ self.weights) ** 2
         self.power = self.power / max(float(self.power.mean()), 1e-300)
         self.known: dict[Pole, np.ndarray] = {}
@@ -63,15 +63,11 @@ class PowerFit:
         """(S,), what to multiply the sensors by: the shape against the motion outside of the half-power width."""
         y, away = self.band.outputs, np.abs(self.band.frequency - self.pole.frequency)
         outside = y[away > 3.0 * self.pole.damping * self.pole.frequency + 2.0 / self.band.duration]
-        if len(outside) < 4 or y.shape[1] == 1:
-            return np.ones(y.shape[1]) if y.shape[1] == 1 else shape.conj() / max(float(np.linalg.norm(shape)), 1e-300)
+        if y.shape[1] == 1:
+            return np.ones(1)
         covariance = outside.T @ outside.conj() / len(outside)
         even = np.trace(covariance).real / len(covariance)
-        held = (
-            (1.0 - SHRUNK) * covariance
-            + SHRUNK * even * np.eye(len(covariance))
-            + 1e-12 * even * np.eye(len(covariance))
-        )
+        held = (1.0 - SHRUNK) * covariance + SHRUNK * even * np.eye(len(covariance))
         return np.asarray(np.linalg.solve(held, shape / np.linalg.norm(shape)).conj())
 
     def _shown(self, pole: Pole) -> np.ndarray:
@@ -190,13 +186,15 @@ class PowerFit:
         y = self.band.outputs
         y = y[1:-1] - 0.5 * (y[:-2] + y[2:])  # Hann's window: a machine's line far away has left its mark in every line
         coordinate = y @ self.weights
-        weight = own[1:-1] ** OWN / expected[1:-1]
+        rough = self.shape / ((self.weights @ self.shape) or 1.0)
+        off = np.sum(np.abs(y - coordinate[:, None] * rough) ** 2, axis=1)  # large where a machine runs
+        usual = float(np.median(off)) + 1e-300
+        weight = own[1:-1] ** OWN / expected[1:-1] * (usual / (usual + off)) ** 2
         size = max(float(np.sum(weight * np.abs(coordinate) ** 2)), 1e-300)
         shape = (weight * coordinate.conj()) @ y / size
         left = y - coordinate[:, None] * shape
         together = (left.conj() * (weight**2 * np.abs(coordinate) ** 2)[:, None]).T @ left / size**2
-        together = together / HANN
-        return normalised(shape, together)
+        return normalised(shape, together / HANN)
 
 
 def _edge(power: np.ndarray) -> float:

@@ -66,12 +66,11 @@ class ResponseFit:
         """(L, K)."""
         return self.scale / (2j * np.pi * self.band.frequency[:, None] - np.array([p.at for p in poles]))
 
-    def _basis(self, poles: Sequence[Pole], without_response: bool = False) -> np.ndarray:
-        """(L, columns): of the first pole under every input, then all others."""
+    def _basis(self, poles: Sequence[Pole], pushing: np.ndarray) -> np.ndarray:
+        """(L, columns): of the first pole under inputs that push it, then all others."""
         own, others = self._resonances(poles[:1]), self._resonances([*poles[1:], *self.held])
         common = np.concatenate((others, self.powers), axis=1)
-        pushed = [own * self.u] if not without_response else []
-        return np.concatenate([*pushed, own, common, *(common * u[:, None] for u in self.u.T)], axis=1)
+        return np.concatenate([own * pushing, own, common, *(common * u[:, None] for u in self.u.T)], axis=1)
 
     def gain(self) -> float:
         """Logarithm of the probability that chance explains as much as the mode's response, of the best sensor."""
@@ -80,8 +79,8 @@ class ResponseFit:
         if not self.determined:
             return 0.0
         poles = (self.pole, *self.free)
-        less, more = (_left(self._basis(poles, x), self.y) for x in (True, False))
-        columns = self._basis(poles).shape[1]
+        less, more = (_left(self._basis(poles, x), self.y) for x in (self.u[:, :0], self.u))
+        columns = self._basis(poles, self.u).shape[1]
         free, added = len(self.y) - columns, self.u.shape[1]
         before, after = (np.sum(np.abs(x) ** 2, axis=0) for x in (less, more))
         ratio = (before - after) / added / np.maximum(after / free, 1e-300)
@@ -92,7 +91,7 @@ class ResponseFit:
         poles: list[Pole] = [self.pole, *self.free]
         weights = np.ones(self.y.shape[1])
         for _turn in range(2):
-            left = _left(self._basis(poles), self.y)
+            left = _left(self._basis(poles, self.u), self.y)
             size = np.sqrt(np.mean(np.abs(left) ** 2, axis=0))
             weights = 1.0 / np.maximum(size, 1e-9)
             cost = float(np.sum(np.abs(left * weights) ** 2))
@@ -103,7 +102,7 @@ class ResponseFit:
                 step *= min(1.0, 0.05 / max(float(np.max(np.abs(step[::2]), initial=0.0)), 1e-300))
                 for _ in range(6):
                     tried = [p.moved(step[2 * i : 2 * i + 2]) for i, p in enumerate(poles)]
-                    now = float(np.sum(np.abs(_left(self._basis(tried), self.y) * weights) ** 2))
+                    now = float(np.sum(np.abs(_left(self._basis(tried, self.u), self.y) * weights) ** 2))
                     if now < cost:
                         break
                     step *= 0.3
@@ -116,7 +115,7 @@ class ResponseFit:
 
     def _linearised(self, poles: Sequence[Pole]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Slopes of what is left (L, S, 2K), itself (L, S), coefficients (columns, S), directions (L, columns)."""
-        basis = self._basis(poles)
+        basis = self._basis(poles, self.u)
         directions, _ = np.linalg.qr(basis)
         coefficients = np.linalg.lstsq(basis, self.y, rcond=1e-12)[0]
         left = self.y - directions @ (directions.conj().T @ self.y)
@@ -158,7 +157,7 @@ class ResponseFit:
         residues = coefficients[:inputs]  # (F, S)
         strongest = int(np.argmax(np.sum(np.abs(residues) ** 2, axis=1)))
         level = np.sqrt(np.mean(np.abs(self.band.outputs) ** 2, axis=0))
-        spread = np.linalg.pinv(self._basis(poles))[strongest]
+        spread = np.linalg.pinv(self._basis(poles, self.u))[strongest]
         noise = (left * level).conj().T @ (left * level) / (lines - columns) * float(np.sum(np.abs(spread) ** 2))
         shape, shape_std = normalised(residues[strongest] * level, noise)
         mode = self._resonances(poles[:1]) * self.u @ residues

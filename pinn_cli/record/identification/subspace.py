@@ -121,14 +121,11 @@ def _scales(values: np.ndarray, step: float) -> Iterator[tuple[np.ndarray, float
 def _by_order(values: np.ndarray, sensors: int, step: float) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
     """Order, its poles (P, 2), frequency in Hz and damping ratio, and their shapes (P, S)."""
     size = np.maximum(values[:, :sensors].std(axis=0), 1e-300)
-    back = np.diag(size)
+    moving, back = values[:, :sensors] / size, np.diag(size)
     if sensors > MOST_SENSORS:  # their principal components instead
-        _, _, directions = np.linalg.svd(np.cov(values[:, :sensors].T / size[:, None]), hermitian=True)
-        back = size[:, None] * directions[:MOST_SENSORS].T
-        values = np.concatenate((values[:, :sensors] / size @ directions[:MOST_SENSORS].T, values[:, sensors:]), axis=1)
-        sensors = MOST_SENSORS
-    else:
-        values = np.concatenate((values[:, :sensors] / size, values[:, sensors:]), axis=1)
+        directions = np.linalg.svd(np.cov(moving.T), hermitian=True)[0][:, :MOST_SENSORS]
+        moving, back, sensors = moving @ directions, size[:, None] * directions, MOST_SENSORS
+    values = np.concatenate((moving, values[:, len(size) :]), axis=1)
     lags = min(ROWS / sensors, len(values) / (SAMPLES_OF_A_ROW * values.shape[1]), MOST_LAGS)
     observability = _observability(values, sensors, max(int(lags), FEWEST_LAGS))
     if observability is None:
