@@ -18,8 +18,8 @@ import numpy as np
 
 from pinn_cli.record.identification.lines import Fitted, Lines, Pole, normalised, widened
 
-# Lines of a band at least; the sensors' other motion is taken to be even in this part.
-FEWEST_LINES, SHRUNK = 40, 0.05
+# Lines of a band at least; the sensors' other motion is taken to be even in this part; lines that tell of it.
+FEWEST_LINES, SHRUNK, FEWEST_OUTSIDE = 40, 0.05, 4
 # What a model of the power is at least, of the band's least.
 LEAST_LEVEL, STEPS = 0.02, 60
 # An envelope that is so steady is a machine's, where a mode's would have changed so often.
@@ -65,6 +65,8 @@ class PowerFit:
         outside = y[away > 3.0 * self.pole.damping * self.pole.frequency + 2.0 / self.band.duration]
         if y.shape[1] == 1:
             return np.ones(1)
+        if len(outside) < FEWEST_OUTSIDE:  # as wide as the band
+            return shape.conj() / np.linalg.norm(shape)
         covariance = outside.T @ outside.conj() / len(outside)
         even = np.trace(covariance).real / len(covariance)
         held = (1.0 - SHRUNK) * covariance + SHRUNK * even * np.eye(len(covariance))
