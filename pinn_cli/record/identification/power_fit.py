@@ -192,7 +192,7 @@ class PowerFit:
         off = np.sum(np.abs(y - coordinate[:, None] * rough) ** 2, axis=1)  # large where a machine runs
         usual = float(np.median(off)) + 1e-300
         weight = own[1:-1] ** OWN / expected[1:-1] * (usual / (usual + off)) ** 2
-        size = max(float(np.sum(weight * np.abs(coordinate) ** 2)), 1e-300)
+        size = max(float(np.sum(weight * np.abs(coordinate) ** 2)), 1e-140)
         shape = (weight * coordinate.conj()) @ y / size
         left = y - coordinate[:, None] * shape
         together = (left.conj() * (weight**2 * np.abs(coordinate) ** 2)[:, None]).T @ left / size**2
