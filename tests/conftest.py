@@ -19,7 +19,7 @@ from omegaconf import DictConfig
 from small_estimates import Case, make_estimate
 
 from pinn_cli.cli.command_line import execute
-from pinn_cli.main import inspect, run
+from pinn_cli.main import find_modes, inspect, run
 
 
 @pytest.fixture(autouse=True)
@@ -90,7 +90,7 @@ def pinn_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.Capt
         monkeypatch.setattr(sys, "argv", ["pinn-run", *arguments])
         capfd.readouterr()
         try:
-            status = execute(task, inspect, partial(run, follows=True))
+            status = execute(task, inspect, partial(run, follows=True), find_modes)
         except SystemExit as end:
             status = int(end.code or 0)
         captured = capfd.readouterr()

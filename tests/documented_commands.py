@@ -47,8 +47,9 @@ def commands(page: Path) -> Iterator[str]:
 EVERY = sorted(
     {" ".join(shlex.split(line, comments=True)[1:]): line for page in PAGES for line in commands(page)}.values()
 )
-RUNS = [line for line in EVERY if not re.search(r"--help|\b(resume|collect)=|^pinn-run (inspect|follow)", line)]
+RUNS = [line for line in EVERY if not re.search(r"--help|\b(resume|collect)=|^pinn-run (inspect|modes|follow)", line)]
 FOLLOWED = [line for line in EVERY if line.startswith("pinn-run follow")]
+MODAL = [line for line in EVERY if line.startswith("pinn-run modes")]
 LOOKS = [line for line in EVERY if line.startswith("pinn-run inspect")]
 
 

@@ -12,6 +12,7 @@ from calls import PinnRun
 from documented_commands import (
     FOLLOWED,
     LOOKS,
+    MODAL,
     RIG,
     RUNS,
     first_job,
@@ -37,12 +38,12 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("line", [line for line in (*RUNS, *LOOKS, *FOLLOWED) if not HOURS.search(line)])
+@pytest.mark.parametrize("line", [line for line in (*RUNS, *LOOKS, *MODAL, *FOLLOWED) if not HOURS.search(line)])
 def test_a_documented_command_runs(line: str, measured: Path, pinn_run: PinnRun) -> None:
     if package := missing_package(line):
         pytest.skip(f"{package} is not installed")
     arguments = [argument for argument in shlex.split(line, comments=True)[1:] if argument != "--multirun"]
-    options = [argument for argument in arguments[:1] if argument in ("inspect", "follow")]
+    options = [argument for argument in arguments[:1] if argument in ("inspect", "modes", "follow")]
     if "--config-dir" in arguments:
         place = arguments.index("--config-dir")
         options += arguments[place : place + 2]

@@ -210,20 +210,22 @@ def _explained(error: Exception) -> Exception:
     return InputError("overrides", given, allowed, str(error).partition("\n")[0]).with_traceback(error.__traceback__)
 
 
-def execute(task: Task, look: Task | None = None, follow: Task | None = None) -> int:
+def execute(task: Task, look: Task | None = None, follow: Task | None = None, find: Task | None = None) -> int:
     """Run a task under the command line that the process was started with.
 
     Args:
         task: Called with the composed configuration, without its `hydra` node; once per job of a sweep.
         look: The same, where the command line says `inspect`.
         follow: The same, where it says `follow`.
+        find: The same, where it says `modes`.
 
     Returns:
         The exit status, as listed at the top of this file.
     """
     jobs = Jobs(task, Terminal(), full_error=os.environ.get("HYDRA_FULL_ERROR") == "1")
     try:
-        perform(jobs, watched(in_time=True), {"inspect": look or task, "follow": follow or task})
+        tasks = {"inspect": look or task, "follow": follow or task, "modes": find or task}
+        perform(jobs, watched(in_time=True), tasks)
     except KeyboardInterrupt as stop:
         jobs.terminal.complain(f"interrupted{f'; {jobs.hint}' if jobs.hint else ''}")
         return stop.status if isinstance(stop, Interruption) else STATUS_INTERRUPTED

@@ -25,7 +25,7 @@ _MOST_SHOWN = 12
 _BEFORE = """\
 pinn-run: the response of a structural chain where there is no sensor, its parameters, and how far to trust both
 
-usage: pinn-run [inspect FILE | follow] [GROUP=OPTION ...] [SETTING=VALUE ...]
+usage: pinn-run [inspect FILE | modes FILE | follow] [GROUP=OPTION ...] [SETTING=VALUE ...]
 
 Examples
   pinn-run                                             6-DOF Duffing chain, sensors on DOFs 1 and 2, SNR 50 dB
@@ -35,6 +35,8 @@ Examples
     its settings; or data=mat, uff, parquet, tdms, hdf5, netcdf, excel (docs/how-to/own-record.md)
   pinn-run inspect rig.csv                             look at a record first: gaps, noise, natural frequencies, a
     command to go on with
+  pinn-run modes rig.csv                               natural frequencies, damping ratios and shapes, without a model
+    (docs/how-to/modes.md)
   pinn-run follow data=csv data.path=rig.csv data.window=60 ...    a record that is still being measured
     (docs/how-to/follow.md)
   pinn-run baseline=kalman_smoother                    the same problem by a Kalman smoother, in the same tables

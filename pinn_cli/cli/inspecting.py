@@ -1,4 +1,4 @@
-"""`pinn-run inspect FILE`: from the configuration to the columns that are looked at, and the structure beside."""
+"""`pinn-run inspect FILE` and `modes FILE`: from the configuration to the columns, and the structure beside."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 
 from pinn_cli.cli.config import resolved
-from pinn_cli.cli.records import numbered
+from pinn_cli.cli.records import data_of_records, numbered, of_record
 from pinn_cli.cli.source import read_structure
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build, check_classes
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from pinn_cli.inspection.proposal import Said
     from pinn_cli.record.data_channels import DataChannel
     from pinn_cli.record.signal import Signal
+    from pinn_cli.system.modes import NaturalModes
 
 # Settings of which one at least describes a structure.
 DESCRIBING = ("m", "k", "mass", "connections", "dofs", "M", "K")
@@ -36,17 +37,19 @@ class Inspected:
         time: (N,), s.
         frequencies: Natural frequencies of the linear part of the structure, Hz; None where its parameters were not
             given.
-        said: By the command.
+        modes: Of the same; None.
+        said: By the command, and by the file.
     """
 
     signals: Sequence[Signal]
     time: np.ndarray
     frequencies: np.ndarray | None
+    modes: NaturalModes | None
     said: Said
 
     @classmethod
     def read(cls, config: DictConfig, base: Path, said: Said | None = None) -> Inspected:
-        """Of a composed configuration, without its `hydra` node.
+        """Of a composed configuration, without its `hydra` node, that has one record.
 
         Args:
             config: As composed.
@@ -56,35 +59,59 @@ class Inspected:
         Raises:
             InputError: The record cannot be read.
         """
+        if config.data.get("records"):
+            hint = "one after the other: data.path=... and its columns"
+            given: Any = OmegaConf.to_container(config.data.records)
+            raise InputError("data.records", given, "left out with inspect, which looks at one record", hint)
+        return cls.read_all(config, base, said, "inspect")[0]
+
+    @classmethod
+    def read_all(
+        cls, config: DictConfig, base: Path, said: Said | None = None, command: str = "modes"
+    ) -> list[Inspected]:
+        """Of all records that a composed configuration has.
+
+        Args:
+            config: As composed.
+            base: The folder that relative paths start from.
+            said: See :meth:`read`.
+            command: The word that asks for it.
+
+        Raises:
+            InputError: A record cannot be read.
+        """
         import numpy as np
 
         from pinn_cli.inspection.proposal import Said
-        from pinn_cli.system.modes import modes_of
+        from pinn_cli.system.modes import NaturalModes, modes_of
 
         config = resolved(config)
         check_classes(config)
-        frequencies = None
+        frequencies, modes = None, None
         try:
             structure = read_structure(config, base)
             config = numbered(config, structure.labels)
             natural = modes_of(structure).natural_frequencies
-            frequencies = natural if np.isfinite(natural).any() else None
+            if np.isfinite(natural).any():
+                frequencies, modes = natural, NaturalModes.of(structure)
         except np.linalg.LinAlgError:  # NaN among the parameters
             pass
         except InputError:
             if any(config.system.get(name) is not None for name in DESCRIBING):
                 raise
-        data: Any = OmegaConf.to_container(config.data)
-        if data.get("records"):
-            hint = "one after the other: data.path=... and its columns"
-            raise InputError("data.records", data["records"], "left out with inspect, which looks at one record", hint)
-        if "path" not in data or "format" not in data:
-            hint = "pinn-run inspect FILE"
-            raise InputError("data", data.get("kind"), "csv or another format of files with inspect", hint)
-        settings = {"data": data, "system": OmegaConf.to_container(config.system)}
-        columns = data | {"format": build(config.data.format, "data.format")}
-        signals, time, of_times = _columns(columns, base)
-        return cls(signals, time, frequencies, replace(said or Said(), settings=settings, time=of_times))
+        if "path" not in config.data or "format" not in config.data:
+            hint = f"pinn-run {command} FILE"
+            raise InputError("data", config.data.get("kind"), f"csv or another format of files with {command}", hint)
+        files, found = build(config.data.format, "data.format"), []
+        system: Any = OmegaConf.to_container(config.system)
+        each = data_of_records(config.data)
+        for number, data in enumerate(each, start=1):
+            with of_record(number, len(each)):
+                plain: Any = OmegaConf.to_container(data)
+                signals, time, of_times = _columns(plain | {"format": files}, base)
+                own = replace(said or Said(), settings={"data": plain, "system": system}, time=of_times)
+                found.append(cls(signals, time, frequencies, modes, own))
+        return found
 
 
 def _columns(data: Mapping[str, Any], base: Path) -> tuple[list[Signal], np.ndarray, str]:

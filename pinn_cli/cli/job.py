@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +17,7 @@ from pinn_cli.cli.command_line import Silence, Terminal
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.inspecting import Inspected
 from pinn_cli.cli.prepare import check_records, prepare_problem, prepare_windows
+from pinn_cli.cli.records import of_record
 from pinn_cli.runs.claim import current
 from pinn_cli.runs.identity import flattened
 from pinn_cli.runs.process import collect_rarely, is_borrowed
@@ -35,6 +36,7 @@ from pinn_cli.settings.yaml_file import SCHEME
 
 if TYPE_CHECKING:
     from pinn_cli.cli.prepare import PreparedProblem
+    from pinn_cli.inspection.proposal import Said
     from pinn_cli.report.results import Results
     from pinn_cli.scheme.joint_problem import JointProblem
     from pinn_cli.sweep.windows.run import WindowedRun
@@ -261,23 +263,61 @@ def results_of(job: Job, problem: JointProblem, estimate: Estimate, **more: Any)
 
 def inspect(composed: DictConfig, terminal: Terminal | None = None) -> None:
     """Look at a record before anything is estimated: a table, a figure and a command to go on with."""
-    hydra, stages, terminal = HydraConfig.get(), Stages(), terminal or Terminal()
+    terminal = terminal or Terminal()
+
+    def write(looked_at: Sequence[Inspected], directory: Path, figures: bool) -> str:
+        from pinn_cli.inspection.inspection import inspect_record
+        from pinn_cli.inspection.report import write_inspection
+
+        (record,) = looked_at
+        found = inspect_record(record.signals, record.time, record.said, record.frequencies)
+        _claim()
+        return write_inspection(found, directory, figures)
+
+    _look(composed, terminal, lambda *of: [Inspected.read(*of)], write)
+
+
+def find_modes(composed: DictConfig, terminal: Terminal | None = None) -> None:
+    """Modes that records show by themselves: tables and a stabilisation diagram."""
+    terminal = terminal or Terminal()
+
+    def write(looked_at: Sequence[Inspected], directory: Path, figures: bool) -> str:
+        from pinn_cli.inspection.mode_report import write_modes
+        from pinn_cli.inspection.modes import ModalRecord
+
+        records = []
+        for number, record in enumerate(looked_at, start=1):
+            with of_record(number, len(looked_at)):
+                records.append(ModalRecord.of(record.signals, record.time))
+        _claim()
+        return write_modes(records, looked_at[0].modes, directory, figures)
+
+    _look(composed, terminal, Inspected.read_all, write)
+
+
+def _claim() -> None:
+    current().lock()
+    current().take()
+
+
+def _look(
+    composed: DictConfig,
+    terminal: Terminal,
+    read: Callable[[DictConfig, Path, Said], list[Inspected]],
+    write: Callable[[Sequence[Inspected], Path, bool], str],
+) -> None:
+    """Read records, and print what is written of them."""
+    hydra, stages = HydraConfig.get(), Stages()
     runtime = hydra.runtime
     directory = Path(runtime.output_dir)
     with signs_of_life(stages):
         with stages("imports"):
-            from pinn_cli.inspection.inspection import inspect_record
             from pinn_cli.inspection.proposal import Said
-            from pinn_cli.inspection.report import write_inspection
         with stages("record"):
             said = Said(list(hydra.overrides.task), _folders(runtime), chosen=dict(runtime.choices))
-            looked_at = Inspected.read(composed, Path(runtime.cwd), said)
+            looked_at = read(composed, Path(runtime.cwd), said)
         with stages("inspection"):
-            found = inspect_record(looked_at.signals, looked_at.time, looked_at.said, looked_at.frequencies)
-        current().lock()
-        current().take()
-        with stages("report"):
-            text = write_inspection(found, directory, composed.get("figures") is not False)
+            text = write(looked_at, directory, composed.get("figures") is not False)
     terminal.say(text)
     terminal.conclude(directory)
 

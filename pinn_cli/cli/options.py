@@ -1,4 +1,4 @@
-"""The options of `pinn-run`, which begin with a dash, and its subcommands, `inspect` and `follow`.
+"""The options of `pinn-run`, which begin with a dash, and its subcommands, `inspect`, `modes` and `follow`.
 
 They are read before Hydra reads them: a slip is told in one line.
 """
@@ -44,6 +44,7 @@ _EXCLUSIVE = ("run", "multirun", "cfg", "shell_completion")
 _LEFT_OUT = {
     # What goes on with a run, or makes several, has nothing to do with a look at a record.
     "inspect": (("resume", "collect", "model"), "one record is looked at at a time"),
+    "modes": (("resume", "collect", "model"), "modes are those that records show by themselves"),
     "follow": (("resume", "collect"), "one record is followed at a time; the same command goes on where it was"),
 }
 SUBCOMMANDS = tuple(_LEFT_OUT)
@@ -109,7 +110,7 @@ def _take_out(options: Namespace, word: str) -> None:
         if setting_of(override) in left_out:
             raise InputError(setting_of(override), override.partition("=")[2], f"left out with {word}", hint)
     options.overrides.remove(word)
-    if word == "inspect":
+    if word in ("inspect", "modes"):
         options.overrides = _with_file(options.overrides)
     if word == "follow" and not any(setting_of(o) == setting_of(_FOLLOWS_IN) for o in options.overrides):
         options.overrides.append(_FOLLOWS_IN)

@@ -9,12 +9,14 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.inspection.guesses import guessed
+from pinn_cli.inspection.modes import ModalRecord
 from pinn_cli.inspection.proposal import Look, Said, proposed_command
 from pinn_cli.record.channels import clipped_percent, constant_percent
 from pinn_cli.record.cross_spectra import CrossSpectra
+from pinn_cli.record.identification.modes import RecordMode
 from pinn_cli.record.record import MINIMUM_SAMPLES
 from pinn_cli.record.response import GROUND
-from pinn_cli.record.signal import Peak, Sampling, Signal, find_peaks, spectra_of
+from pinn_cli.record.signal import Sampling, Signal, spectra_of
 from pinn_cli.record.spectrum import noise_level, signal_edges, visible_floor
 from pinn_cli.settings.errors import InputError
 
@@ -24,7 +26,7 @@ COLUMNS = (
     "snr_db",
 )  # fmt: skip
 PEAK_COLUMNS = (
-    "frequency_hz", "frequency_std_hz", "damping_percent", "damping_std_percent", "coherence", "mode", "structure_hz",
+    "frequency_hz", "frequency_std_hz", "damping_percent", "damping_std_percent", "explained", "mode", "structure_hz",
     "difference_percent",
 )  # fmt: skip
 # Samples of a channel below which nothing is said of it but how many there are.
@@ -33,6 +35,8 @@ FEWEST = 16
 # in time, % of a step.
 CLIPPED, CONSTANT, QUIET_DB, JITTER = 0.05, 5.0, 10.0, 3.0
 
+# A force that is mostly below this part of its deviation comes in blows; the median of a normal distribution's size.
+BLOWS, NORMAL_MEDIAN = 0.2, 0.6745
 # Two sensors of one DOF agree within this part; less coherent than this, they say nothing of each other.
 AGREE, COHERENT = 0.1, 0.5
 # An acceleration whose mean is more than this part of its rms has an offset; gravity is recognised within a fiftieth.
@@ -77,7 +81,8 @@ def _row(signal: Signal, sampling: Sampling) -> dict[str, object]:
         return row
     values, step = sampling.on_regular(signal.values), 1.0 / sampling.rate
     low, high = signal_edges(values, step)
-    visible = visible_floor(values, step)
+    visible = _rest(values) if signal.quantity == "force" else None
+    visible = visible_floor(values, step) if visible is None else visible
     noise = noise_level(values, step) if visible is None else visible
     power = max(float(np.var(values)) - noise**2, 0.0)
     snr = 10.0 * np.log10(power / noise**2) if noise > 0.0 and power > 0.0 else np.nan
@@ -85,6 +90,15 @@ def _row(signal: Signal, sampling: Sampling) -> dict[str, object]:
         "band_low_hz": low, "band_high_hz": high, "noise": noise, "noise_is_visible": visible is not None,
         "snr_db": snr,
     }  # fmt: skip
+
+
+def _rest(values: np.ndarray) -> float | None:
+    """Standard deviation of a force between short blows; None: it acts most of the time.
+
+    A blow fills the spectrum, and would pass for noise there.
+    """
+    level = float(np.median(np.abs(values - np.median(values)))) / NORMAL_MEDIAN
+    return level if level < BLOWS * float(values.std()) else None
 
 
 def longest_gap(values: np.ndarray, sampling: Sampling) -> float:
@@ -147,15 +161,17 @@ def inspect_record(
     guesses, notes = guessed(signals)
     converted = [signal.in_si() for signal in guesses or signals]
     signals = [signal for signal, _ in converted]
-    alive = [signal for signal in signals if _varies(signal.values)]
+    alive = [signal for signal in signals if signal.varies]
     if not alive:
         raise InputError("data.path", f"{len(signals)} columns", "a record with a column that varies")
     channels = channel_table(signals, sampling)
     highest = float(np.nanmax(channels["band_high_hz"].to_numpy(dtype=float), initial=0.0))
     spectra = spectra_of(alive, sampling, highest)
-    peaks = find_peaks(spectra)
+    modal = ModalRecord.of_alive(alive, sampling)
+    peaks = modal.modes
     notes += [note for _, note in converted if note]
     notes += [*_of_sampling(sampling), *_of_channels(channels), *_offsets(alive, sampling), *_of_one_dof(spectra)]
+    notes += [*_machines(modal.identified.machines)]
     notes += [*_opposed(spectra, peaks), *_against_the_ground(spectra, peaks)]
     look = Look(
         signals, sampling, highest, len(peaks), frequencies is not None, bool(guesses),
@@ -167,7 +183,7 @@ def inspect_record(
     return Inspection(sampling, signals, channels, spectra, table, notes, command, remarks)
 
 
-def peak_table(peaks: Sequence[Peak], frequencies: np.ndarray | None) -> pd.DataFrame:
+def peak_table(peaks: Sequence[RecordMode], frequencies: np.ndarray | None) -> pd.DataFrame:
     """A row for each peak, beside the structure's nearest natural frequency; columns `PEAK_COLUMNS`."""
     rows = []
     known = np.zeros(0) if frequencies is None else frequencies[np.isfinite(frequencies) & (frequencies > 0.0)]
@@ -175,7 +191,7 @@ def peak_table(peaks: Sequence[Peak], frequencies: np.ndarray | None) -> pd.Data
         row = dict.fromkeys(PEAK_COLUMNS, np.nan) | {
             "frequency_hz": peak.frequency, "frequency_std_hz": peak.frequency_std,
             "damping_percent": 100.0 * peak.damping, "damping_std_percent": 100.0 * peak.damping_std,
-            "coherence": peak.coherence,
+            "explained": peak.explained,
         }  # fmt: skip
         if len(known):
             nearest = int(np.argmin(np.abs(np.log(known / peak.frequency))))
@@ -183,11 +199,6 @@ def peak_table(peaks: Sequence[Peak], frequencies: np.ndarray | None) -> pd.Data
             row["difference_percent"] = 100.0 * (float(known[nearest]) / peak.frequency - 1.0)
         rows.append(row)
     return pd.DataFrame(rows, columns=list(PEAK_COLUMNS))
-
-
-def _varies(values: np.ndarray) -> bool:
-    there = values[np.isfinite(values)]
-    return len(there) >= MINIMUM_SAMPLES and bool(np.ptp(there) > 0.0)
 
 
 def _of_sampling(sampling: Sampling) -> Iterator[str]:
@@ -209,7 +220,8 @@ def _of_channels(channels: pd.DataFrame) -> Iterator[str]:
             continue
         if row["clipped_percent"] > CLIPPED:
             yield f"{row['clipped_percent']:.2g} % of {name} sits at its largest or least value: clipped?"
-        if row["constant_percent"] > CONSTANT:
+        # Between blows a load cell may read the same throughout.
+        if row["constant_percent"] > CONSTANT and not (row["quantity"] == "force" and row["noise"] == 0.0):
             yield f"{row['constant_percent']:.2g} % of {name} are repeated values: held, or a slower sensor?"
         if row["snr_db"] < QUIET_DB:
             yield f"{name} is hardly above its noise: {row['snr_db']:.1f} dB"
@@ -236,6 +248,12 @@ def _offsets(signals: Sequence[Signal], sampling: Sampling) -> Iterator[str]:
                 f"the mean of {signal.name} is {mean:.3g}, {abs(mean) / rms:.0%} of its rms: integrated over the record"
                 f" it is a velocity of {drift:.3g} that nobody had"
             )
+
+
+def _machines(frequencies: Sequence[float]) -> Iterator[str]:
+    if frequencies:
+        named = ", ".join(f"{frequency:.4g}" for frequency in frequencies)
+        yield f"steady lines at {named} Hz, as of machines or of mains: no modes"
 
 
 def _of_one_dof(spectra: CrossSpectra[Signal]) -> Iterator[str]:
@@ -273,7 +291,7 @@ def _cause(ratio: float) -> str:
     return f"; {unit}" if unit else "; a gain or a unit is wrong?"
 
 
-def _opposed(spectra: CrossSpectra[Signal], peaks: Sequence[Peak]) -> Iterator[str]:
+def _opposed(spectra: CrossSpectra[Signal], peaks: Sequence[RecordMode]) -> Iterator[str]:
     """At a resonance, an accelerometer where the force acts moves ahead of it by a quarter period, never behind."""
     for j, force in enumerate(spectra.acting):
         for i, sensor in enumerate(spectra.sensors):
@@ -289,7 +307,7 @@ def _opposed(spectra: CrossSpectra[Signal], peaks: Sequence[Peak]) -> Iterator[s
                 yield f"{sensor.name} moves against {force.name}: the sign of one of them is wrong?"
 
 
-def _against_the_ground(spectra: CrossSpectra[Signal], peaks: Sequence[Peak]) -> Iterator[str]:
+def _against_the_ground(spectra: CrossSpectra[Signal], peaks: Sequence[RecordMode]) -> Iterator[str]:
     """Far below the first natural frequency the structure moves as the ground does."""
     if [signal.quantity for signal in spectra.acting] != [GROUND] or not peaks:
         return

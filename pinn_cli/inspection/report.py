@@ -74,8 +74,7 @@ def _peaks(found: Inspection) -> list[str]:
         "damping_percent": Column("damping (%)", 13, lambda value: number(value, 3)),
         "damping_std_percent": Column("+-", 10, lambda value: number(value, 2)),
     }
-    if np.isfinite(found.peaks["coherence"]).any():
-        columns["coherence"] = Column("coherence", 11, lambda value: number(value, 2))
+    columns["explained"] = Column("explained", 11, lambda value: number(value, 2))
     if np.isfinite(found.peaks["structure_hz"]).any():
         columns["mode"] = Column("mode", 6, count)
         columns["structure_hz"] = Column("structure (Hz)", 16, lambda value: number(value, 5))

@@ -10,7 +10,7 @@ import numpy as np
 from pinn_cli.record.between_samples import FIRST_ORDER_HOLD, held_by_lines
 from pinn_cli.record.channels import channels
 from pinn_cli.record.free_run import is_linear
-from pinn_cli.record.signal import Sampling, Signal, find_peaks, spectra_of
+from pinn_cli.record.identification.modes import identify
 from pinn_cli.record.spectrum import periodogram, reaches_nyquist
 from pinn_cli.system.connection.base import Hysteresis
 from pinn_cli.system.modes import modes_of
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
 # Rms of a displacement's standard deviation over that of the displacement: from here on nobody knows it.
 UNTOLD = 0.5
-# A peak that stands out by so many dB is no chance; a natural frequency further from it, relative, is another one's; so
-# many are named.
-CLEAR_DB, ELSEWHERE, PEAKS_NAMED = 10.0, 0.1, 6
+# A mode that is this part of the motion at its peak is a clear one; a natural frequency further from it, relative, is
+# another one's; so many are named.
+CLEAR, ELSEWHERE, PEAKS_NAMED = 0.9, 0.1, 6
 # Part of the power of the sensors' spectra, in a part of the band, that a model may miss beyond chance.
 MISSED = 0.3
 # Part of the power of the sensors in a part of the band that modes with a measured force may leave beyond noise.
@@ -118,10 +118,10 @@ def _resonances(problem: Problem, structure: Structure) -> list[Finding]:
     record = problem.record
     if not problem.inputs.forces or not is_linear(structure):
         return []
-    measured = channels(record)
-    signals = [Signal(c.name, c.measured, c.quantity, c.where) for c in measured if np.ptp(c.measured) > 0]
-    peaks = find_peaks(spectra_of(signals, Sampling(record.time))) if signals else []
-    clear = [peak for peak in peaks if peak.prominence_db > CLEAR_DB]
+    moving = [channel.measured for channel in channels(record) if np.ptp(channel.measured) > 0]
+    nothing = np.zeros((len(record.time), 0))
+    modes = identify(np.stack(moving, axis=1), nothing, record.step).modes if moving else []
+    clear = [mode for mode in modes if mode.explained > CLEAR]
     natural = modes_of(structure).natural_frequencies
     natural = natural[natural > 0]
     off = [p for p in clear if np.abs(natural - p.frequency).min(initial=np.inf) > ELSEWHERE * p.frequency]

@@ -100,6 +100,18 @@ def test_noise_and_offsets(record, noise, offset, expected):
     assert expected in notes(record, a1=Signal("a1", a, "acceleration", "1"))
 
 
+def test_a_hammers_force_is_not_taken_for_noise(record):
+    """Its blows fill the spectrum; between them it is quiet, or nothing at all."""
+    time, random = record[0], np.random.default_rng(0)
+    force = np.zeros(len(time))
+    force[200::700] = 50.0
+    force[201::700] = 30.0
+    for noise in (0.0, 0.05):
+        found = look(record, f=Signal("f", force + noise * random.normal(size=len(force)), "force", "5"))
+        assert not [note for note in found.notes if "force" in note and ("noise" in note or "repeated" in note)]
+        assert found.channels.set_index("column").loc["f", "noise"] == pytest.approx(noise, rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("order", "factor", "expected"),
     [

@@ -1,0 +1,1 @@
+"""Natural frequencies, damping ratios and shapes from a record alone, without a model."""

@@ -1,0 +1,125 @@
+"""Lines of the spectrum of a whole record around one place, and what the two kinds of fits have in common."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# A band reaches so many half widths of its mode to either side, and this part of its frequency at most.
+HALF_WIDTHS, WIDEST = 10.0, 0.3
+# What is added to the factor on a variance where a half-power width has one line: measured, see `widened`.
+FEW = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Spectra of channels, without a window.
+
+    Attributes:
+        frequency: (B,), Hz, from 0 on.
+        outputs: (B, S), sensors.
+        inputs: (B, F), what acts.
+        step: From sample to sample, s.
+        samples: N.
+    """
+
+    frequency: np.ndarray
+    outputs: np.ndarray
+    inputs: np.ndarray
+    step: float
+    samples: int
+
+    @classmethod
+    def of(cls, outputs: np.ndarray, inputs: np.ndarray, step: float) -> Lines:
+        """Of sensors (N, S) and inputs (N, F); white noise of variance s^2 has the power s^2."""
+        from scipy.fft import rfft, rfftfreq
+
+        n = len(outputs)
+        y, u = (rfft(x - x.mean(axis=0), axis=0) / np.sqrt(n) for x in (outputs, inputs))
+        return cls(rfftfreq(n, step), y, u, step, n)
+
+    @property
+    def duration(self) -> float:
+        """S."""
+        return self.samples * self.step
+
+    def around(self, pole: Pole, fewest: int) -> Lines:
+        """Those around a mode, so many at least where the record has them."""
+        half = min(max(HALF_WIDTHS * pole.damping * pole.frequency, 0.5 * fewest / self.duration), self.frequency[-1])
+        half = max(min(half, WIDEST * pole.frequency), 0.5 * fewest / self.duration)
+        first = max(int(np.ceil((pole.frequency - half) * self.duration)), 1)
+        last = int((pole.frequency + half) * self.duration)
+        last = min(max(last, first + fewest), int(0.98 * len(self.frequency)))
+        within = slice(max(1, min(first, last - fewest)), last)
+        return Lines(self.frequency[within], self.outputs[within], self.inputs[within], self.step, self.samples)
+
+
+@dataclass(frozen=True)
+class Pole:
+    """Of a vibration.
+
+    Attributes:
+        frequency: Undamped, Hz.
+        damping: Ratio.
+    """
+
+    frequency: float
+    damping: float
+
+    @property
+    def at(self) -> complex:
+        """1/s."""
+        return 2.0 * np.pi * self.frequency * complex(-self.damping, (1.0 - self.damping**2) ** 0.5)
+
+    @property
+    def slopes(self) -> np.ndarray:
+        """(2,), of :attr:`at` by the logarithms of frequency and damping ratio."""
+        size, zeta = 2.0 * np.pi * self.frequency, self.damping
+        return np.array([self.at, size * zeta * complex(-1.0, -zeta / (1.0 - zeta**2) ** 0.5)])
+
+    def moved(self, by: np.ndarray) -> Pole:
+        """With these added to the logarithms."""
+        return Pole(float(self.frequency * np.exp(by[0])), float(min(self.damping * np.exp(by[1]), 0.9)))
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A mode and those beside it, as the lines of a band have them.
+
+    Attributes:
+        poles: The mode first.
+        covariance: (2, 2), of the logarithms of its frequency and damping ratio.
+        shape: (S,), complex, in the sensors' units; the largest is one.
+        shape_std: (S,), of its real part.
+        explained: Part of the power of the sensor that shows it best, at its peak, that is the mode's.
+    """
+
+    poles: tuple[Pole, ...]
+    covariance: np.ndarray
+    shape: np.ndarray
+    shape_std: np.ndarray
+    explained: float
+
+
+def widened(covariance: np.ndarray, pole: Pole, duration: float, factors: tuple[float, float]) -> np.ndarray:
+    """A covariance (2, 2) of first order as wide as errors of simulated records were, and wider the fewer lines tell.
+
+    Args:
+        covariance: Of the logarithms of frequency and damping ratio.
+        pole: Of the mode.
+        duration: Of the record, s.
+        factors: On the variances of both, where a half-power width has many lines.
+    """
+    lines = 2.0 * pole.damping * pole.frequency * duration
+    factor = np.sqrt(np.array(factors) + FEW / max(lines, 0.5))
+    return np.asarray(covariance * np.outer(factor, factor))
+
+
+def normalised(shape: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A shape (S,) whose largest is one, and deviations of the real part, from the covariance (S, S) of its entries."""
+    largest = int(np.argmax(np.abs(shape)))
+    ratio = shape / (shape[largest] or 1.0)
+    of_both = 2.0 * (ratio.conj() * noise[largest]).real
+    variance = np.diag(noise).real - of_both + np.abs(ratio) ** 2 * noise[largest, largest].real
+    return ratio, np.sqrt(np.maximum(0.5 * variance, 0.0)) / max(abs(shape[largest]), 1e-300)

@@ -1,0 +1,176 @@
+"""Modes that a record shows by itself: poles that stay, each then by the lines around it, the clearest first.
+
+A pole that is there at many orders need not be a mode: noise has such poles, and so have machines. Each is tried
+against the lines of the whole record's spectrum, beside the modes that were found before it, and kept if chance does
+not explain it, if it is wider than a line, and if it is determined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pinn_cli.record.identification.lines import Fitted, Lines, Pole
+from pinn_cli.record.identification.power_fit import PowerFit
+from pinn_cli.record.identification.response_fit import ResponseFit
+from pinn_cli.record.identification.subspace import MOST_DAMPED, Stabilisation, assurance, stabilisation
+
+# Logarithm of the probability that chance makes a mode; part of the motion at its peak that is its own, at least.
+CHANCE, LEAST_EXPLAINED = -16.0, 0.5
+# Relative deviations of a frequency and of a damping ratio that is determined; lines in a half-power width, at least.
+MOST_UNCERTAIN, MOST_UNCERTAIN_DAMPING, NARROWEST = 0.02, 0.7, 0.5
+# Modes nearer than this part of their half-power width are one, unless their shapes differ.
+ONE, OTHER_SHAPE = 1.0, 0.5
+# So many poles are tried, and periods of the record are needed.
+MOST_TRIED, FEWEST_PERIODS = 60, 8.0
+# Two-sided 90 % of a normal distribution.
+NORMAL_90 = 1.6448536
+
+
+@dataclass(frozen=True, eq=False)
+class RecordMode:
+    """A mode that a record shows.
+
+    Attributes:
+        frequency: Undamped, Hz.
+        damping: Ratio, 0 to 1.
+        covariance: (2, 2), of the logarithms of both.
+        shape: (S,), complex, in the sensors' units; the largest is one.
+        shape_std: (S,), of its real part.
+        explained: Part of the power at its peak, of the sensor that shows it best, that is its own.
+    """
+
+    frequency: float
+    damping: float
+    covariance: np.ndarray
+    shape: np.ndarray
+    shape_std: np.ndarray
+    explained: float
+
+    @property
+    def frequency_std(self) -> float:
+        """Hz."""
+        return float(self.frequency * self.covariance[0, 0] ** 0.5)
+
+    @property
+    def damping_std(self) -> float:
+        """Of the ratio, to first order."""
+        return float(self.damping * self.covariance[1, 1] ** 0.5)
+
+    @property
+    def frequency_interval(self) -> tuple[float, float]:
+        """Central 90 %, Hz."""
+        return _interval(self.frequency, self.covariance[0, 0])
+
+    @property
+    def damping_interval(self) -> tuple[float, float]:
+        """Central 90 %; of the logarithm, so that it stays positive."""
+        return _interval(self.damping, self.covariance[1, 1])
+
+
+def _interval(value: float, variance: float) -> tuple[float, float]:
+    factor = float(np.exp(NORMAL_90 * variance**0.5))
+    return value / factor, value * factor
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """What a record shows.
+
+    Attributes:
+        modes: By frequency.
+        machines: Frequencies of steady lines that look like modes, Hz.
+        stabilisation: All poles.
+    """
+
+    modes: Sequence[RecordMode]
+    machines: Sequence[float]
+    stabilisation: Stabilisation
+
+
+def identify(outputs: np.ndarray, inputs: np.ndarray, step: float) -> Identified:
+    """Find the modes of a record.
+
+    Args:
+        outputs: (N, S), sensors, finite.
+        inputs: (N, F), what acts as far as it was measured; F = 0: nothing of it.
+        step: From sample to sample, s.
+    """
+    poles = stabilisation(outputs, inputs, step)
+    lines = Lines.of(_levelled(outputs), _levelled(inputs), step)
+    tried = []
+    for f, damping, shape in poles.clusters():
+        candidate = Pole(f, max(damping, 1e-4))
+        if f * lines.duration > FEWEST_PERIODS:
+            tried.append((_fit(lines, candidate, (), shape).gain(), candidate, shape))
+    tried = sorted(tried, key=lambda candidate: candidate[0])[:MOST_TRIED]
+    found: list[tuple[Pole, np.ndarray]] = []
+    lone: list[Pole] = []
+    for gain, candidate, shape in tried:
+        beside = [*(pole for pole, _ in found), *lone]
+        if gain > CHANCE or any(_same(candidate, shape, *other) for other in found):
+            continue
+        fit = _fit(lines, candidate, beside, shape)
+        if beside and fit.gain() > CHANCE:
+            continue
+        fitted = fit.solve()
+        if fitted is None:
+            continue
+        pole = fitted.poles[0]
+        if _is_line(fit, pole, lines):
+            lone.append(pole)
+        elif _holds(fitted, candidate, lines) and not any(_same(pole, fitted.shape, *other) for other in found):
+            found.append((pole, shape))
+    modes = []
+    for pole, shape in found:
+        beside = [*(other for other, _ in found if other is not pole), *lone]
+        fitted = _fit(lines, pole, beside, shape).solve()
+        if fitted is not None and _holds(fitted, pole, lines):
+            own = fitted.poles[0]
+            modes.append(RecordMode(own.frequency, own.damping, fitted.covariance, fitted.shape, fitted.shape_std,
+                                    fitted.explained))  # fmt: skip
+    modes.sort(key=lambda mode: mode.frequency)
+    return Identified(modes, sorted(pole.frequency for pole in lone), poles)
+
+
+def _levelled(values: np.ndarray) -> np.ndarray:
+    """Without the line from the first samples to the last: where they differ, that step is in every line."""
+    few = max(1, len(values) // 500)
+    first, last = values[:few].mean(axis=0), values[-few:].mean(axis=0)
+    return np.asarray(values - first - np.linspace(0.0, 1.0, len(values))[:, None] * (last - first))
+
+
+def _fit(lines: Lines, pole: Pole, beside: Sequence[Pole], shape: np.ndarray) -> ResponseFit | PowerFit:
+    if lines.inputs.shape[1]:
+        return ResponseFit(lines, pole, beside)
+    return PowerFit(lines, pole, beside, shape)
+
+
+def _same(pole: Pole, shape: np.ndarray, other: Pole, its_shape: np.ndarray) -> bool:
+    width = ONE * max(pole.damping * pole.frequency, other.damping * other.frequency)
+    alike = len(shape) == 1 or assurance(shape[None], its_shape[None])[0, 0] > OTHER_SHAPE
+    return abs(pole.frequency - other.frequency) < width and bool(alike)
+
+
+def _is_line(fit: ResponseFit | PowerFit, pole: Pole, lines: Lines) -> bool:
+    """Whether it is a sine: as narrow as a line, or as steady."""
+    if not isinstance(fit, PowerFit):
+        return False
+    return 2.0 * pole.damping * pole.frequency * lines.duration < NARROWEST or fit.is_steady
+
+
+def _holds(fitted: Fitted, start: Pole, lines: Lines) -> bool:
+    """Whether it is a vibration, determined, and has not run away from where it was looked for."""
+    pole, (variance, of_damping) = fitted.poles[0], np.diag(fitted.covariance)
+    width = max(start.damping, pole.damping) * start.frequency + 2.0 / lines.duration
+    return bool(
+        np.isfinite(fitted.covariance).all()
+        and abs(pole.frequency - start.frequency) < 2.0 * width
+        and 0.0 < variance**0.5 < MOST_UNCERTAIN
+        and 0.0 < of_damping**0.5 < MOST_UNCERTAIN_DAMPING
+        and pole.damping < MOST_DAMPED
+        and 2.0 * pole.damping * pole.frequency * lines.duration > NARROWEST
+        and fitted.explained > LEAST_EXPLAINED
+    )

@@ -1,0 +1,207 @@
+"""Records of structures whose modes are known, by scipy alone: every mode is a filter of second order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.signal import lfilter
+
+FINER = 4  # steps of the simulation in one of the record
+
+
+@dataclass(frozen=True, eq=False)
+class Vibrating:
+    """M'' + ... in modes.
+
+    Attributes:
+        frequency: (modes,), Hz.
+        damping: (modes,), ratios.
+        shapes: (dofs, modes), modal masses one.
+    """
+
+    frequency: np.ndarray
+    damping: np.ndarray
+    shapes: np.ndarray
+
+    @classmethod
+    def chain(cls, first: float, stiffness: list[float], damping: list[float]) -> Vibrating:
+        """Masses of one, springs in these proportions from the support on."""
+        drift = np.eye(len(stiffness)) - np.eye(len(stiffness), k=-1)
+        squares, shapes = np.linalg.eigh(drift.T @ np.diag(stiffness) @ drift)
+        f = np.sqrt(squares)
+        return cls(first * f / f[0], np.array(damping), shapes)
+
+    def accelerations(self, pushed: np.ndarray, rate: float) -> np.ndarray:
+        """(N, dofs), under modal forces (N, modes) with straight lines between samples."""
+        found = np.zeros((len(pushed), len(self.shapes)))
+        for j, (f, zeta) in enumerate(zip(self.frequency, self.damping, strict=True)):
+            w, step = 2.0 * np.pi * f, 1.0 / rate
+            a = np.array([[0.0, 1.0, 0.0, 0.0], [-(w**2), -2.0 * zeta * w, 1.0, 0.0], [0, 0, 0, 1.0], [0, 0, 0, 0]])
+            e = expm(a * step)
+            phi, first, second = e[:2, :2], e[:2, 2], e[:2, 3] / step
+            gains = np.stack((first - second, second), axis=1)  # of the force at this sample and at the next
+            denominator = np.array([1.0, -np.trace(phi), np.linalg.det(phi)])
+            adjugate = np.array([[-phi[1, 1], phi[0, 1]], [phi[1, 0], -phi[0, 0]]])
+            # z^2 x = ..: x(z) = (zI - phi)^-1 (g0 + g1 z) f
+            states = []
+            for row in range(2):
+                g0, g1 = gains[row]
+                h0, h1 = adjugate[row] @ gains[:, 0], adjugate[row] @ gains[:, 1]
+                states.append(lfilter([g1, g0 + h1, h0], denominator, pushed[:, j]))
+            q, v = states
+            found += np.outer(pushed[:, j] - w**2 * q - 2.0 * zeta * w * v, self.shapes[:, j])
+        return found
+
+
+def coloured(random: np.random.Generator, samples: int, rate: float, low: float, high: float) -> np.ndarray:
+    """(samples,), Gaussian, of even power between two frequencies and soft edges; rms one."""
+    f = np.fft.rfftfreq(samples, 1.0 / rate)
+    gain = 1.0 / (1.0 + (f / high) ** 16) * (f > low)
+    x = np.fft.irfft(np.fft.rfft(random.normal(size=samples)) * gain, samples)
+    return x / x.std()
+
+
+def noisy(random: np.random.Generator, values: np.ndarray, part: float) -> np.ndarray:
+    """With white noise of this part of every channel's rms."""
+    return values + part * values.std(axis=0) * random.normal(size=values.shape)
+
+
+def ambient(structure: Vibrating, seconds: float, rate: float, seed: int, noise: float = 0.1) -> np.ndarray:
+    """(N, dofs), accelerations under forces that are independent at every DOF."""
+    random, fine = np.random.default_rng(seed), FINER * rate
+    n, before = int(seconds * fine), int(20 * fine / structure.frequency[0])
+    force = np.stack([coloured(random, n + before, fine, 0.0, 0.42 * rate) for _ in structure.shapes], axis=1)
+    a = structure.accelerations(force @ structure.shapes, fine)[before::FINER]
+    return noisy(random, a, noise)
+
+
+def forced(
+    structure: Vibrating, force: np.ndarray, dof: int, rate: float, seed: int, noise: float = 0.03
+) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) force and (N, dofs) accelerations, of a force (FINER N,) at a DOF from rest."""
+    random = np.random.default_rng(10_000 + seed)
+    a = structure.accelerations(force[:, None] * structure.shapes[dof], FINER * rate)[::FINER]
+    return noisy(random, force[::FINER], 0.3 * noise), noisy(random, a, noise)
+
+
+def shaker(samples: int, rate: float, seed: int, low: float, high: float) -> np.ndarray:
+    return coloured(np.random.default_rng(seed), FINER * samples, FINER * rate, low, high)
+
+
+def hammer(samples: int, rate: float, seed: int, blows: int, width: float) -> np.ndarray:
+    """Half sines of about `width` seconds, a blow in each part of the record; zero otherwise."""
+    random, n = np.random.default_rng(seed), FINER * samples
+    force, time = np.zeros(n), np.arange(n) / (FINER * rate)
+    for i in range(blows):
+        start = (i + 0.05 + 0.2 * random.random()) * n / (blows * FINER * rate)
+        phase = (time - start) / (width * random.uniform(0.8, 1.2))
+        inside = (phase > 0) & (phase < 1)
+        force[inside] += random.uniform(0.6, 1.4) * np.sin(np.pi * phase[inside])
+    return force
+
+
+def multisine(period: int, periods: int, rate: float, seed: int, low: float, high: float, every: int = 1) -> np.ndarray:
+    random, t = np.random.default_rng(seed), np.arange(FINER * period) / (FINER * rate)
+    lines = np.arange(1, period // 2)[::every] * rate / period
+    lines = lines[(lines > low) & (lines < high)]
+    once = sum(np.sin(2.0 * np.pi * (f * t + random.random())) for f in lines)
+    return np.tile(once / once.std(), periods)
+
+
+def shaken(
+    structure: Vibrating, ground: np.ndarray, rate: float, seed: int, noise: float = 0.03
+) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) ground acceleration and (N, dofs) absolute accelerations; every mass is one."""
+    random = np.random.default_rng(20_000 + seed)
+    pushed = -ground[:, None] * structure.shapes.sum(axis=0)
+    a = structure.accelerations(pushed, FINER * rate) + ground[:, None]
+    return noisy(random, ground[::FINER], 0.3 * noise), noisy(random, a[::FINER], noise)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A record.
+
+    Attributes:
+        outputs: (N, S).
+        inputs: (N, F).
+        rate: Hz.
+        structure: That it is of.
+    """
+
+    outputs: np.ndarray
+    inputs: np.ndarray
+    rate: float
+    structure: Vibrating
+
+
+BUILDING = Vibrating.chain(1.2, [1.0, 1.0, 1.1], [0.015, 0.01, 0.02])
+RIG = Vibrating.chain(7.245, [40.0, 36.0, 44.0], [0.004, 0.008, 0.01])
+FRAME = Vibrating.chain(1.3, [1.0] * 4, [0.02] * 4)
+
+
+def _orthogonal(frequencies: list[float], damping: list[float], dofs: int) -> Vibrating:
+    shapes, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(dofs, len(frequencies))))
+    return Vibrating(np.array(frequencies), np.array(damping), shapes)
+
+
+BRIDGE = _orthogonal([0.42, 0.9, 2.0, 2.08, 3.6], [0.008, 0.012, 0.01, 0.01, 0.015], 6)
+AIRCRAFT = _orthogonal([5.1, 6.3, 7.2, 9.2], [0.01, 0.012, 0.02, 0.015], 5)
+
+
+def _alone(outputs: np.ndarray, rate: float, structure: Vibrating) -> Measured:
+    return Measured(outputs, np.zeros((len(outputs), 0)), rate, structure)
+
+
+def of_building(seed: int) -> Measured:
+    """Ten minutes of ambient motion."""
+    return _alone(ambient(BUILDING, 600.0, 50.0, seed), 50.0, BUILDING)
+
+
+def of_building_with_machines(seed: int) -> Measured:
+    """The same with a drive of 1 Hz and harmonics, and one whose speed wanders a little."""
+    random, a = np.random.default_rng(seed), ambient(BUILDING, 600.0, 50.0, seed)
+    time, size = np.arange(len(a)) / 50.0, a.std(axis=0)
+    for k, f in enumerate((1.0, 2.0, 4.1, 7.3)):
+        a = a + (0.5 + 0.3 * k) * size * np.sin(2.0 * np.pi * f * time + k)[:, None] * np.array([1.0, 0.7, -0.5])
+    wandering = np.cumsum(2.0 * np.pi * (9.0 + 0.03 * coloured(random, len(a), 50.0, 0.0, 0.2))) / 50.0
+    return _alone(a + size * np.sin(wandering)[:, None], 50.0, BUILDING)
+
+
+def of_bridge(seed: int) -> Measured:
+    """Half an hour of ambient motion; two modes are close."""
+    return _alone(ambient(BRIDGE, 1800.0, 20.0, seed), 20.0, BRIDGE)
+
+
+def of_hammer(seed: int) -> Measured:
+    """Six blows in a minute; the force is zero between them."""
+    force, a = forced(RIG, hammer(30_000, 500.0, seed, 6, 0.008), 0, 500.0, seed)
+    return Measured(a, force[:, None], 500.0, RIG)
+
+
+def of_short_shaker(seed: int) -> Measured:
+    """Fifteen seconds, of which a half-power width of the first mode has one line."""
+    force, a = forced(RIG, shaker(3750, 250.0, seed, 2.0, 60.0), 0, 250.0, seed)
+    return Measured(a, force[:, None], 250.0, RIG)
+
+
+def of_multisine(seed: int) -> Measured:
+    """Four periods, every other line between 4 and 60 Hz, at 400 Hz; three of five places."""
+    force, a = forced(AIRCRAFT, multisine(8192, 4, 400.0, seed, 4.0, 60.0, 2), 0, 400.0, seed)
+    return Measured(a[:, :3], force[:, None], 400.0, AIRCRAFT)
+
+
+def of_drive(seed: int) -> Measured:
+    """A drive of 1 Hz with its harmonics, measured."""
+    force, a = forced(AIRCRAFT, multisine(400, 40, 400.0, seed, 0.5, 60.0), 0, 400.0, seed)
+    return Measured(a[:, :3], force[:, None], 400.0, AIRCRAFT)
+
+
+def of_ground(seed: int) -> Measured:
+    """A short earthquake."""
+    time = np.arange(FINER * 4000) / (FINER * 100.0)
+    ground = coloured(np.random.default_rng(seed), len(time), FINER * 100.0, 0.2, 20.0)
+    moved, a = shaken(FRAME, ground * np.exp(-(((time - 12.0) / 8.0) ** 2)), 100.0, seed)
+    return Measured(a, moved[:, None], 100.0, FRAME)
