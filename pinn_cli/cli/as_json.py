@@ -9,11 +9,11 @@ from typing import Any
 
 # Of run.json, what a script asks for; and tables, by the name that they have in the object.
 _OF_RUN = ("verdict", "reasons")
-_TABLES = {"parameters": "parameters.csv", "channels": "inspect.csv", "peaks": "peaks.csv"}
+_TABLES = {"parameters": "parameters.csv", "modes": "modes.csv", "channels": "inspect.csv", "peaks": "peaks.csv"}
 
 
 def json_of(directory: Path) -> str:
-    """The directory; of a run verdict, reasons and parameters, of a look at a record its channels and peaks.
+    """The directory; of a run verdict, reasons, parameters and modes, of a look at a record what it shows.
 
     What is no number is null.
     """
