@@ -49,7 +49,8 @@ STATUS_DEFECT, STATUS_INPUT, STATUS_INTERRUPTED, STATUS_PIPE = 1, 2, 130, 141
 # What launchers raise when a process of theirs is gone: joblib and its pool.
 LOST_WORKERS = ("TerminatedWorkerError", "BrokenProcessPool")
 
-Task = Callable[[DictConfig], float | None]
+# Of a composed configuration, and of the terminal that it prints to where that is not the usual one.
+Task = Callable[..., float | None]
 
 # Overrides that leave the terminal to us: the run's log is written all the same; or the process's logging is its own.
 SILENT = ("hydra/job_logging=silent", "hydra/hydra_logging=none")
