@@ -48,7 +48,7 @@ def guessed(signals: Sequence[Signal]) -> tuple[list[Signal], list[str]]:
         for i in left:
             quantities[i] = ACCELERATION
         notes = ["nothing says what the columns measure: they are taken for accelerations in m/s^2"] if left else notes
-    numbers = [_number(signal) for signal in signals]
+    numbers = [number_of(signal) for signal in signals]
     stems = {re.sub(r"\d+", "#", bare(signal.column)): set[str]() for signal in signals}
     for signal, quantity in zip(signals, quantities, strict=True):
         stems[re.sub(r"\d+", "#", bare(signal.column))].add(quantity)
@@ -74,7 +74,7 @@ def _quantity(signal: Signal) -> str:
     return GROUND if of_name == GROUND and of_unit in ("", ACCELERATION) else of_unit or of_name
 
 
-def _number(signal: Signal) -> int | None:
+def number_of(signal: Signal) -> int | None:
     """That of the place, else that in the name's last part that has one."""
     parts = [signal.place, *reversed(re.split(r"[/.]", bare(signal.column)))]
     found = next((match for part in parts if (match := re.search(r"\d+", part))), None)

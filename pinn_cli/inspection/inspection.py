@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
-from pinn_cli.inspection.guesses import guessed
+from pinn_cli.inspection.guesses import guessed, number_of
 from pinn_cli.inspection.modes import ModalRecord
 from pinn_cli.inspection.proposal import Look, Said, proposed_command
 from pinn_cli.record.channels import clipped_percent, constant_percent
@@ -159,6 +159,8 @@ def inspect_record(
         raise InputError("data.start, data.stop", f"{len(time)} samples", allowed)
     sampling = Sampling(time)
     guesses, notes = guessed(signals)
+    forces = {signal.column for signal in guesses if signal.quantity == "force"}
+    unplaced = [signal.column for signal in signals if signal.column in forces and number_of(signal) is None]
     converted = [signal.in_si() for signal in guesses or signals]
     signals = [signal for signal, _ in converted]
     alive = [signal for signal in signals if signal.varies]
@@ -169,6 +171,12 @@ def inspect_record(
     spectra = spectra_of(alive, sampling, highest)
     modal = ModalRecord.of_alive(alive, sampling)
     peaks = modal.modes
+    if len(unplaced) == 1 and len(spectra.acting) == 1 and len({sensor.place for sensor in spectra.sensors}) > 1:
+        place, note = _driven(spectra, peaks)
+        acts = {signal.column: replace(signal, place=place) for signal in signals if signal.column in unplaced}
+        signals, alive = ([acts.get(signal.column, signal) for signal in some] for some in (signals, alive))
+        spectra = replace(spectra, acting=[acts.get(signal.column, signal) for signal in spectra.acting])
+        channels, notes = channel_table(signals, sampling), [*notes, note]
     notes += [note for _, note in converted if note]
     notes += [*_of_sampling(sampling), *_of_channels(channels), *_offsets(alive, sampling), *_of_one_dof(spectra)]
     notes += [*_machines(modal.identified.machines)]
@@ -297,14 +305,37 @@ def _opposed(spectra: CrossSpectra[Signal], peaks: Sequence[RecordMode]) -> Iter
         for i, sensor in enumerate(spectra.sensors):
             if force.quantity != "force" or sensor.place != force.place or not sensor.quantity:
                 continue
-            ahead = []
-            for peak in peaks:
-                k = int(np.argmin(np.abs(spectra.frequency - peak.frequency)))
-                if spectra.coherence[k, i] > max(COHERENT, spectra.chance_coherence()):
-                    response = spectra.response[k, i, j] * (1j * spectra.omega[k]) ** (2 - sensor.order)
-                    ahead.append(float(response.imag / abs(response)))
+            ahead = _ahead(spectra, peaks, i, j)
             if ahead and np.mean(ahead) < -0.5:
                 yield f"{sensor.name} moves against {force.name}: the sign of one of them is wrong?"
+
+
+def _driven(spectra: CrossSpectra[Signal], peaks: Sequence[RecordMode]) -> tuple[str, str]:
+    """The DOF that a force acts on: the one that moves ahead of it at resonances; and what is to be said of that."""
+    force, means = spectra.acting[0], []
+    for i, sensor in enumerate(spectra.sensors):
+        ahead = _ahead(spectra, peaks, i, 0)
+        means.append((float(np.mean(ahead)) if ahead else 0.0, sensor.place))
+    unsaid, (most, place) = f"which DOF {force.column!r} acts on is not in its name", max(means)
+    if most > 0.5 and all(mean < most - 0.5 for mean, other in means if other != place):
+        return place, f"{unsaid}: DOF {place} is taken, the only one that moves with it at resonances"
+    return force.place, f"{unsaid}, nor seen: DOF {force.place} is taken"
+
+
+def _ahead(spectra: CrossSpectra[Signal], peaks: Sequence[RecordMode], sensor: int, force: int) -> list[float]:
+    """Sine of the phase of an acceleration over a force, at every resonance that the two have in common.
+
+    Over the lines about it: those below and above are out of phase, and between two of them the phase turns.
+    """
+    found, f = [], spectra.frequency
+    for peak in peaks:
+        k = int(np.argmin(np.abs(f - peak.frequency)))
+        if spectra.coherence[k, sensor] > max(COHERENT, spectra.chance_coherence()):
+            about = np.abs(f - peak.frequency) <= max(1.5 * f[1], 2.0 * peak.damping * peak.frequency)
+            turned = (1j * spectra.omega[about]) ** (2 - spectra.sensors[sensor].order)
+            response = np.sum(spectra.response[about, sensor, force] * turned)
+            found.append(float(response.imag / abs(response)))
+    return found
 
 
 def _against_the_ground(spectra: CrossSpectra[Signal], peaks: Sequence[RecordMode]) -> Iterator[str]:

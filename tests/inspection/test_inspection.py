@@ -168,6 +168,16 @@ def test_units_of_the_header(record):
     assert "is in V, which is no unit of it: unit: 1 in the command below takes one V for one m/s^2" in said
 
 
+def test_a_force_without_a_number_acts_where_it_is_seen_to(record):
+    time, f, _, a = record
+    found = inspect_record(
+        [Signal("hammer", f), Signal("a1", a[:, 0]), Signal("a5", a[:, 4])], time, Said(("data=csv",)), None
+    )
+    assert "data.force={5: hammer}" in shlex.split(" ".join(found.command))
+    assert "which DOF 'hammer' acts on is not in its name: DOF 5 is taken" in " / ".join(found.notes)
+    assert not any("moves against" in note for note in found.notes)
+
+
 def test_what_columns_are_is_guessed_by_their_names(record):
     _, f, _, a = record
     plain = {"f": Signal("Force 5 (N)", f), "a1": Signal("a1", a[:, 0]), "a5": Signal("acc_5", a[:, 4]),
