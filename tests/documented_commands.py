@@ -82,7 +82,8 @@ def write_files(folder: Path) -> None:
     """The records, matrices and configurations that the pages speak of, made by what they show."""
     for script in blocks(MY_STRUCTURE, "python"):
         subprocess.run([sys.executable, "-c", script], cwd=folder, check=True)
-    shutil.copy(RIG, folder)
+    for name in ("rig.csv", "second.csv"):
+        shutil.copy(RIG, folder / name)
     write_wing(wing_record(wing(5, 2, (5.19, 7.3, 9.2)), 5, 12.0), folder / "wing.csv")
     (experiment,) = (block for block in blocks(OWN_RECORD, "yaml") if "case: my_rig" in block)
     (folder / "my_configs" / "experiment").mkdir(parents=True)

@@ -11,6 +11,7 @@ from documented_commands import (
     EVERY,
     FOLLOWED,
     LOOKS,
+    MODAL,
     RUNS,
     first_job,
     missing_package,
@@ -24,6 +25,7 @@ from pinn_cli.cli.inspecting import Inspected
 from pinn_cli.cli.options import read_options
 from pinn_cli.cli.prepare import check_windows
 from pinn_cli.inspection.inspection import inspect_record
+from pinn_cli.inspection.modes import ModalRecord
 from pinn_cli.record.windows import GrowingWindows
 from pinn_cli.scheme.modal.modal_problem import modal_problem
 from pinn_cli.training.estimate import RunContext
@@ -98,6 +100,15 @@ def test_a_documented_look_is_had(line: str, rig: Path, monkeypatch: pytest.Monk
     assert inspect_record(looked_at.signals, looked_at.time, looked_at.said, looked_at.frequencies).command
 
 
+@pytest.mark.parametrize("line", MODAL)
+def test_documented_modes_are_found(line: str, rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(rig)
+    with initialize_config_module("pinn_cli.conf", version_base="1.3"):
+        composed = compose("config", overrides=first_job(read_options(shlex.split(line)[1:]).overrides))
+    for looked_at in Inspected.read_all(composed, rig):
+        assert ModalRecord.of(looked_at.signals, looked_at.time).modes
+
+
 @pytest.mark.parametrize("line", FOLLOWED)
 def test_a_documented_record_can_be_followed(line: str, rig: Path) -> None:
     with initialize_config_module("pinn_cli.conf", version_base="1.3"):
@@ -109,5 +120,5 @@ def test_a_documented_record_can_be_followed(line: str, rig: Path) -> None:
 
 def test_there_are_commands_to_test() -> None:
     assert len(RUNS) > 25
-    others = [line for line in EVERY if line not in (*RUNS, *LOOKS, *FOLLOWED)]
+    others = [line for line in EVERY if line not in (*RUNS, *LOOKS, *MODAL, *FOLLOWED)]
     assert all(re.search(r"pinn-run (--help|(resume|collect)=\S+)( +#.*)?$", line) for line in others), others

@@ -20,7 +20,7 @@ from pinn_cli.runs.stages import Stages
 
 TABLES = [f"{name}.csv" for name in ("fitness", "modes", "drift", "energy", "free_run", "parameters", "residuals")]
 FILES = {*TABLES, "history.csv"}
-FILES |= {"response.nc", "run.json", "model.npz", "figures", ".hydra", "pinn-run.log"}
+FILES |= {"response.nc", "run.json", "model.npz", "figures", ".hydra", "pinn-run.log", "report.html"}
 LABELS = ["case", "estimator", "scheme", "ndof", "nonlinearity", "model_error", "snr_db", "seed"]
 
 

@@ -156,9 +156,9 @@ def _by_own_motion(
 ) -> Candidate:
     """Of a structure that is no linear one, with the common factor on its unknown springs that its free run speaks for.
 
-    See :mod:`pinn_cli.scheme.own_motion`.
+    See :mod:`pinn_cli.scheme.own_motion`. Where parameters of a law are unknown, the free run says nothing of springs.
     """
-    free = [p.index for p in unknown if p.kind == "k"]
+    free = [] if any(p.kind not in LINEAR_UNITS for p in unknown) else [p.index for p in unknown if p.kind == "k"]
     stretch = prescribed.stretch.matrix[prescribed.added].toarray()[:, : prescribed.coordinates]
     factors = common_factors(stretch, own.parameters["m"], own.parameters["k"], records, FREE_RUNS)
     best, least = own, np.inf
