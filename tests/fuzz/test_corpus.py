@@ -28,7 +28,7 @@ def judge(tmp_path_factory: pytest.TempPathFactory) -> Judge:
     return Judge(Starts(tmp_path_factory.mktemp("starts")))
 
 
-@pytest.mark.parametrize("file", map(_kept, CORPUS))
+@pytest.mark.parametrize("file", [*map(_kept, CORPUS)])
 def test_an_input_that_once_failed(judge: Judge, file: Path) -> None:
     trial = Trial.read(file)
     outcome = judge.outcome(trial)
