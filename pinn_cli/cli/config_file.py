@@ -10,10 +10,8 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.override_syntax import quoted, setting_of
+from pinn_cli.settings.override_syntax import setting_of, text_value
 from pinn_cli.settings.yaml_file import read_yaml
-
-_PLAIN = re.compile(r"(?!(?:true|false|null|nan|inf)$)[a-z_][\w./-]*", re.ASCII | re.IGNORECASE)
 
 
 def overrides_of(file: str, typed: Sequence[str]) -> list[str]:
@@ -62,7 +60,7 @@ def written(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        return value if _PLAIN.fullmatch(value) else quoted(value) if re.search(r'["\\]', value) else f'"{value}"'
+        return text_value(value)
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_key(key)}: {written(part)}" for key, part in value.items()) + "}"
     if isinstance(value, list):

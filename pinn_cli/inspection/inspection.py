@@ -176,7 +176,8 @@ def inspect_record(
         acts = {signal.column: replace(signal, place=place) for signal in signals if signal.column in unplaced}
         signals, alive = ([acts.get(signal.column, signal) for signal in some] for some in (signals, alive))
         spectra = replace(spectra, acting=[acts.get(signal.column, signal) for signal in spectra.acting])
-        channels, notes = channel_table(signals, sampling), [*notes, note]
+        channels = channels.assign(channel=[s.name for s in signals], dof=[s.place for s in signals])
+        notes = [*notes, note]
     notes += [note for _, note in converted if note]
     notes += [*_of_sampling(sampling), *_of_channels(channels), *_offsets(alive, sampling), *_of_one_dof(spectra)]
     notes += [*_machines(modal.identified.machines)]

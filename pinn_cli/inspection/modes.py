@@ -87,11 +87,11 @@ class ModalRecord:
     @cached_property
     def shapes(self) -> np.ndarray:
         """(modes, S), displacements, complex; the largest is one."""
-        return np.array([self._displaced(mode, mode.shape) for mode in self.modes]).reshape(-1, len(self.sensors))
+        return np.array([self._displaced(mode) for mode in self.modes]).reshape(-1, len(self.sensors))
 
-    def _displaced(self, mode: RecordMode, shape: np.ndarray) -> np.ndarray:
-        """(S,), turned as near to real as it goes."""
-        shape = shape / (2j * np.pi * mode.frequency) ** self._orders
+    def _displaced(self, mode: RecordMode) -> np.ndarray:
+        """(S,), its shape, turned as near to real as it goes."""
+        shape = mode.shape / (2j * np.pi * mode.frequency) ** self._orders
         shape = shape * np.exp(-0.5j * np.angle(np.sum(shape**2)))
         return np.asarray(shape / shape[np.argmax(np.abs(shape.real))].real)
 

@@ -12,15 +12,14 @@ import numpy as np
 
 from pinn_cli.record.response import GROUND
 from pinn_cli.record.signal import Sampling, Signal
-from pinn_cli.settings.override_syntax import setting_of
+from pinn_cli.settings.override_syntax import is_plain, setting_of, text_value
 from pinn_cli.system.quantities import FORCE, SUPPORT
 
 # Samples per period of the highest frequency: what a run needs, and more than this are worth decimating.
 NEEDED, PLENTY = 5.0, 12.0
 # The options of a command that chooses none.
 _DEFAULTS = {"system": "duffing", "scheme": "sparse_recovery"}
-# What needs no quotes.
-_PLAIN = re.compile(r"(?!(?:true|false|null|nan|inf|on|off|yes|no)$)[a-z_][\w./-]*", re.ASCII | re.IGNORECASE)
+# Settings that say what the masses are.
 _MASSES = ("m", "mass", "M")
 _PER_MASS = (
     "no force was measured, so no mass can be found: system.m=1 is taken, and stiffness and damping come out per kg of"
@@ -107,7 +106,7 @@ def proposed_command(said: Said, look: Look) -> tuple[list[str], list[str]]:
     Returns:
         Words for a shell, those that need quotes in quotes; and sentences that stand beside the command.
     """
-    added = [f"data.time={_quoted(said.time)}"] if said.time else []
+    added = [f"data.time={text_value(said.time)}"] if said.time else []
     added += _assigned(look) if look.guessed else _with_offsets(said, look)
     structure, remarks, ndof = ([], [], 0) if look.has_structure else _structure(said, look)
     if not look.has_structure and not _is_driven(said, look):
@@ -170,11 +169,11 @@ def _assigned(look: Look) -> list[str]:
         if not _is_special(signal, look):
             places.setdefault(signal.quantity, {}).setdefault(str(int(signal.place or 0)), signal.column)
     words = {
-        quantity: "{" + ", ".join(f"{dof}: {_quoted(column)}" for dof, column in columns.items()) + "}"
+        quantity: "{" + ", ".join(f"{dof}: {text_value(column)}" for dof, column in columns.items()) + "}"
         for quantity, columns in places.items()
     }
     if GROUND in places:
-        words[GROUND] = _quoted(next(iter(places[GROUND].values())))
+        words[GROUND] = text_value(next(iter(places[GROUND].values())))
     special = [_channel(signal, look) for signal in look.known if _is_special(signal, look)]
     words |= {"channels": "{" + ", ".join(special) + "}"} if special else {}
     return [f"data.{quantity}={text}" for quantity, text in words.items()]
@@ -195,19 +194,14 @@ def _is_special(signal: Signal, look: Look) -> bool:
 
 def _channel(signal: Signal, look: Look) -> str:
     """An entry of ``data.channels``, under a name that needs no quotes: Hydra's grammar takes none around a key."""
-    name = signal.column if _PLAIN.fullmatch(signal.column) else re.sub(r"\W+", "_", signal.column, flags=re.ASCII)
+    name = signal.column if is_plain(signal.column) else re.sub(r"\W+", "_", signal.column, flags=re.ASCII)
     parts = [f"sensor: {SUPPORT.get(signal.quantity, signal.quantity)}"]
-    parts += [] if name == signal.column else [f"column: {_quoted(signal.column)}"]
+    parts += [] if name == signal.column else [f"column: {text_value(signal.column)}"]
     if signal.quantity != GROUND:
         parts.append(f"{'support' if signal.quantity in SUPPORT else 'dof'}: {signal.place}")
     parts += ["unit: 1"] if signal.column in look.strange else []
     parts += ["offset: unknown"] if signal.column in look.offsets else []
     return f"{name.strip('_') or 'channel'}: {{{', '.join(parts)}}}"
-
-
-def _quoted(column: str) -> str:
-    """As Hydra's grammar reads it."""
-    return column if _PLAIN.fullmatch(column) else '"' + column.replace('"', r"\"") + '"'
 
 
 def _decimation(look: Look) -> Iterator[str]:

@@ -12,6 +12,8 @@ from pinn_cli.settings.errors import InputError
 # Values, and hundreds of characters: lines that each name the one before twice double it.
 MOST_ENTRIES, CHARACTERS = 100_000, 100
 _INTERPOLATION = re.compile(r"\$\{([^${}]*)\}")
+# Words that are read as they are written; the others would be numbers or Booleans, to Hydra or to YAML.
+_PLAIN = re.compile(r"(?!(?:true|false|null|nan|inf|on|off|yes|no)$)[a-z_][\w./-]*", re.ASCII | re.IGNORECASE)
 # Of OmegaConf's resolvers those whose arguments are no names of settings.
 _NAME_NOTHING = ("oc.env", "now")
 
@@ -23,6 +25,18 @@ def quoted(value: str) -> str:
     # A backslash is itself but before a quotation mark, where it is written twice.
     escaped = re.sub(r"(\\*)('|$)", lambda found: found[1] * 2 + ("\\'" if found[2] else ""), value)
     return f"'{escaped}'"
+
+
+def is_plain(value: str) -> bool:
+    """Whether Hydra's grammar reads a text as itself without quotes."""
+    return _PLAIN.fullmatch(value) is not None
+
+
+def text_value(value: str) -> str:
+    """A text as a value of an override; in double quotes where it needs some: a shell takes the single ones."""
+    if is_plain(value):
+        return value
+    return quoted(value) if re.search(r'["\\]', value) else f'"{value}"'
 
 
 def with_folder_quoted(override: str) -> str:
