@@ -11,10 +11,11 @@ from pinn_cli.record.between_samples import FIRST_ORDER_HOLD, held_by_lines
 from pinn_cli.record.channels import channels
 from pinn_cli.record.free_run import is_linear
 from pinn_cli.record.identification.modes import identify
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import periodogram, reaches_nyquist
 from pinn_cli.system.connection.base import Hysteresis
 from pinn_cli.system.modes import modes_of
-from pinn_cli.system.quantities import FORCE, GROUND
+from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 from pinn_cli.verdict.finding import Finding, failed_if
 from pinn_cli.verdict.prediction import predicted
 from pinn_cli.verdict.sensor_findings import noise_found
@@ -44,7 +45,7 @@ UPPER_END, FORCE_MATTERS = 0.9, 0.02
 
 
 def input_findings(problem: Problem, estimate: Estimate, structure: Structure) -> list[Finding]:
-    """Every finding about what acts but those of :func:`sampling_findings`.
+    """Every finding about what acts but those of :func:`sampling_findings` and :func:`resonance_findings`.
 
     Args:
         problem: For the record.
@@ -53,7 +54,7 @@ def input_findings(problem: Problem, estimate: Estimate, structure: Structure) -
     """
     if problem.spectral is not None:
         return _driven(problem.record) + _modes(problem.spectral)
-    of_parameters = _spectra(estimate) + _resonances(problem, structure) + _under_forces(problem, estimate)
+    of_parameters = _spectra(estimate) + _under_forces(problem, estimate)
     return _output_only(problem) + of_parameters + _untold(problem, estimate) + _energy(structure)
 
 
@@ -113,15 +114,22 @@ def _spectra(estimate: Estimate) -> list[Finding]:
     return [Finding("spectra", "parameters", f"{text}; {remedy}")]
 
 
-def _resonances(problem: Problem, structure: Structure) -> list[Finding]:
-    """Resonances that the sensors show by themselves, and that the estimated structure does not have."""
-    record = problem.record
-    if not problem.inputs.forces or not is_linear(structure):
+def resonance_findings(problem: Problem, structure: Structure) -> list[Finding]:
+    """Resonances that the sensors show by themselves, and that the estimated structure does not have.
+
+    Under what was measured of all that acts, they are those of the response to it.
+    """
+    record, unmeasured = problem.record, bool(problem.inputs.forces)
+    if not is_linear(structure):
         return []
-    moving = [channel.measured for channel in channels(record) if np.ptp(channel.measured) > 0]
-    nothing = np.zeros((len(record.time), 0))
-    modes = identify(np.stack(moving, axis=1), nothing, record.step).modes if moving else []
-    clear = [mode for mode in modes if mode.explained > CLEAR]
+    moving, acting = (
+        [channel.measured for channel in channels(record, of) if np.ptp(channel.measured) > 0]
+        for of in (RESPONSE_QUANTITIES, () if unmeasured else (FORCE, GROUND, *SUPPORT))
+    )
+    if not moving or not (acting or unmeasured):
+        return []
+    inputs = np.reshape(acting, (len(acting), len(record.time))).T
+    clear = [mode for mode in identify(np.stack(moving, axis=1), inputs, record.step).modes if mode.explained > CLEAR]
     natural = modes_of(structure).natural_frequencies
     natural = natural[natural > 0]
     off = [p for p in clear if np.abs(natural - p.frequency).min(initial=np.inf) > ELSEWHERE * p.frequency]

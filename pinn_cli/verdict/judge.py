@@ -22,7 +22,7 @@ from pinn_cli.verdict.causes import causes as fitted_causes
 from pinn_cli.verdict.channel_faults import LEAST_GAIN_FAULT, channel_faults
 from pinn_cli.verdict.doubt_findings import doubt_findings
 from pinn_cli.verdict.finding import Finding, Verdict
-from pinn_cli.verdict.input_findings import input_findings, sampling_findings
+from pinn_cli.verdict.input_findings import input_findings, resonance_findings, sampling_findings
 from pinn_cli.verdict.parameter_findings import APART, LEAST_APART, baseline_findings, parameter_findings
 from pinn_cli.verdict.prediction import predicted, prediction_of, worst_misfit
 from pinn_cli.verdict.record_faults import first_sample_findings, record_faults
@@ -144,12 +144,16 @@ def judge(
     findings += sampling_findings(problem, estimate, structure)
     if not any(finding.kind == "free_run" for finding in findings):
         findings += _contradicted(problem, contradicted)
+    # A free run that follows the sensors has their resonances.
+    follows_well = worst_misfit(prediction, excused) <= PREDICTED_WELL
+    if not follows_well and problem.spectral is None:
+        findings += resonance_findings(problem, structure)
     lacks, is_sound = doubt_findings(estimate), all(finding.word == "sound" for finding in findings)
     told = bool(lacks) and lacks[0].kind not in TOLD_BY_CAUSES
     # Where the free run follows the sensors, a filter, a tilt or a law that is shown to be lacking is the cause.
     follows = all(finding.kind != "free_run" and finding.word != "failed" for finding in findings)
     causes = lacks if told and follows else []
-    if not causes and not is_sound and worst_misfit(prediction, excused) > PREDICTED_WELL:
+    if not causes and not is_sound and not follows_well:
         causes = fitted_causes(problem, _believed(problem, estimate), structure, excused)
     # Elsewhere it is what explains most of what the model leaves out, or wrong damping.
     if told and not causes and (lacks[0].kind == "damping" or estimate.doubts[0].share > MOST_EXPLAINED):
