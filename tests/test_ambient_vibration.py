@@ -110,7 +110,7 @@ def test_a_sensor_of_another_scale_than_it_says_makes_uncertain_parameters_quest
     assert right.misfit == 0.0
 
 
-def test_uncertain_parameters_beside_a_nonlinear_connection_are_questionable():
+def test_uncertain_parameters_beside_a_nonlinear_connection_are_questionable_beside_the_likeliest_forces():
     made = ambient_record(4.0, 50.0, 20.0, 15.0)
     names, connections = ["x0", "x1", "x2"], {}
     for i, (c, k) in enumerate(zip(*(made.structure.parameters[kind].tolist() for kind in ("c", "k")), strict=True)):
@@ -123,6 +123,10 @@ def test_uncertain_parameters_beside_a_nonlinear_connection_are_questionable():
     assert known_parameters(problem) is None
     found = input_findings(problem.alone, Estimate(made.truth, made.truth, [], pd.DataFrame(), {}), bent)
     assert any(finding.kind == "output_only_parameters" for finding in found)
+    # Beside DOFs on which no unknown force acts.
+    integrated = Estimate(made.truth, made.truth, [], pd.DataFrame(), {"at_marginal_peak": True})
+    found = input_findings(problem.alone, integrated, bent)
+    assert not any(finding.kind == "output_only_parameters" for finding in found)
     known = SparseRecovery(parameter_uncertainty=0.0).pose(bent, [replace(made.record, force=pushed)])
     found = input_findings(known.alone, Estimate(made.truth, made.truth, [], pd.DataFrame(), {}), bent)
     assert not any(finding.kind == "output_only_parameters" for finding in found)

@@ -103,7 +103,9 @@ class GaussNewton(Training):
             equations.network.readout.data = equations.readout(point)
         estimate = posterior_estimate(found.evidence, found.trained, history)
         doubt = None if self.weights else scored_damping(found)
-        summary = estimate.summary | {"narrowed_by_refinement": found.narrowed}
+        summary = estimate.summary | {
+            "narrowed_by_refinement": found.narrowed, "at_marginal_peak": found.at_marginal_peak,
+        }  # fmt: skip
         estimate = replace(estimate, summary=summary, rivals=found.rivals, handed_over=handed, damping_doubt=doubt)
         if not found.evidence.problem.structure.shares_coordinates(problem.structure):
             estimate = replace(estimate, structure=found.evidence.problem.structure)

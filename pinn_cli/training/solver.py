@@ -101,6 +101,7 @@ class Inference:
         discrepancy: What the windows of a record say of it so far.
         narrowed: How many times as large the deviation of an unknown parameter was before the features were last made
             finer; of all the most.
+        at_marginal_peak: Whether the parameters are the most probable ones with the motion integrated out.
         free: Where the model does not quite hold, solutions whose structure runs free.
     """
 
@@ -110,6 +111,7 @@ class Inference:
     rivals: tuple[Rival, ...] = ()
     discrepancy: DiscrepancyEvidence | None = None
     narrowed: float = 1.0
+    at_marginal_peak: bool = False
     free: Sequence[FreeRunning] = ()
 
     @property

@@ -13,6 +13,7 @@ FAMILIES = (
     "damping",
     "nonlinear",
     "unmeasured",
+    "unmeasured_nonlinear",
     "finite_elements",
     "sensors",
     "records",

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION
+from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, mean_power
 from pinn_cli.system.functions import FLAT, Inputs
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 
@@ -25,8 +25,8 @@ LEAST_DETERMINED = 0.02
 PARTS, CORNERS = 16, (1.0, 0.3, 0.1, 0.03, 0.01)
 # Another spectrum must be so much more probable, as a logarithm.
 DECISIVE_SPECTRUM = 3.0
-# A floor above the band that has this part of the power that the forces would give it, or more, may be theirs: a sensor
-# would have to be as noisy by chance. Many times as much is noise beside which forces do not show.
+# What the forces would give a sensor above the band, over the power that it has there: about as much is theirs, and
+# much less is noise beside which forces do not show.
 OF_FORCES = (0.3, 3.0)
 
 
@@ -129,16 +129,18 @@ def reaches_beyond(evidence: RecordEvidence, solution: RecordSolution) -> float:
     level, equations = level_in_band(evidence, solution), evidence.equations
     record, inputs, structure = equations.problem.record, equations.problem.inputs, equations.dynamics.structure
     usable = USABLE_NYQUIST_FRACTION * 0.5 / record.step
-    wider = 2.0 * np.pi * usable / inputs.edge
+    top = inputs.edge / (2.0 * np.pi)
+    wider = usable / top
     if level is None or structure.is_modal or wider < 1.1:
         return 1.0
-    mass = equations.prescribed["m"].cpu().numpy()[list(inputs.forces)]
-    noise = solution.noise.response["acceleration"][list(inputs.forces)]
-    with np.errstate(invalid="ignore"):
+    mass = equations.prescribed["m"].cpu().numpy()
+    share = [
         # White noise of the points has so much power per frequency less than that of the samples.
-        share = (level / mass) ** 2 / equations.refinement / noise**2
-    share = share[np.isfinite(share)]
-    return wider if share.size and OF_FORCES[0] < np.median(share) < OF_FORCES[1] else 1.0
+        (level / mass[dof]) ** 2 / equations.refinement / mean_power(felt, record.step, top, usable)
+        for dof in inputs.forces
+        if np.isfinite(felt := record.acceleration[:, dof]).all()
+    ]
+    return wider if share and OF_FORCES[0] < np.median(share) < OF_FORCES[1] else 1.0
 
 
 def _of_forces(evidence: RecordEvidence, solution: RecordSolution) -> DriveSpectrum | None:

@@ -17,34 +17,42 @@ from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.reported.model_evidence import of_motion
 from pinn_cli.training.solver import Inference
+from pinn_cli.training.steps.unknown_forces import set_force_level
 
 # The pull, in standard deviations that it moves a parameter, that is not worth a round.
 NEGLIGIBLE_PULL = 0.1
-# Most that it changes in one round, in the same unit: it is told by a step of a part of a deviation.
-LARGEST_MOVE, TOLD_BY = 2.0, 0.1
+# Most that it changes in one round, in the same unit.
+LARGEST_MOVE = 2.0
+# Log evidence that a round may lose, which does not count that factor: more, and the way is lost.
+MOST_LOST = 3.0
 
 
 def move_to_marginal_peak(found: Inference) -> Inference | None:
     """The solution with the most probable parameters, the motion integrated out; None where it has them."""
-    if found.is_informed:
+    if found.is_informed or found.at_marginal_peak:
         return None
     evidence, trained = found.evidence, found.trained
     held, pulls, moved = zip(*evidence.each_record(pull_on, trained), strict=True)
-    if max(moved) < NEGLIGIBLE_PULL:
+    if not np.isfinite(moved).all():
         return None
+    if max(moved) < NEGLIGIBLE_PULL:
+        return replace(found, at_marginal_peak=True)
     evidence.each_record(pulled, trained, pulls)
     again = evidence.train(trained.noise, trained.solution.point)
-    if again is None or not again.solution.converged or again.log_evidence < trained.log_evidence:
+    if again is None or not again.solution.converged or again.log_evidence < trained.log_evidence - MOST_LOST:
         evidence.each_record(pulled, trained, held)
         return None
-    return replace(found, trained=again)
+    moved_there = replace(found, trained=again)
+    # As large as the forces are with these parameters: with less damping smaller ones make the same motion.
+    return set_force_level(moved_there) or moved_there
 
 
 def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray | None, np.ndarray, float]:
     """What pulls, (p,) slope of the logarithm of that factor by each parameter, and how far the change moves any.
 
-    By a small step of each unknown parameter of the equations; 0 of the others. In prior standard deviations, the
-    change in the parameter's own.
+    By a step of one deviation of each parameter of the equations that is looked for; 0 of the others. Equations alone
+    hardly hold a motion, and their determinant is rounded to some hundredths: by a tenth of a step the slope was off by
+    its own size. In prior standard deviations, the change in the parameter's own; NaN where nothing tells it.
     """
     equations, point, noise = evidence.equations, solution.point, solution.noise
     std = np.sqrt(np.diag(solution.factor.corner_covariance))[: len(equations.uncertain)]
@@ -56,13 +64,14 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
         of_equations, of_all = (equations.assemble(moved, own).readout_log_determinant() for own in (alone, noise))
         return 0.5 * (of_equations - of_all)
 
-    wanted = [p.unknown and p.kind not in OUTSIDE_THE_EQUATIONS for p in equations.uncertain]
-    here, pull = factor(np.zeros(len(std))) if any(wanted) else np.nan, np.zeros(len(std))
-    for i in np.flatnonzero(wanted) if np.isfinite(here) else ():
+    # Under forces that nobody measured, what is believed of a parameter does not hold it.
+    anyhow = bool(equations.dynamics.inputs.forces)
+    wanted = [(p.unknown or anyhow) and p.kind not in OUTSIDE_THE_EQUATIONS for p in equations.uncertain]
+    here, pull = factor(np.zeros(len(std))) if any(wanted) else 0.0, np.zeros(len(std))
+    for i in np.flatnonzero(wanted):
         # A discrepancy in a part of the band has as much fewer values: it was widened for these.
-        slope = noise.occupied * (factor(TOLD_BY * std * (np.arange(len(std)) == i)) - here) / (TOLD_BY * std[i])
+        slope = noise.occupied * (factor(std * (np.arange(len(std)) == i)) - here) / std[i]
         pull[i] = np.clip(slope, before[i] - LARGEST_MOVE / std[i], before[i] + LARGEST_MOVE / std[i])
-    pull = np.where(np.isfinite(pull), pull, 0.0)
     # The record may be computed in another process, which alone knows what pulls at it.
     return equations.pull, pull, float(np.max(np.abs(pull - before) * std, initial=0.0))
 
