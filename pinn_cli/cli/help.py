@@ -53,7 +53,7 @@ Groups and their options
 
 _AFTER = """
 Settings (`pinn-run --cfg job` prints them with every value; each is explained in its file under conf/)
-  case seed device threads resume figures
+  case seed device threads resume figures report.{export,between}
   system.{ndof,m,c,k,kappa,mu}                         a number, or one per connection: system.k=[10,10,8]
   simulation.{duration,samples,hold,method} noise.{snr_db,seeds} excitation.{band,rms,dofs,seed}
   scheme.{unobserved_fraction,unobserved,parameter_uncertainty} validation.dofs
