@@ -143,7 +143,9 @@ class RunConfig:
         scheme = build(config.scheme, "scheme", model=model)
         source = read_source(config, structure, model_error, scheme, seed, base, follows)
         names = ("network", "training", "posterior", "validation")
-        exports, between = construct(_report, config.report, "report")
+        from pinn_cli.report.export import report_settings
+
+        exports, between = construct(report_settings, config.report, "report")
         estimation = {name: build(config[name], name, model=model) for name in names}
         check_use(model, scheme, estimation["validation"], config.model)
         if config.figures is not None:
@@ -229,14 +231,6 @@ def _check_names(config: DictConfig) -> None:
     for name in NODES:
         if not isinstance(config[name], DictConfig):
             raise InputError(name, config[name], f"a group of settings ({name}.something=...)")
-
-
-def _report(
-    export: Sequence[str], between: Sequence[float] | None = None
-) -> tuple[tuple[Export, ...], Sequence[float] | None]:
-    from pinn_cli.report.export import exports_of
-
-    return exports_of(export), between
 
 
 def _check_available(device: str) -> None:

@@ -19,7 +19,9 @@ UNKNOWN = ("scheme=state_parameter", "scheme.unobserved=[2]", "scheme.unknown=[k
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> Result:
-    return run(*SMALL, *UNKNOWN, "case=small", "report.between=[2,9]", directory=tmp_path_factory.mktemp("result") / "run")
+    return run(
+        *SMALL, *UNKNOWN, "case=small", "report.between=[2,9]", directory=tmp_path_factory.mktemp("result") / "run"
+    )
 
 
 def test_tables_are_those_of_the_files(result: Result) -> None:
