@@ -33,7 +33,9 @@ class SettingsFile:
 
 def read(file: Path) -> SettingsFile:
     """What a file of conf/ says, comments included, which a YAML parser leaves out."""
-    found, path, skipped, top = SettingsFile(), [], -1, []
+    found, skipped = SettingsFile(), -1
+    path: list[tuple[int, str]] = []
+    top: list[str] = []
     for line in file.read_text(encoding="utf-8").splitlines():
         entry, comment = ENTRY.fullmatch(line), COMMENT.fullmatch(line)
         if entry:
