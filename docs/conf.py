@@ -20,7 +20,7 @@ extensions = [
     "property_docstrings",
     "settings_tables",
 ]
-exclude_patterns = ["extensions"]
+exclude_patterns = ["extensions", "joss"]  # the article is a page of a journal
 
 # Headings have the anchors that GitHub gives them, and its blocks of math are ours: the pages read well in both.
 myst_heading_anchors = 4

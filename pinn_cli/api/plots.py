@@ -23,7 +23,7 @@ from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Re
 from pinn_cli.report.figures import record_drawings, run_drawings
 from pinn_cli.report.figures.posterior import posterior_pairs_figure
 from pinn_cli.report.figures.style import look
-from pinn_cli.report.results import LABELS, Results, RunDescription
+from pinn_cli.report.results import LABELS, Results, RunDescription, checked_times
 from pinn_cli.runs.reading import read_histories, read_table, undamaged
 from pinn_cli.runs.resume import read_record
 from pinn_cli.settings.errors import InputError
@@ -82,7 +82,7 @@ class Plots:
     def _showing(self, between: tuple[float, float] | None) -> dict[str, Callable[[], Figure]]:
         """How each is built, with histories between two times, s."""
         place = self._directory
-        results = replace(self._results, shown=between)
+        results = self._results if between is None else replace(self._results, shown=between)
         with undamaged("directory", place):
             drawings = [*record_drawings(results, place), *run_drawings(results, place)]
             found: dict[str, Callable[[], Figure]] = {drawing.name: drawing.build for drawing in drawings}
@@ -108,12 +108,10 @@ class Plots:
     def _drawn(self, name: str, between: tuple[float, float] | None = None) -> Figure:
         if name not in self._builders:
             raise InputError(f"plot.{name}", "()", f"one of {', '.join(self.names)}", "the run has nothing for it")
-        first, *_, last = self._results.record.time
-        if between is not None and (name not in OF_TIME or not max(between[0], first) < min(between[1], last)):
-            hint = f"the record goes from {first:g} s to {last:g} s; {' and '.join(OF_TIME)} take it"
-            raise InputError(
-                f"plot.{name}", f"between={between}", "two times of the record, the earlier one first", hint
-            )
+        if between is not None:
+            if name not in OF_TIME:
+                raise InputError(f"plot.{name}, between", between, "left out", f"{' and '.join(OF_TIME)} take it")
+            between = checked_times(f"plot.{name}, between", between, self._results.record.time)
         figure = (self._builders if between is None else self._showing(between))[name]()
         # Figures that pyplot has not made are shown by no notebook of their own accord.
         figure._repr_png_ = partial(_png, figure)  # type: ignore[attr-defined]
@@ -155,8 +153,10 @@ def stored_results(directory: Path) -> Results:
         str(run["case"]), int(run["seed"]), str(run["device"]), int(run["threads"]), str(run["configuration"]), labels,
         simulated, "none", name,
     )  # fmt: skip
+    between = OmegaConf.select(read_yaml(directory / ".hydra" / "config.yaml"), "report.between")
     return Results(
-        described, prescribed, _record(data), truth, estimate, baseline, true=true if simulated else None
+        described, prescribed, _record(data), truth, estimate, baseline, true=true if simulated else None,
+        shown=None if between is None else checked_times("report.between", between, data["time"].values),
     )  # fmt: skip
 
 

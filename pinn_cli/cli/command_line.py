@@ -14,6 +14,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import sys
@@ -301,6 +302,11 @@ def _begin(jobs: Jobs, options: Namespace) -> None:
     """Print what is asked for, put a sweep together, or start."""
     if options.help:
         Terminal().say(help_text(options.config_dir, options.overrides))
+        return
+    if options.json_schema:
+        from pinn_cli.cli.schema import json_schema  # which reads much of the program
+
+        Terminal().say(json.dumps(json_schema(options.config_dir), indent=1))
         return
     directory = asked_for(options)
     if directory is not None:

@@ -7,6 +7,7 @@ Nothing slow is imported above: `pinn-run --help` reads this module too.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -75,6 +76,7 @@ class RunConfig:
         figures: Whether they are drawn; None: unless the run is a job of a sweep.
         checkpoint_every_s: Seconds from checkpoint to checkpoint; None: only when the run is asked to stop.
         exports: Formats in which the response is written beside ``response.nc``.
+        between: From when to when figures show histories, s, to be compared with the record; None: they choose.
         strict: Whether a verdict other than sound ends the run with exit status 4.
         model: The finished run whose structure and parameters are taken; None: there is none.
         modes: Those that the record is asked for; None: the structure has its own.
@@ -100,6 +102,7 @@ class RunConfig:
     checkpoint_every_s: float | None
     strict: bool
     exports: tuple[Export, ...]
+    between: Sequence[float] | None
     model: Model | None = None
     modes: ModesSought | None = None
 
@@ -140,6 +143,9 @@ class RunConfig:
         scheme = build(config.scheme, "scheme", model=model)
         source = read_source(config, structure, model_error, scheme, seed, base, follows)
         names = ("network", "training", "posterior", "validation")
+        from pinn_cli.report.export import report_settings
+
+        exports, between = construct(report_settings, config.report, "report")
         estimation = {name: build(config[name], name, model=model) for name in names}
         check_use(model, scheme, estimation["validation"], config.model)
         if config.figures is not None:
@@ -153,7 +159,8 @@ class RunConfig:
             figures=config.figures,
             checkpoint_every_s=every_s,
             strict=true_or_false("strict", config.strict),
-            exports=construct(_exports, config.report, "report"),
+            exports=exports,
+            between=between,
             model=model,
             modes=modes_sought(config, scheme, estimation["validation"]),
         )  # fmt: skip
@@ -224,12 +231,6 @@ def _check_names(config: DictConfig) -> None:
     for name in NODES:
         if not isinstance(config[name], DictConfig):
             raise InputError(name, config[name], f"a group of settings ({name}.something=...)")
-
-
-def _exports(export: list[str]) -> tuple[Export, ...]:
-    from pinn_cli.report.export import exports_of
-
-    return exports_of(export)
 
 
 def _check_available(device: str) -> None:

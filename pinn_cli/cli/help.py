@@ -53,7 +53,7 @@ Groups and their options
 
 _AFTER = """
 Settings (`pinn-run --cfg job` prints them with every value; each is explained in its file under conf/)
-  case seed device threads resume figures
+  case seed device threads resume figures report.{export,between}
   system.{ndof,m,c,k,kappa,mu}                         a number, or one per connection: system.k=[10,10,8]
   simulation.{duration,samples,hold,method} noise.{snr_db,seeds} excitation.{band,rms,dofs,seed}
   scheme.{unobserved_fraction,unobserved,parameter_uncertainty} validation.dofs
@@ -66,6 +66,7 @@ Options
   --config-dir DIR     add configs of your own: DIR/experiment/my_rig.yaml is then experiment=my_rig
   --quiet, -q          print errors and the last line alone
   --json               print one JSON object at the end: directory, verdict, reasons, parameters
+  --json-schema        print what a file of settings may say, for editors that complete and check YAML
   --version            print the version
   --shell-completion install=bash    print what makes the Tab key complete settings (also zsh, fish)
   --hydra-help         the options of Hydra, which reads the configuration
@@ -87,6 +88,11 @@ def group_names(config_dir: str | None = None) -> list[str]:
     """Every group that is not one of Hydra's, in alphabetical order."""
     folders = {folder.name for place in _places(config_dir) for folder in place.iterdir() if folder.is_dir()}
     return sorted(name for name in folders if name != "hydra" and next(option_names(name, config_dir), None))
+
+
+def option_file(group: str, option: str, config_dir: str | None = None) -> Path:
+    """The file of an option of a group."""
+    return next(f for place in _places(config_dir) if (f := place / group / f"{option}.yaml").is_file())
 
 
 def options_with(setting: str) -> list[str]:
@@ -167,8 +173,7 @@ def _help_of(word: str, config_dir: str | None) -> str:
 
 def _shown(group: str, option: str, config_dir: str | None) -> str:
     """Text of an option's file, without what only Hydra reads, and of the files of the group that it is based on."""
-    file = next(f for place in _places(config_dir) if (f := place / group / f"{option}.yaml").is_file())
-    lines = file.read_text(encoding="utf-8").splitlines()
+    lines = option_file(group, option, config_dir).read_text(encoding="utf-8").splitlines()
     kept = [line for line in lines if not re.match(r"\s*_target_:|defaults:|  - |# @package", line) and line.strip()]
     bases = re.findall(r"^  - (_\w+)$", "\n".join(lines), re.MULTILINE)
     return "\n".join([*kept, *(_shown(group, base, config_dir) for base in bases if base != "_self_")])

@@ -148,6 +148,7 @@ def _prepared(
     """Everything that may find fault with the input; nothing is written."""
     with stages("imports"):
         from pinn_cli.report.parameters import history
+        from pinn_cli.report.results import checked_times
         from pinn_cli.runs.checkpoint import open_checkpoints
         from pinn_cli.training.estimate import RunContext
         from pinn_cli.validation.base import Setup
@@ -173,6 +174,9 @@ def _prepared(
             config.posterior.check(problem)
     check_records(prepared.problem, config.estimator, config.baseline, config.validation)
     config.validation.check(prepared.problem, setup)
+    if config.between is not None:
+        for problem in prepared.problem:
+            checked_times("report.between", config.between, problem.record.time)
     return Job(config, prepared, context, setup, directory, stages, terminal, draws)
 
 
@@ -237,7 +241,7 @@ def results_of(job: Job, problem: JointProblem, estimate: Estimate, **more: Any)
         estimate: Of it.
         more: Posterior, score and baseline.
     """
-    from pinn_cli.report.results import Results, further_results
+    from pinn_cli.report.results import Results, checked_times, further_results
     from pinn_cli.training.calibrated_record import as_calibrated
 
     config, prepared = job.config, job.prepared
@@ -256,6 +260,7 @@ def results_of(job: Job, problem: JointProblem, estimate: Estimate, **more: Any)
         true=prepared.true if config.source.simulated else None,
         validation=prepared.validation,
         model=config.model,
+        shown=None if config.between is None else checked_times("report.between", config.between, record.time),
         **more,
     )
     return replace(results, further=further_results(results, problem.each[1:], prepared.truths[1:]))

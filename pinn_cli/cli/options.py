@@ -38,6 +38,7 @@ OWN_OPTIONS: dict[tuple[str, ...], dict[str, Any]] = {
     ("--config",): {"nargs": None},
     ("--quiet", "-q"): {},
     ("--json",): {},
+    ("--json-schema",): {},
 }
 _EXCLUSIVE = ("run", "multirun", "cfg", "shell_completion")
 # Settings that go ill with a subcommand, and what is to be known of it.

@@ -126,6 +126,8 @@ def check_windows(config: RunConfig) -> None:
          "it withholds parts of one record"),
         (config.baseline is not None, "baseline", getattr(config.baseline, "name", ""), "none",
          "it smooths one record"),
+        (config.between is not None, "report.between", config.between, "null",
+         "figures of a run by windows show parameters, and no histories"),
         (not config.training.solves_inputs(config.network), "network", config.network.name,
          "spline, with training=gauss_newton and inferred weights,", "other trainings know no first state"),
     )  # fmt: skip

@@ -9,7 +9,7 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from itertools import islice, pairwise
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 import torch
@@ -311,7 +311,7 @@ class Mlp(NetworkDesign):
 
     depth: int = 4
     width: int | None = 256
-    activation: str = "silu"
+    activation: Annotated[str, tuple(ACTIVATIONS)] = "silu"
     continuity: Continuity = "penalised"
     embedding: EmbeddingName = "none"
 

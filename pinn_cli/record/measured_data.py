@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -85,14 +85,14 @@ class MeasuredData:
     start: float | None = None
     stop: float | None = None
     decimate: int = 1
-    intersample: str | None = None
+    intersample: Annotated[str, BETWEEN_SAMPLES] | None = None
     ground_acceleration: str | None = None
     frame: Frame = "absolute"
     base: Path | None = None
     kind: str = "csv"
     format: FileFormat = field(default_factory=CsvFormat)
     sampling_rate: float | None = None
-    time_unit: str | None = None
+    time_unit: Annotated[str, tuple(TIME_UNITS)] | None = None
     channels: Any = None
     validation: Any = None
     responds: bool = True

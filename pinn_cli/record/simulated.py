@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -54,7 +55,7 @@ class Noise:
     seed: int = 0
     seeds: Mapping[str, int] | None = None
     repeats: int = 1
-    repeat_streams: str = "independent"
+    repeat_streams: Annotated[str, STREAMS] = "independent"
 
     def __post_init__(self) -> None:
         if self.snr_db is not None and not (is_finite_number(self.snr_db) and abs(self.snr_db) <= LARGEST_SNR_DB):

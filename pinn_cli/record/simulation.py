@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
@@ -175,8 +175,8 @@ class Simulation:
 
     duration: float
     samples: int
-    hold: str = "exact"
-    method: str = "rk4"
+    hold: Annotated[str, HOLDS] = "exact"
+    method: Annotated[str, METHODS] = "rk4"
     substeps: int | None = None
 
     def __post_init__(self) -> None:

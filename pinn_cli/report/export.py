@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -98,6 +98,17 @@ def write_uff(dataset: xr.Dataset, path: Path) -> None:
 
 
 EXPORTS = {name: Export(name, write) for name, write in (("csv", write_csv), ("mat", write_mat), ("uff", write_uff))}
+
+
+def report_settings(
+    export: Sequence[Annotated[str, tuple(EXPORTS)]], between: Sequence[float] | None = None
+) -> tuple[tuple[Export, ...], Sequence[float] | None]:
+    """What ``report`` says: formats, and from when to when figures show histories, s, to be compared with the record.
+
+    Raises:
+        InputError: See :func:`exports_of`.
+    """
+    return exports_of(export), between
 
 
 def exports_of(names: Any) -> tuple[Export, ...]:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
 
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import entries, is_finite_number
 from pinn_cli.training.calibrated_record import as_calibrated
 
 if TYPE_CHECKING:
@@ -119,6 +122,24 @@ class Results:
         """Those of every record, this one's first."""
         own = replace(self, further=(), estimate=self.estimate.by_record[0]) if self.further else self
         return (own, *self.further)
+
+
+def checked_times(setting: str, between: Any, time: np.ndarray) -> tuple[float, float]:
+    """From when to when figures are to show a record, s.
+
+    Args:
+        setting: What gives them, for the message.
+        between: As they are given.
+        time: (N,), s, of the record.
+
+    Raises:
+        InputError: They are no two times of the record.
+    """
+    given = entries(between)
+    if len(given) == 2 and all(map(is_finite_number, given)) and max(given[0], time[0]) < min(given[1], time[-1]):
+        return float(given[0]), float(given[1])
+    hint = f"the record goes from {time[0]:g} s to {time[-1]:g} s"
+    raise InputError(setting, between, "two times of the record in s, the earlier one first, such as [1.2, 1.6]", hint)
 
 
 def further_results(first: Results, problems: Sequence[Problem], truths: Sequence[Truth]) -> tuple[Results, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from pinn_cli.model.knowledge import Model
 from pinn_cli.record.record import Record
@@ -17,6 +17,10 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
+
+# Settings of schemes with sensors, and what they may be.
+Through, Beginning = Annotated[str, THROUGH], Annotated[str, BEGINNINGS]
+UnknownForce = Annotated[str, UNKNOWN_FORCES]
 
 
 class Scheme(ABC):

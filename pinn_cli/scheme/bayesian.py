@@ -15,7 +15,7 @@ import numpy as np
 from omegaconf import OmegaConf
 
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.base import EstimationScheme
+from pinn_cli.scheme.base import Beginning, EstimationScheme, Through, UnknownForce
 from pinn_cli.scheme.calibration import calibrated_starts
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_problem import JointProblem
@@ -153,9 +153,9 @@ class Bayesian(EstimationScheme):
         unknown: str | Sequence[str] | None = None,
         priors: Mapping[str, Any] | None = None,
         positive: Sequence[str] = POSITIVE,
-        acceleration_through: str = "derivative",
-        initial_motion: str = FREE,
-        unknown_force: str = GAUSSIAN_PROCESS,
+        acceleration_through: Through = "derivative",
+        initial_motion: Beginning = FREE,
+        unknown_force: UnknownForce = GAUSSIAN_PROCESS,
     ) -> None:
         chosen = Sensors.chosen(sensors, 0.0, unobserved, default=("displacement", "velocity"))
         super().__init__(chosen, acceleration_through, initial_motion, unknown_force)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from pinn_cli.model.knowledge import Model
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.base import EstimationScheme
+from pinn_cli.scheme.base import Beginning, EstimationScheme, Through, UnknownForce
 from pinn_cli.scheme.calibration import calibrated_starts, sensor_parameters
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_problem import JointProblem
@@ -43,9 +43,9 @@ class SparseRecovery(EstimationScheme):
         unobserved: str | Sequence[int] | None = None,
         sensors: Mapping[str, bool] | None = None,
         parameter_uncertainty: float = 0.075,
-        acceleration_through: str = "derivative",
-        initial_motion: str = FREE,
-        unknown_force: str = GAUSSIAN_PROCESS,
+        acceleration_through: Through = "derivative",
+        initial_motion: Beginning = FREE,
+        unknown_force: UnknownForce = GAUSSIAN_PROCESS,
         model: Model | None = None,
     ) -> None:
         chosen = Sensors.chosen(sensors, unobserved_fraction, unobserved)

@@ -13,7 +13,7 @@ import torch
 
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.base import EstimationScheme
+from pinn_cli.scheme.base import Beginning, EstimationScheme, Through, UnknownForce
 from pinn_cli.scheme.calibration import calibrated_starts
 from pinn_cli.scheme.inputs import FREE as FREE_FORCE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS
@@ -81,9 +81,9 @@ class StateParameter(EstimationScheme):
         positive: Sequence[str] = POSITIVE,
         prior_width: float = 10.0,
         parameter_uncertainty: float = 0.075,
-        acceleration_through: str = "derivative",
-        initial_motion: str = FREE,
-        unknown_force: str = GAUSSIAN_PROCESS,
+        acceleration_through: Through = "derivative",
+        initial_motion: Beginning = FREE,
+        unknown_force: UnknownForce = GAUSSIAN_PROCESS,
     ) -> None:
         chosen = Sensors.chosen(sensors, unobserved_fraction, unobserved)
         super().__init__(chosen, acceleration_through, initial_motion, unknown_force)

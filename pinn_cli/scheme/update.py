@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from pinn_cli.model.knowledge import Model
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.base import EstimationScheme
+from pinn_cli.scheme.base import Beginning, EstimationScheme, Through, UnknownForce
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.of_model import check_updatable, given
@@ -38,9 +38,9 @@ class Update(EstimationScheme):
         unobserved_fraction: float = 0.67,
         unobserved: str | Sequence[int] | None = None,
         sensors: Mapping[str, bool] | None = None,
-        acceleration_through: str = "derivative",
-        initial_motion: str = FREE,
-        unknown_force: str = GAUSSIAN_PROCESS,
+        acceleration_through: Through = "derivative",
+        initial_motion: Beginning = FREE,
+        unknown_force: UnknownForce = GAUSSIAN_PROCESS,
     ) -> None:
         self.model = given(model, self.name)
         check_updatable(self.model)

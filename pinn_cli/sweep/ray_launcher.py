@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,6 +12,7 @@ from omegaconf import OmegaConf
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.sweep.launching import PendingJob, Work, WorkLauncher, in_worker
+from pinn_cli.sweep.running import tell
 
 # The least that Ray takes, bytes: what jobs hand over is small, their results lie in files.
 _OBJECT_STORE = 75 * 2**20
@@ -46,7 +46,7 @@ class RayLauncher(WorkLauncher):
         except (ConnectionError, RuntimeError, ValueError) as error:
             hint = " ".join(str(error).split())
             raise InputError("hydra.launcher.ray.init.address", address, "that of a Ray cluster", hint) from error
-        print(f"{len(jobs)} jobs on Ray", file=sys.stderr)
+        tell(f"{len(jobs)} jobs on Ray")
         send, work = (ray.remote(**self.remote) if self.remote else ray.remote)(_run_job).remote, ray.put(self.work)
         sent = [(job, send(work, job.overrides, job.number)) for job in jobs]
         return {job.number: _result(job, run) for job, run in sent}

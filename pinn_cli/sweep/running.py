@@ -9,7 +9,7 @@ import threading
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -44,10 +44,10 @@ class Progress:
         self._waiting = {name: place for name, place in every.items() if not (place / RESULT).is_file()}
         self._total, self._since = len(every), since
         if len(self._waiting) < self._total:
-            print(f"{self._total - len(self._waiting)} of {self._total} jobs are finished already", file=sys.stderr)
+            tell(f"{self._total - len(self._waiting)} of {self._total} jobs are finished already")
         self._bar = tqdm(
             total=self._total, initial=self._total - len(self._waiting), unit="job", dynamic_ncols=True,
-            disable=not (self._total and sys.stderr.isatty()),
+            disable=_quiet or not (self._total and sys.stderr.isatty()),
         )  # fmt: skip
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="progress", daemon=True)
@@ -75,7 +75,10 @@ class Progress:
             ended = "finished" if failure is None else f"failed: {printable(failure.reason)}"
             if self._bar.disable:
                 shown = f"{self._total - len(self._waiting)} of {self._total}  {printable(name)}  {ended}"
-                print(shown, file=sys.stderr)
+                if failure is None:
+                    tell(shown)
+                else:
+                    print(shown, file=sys.stderr)
             elif failure is not None:
                 self._bar.write(f"{name}  {ended}", file=sys.stderr)
             self._bar.update()
@@ -124,13 +127,22 @@ def _entries(directory: Path) -> set[Path]:
     return {*directory.glob("*"), *directory.glob(f"{_SUBMITTED}/*")}
 
 
-# That of this process, and what keeps other processes out of its directory.
+# That of this process, what keeps other processes out of its directory, and whether the terminal is left alone.
 _running: RunningSweep | None = None
 _held = ExitStack()
+_quiet = False
+
+
+def tell(text: str, to: TextIO | None = None) -> None:
+    """Print how far a sweep is, on standard error unless it goes elsewhere; nothing with ``--quiet``."""
+    if not _quiet:
+        print(text, file=to or sys.stderr)
 
 
 def note_sweep(config: DictConfig) -> None:
     """Keep the names of the settings that are swept for the jobs, whose configurations have overrides of their own."""
+    global _quiet  # noqa: PLW0603
+    _quiet = config.hydra.runtime.choices["hydra/job_logging"] == "silent"  # as `--quiet` has it
     with suppress(OmegaConfBaseException):  # where it is made of what only a job has, such as ${hydra.job.num}
         str(config.hydra.sweep.subdir)
 

@@ -38,7 +38,7 @@ from pinn_cli.settings.legal_values import one_of, whole_number
 from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.sweep.composing import parse
 from pinn_cli.sweep.jobs import Failure, Sweep
-from pinn_cli.sweep.running import begin_sweep
+from pinn_cli.sweep.running import begin_sweep, tell
 from pinn_cli.sweep.search_report import report_search, write_trials
 
 FILE = "search.db"
@@ -96,7 +96,7 @@ class Search:
         optuna.logging.set_verbosity(logging.WARNING)
         elsewhere = not str(config.hydra.launcher.get("_target_")).endswith("SerialLauncher")
         if elsewhere and self.n_jobs == 1:
-            print("one trial at a time: hydra.sweeper.n_jobs=2 has two at once", file=sys.stderr)
+            tell("one trial at a time: hydra.sweeper.n_jobs=2 has two at once")
         self.launcher = Plugins.instance().instantiate_launcher(
             hydra_context=hydra_context, task_function=task_function, config=config
         )
@@ -141,7 +141,7 @@ class Search:
             _export(trials, self.directory / FILE)
             # A value that needs no quotes in Hydra's grammar may need them in the shell's.
             command = shlex.join(["pinn-run", *commands[min(scores, key=lambda number: scores[number])]])
-            print(printable(report_search(pd.DataFrame(rows), command, self.directory)))
+            tell(printable(report_search(pd.DataFrame(rows), command, self.directory)), sys.stdout)
 
     def _check_same(self) -> None:
         """Refuse a directory in which there is another search."""
@@ -201,7 +201,7 @@ class Search:
         scores, last = [trial.value for trial in trials if trial.value is not None], trials[-1].value
         ended = "failed" if last is None else f"score {last:.5g}"
         best = f"  best {min(scores):.5g}" if scores else ""
-        print(f"{len(trials)} of {self.n_trials}  {ended}{best}", file=sys.stderr)
+        tell(f"{len(trials)} of {self.n_trials}  {ended}{best}")
 
 
 def _export(trials: Sequence[FrozenTrial], file: Path) -> None:

@@ -29,6 +29,7 @@ from pinn_cli.runs.interruption import Interruption, warning, watched
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import whole_number
 from pinn_cli.sweep.launching import PendingJob, Work, WorkLauncher, in_worker, jobs_at_once, usable_settings
+from pinn_cli.sweep.running import tell
 
 # Of the executor itself, rather than of its jobs.
 _OF_EXECUTOR = ("submitit_folder", "max_num_timeout")
@@ -144,9 +145,7 @@ class SubmititLauncher(WorkLauncher):
             raise InputError("hydra/launcher", self._EXECUTOR, "one that takes these jobs", hint) from error
         if self._EXECUTOR == "slurm":
             array, jobs = _array(tasks[0]), sum(map(len, batches))
-            print(
-                f"{jobs} jobs as SLURM job {array} of {len(tasks)} tasks; scancel {array} cancels it", file=sys.stderr
-            )
+            tell(f"{jobs} jobs as SLURM job {array} of {len(tasks)} tasks; scancel {array} cancels it")
         return tasks
 
     def _executor(self) -> Any:
@@ -183,7 +182,7 @@ class SlurmLauncher(SubmititLauncher):
                 if any(batch):
                     sent.append((task, batch))
         for array in dict.fromkeys(_array(task) for task, _ in sent):
-            print(f"waiting for SLURM job {array}, sent before; scancel {array} cancels it", file=sys.stderr)
+            tell(f"waiting for SLURM job {array}, sent before; scancel {array} cancels it")
         return sent
 
     def _ended(self, tasks: list[Any]) -> dict[str, str]:

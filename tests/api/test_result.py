@@ -19,7 +19,9 @@ UNKNOWN = ("scheme=state_parameter", "scheme.unobserved=[2]", "scheme.unknown=[k
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> Result:
-    return run(*SMALL, *UNKNOWN, "case=small", directory=tmp_path_factory.mktemp("result") / "run")
+    return run(
+        *SMALL, *UNKNOWN, "case=small", "report.between=[2,9]", directory=tmp_path_factory.mktemp("result") / "run"
+    )
 
 
 def test_tables_are_those_of_the_files(result: Result) -> None:
@@ -60,8 +62,9 @@ def test_figures_are_those_that_the_run_drew(result: Result) -> None:
         assert np.abs(again - first).mean() < 1e-5, name  # tables have ten digits: a pixel may fall to its neighbour
     with pytest.raises(InputError, match=r"plot.hysteresis=\(\): must be one of response"):
         result.plot.hysteresis()
+    assert result.plot.response().axes[0].get_xlim() == pytest.approx((2.0, 9.0), abs=0.1)
     assert result.plot.response(between=(1.0, 2.0)).axes[0].get_xlim() == pytest.approx((1.0, 2.0), abs=0.2)
-    with pytest.raises(InputError, match=r"plot.response=between=\(2, 1\): must be two times of the record"):
+    with pytest.raises(InputError, match=r"plot.response, between=\(2, 1\): must be two times of the record"):
         result.plot.response(between=(2, 1))
     with pytest.raises(InputError, match="response and drift take it"):
         result.plot.modes(between=(1.0, 2.0))

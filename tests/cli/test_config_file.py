@@ -80,6 +80,15 @@ def test_quiet_and_json(pinn_run: PinnRun) -> None:
     assert {row["parameter"] for row in found["parameters"]} >= {"k_1", "kappa_3"}
 
 
+def test_quiet_with_a_sweep(pinn_run: PinnRun) -> None:
+    """Of its jobs those alone that failed."""
+    outcome = pinn_run(*SMALL, "--quiet", "--multirun", "seed=1,x", "hydra.sweep.dir=mine")
+    assert outcome.status == 2
+    assert outcome.out == "mine\n"
+    (line,) = outcome.err.splitlines()
+    assert line.endswith("failed: seed=x: must be a whole number >= 0")
+
+
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [

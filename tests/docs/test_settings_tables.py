@@ -13,7 +13,9 @@ import yaml
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "docs" / "extensions"))
 
-from settings_tables import CONF, GROUPS, STRUCTURE, Setting, read  # noqa: E402
+from settings_tables import CONF, GROUPS  # noqa: E402
+
+from pinn_cli.settings.explained import STRUCTURE, Setting, read  # noqa: E402
 
 FILES = [CONF / "config.yaml", *(file for group in GROUPS for file in sorted((CONF / group).glob("*.yaml")))]
 

@@ -10,6 +10,7 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
+from calls import SMALL, PinnRun
 from small_estimates import other_estimate, results_of
 
 from pinn_cli.record.record import Truth
@@ -27,6 +28,8 @@ from pinn_cli.report.figures import (
 from pinn_cli.report.figures.histories import shown_dofs
 from pinn_cli.report.figures.sensors import compared_channels
 from pinn_cli.report.figures.style import line_indices
+from pinn_cli.report.results import checked_times
+from pinn_cli.settings.errors import InputError
 
 
 def results(case, estimate=None):
@@ -103,6 +106,21 @@ def test_a_long_record_shows_a_hammers_blow(make_case):
     assert any("part of the record from 0 s to 2000 s" in text.get_text() for text in figure.texts)
     chosen = response_figure(replace(struck, shown=(1000.0, 1010.0))).axes[0].get_xlim()
     assert chosen == pytest.approx((1000.0, 1010.0), abs=0.11)
+
+
+@pytest.mark.parametrize("given", [5, "1, 2", [1, 2, 3], [2, 1], [1, None], [True, 2], [9, 12], [-3, 0]])
+def test_seconds_that_a_record_has_not_are_refused(given):
+    time = np.linspace(0.0, 8.0, 81)
+    with pytest.raises(InputError, match=r"report.between=.*: must be two times .*; the record goes from 0 s to 8 s"):
+        checked_times("report.between", given, time)
+    assert checked_times("report.between", (7, 20.0), time) == (7.0, 20.0)
+
+
+def test_a_run_refuses_them_before_it_writes(pinn_run: PinnRun, tmp_path):
+    outcome = pinn_run(*SMALL, "report.between=[12.5,13]")
+    assert outcome.status == 2
+    assert outcome.err.startswith("pinn-run: report.between=[12.5, 13]: must be two times of the record in s")
+    assert not (tmp_path / "outputs").exists()
 
 
 def test_what_an_estimate_was_given_has_no_residuals(make_case):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
@@ -51,7 +52,7 @@ class BandedNoise(Excitation):
         rms: float | None,
         dofs: Sequence[int],
         seed: int = 0,
-        phases: str = "random",
+        phases: Annotated[str, PHASES] = "random",
     ) -> None:
         super().__init__(ndof, duration, samples, dofs)
         self.band = checked_band(band, self.nyquist)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 
@@ -38,7 +39,7 @@ class SineSweep(Excitation):
         band: Sequence[float],
         rms: float,
         dofs: Sequence[int],
-        law: str = "linear",
+        law: Annotated[str, LAWS] = "linear",
     ) -> None:
         super().__init__(ndof, duration, samples, dofs)
         self.band = checked_band(band, self.nyquist)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -45,7 +46,11 @@ class PerturbedModelError(ModelError):
     name = "perturbed"
 
     def __init__(
-        self, seed: int = 0, bounds: Sequence[float] = (0.05, 0.10), draws: str = "independent", seed_stride: int = 1
+        self,
+        seed: int = 0,
+        bounds: Sequence[float] = (0.05, 0.10),
+        draws: Annotated[str, DRAWS] = "independent",
+        seed_stride: int = 1,
     ) -> None:
         self.low, self.high = _checked_bounds(bounds)
         self.draws = one_of("model_error.draws", draws, DRAWS)

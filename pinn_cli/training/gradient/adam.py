@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_finite_number, non_negative_number, positive_number
 from pinn_cli.training.gradient.objective import Evaluation, Objective
-from pinn_cli.training.gradient.training import GradientTraining, Optimiser
+from pinn_cli.training.gradient.training import DTYPES, GradientTraining, Optimiser
 
 
 @dataclass
@@ -33,7 +33,7 @@ class Adam(GradientTraining):
 
     iterations: int = 2000
     stages: int = 2
-    dtype: str = "float32"
+    dtype: Annotated[str, tuple(DTYPES)] = "float32"
     learning_rate: float = 1e-3
     parameter_learning_rate: float = 5e-4
     betas: Sequence[float] = (0.99, 0.999)

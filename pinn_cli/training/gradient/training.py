@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -131,7 +131,7 @@ class GradientTraining(Training):
     physics_growth: float = 10.0
     weights: Mapping[str, float | None] | str | None = None
     collocation_points: int | None = 512
-    dtype: str = "float64"
+    dtype: Annotated[str, tuple(DTYPES)] = "float64"
     history_every: int = 50
 
     def __post_init__(self) -> None:
