@@ -19,7 +19,8 @@ from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
 
 # Settings of schemes with sensors, and what they may be.
-Through, Beginning = Annotated[str, THROUGH], Annotated[str, BEGINNINGS]
+Through = Annotated[str, THROUGH]
+Beginning = Annotated[str, BEGINNINGS]
 UnknownForce = Annotated[str, UNKNOWN_FORCES]
 
 
