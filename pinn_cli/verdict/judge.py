@@ -146,9 +146,8 @@ def judge(
         findings += _contradicted(problem, contradicted)
     # A free run that follows the sensors has their resonances.
     follows_well = worst_misfit(prediction, excused) <= PREDICTED_WELL
-    if not follows_well and problem.spectral is None:
-        findings += resonance_findings(problem, structure)
-    lacks, is_sound = doubt_findings(estimate), all(finding.word == "sound" for finding in findings)
+    missed = resonance_findings(problem, structure) if not follows_well and problem.spectral is None else []
+    lacks, is_sound = doubt_findings(estimate), all(finding.word == "sound" for finding in findings + missed)
     told = bool(lacks) and lacks[0].kind not in TOLD_BY_CAUSES
     # Where the free run follows the sensors, a filter, a tilt or a law that is shown to be lacking is the cause.
     follows = all(finding.kind != "free_run" and finding.word != "failed" for finding in findings)
@@ -165,7 +164,7 @@ def judge(
         prescribed = predicted(_believed(problem, estimate), record)
         causes = [] if prescribed is None else channel_faults(prescribed, excused)
     # A fault that is named draws everything along.
-    return Verdict.of(own + (causes or ([] if own else lacks)) + findings)
+    return Verdict.of(own + (causes or ([] if own else lacks)) + findings + missed)
 
 
 def _contradicted(problem: Problem, agreement: float) -> list[Finding]:
