@@ -49,7 +49,7 @@ STEPS: tuple[tuple[Step, int], ...] = (
     (combine_windows, 1),
     (count_independent_values, 1),
     (set_force_level, 2),
-    (move_to_marginal_peak, 9),
+    (move_to_marginal_peak, 5),
     (fit_free_run, 1),
 )
 # Where a finished run says where the solution is, steps from there converge at once: then this ends them.

@@ -17,14 +17,13 @@ from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.reported.model_evidence import of_motion
 from pinn_cli.training.solver import Inference
+from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN
 from pinn_cli.training.steps.unknown_forces import set_force_level
 
 # The pull, in standard deviations that it moves a parameter, that is not worth a round.
 NEGLIGIBLE_PULL = 0.1
 # Most that it changes in one round, in the same unit.
 LARGEST_MOVE = 2.0
-# Log evidence that a round may lose, which does not count that factor: more, and the way is lost.
-MOST_LOST = 3.0
 
 
 def move_to_marginal_peak(found: Inference) -> Inference | None:
@@ -39,7 +38,7 @@ def move_to_marginal_peak(found: Inference) -> Inference | None:
         return replace(found, at_marginal_peak=True)
     evidence.each_record(pulled, trained, pulls)
     again = evidence.train(trained.noise, trained.solution.point)
-    if again is None or not again.solution.converged or again.log_evidence < trained.log_evidence - MOST_LOST:
+    if again is None or not again.solution.converged or again.log_evidence < trained.log_evidence - NEGLIGIBLE_GAIN:
         evidence.each_record(pulled, trained, held)
         return None
     moved_there = replace(found, trained=again)
