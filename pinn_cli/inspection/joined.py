@@ -10,9 +10,10 @@ and Cunha, IMAC XXVII, 2009), all at once by weighted least squares (Au, Mechani
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -138,6 +139,18 @@ class JoinedModes:
     def shape_std(self, number: int) -> np.ndarray:
         """(P,), of the real part of a shape."""
         return self.joined[number].shape_std
+
+    @property
+    def opposed(self) -> Iterator[tuple[int, int, float]]:
+        """Numbers, from 0, of modes of different records at one frequency, whose shapes differ; and their MAC."""
+        for i, j in combinations(range(len(self.joined)), 2):
+            one, other = self.joined[i], self.joined[j]
+            apart = abs(np.log(one.mode.frequency / other.mode.frequency))
+            common = np.isfinite(one.shape) & np.isfinite(other.shape)
+            alike = _alike(one.shape[common], other.shape[common])
+            twice = {part.record for part in one.parts} & {part.record for part in other.parts}
+            if apart < SAME_FREQUENCY and alike < SAME_SHAPE and not twice:
+                yield i, j, alike
 
     def peak(self, number: int) -> tuple[float, float]:
         """The mean of the records' peaks near a mode, Hz, and the least MAC of their shapes; NaN: no peak."""

@@ -96,6 +96,9 @@ def _doubts(joined: JoinedModes) -> list[str]:
         lines += marked_lines(f"{says}; name the same DOF, or column, where a reference sensor stayed in its place")
     for number_, one in enumerate(joined.joined, start=1):
         lines += [line for sentence in _differences(one, joined) for line in marked_lines(f"mode {number_}: {sentence}")]
+    for i, j, alike in joined.opposed:
+        says = f"modes {i + 1} and {j + 1}, of different records, have one frequency and another shape at common sensors"
+        lines += marked_lines(f"{says} (MAC {alike:.2f}): are they two modes, or has a sensor another place or sign?")
     return lines
 
 
