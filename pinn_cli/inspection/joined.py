@@ -223,9 +223,7 @@ def _joined(parts: Sequence[Part], records: Sequence[ModalRecord], places: int) 
     explained = min(mode.explained for mode in modes)
     mode = RecordMode(float(f), float(damping), covariance * np.outer(wider, wider), shape, noise, explained)
     mac = np.array([_alike(part.shape, shape[part.places]) for part in parts])
-    return JoinedMode(
-        parts, shape, shape_std, scales, scale_std, mac, mode, (float(agreement[0]), float(agreement[1]))
-    )
+    return JoinedMode(parts, shape, shape_std, scales, scale_std, mac, mode, (float(agreement[0]), float(agreement[1])))
 
 
 def _assembled(parts: Sequence[Part], places: int) -> tuple[np.ndarray, np.ndarray]:

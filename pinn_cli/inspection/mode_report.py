@@ -67,7 +67,12 @@ def write_modes(
     if table.empty:
         lines.append("no mode stands out of noise")
     else:
-        lines += [*(["all records together", ""] if several else []), *_frequencies(table), "", *_shapes(joined or shown)]
+        lines += [
+            *(["all records together", ""] if several else []),
+            *_frequencies(table),
+            "",
+            *_shapes(joined or shown),
+        ]
     if joined is not None:
         lines += _doubts(joined)
         if 0 < len(assurance) <= MODES_SHOWN:
@@ -95,9 +100,13 @@ def _doubts(joined: JoinedModes) -> list[str]:
         says = f"record {r + 1} has no sensor in common with those before it: its modes stand by themselves"
         lines += marked_lines(f"{says}; name the same DOF, or column, where a reference sensor stayed in its place")
     for number_, one in enumerate(joined.joined, start=1):
-        lines += [line for sentence in _differences(one, joined) for line in marked_lines(f"mode {number_}: {sentence}")]
+        lines += [
+            line for sentence in _differences(one, joined) for line in marked_lines(f"mode {number_}: {sentence}")
+        ]
     for i, j, alike in joined.opposed:
-        says = f"modes {i + 1} and {j + 1}, of different records, have one frequency and another shape at common sensors"
+        says = (
+            f"modes {i + 1} and {j + 1}, of different records, have one frequency and another shape at common sensors"
+        )
         lines += marked_lines(f"{says} (MAC {alike:.2f}): are they two modes, or has a sensor another place or sign?")
     return lines
 
@@ -169,7 +178,9 @@ def _shapes(record: ModesAtSensors) -> list[str]:
     table.insert(0, "mode", range(1, len(table) + 1))
     columns = {"mode": Column("mode", 4, count)}
     for name in shown:
-        columns[name] = Column(textwrap.shorten(name, 9, placeholder=".."), 10, lambda value: f"{value:.3f}" if np.isfinite(value) else "-")
+        columns[name] = Column(
+            textwrap.shorten(name, 9, placeholder=".."), 10, lambda value: f"{value:.3f}" if np.isfinite(value) else "-"
+        )
     more = [] if len(shown) == len(record.names) else [f"and {len(record.names) - len(shown)} more sensors: modes.csv"]
     return ["shape at sensors", *table_lines(columns, table), *more]
 

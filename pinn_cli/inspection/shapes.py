@@ -37,7 +37,9 @@ def shapes_figure(found: ModesAtSensors, joined: Sequence[JoinedMode] = ()) -> F
     shown = min(len(found.modes), MODES)
     rows, across = -(-shown // ACROSS), min(shown, ACROSS)
     with style.look():
-        figure, panels = style.panels(rows, across, 1.25, margins=(0.42, 0.1, 0.46, 0.46), gaps=(0.34, 0.5), sharey=True)
+        figure, panels = style.panels(
+            rows, across, 1.25, margins=(0.42, 0.1, 0.46, 0.46), gaps=(0.34, 0.5), sharey=True
+        )
         for number, axes in enumerate(panels.flat):
             if number >= shown:
                 axes.set_axis_off()
