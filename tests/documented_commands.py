@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep
 from wings import wing, wing_record, write_wing
@@ -84,6 +85,12 @@ def write_files(folder: Path) -> None:
         subprocess.run([sys.executable, "-c", script], cwd=folder, check=True)
     for name in ("rig.csv", "second.csv"):
         shutil.copy(RIG, folder / name)
+    rig = pd.read_csv(RIG)
+    for number, places in enumerate((["a3", "a1"], ["a3", "a2"], ["a3", "a1", "a2"]), start=1):
+        part = rig[[*(name for name in rig if name not in ("a1", "a2", "a3")), *places]]
+        part.to_csv(folder / f"setup_{number}.csv", index=False)
+        renamed = part.rename(columns={name: f"ch{i}" for i, name in enumerate(places, start=1)})
+        renamed.to_csv(folder / f"logger_{number}.csv", index=False)
     write_wing(wing_record(wing(5, 2, (5.19, 7.3, 9.2)), 5, 12.0), folder / "wing.csv")
     (experiment,) = (block for block in blocks(OWN_RECORD, "yaml") if "case: my_rig" in block)
     (folder / "my_configs" / "experiment").mkdir(parents=True)

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     import numpy as np
 
     from pinn_cli.inspection.proposal import Said
+    from pinn_cli.record.clock import MeasuredFiles
     from pinn_cli.record.data_channels import DataChannel
+    from pinn_cli.record.files.base import FileFormat
     from pinn_cli.record.signal import Signal
     from pinn_cli.system.modes import NaturalModes
 
@@ -105,6 +107,8 @@ class Inspected:
         files, found = build(config.data.format, "data.format"), []
         system: Any = OmegaConf.to_container(config.system)
         each = data_of_records(config.data)
+        if command == "modes" and len(each) == 1:
+            each = _by_file(each[0], files, base)
         for number, data in enumerate(each, start=1):
             with of_record(number, len(each)):
                 plain: Any = OmegaConf.to_container(data)
@@ -114,6 +118,59 @@ class Inspected:
         return found
 
 
+def _by_file(data: DictConfig, files: FileFormat, base: Path) -> list[DictConfig]:
+    """The settings of every file as a record of its own, where two of them have a column in common; else as they are.
+
+    No sensor is in two files of one clock. Of the columns that settings name a record has those of its file.
+    """
+    plain: Any = OmegaConf.to_container(data)
+    if not isinstance(plain["path"], list) or len(plain["path"]) == 1:
+        return [data]
+    measured = _files(plain | {"format": files}, base)
+    columns = [
+        {column for column in measured.table(path, None).columns if not measured.takes_for_times(column)}
+        for path in measured.paths
+    ]
+    every = set[str]().union(*columns)
+    if len(every) == sum(map(len, columns)):
+        return [data]
+    return [
+        OmegaConf.create(plain | _of_file(plain, every - own) | {"path": path})
+        for path, own in zip(plain["path"], columns, strict=True)
+    ]
+
+
+def _of_file(data: Mapping[str, Any], elsewhere: set[str]) -> dict[str, Any]:
+    """Settings of columns, without those that are in another file."""
+    from pinn_cli.record.response import GROUND, QUANTITIES
+
+    found: dict[str, Any] = {}
+    for name in (*QUANTITIES, "channels"):
+        if isinstance(data.get(name), Mapping):
+            found[name] = {key: one for key, one in data[name].items() if _column_of(key, one) not in elsewhere}
+    if data.get(GROUND) in elsewhere:
+        found[GROUND] = None
+    return found
+
+
+def _column_of(key: object, given: Any) -> str:
+    column = (given.get("column") or key) if isinstance(given, Mapping) else given
+    return str(column)
+
+
+def _files(data: Mapping[str, Any], base: Path) -> MeasuredFiles:
+    from pinn_cli.record.clock import MeasuredFiles
+
+    paths = [data["path"]] if isinstance(data["path"], str) else entries(data["path"])
+    if not paths or not all(isinstance(path, str) and path for path in paths):
+        hint = f"given: data={data.get('kind')} reads a file of yours, or several"
+        raise InputError("data.path", data["path"], hint)
+    return MeasuredFiles(
+        tuple(located(path, base) for path in paths), data["format"], data.get("time"), data.get("sampling_rate"),
+        data.get("time_unit"),
+    )  # fmt: skip
+
+
 def _columns(data: Mapping[str, Any], base: Path) -> tuple[list[Signal], np.ndarray, str]:
     """The columns that the settings name, else all that have numbers; within the window.
 
@@ -121,17 +178,9 @@ def _columns(data: Mapping[str, Any], base: Path) -> tuple[list[Signal], np.ndar
     """
     import numpy as np
 
-    from pinn_cli.record.clock import MeasuredFiles
     from pinn_cli.record.files.table import SensorHint, is_called_times
 
-    paths = [data["path"]] if isinstance(data["path"], str) else entries(data["path"])
-    if not paths or not all(isinstance(path, str) and path for path in paths):
-        hint = f"given: data={data.get('kind')} reads a file of yours, or several"
-        raise InputError("data.path", data["path"], hint)
-    files = MeasuredFiles(
-        tuple(located(path, base) for path in paths), data["format"], data.get("time"), data.get("sampling_rate"),
-        data.get("time_unit"),
-    )  # fmt: skip
+    files = _files(data, base)
     said = {channel.column: channel for channel in _channels(data)}
     wanted = {channel.setting: channel.column for channel in said.values()} or None
     unsaid = None

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import pandas as pd
 
-from pinn_cli.inspection.guesses import guessed
+from pinn_cli.inspection.guesses import guessed, number_of
 from pinn_cli.record.cross_spectra import CrossSpectra
+from pinn_cli.record.identification.lines import deviations
 from pinn_cli.record.identification.modes import NORMAL_90, Identified, RecordMode, identify
 from pinn_cli.record.identification.subspace import assurance
 from pinn_cli.record.record import MINIMUM_SAMPLES
@@ -32,6 +33,32 @@ PEAK_WIDTHS, PEAK_LINES = 2.0, 2.0
 FEWEST_SENSORS = 2
 
 
+class ModesAtSensors(Protocol):
+    """Modes and their shapes, of a record or of several together; M modes, S sensors."""
+
+    @property
+    def sensors(self) -> Sequence[Signal]:
+        """Of the response, S of them."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Of the sensors, as columns have them."""
+
+    @property
+    def modes(self) -> Sequence[RecordMode]:
+        """By frequency."""
+
+    @property
+    def shapes(self) -> np.ndarray:
+        """(M, S), displacements, complex; the largest is one. NaN where a mode was not measured."""
+
+    def shape_std(self, number: int) -> np.ndarray:
+        """(S,), of the real part of a shape."""
+
+    def peak(self, number: int) -> tuple[float, float]:
+        """Frequency of the largest singular value near a mode, Hz, and the MAC of both shapes; NaN: no peak."""
+
+
 @dataclass(frozen=True, eq=False)
 class ModalRecord:
     """A record and the modes that it shows.
@@ -41,12 +68,14 @@ class ModalRecord:
         acting: What acts, as far as it was measured.
         sampling: Of the record.
         identified: Its modes.
+        placed: Whether somebody, or the columns' names, say at which DOF each sensor is; else they were counted.
     """
 
     sensors: Sequence[Signal]
     acting: Sequence[Signal]
     sampling: Sampling
     identified: Identified
+    placed: bool = True
 
     @classmethod
     def of(cls, signals: Sequence[Signal], time: np.ndarray) -> ModalRecord:
@@ -58,10 +87,12 @@ class ModalRecord:
         if len(time) < MINIMUM_SAMPLES:
             allowed = f"a record of at least {MINIMUM_SAMPLES} samples"
             raise InputError("data.start, data.stop", f"{len(time)} samples", allowed)
-        alive = [signal.in_si()[0] for signal in guessed(signals)[0] or signals if signal.varies]
+        guesses = guessed(signals)[0]
+        placed = all(str(number_of(a)) == b.place for a, b in zip(signals, guesses, strict=False) if not b.is_input)
+        alive = [signal.in_si()[0] for signal in guesses or signals if signal.varies]
         if not any(not signal.is_input for signal in alive):
             raise InputError("data.path", f"{len(signals)} columns", "a record with a sensor of the motion that varies")
-        return cls.of_alive(alive, Sampling(time))
+        return replace(cls.of_alive(alive, Sampling(time)), placed=placed)
 
     @classmethod
     def of_alive(cls, signals: Sequence[Signal], sampling: Sampling) -> ModalRecord:
@@ -81,19 +112,30 @@ class ModalRecord:
     @property
     def names(self) -> list[str]:
         """Of the sensors, as columns have them: DOFs where each has one, else the columns of the file."""
+        return self.places or [signal.column for signal in self.sensors]
+
+    @property
+    def places(self) -> list[str]:
+        """Number or name of every sensor's DOF; none where not each has one of its own."""
         places = [signal.place if signal.quantity else "" for signal in self.sensors]
-        return places if all(places) and len(set(places)) == len(places) else [s.column for s in self.sensors]
+        return places if self.placed and all(places) and len(set(places)) == len(places) else []
 
     @cached_property
     def shapes(self) -> np.ndarray:
         """(modes, S), displacements, complex; the largest is one."""
-        return np.array([self._displaced(mode) for mode in self.modes]).reshape(-1, len(self.sensors))
+        shapes = [mode.shape * factors for mode, factors in zip(self.modes, self._to_displacements, strict=True)]
+        return np.array(shapes).reshape(-1, len(self.sensors))
 
-    def _displaced(self, mode: RecordMode) -> np.ndarray:
-        """(S,), its shape, turned as near to real as it goes."""
-        shape = mode.shape / (2j * np.pi * mode.frequency) ** self._orders
-        shape = shape * np.exp(-0.5j * np.angle(np.sum(shape**2)))
-        return np.asarray(shape / shape[np.argmax(np.abs(shape.real))].real)
+    @cached_property
+    def _to_displacements(self) -> list[np.ndarray]:
+        """Of every mode (S,), what turns its shape into displacements that are as near to real as it goes."""
+        found = []
+        for mode in self.modes:
+            factors = (2j * np.pi * mode.frequency) ** -self._orders.astype(float)
+            factors = factors * np.exp(-0.5j * np.angle(np.sum((mode.shape * factors) ** 2)))
+            shape = (mode.shape * factors).real
+            found.append(factors / shape[np.argmax(np.abs(shape))])
+        return found
 
     @property
     def _orders(self) -> np.ndarray:
@@ -102,9 +144,12 @@ class ModalRecord:
 
     def shape_std(self, number: int) -> np.ndarray:
         """(S,), of the real part of a shape."""
-        mode, shape = self.modes[number], self.shapes[number]
-        scale = np.abs(shape) / np.maximum(np.abs(mode.shape), 1e-300)
-        return np.asarray(scale * mode.shape_std)
+        return deviations(self.shapes[number], self.noise(number))
+
+    def noise(self, number: int) -> np.ndarray:
+        """(S, S), covariance of the errors of a shape's entries, complex."""
+        factors = self._to_displacements[number]
+        return np.asarray(np.outer(factors.conj(), factors) * self.modes[number].noise)
 
     @cached_property
     def spectra(self) -> CrossSpectra[Signal]:
@@ -143,7 +188,7 @@ class ModalRecord:
         return float(f[top]), float(alike) if len(self.sensors) >= FEWEST_SENSORS else np.nan
 
 
-def mode_table(record: ModalRecord, structure: NaturalModes | None) -> pd.DataFrame:
+def mode_table(record: ModesAtSensors, structure: NaturalModes | None) -> pd.DataFrame:
     """A row for each mode, columns `MODE_COLUMNS`, then its displacement at every sensor with its 90 % interval.
 
     Args:
@@ -170,7 +215,7 @@ def mode_table(record: ModalRecord, structure: NaturalModes | None) -> pd.DataFr
     return pd.DataFrame(rows, columns=None if rows else list(MODE_COLUMNS))
 
 
-def _partners(record: ModalRecord, structure: NaturalModes | None) -> dict[int, tuple[int, float]]:
+def _partners(record: ModesAtSensors, structure: NaturalModes | None) -> dict[int, tuple[int, float]]:
     """Of a mode's number the number of the structure's mode, and the MAC, NaN where too few sensors have a DOF."""
     from scipy.optimize import linear_sum_assignment
 
@@ -182,11 +227,19 @@ def _partners(record: ModalRecord, structure: NaturalModes | None) -> dict[int, 
     f = np.array([mode.frequency for mode in record.modes])
     apart = np.abs(np.log(f[:, None] / structure.frequencies[usable]))
     alike = np.full(apart.shape, np.nan)
-    if len(at) >= FEWEST_SENSORS:
-        sensors, dofs = map(list, zip(*at, strict=True))
-        alike = assurance(record.shapes[:, sensors], structure.of_dofs[dofs][:, usable].T)
+    for i, shape in enumerate(record.shapes):
+        there = [(sensor, dof) for sensor, dof in at if np.isfinite(shape[sensor])]
+        if len(there) >= FEWEST_SENSORS:
+            sensors, dofs = map(list, zip(*there, strict=True))
+            alike[i] = assurance(shape[None, sensors], structure.of_dofs[dofs][:, usable].T)[0]
     pairs = linear_sum_assignment(apart + 1.0 - np.nan_to_num(alike))
     return {int(i): (int(usable[j]), float(alike[i, j])) for i, j in zip(*pairs, strict=True)}
+
+
+def names_of(records: Sequence[ModalRecord]) -> list[list[str]]:
+    """Names of every record's sensors that mean the same in all: DOFs where all have them, else columns."""
+    by_place = all(record.places for record in records)
+    return [record.places if by_place else [signal.column for signal in record.sensors] for record in records]
 
 
 def mac_table(records: Sequence[ModalRecord]) -> pd.DataFrame:
@@ -195,13 +248,13 @@ def mac_table(records: Sequence[ModalRecord]) -> pd.DataFrame:
     Columns ``record``, ``mode``, ``frequency``, and one for each mode, ``record_1_mode_1``; NaN with fewer than two.
     """
     every = [(r, i) for r, record in enumerate(records) for i in range(len(record.modes))]
-    values = np.full((len(every), len(every)), np.nan)
+    values, names = np.full((len(every), len(every)), np.nan), names_of(records)
     for a, (r, i) in enumerate(every):
         for b, (q, j) in enumerate(every):
-            common = [name for name in records[r].names if name in records[q].names]
+            common = [name for name in names[r] if name in names[q]]
             if len(common) >= FEWEST_SENSORS:
                 one, other = (
-                    records[n].shapes[m][[records[n].names.index(name) for name in common]] for n, m in ((r, i), (q, j))
+                    records[n].shapes[m][[names[n].index(name) for name in common]] for n, m in ((r, i), (q, j))
                 )
                 values[a, b] = assurance(one[None], other[None])[0, 0]
     found = pd.DataFrame(values, columns=[f"record_{r + 1}_mode_{i + 1}" for r, i in every])

@@ -86,8 +86,9 @@ def test_the_command(pinn_run, tmp_path):
     )  # fmt: skip
     assert outcome.status == 0
     assert "MAC between records" in outcome.out
+    assert pd.read_csv(outcome.directory / "modes_of_records.csv")["record"].tolist() == [1, 1, 1, 2, 2, 2]
     table = pd.read_csv(outcome.directory / "modes.csv")
-    assert table["record"].tolist() == [1, 1, 1, 2, 2, 2]
+    assert table["records"].tolist() == ["1 2"] * 3
     np.testing.assert_allclose(table["prescribed_frequency"], table["frequency"], rtol=0.02)
     assert (table["mac"] > 0.95).all()
     assert {p.name for p in outcome.directory.iterdir()} >= {"modes.csv", "mac.csv", "figures", ".hydra"}

@@ -91,14 +91,14 @@ class Fitted:
         poles: The mode first.
         covariance: (2, 2), of the logarithms of its frequency and damping ratio.
         shape: (S,), complex, in the sensors' units; the largest is one.
-        shape_std: (S,), of its real part.
+        noise: (S, S), covariance of the errors of the shape's entries, complex.
         explained: Part of the power of the sensor that shows it best, at its peak, that is the mode's.
     """
 
     poles: tuple[Pole, ...]
     covariance: np.ndarray
     shape: np.ndarray
-    shape_std: np.ndarray
+    noise: np.ndarray
     explained: float
 
 
@@ -117,9 +117,14 @@ def widened(covariance: np.ndarray, pole: Pole, duration: float, factors: tuple[
 
 
 def normalised(shape: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A shape (S,) whose largest is one, and deviations of the real part, from the covariance (S, S) of its entries."""
+    """A shape (S,) whose largest is one, and the covariance (S, S) of its entries at that size."""
     largest = int(np.argmax(np.abs(shape)))
-    ratio = shape / (shape[largest] or 1.0)
-    of_both = 2.0 * (ratio.conj() * noise[largest]).real
-    variance = np.diag(noise).real - of_both + np.abs(ratio) ** 2 * noise[largest, largest].real
-    return ratio, np.sqrt(np.maximum(0.5 * variance, 0.0)) / max(abs(shape[largest]), 1e-300)
+    return shape / (shape[largest] or 1.0), noise / max(abs(shape[largest]), 1e-150) ** 2
+
+
+def deviations(shape: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """(S,), of the real part of a shape (S,) whose largest is one, from the covariance (S, S) of its entries."""
+    largest = int(np.argmax(np.abs(shape)))
+    of_both = 2.0 * (shape.conj() * noise[largest]).real
+    variance = np.diag(noise).real - of_both + np.abs(shape) ** 2 * noise[largest, largest].real
+    return np.asarray(np.sqrt(np.maximum(0.5 * variance, 0.0)))

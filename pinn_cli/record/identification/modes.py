@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pinn_cli.record.identification.lines import Fitted, Lines, Pole
+from pinn_cli.record.identification.lines import Fitted, Lines, Pole, deviations
 from pinn_cli.record.identification.power_fit import PowerFit
 from pinn_cli.record.identification.response_fit import ResponseFit
 from pinn_cli.record.identification.subspace import MOST_DAMPED, Stabilisation, assurance, stabilisation
@@ -38,7 +38,7 @@ class RecordMode:
         damping: Ratio, 0 to 1.
         covariance: (2, 2), of the logarithms of both.
         shape: (S,), complex, in the sensors' units; the largest is one.
-        shape_std: (S,), of its real part.
+        noise: (S, S), covariance of the errors of its entries, complex.
         explained: Part of the power at its peak, of the sensor that shows it best, that is its own.
     """
 
@@ -46,8 +46,13 @@ class RecordMode:
     damping: float
     covariance: np.ndarray
     shape: np.ndarray
-    shape_std: np.ndarray
+    noise: np.ndarray
     explained: float
+
+    @property
+    def shape_std(self) -> np.ndarray:
+        """(S,), of the real part of the shape."""
+        return deviations(self.shape, self.noise)
 
     @property
     def frequency_std(self) -> float:
@@ -129,7 +134,7 @@ def identify(outputs: np.ndarray, inputs: np.ndarray, step: float) -> Identified
         fitted = _fit(lines, pole, beside, shape).solve()
         if fitted is not None and _holds(fitted, pole, lines):
             own = fitted.poles[0]
-            modes.append(RecordMode(own.frequency, own.damping, fitted.covariance, fitted.shape, fitted.shape_std,
+            modes.append(RecordMode(own.frequency, own.damping, fitted.covariance, fitted.shape, fitted.noise,
                                     fitted.explained))  # fmt: skip
     modes.sort(key=lambda mode: mode.frequency)
     return Identified(modes, sorted(pole.frequency for pole in lone), poles)

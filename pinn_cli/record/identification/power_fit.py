@@ -168,8 +168,8 @@ class PowerFit:
         peak = self._shapes(poles[:1]) @ values[:2]
         own = np.clip(peak / expected, 0.0, 1.0)
         top = int(np.argmax(peak))
-        shape, shape_std = self._shape(own, expected)
-        return Fitted(tuple(poles), covariance, shape, shape_std, float(own[top]))
+        shape, noise = self._shape(own, expected)
+        return Fitted(tuple(poles), covariance, shape, noise, float(own[top]))
 
     @property
     def is_steady(self) -> bool:

@@ -159,14 +159,14 @@ class ResponseFit:
         level = np.sqrt(np.mean(np.abs(self.band.outputs) ** 2, axis=0))
         spread = np.linalg.pinv(self._basis(poles, self.u))[strongest]
         noise = (left * level).conj().T @ (left * level) / (lines - columns) * float(np.sum(np.abs(spread) ** 2))
-        shape, shape_std = normalised(residues[strongest] * level, noise)
+        shape, noise = normalised(residues[strongest] * level, noise)
         mode = self._resonances(poles[:1]) * self.u @ residues
         width = max(poles[0].damping * poles[0].frequency, 1.5 / self.band.duration)
         near = np.abs(self.band.frequency - poles[0].frequency) <= width
         own, other = (np.sum(np.abs(x[near]) ** 2, axis=0) for x in (mode, self.y - mode))
         part = float(np.max(own / np.maximum(own + other, 1e-300)))
         covariance = widened(covariance[:2, :2], poles[0], self.band.duration, WIDENED)
-        return Fitted(tuple(poles), covariance, shape, shape_std, part)
+        return Fitted(tuple(poles), covariance, shape, noise, part)
 
 
 def _lines_of_power(inputs: np.ndarray) -> float:
