@@ -3,55 +3,86 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
+from pinn_cli.inspection.look_report import LookReport
 from pinn_cli.inspection.modes import ModalRecord, mac_table, mode_table
+from pinn_cli.inspection.spectra import spectra_table
 from pinn_cli.report.text import Column, count, marked_lines, number, table_lines
-from pinn_cli.runs.writing import write_table
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from pinn_cli.system.modes import NaturalModes
 
 # Sensors whose shapes are printed, and modes of all records whose assurance is.
 SENSORS_SHOWN, MODES_SHOWN = 10, 12
 
 
-def write_modes(
-    records: Sequence[ModalRecord], structure: NaturalModes | None, directory: Path, figures: bool = True
-) -> str:
-    """Write ``modes.csv``, ``mac.csv`` and ``figures/stabilisation``; the text that is printed.
+@dataclass(frozen=True, eq=False, repr=False)
+class ModesReport(LookReport):
+    """What :func:`pinn_cli.modes` returns; ``print`` shows what the command prints.
 
-    Args:
+    Attributes:
         records: With their modes.
         structure: Whose modes stand beside; None: no parameters were given.
-        directory: Of the run.
-        figures: Whether to draw.
     """
-    tables = [mode_table(record, structure) for record in records]
-    several = len(records) > 1
-    for i, table in enumerate(tables if several else (), start=1):
-        table.insert(0, "record", i)
-    found = pd.concat([table for table in tables if len(table)] or tables, ignore_index=True)
-    write_table(found, directory / "modes.csv")
-    assurance = mac_table(records)
-    write_table(assurance, directory / "mac.csv")
-    if figures:
-        from pinn_cli.inspection.stabilisation import stabilisation_figure
-        from pinn_cli.report.figures.style import save
 
-        save(stabilisation_figure(records), directory / "figures", "stabilisation")
-    lines: list[str] = []
-    for i, (record, table) in enumerate(zip(records, tables, strict=True), start=1):
-        lines += [f"record {i}", ""] if several else []
-        lines += [*_of_record(record, table), ""]
-    if several and 0 < len(assurance) <= MODES_SHOWN:
-        lines += ["MAC between records", *_assurance(assurance), ""]
-    return "\n".join(lines[:-1])
+    records: Sequence[ModalRecord]
+    structure: NaturalModes | None
+
+    @cached_property
+    def tables(self) -> Mapping[str, pd.DataFrame]:
+        """``modes``, ``mac`` and ``spectra``."""
+        spectra = [spectra_table(record.spectra) for record in self.records]
+        return {
+            "modes": self._below(self._modes), "mac": mac_table(self.records), "spectra": self._below(spectra),
+        }  # fmt: skip
+
+    @property
+    def drawings(self) -> Mapping[str, Callable[[], Figure]]:
+        """``stabilisation``: poles by order over the singular values of the spectra."""
+        from pinn_cli.inspection.stabilisation import stabilisation_figure
+
+        return {"stabilisation": partial(stabilisation_figure, self.records)}
+
+    @property
+    def modes(self) -> pd.DataFrame:
+        """A row for each mode: frequency (Hz), damping ratio and shape with 90 % intervals."""
+        return self.tables["modes"]
+
+    @property
+    def mac(self) -> pd.DataFrame:
+        """Modal assurance criterion between all modes of all records."""
+        return self.tables["mac"]
+
+    @cached_property
+    def _modes(self) -> list[pd.DataFrame]:
+        """Of every record."""
+        return [mode_table(record, self.structure) for record in self.records]
+
+    def _below(self, tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
+        """Those of the records in one, with their numbers where there are several."""
+        if len(tables) == 1:
+            return tables[0]
+        numbered = [table.assign(record=i)[["record", *table]] for i, table in enumerate(tables, start=1)]
+        return pd.concat([table for table in numbered if len(table)] or numbered, ignore_index=True)
+
+    def text(self) -> str:
+        """See :class:`LookReport`."""
+        several, lines = len(self.records) > 1, []
+        for i, (record, table) in enumerate(zip(self.records, self._modes, strict=True), start=1):
+            lines += [f"record {i}", ""] if several else []
+            lines += [*_of_record(record, table), ""]
+        if several and 0 < len(self.mac) <= MODES_SHOWN:
+            lines += ["MAC between records", *_assurance(self.mac), ""]
+        return "\n".join(lines[:-1])
 
 
 def _of_record(record: ModalRecord, table: pd.DataFrame) -> list[str]:
