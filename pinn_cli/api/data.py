@@ -140,7 +140,7 @@ def _written(settings: dict[str, str]) -> str:
 def channels_of(table: Table) -> dict[str, dict[str, str]]:
     """Quantity to DOF to column, of the columns whose names say both; of the ground the DOF is "".
 
-    Where none does, and a header says what every channel measures, DOFs are the numbers in their names.
+    Where a header says what all others measure, their DOFs are the numbers in their names.
 
     Raises:
         InputError: Two columns say the same.
@@ -151,11 +151,10 @@ def channels_of(table: Table) -> dict[str, dict[str, str]]:
     said: list[tuple[str, str, str]] = [(_GROUND, "", name) for name in table.columns if bare(name) == _GROUND][:1]
     matches = {name: _CHANNEL.fullmatch(bare(name)) for name in table.columns}
     said += [(match[1], match[2] or match[3], name) for name, match in matches.items() if match]
-    if not said:
-        told = [name for name in table.columns if not is_called_times(name)]
-        hinted = [(table.hints.get(name, SensorHint()).quantity, number_in(name), name) for name in told]
-        said = [(quantity, str(number), name) for quantity, number, name in hinted if quantity and number]
-        said = said if len(said) == len(told) else []
+    left = [n for n in table.columns if n not in [name for _, _, name in said] and not is_called_times(n)]
+    told = [(table.hints.get(name, SensorHint()).quantity, number_in(name), name) for name in left]
+    if all(quantity and number for quantity, number, _ in told):
+        said += [(quantity, str(number), name) for quantity, number, name in told]
     maps: dict[str, dict[str, str]] = {}
     for quantity, place, name in said:
         dof = str(int(place)) if place.isdecimal() else place

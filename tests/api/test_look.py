@@ -31,11 +31,10 @@ def test_a_file_a_frame_and_the_command_are_one_look(building: pd.DataFrame, pin
     of_file, of_frame = inspect("rig.csv"), inspect(building)
     assert [file.name for file in Path().iterdir()] == ["rig.csv"]
     outcome = pinn_run("inspect", "rig.csv", "figures=false")
-    assert outcome.out.startswith(of_file.text())
+    assert outcome.out.partition("To estimate")[0] == of_file.text().partition("To estimate")[0]
     for name, table in of_file.tables.items():
-        pd.testing.assert_frame_equal(
-            pd.read_csv(outcome.directory / f"{name}.csv"), table, check_dtype=False, rtol=1e-8
-        )
+        written = pd.read_csv(outcome.directory / f"{name}.csv")
+        pd.testing.assert_frame_equal(written, table, check_dtype=False, rtol=1e-8)
         pd.testing.assert_frame_equal(of_frame.tables[name], table)
     assert of_file.command.startswith("pinn-run data=csv data.path=rig.csv 'data.acceleration={1: a1, 2: a2, 3: a3}'")
     assert of_file.settings[:2] == ("data=csv", "data.path=rig.csv")
@@ -54,7 +53,7 @@ def test_modes_of_several_frames_written_on_request(building: pd.DataFrame) -> N
     assert {file.name for file in Path("there").iterdir()} >= {"modes.csv", "mac.csv", "spectra.csv", "pinn-run.log"}
     sheets = pd.read_excel(found.to_excel("modes.xlsx"), sheet_name=None)
     assert list(sheets) == ["modes", "mac", "spectra"]
-    np.testing.assert_array_equal(sheets["modes"]["frequency"], found.modes["frequency"])
+    np.testing.assert_allclose(sheets["modes"]["frequency"], found.modes["frequency"], rtol=1e-14)
 
 
 def test_a_record_whose_dofs_have_names() -> None:

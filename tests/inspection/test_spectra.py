@@ -32,8 +32,8 @@ def test_densities_responses_and_coherences_are_those_of_scipy(spectra):
     for i, (name, unit) in enumerate((("acceleration_5", "(m/s^2)"), ("displacement_5", "m"))):
         power, both = welch(spectra.values[:, i], **options)[1], csd(f, spectra.values[:, i], **options)[1]
         found = table[f"psd_{name} [{unit}^2/Hz]"]
-        inner = slice(3, -2)  # SciPy's window is even in another way, and takes the mean out of every piece
-        np.testing.assert_allclose(found[inner], power[1:][inner], rtol=0.05)
+        loud = power[1:] > 1e-4 * power.max()  # SciPy's window is even in another way
+        np.testing.assert_allclose(found[loud], power[1:][loud], rtol=0.05)
         real, imag = (table[f"frf_{name}_force_5_{part} [{unit}/N]"] for part in ("real", "imag"))
         resonant = (frequency[1:] > 0.5) & (frequency[1:] < 6.0)
         expected = (both / of_force)[1:][resonant]

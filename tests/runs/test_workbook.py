@@ -16,21 +16,21 @@ openpyxl = pytest.importorskip("openpyxl")
 
 
 def test_numbers_texts_and_empty_cells(tmp_path: Path) -> None:
-    table = pd.DataFrame({"k": [0.1 + 0.2, np.nan], "n": [3, 4], "sound": [True, False], "dof": ["roof", None]})
+    table = pd.DataFrame({"k": [-1.2345678901e-9, np.nan], "n": [3, 4], "sound": [True, False], "dof": ["roof", None]})
     path = write_workbook({"parameters": table, "a/b": table.iloc[:0]}, tmp_path / "out" / "tables.xlsx")
     book = openpyxl.load_workbook(path)
     assert book.sheetnames == ["parameters", "a_b"]
     rows = list(book["parameters"].iter_rows(values_only=True))
-    assert rows == [("k", "n", "sound", "dof"), (0.1 + 0.2, 3, True, "roof"), (None, 4, False, None)]
+    assert rows == [("k", "n", "sound", "dof"), (-1.2345678901e-9, 3, True, "roof"), (None, 4, False, None)]
     assert [file.name for file in path.parent.iterdir()] == ["tables.xlsx"]
 
 
 def test_what_files_of_others_say_is_text(tmp_path: Path) -> None:
-    evil = ["=1+1", "#N/A", "bell\a", "\ud800"]
+    evil = ["=1+1", "#N/A", "bell\a"]
     path = write_workbook({"x": pd.DataFrame({"=cmd|' /C calc'!A0": evil})}, tmp_path / "x.xlsx")
     cells = [row[0] for row in openpyxl.load_workbook(path)["x"].iter_rows()]
-    assert [cell.data_type for cell in cells] == ["s"] * 5
-    assert [cell.value for cell in cells[1:]] == ["=1+1", "#N/A", r"bell\x07", r"\ud800"]
+    assert [cell.data_type for cell in cells] == ["s"] * 4
+    assert [cell.value for cell in cells[1:]] == ["=1+1", "#N/A", r"bell\x07"]
 
 
 def test_what_is_refused_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
