@@ -51,7 +51,7 @@ def test_data_of_a_run() -> None:
     assert not is_sep005([{"force.1": RANDOM}])
     assert not is_sep005([])
     with settings_of(series, ()) as found:
-        assert found[2:] == ["data.time='t'", "data.acceleration={2: 'acc 2'}", "data.force={1: 'force 1'}"]
+        assert found[2:] == ["data.time='t'", "data.force={1: 'force 1'}", "data.acceleration={2: 'acc 2'}"]
     with settings_of([series, series[:1]], ()) as found:
         assert found[1].count("path:") == 2
     # All that are there, or none: a force that is left out would be taken for none.
