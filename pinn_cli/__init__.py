@@ -1,6 +1,6 @@
 """Response, parameters and their uncertainty of vibrating structures, by physics-informed neural networks.
 
-`run` does what the command `pinn-run` does, `load` opens what it left behind.
+`run` does what the command `pinn-run` does, `load` opens what it left behind. `inspect` and `modes` look at a record.
 """
 
 from __future__ import annotations
@@ -13,20 +13,27 @@ from typing import TYPE_CHECKING
 LOADED = time.perf_counter()
 
 if TYPE_CHECKING:
+    from pinn_cli.api.look import inspect, modes
     from pinn_cli.api.results import Result, SweepResult, load
     from pinn_cli.api.run import run
     from pinn_cli.api.structure import Record, Structure
+    from pinn_cli.inspection.mode_report import ModesReport
+    from pinn_cli.inspection.report import InspectionReport
     from pinn_cli.runs.writing import WriteError
     from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
 
 __all__ = [
-    "DivergenceError", "InputError", "NotSoundError", "Record", "Result", "Structure", "SweepResult", "WriteError",
-    "load", "run",
+    "DivergenceError", "InputError", "InspectionReport", "ModesReport", "NotSoundError", "Record", "Result",
+    "Structure", "SweepResult", "WriteError", "inspect", "load", "modes", "run",
 ]  # fmt: skip
 
 # Imported when they are asked for (PEP 562): the command and its every worker import this package.
 _PLACES = {
     "run": "api.run",
+    "inspect": "api.look",
+    "modes": "api.look",
+    "InspectionReport": "inspection.report",
+    "ModesReport": "inspection.mode_report",
     "Record": "api.structure",
     "Structure": "api.structure",
     "WriteError": "runs.writing",

@@ -1,1 +1,1 @@
-"""The program as Python has it: `run` and `load`, their results, and structures and records to begin with."""
+"""The program as Python has it: `run`, `load`, `inspect`, `modes`, their results, structures, records."""

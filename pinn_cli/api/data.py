@@ -1,9 +1,9 @@
-"""What `run` is given as data, as settings: what each column is, by its name."""
+"""What `run`, `inspect` and `modes` are given as data, as settings: what each column is, by its name."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -26,13 +26,28 @@ _CLOCKS = ("data.time", "data.sampling_rate")
 _CHANNEL = re.compile(rf"({'|'.join(_OF_DOFS)})(?:[._ ]?(\d+)|\.(\w+))")
 
 
+def refuse_nameless(names: Collection[str]) -> None:
+    """Refuse columns none of which says what it is.
+
+    Raises:
+        InputError: Always.
+    """
+    from pinn_cli.record.files.table import listed
+
+    hint = "or say what is what: \"data.acceleration={1: 'a1'}\""
+    raise InputError("data", listed(names), "columns such as force.1, acceleration.3", hint)
+
+
 @contextmanager
-def settings_of(data: Any, overrides: Sequence[str]) -> Iterator[list[str]]:
+def settings_of(
+    data: Any, overrides: Sequence[str], nameless: Callable[[Collection[str]], None] = refuse_nameless
+) -> Iterator[list[str]]:
     """The settings that have a run read some data, which is there for it within the block.
 
     Args:
         data: See :func:`pinn_cli.run`; None: there is none.
         overrides: Given beside it.
+        nameless: Called with the names of columns none of which says what it is.
 
     Raises:
         InputError: Naming `data`: it is no data, no column says what it is, or a setting says that it lies in a file.
@@ -40,7 +55,8 @@ def settings_of(data: Any, overrides: Sequence[str]) -> Iterator[list[str]]:
     if data is None:
         yield []
         return
-    from pinn_cli.record.files.frame import held, table_of
+    from pinn_cli.api.sep005 import is_sep005, table_of_sep005
+    from pinn_cli.record.files.frame import held, named_by_content, table_of
     from pinn_cli.record.record import Record
 
     for override in overrides:
@@ -48,7 +64,7 @@ def settings_of(data: Any, overrides: Sequence[str]) -> Iterator[list[str]]:
         if name in ("data", "data.path", "data.format", "data.kind"):
             hint = "the record is in memory"
             raise InputError(name, override.partition("=")[2], "left out with data=..., the argument", hint)
-    several = isinstance(data, list | tuple)
+    several = isinstance(data, list | tuple) and not is_sep005(data)
     given = list(data) if several else [data]
     if not given:
         raise InputError("data", "[]", "a frame, or a list of frames, one for each record")
@@ -56,9 +72,18 @@ def settings_of(data: Any, overrides: Sequence[str]) -> Iterator[list[str]]:
         entries = []
         for number, one in enumerate(given, start=1):
             columns, own, acting = settings_of_record(one) if isinstance(one, Record) else (one, {}, [])
-            table = table_of(columns, f"data[{number}]" if several else "data")
+            name = f"data[{number}]" if several else "data"
+            table = named_by_content(table_of_sep005(one, name)) if is_sep005(one) else table_of(columns, name)
             stack.enter_context(held(table))
-            entries.append(_settings(table, own, acting, overrides))
+            found = _settings(table, own)
+            if not any(f"{setting_of(o)}.".startswith(f"{channel}.") for o in overrides for channel in _CHANNELS):
+                channels = channels_of(table)
+                if not channels:
+                    nameless(table.columns)
+                found |= _written_channels(channels, acting)
+            if any(setting_of(override) in _CLOCKS for override in overrides):
+                found.pop("time", None)
+            entries.append(found)
         if _goes_on(overrides):  # with the settings that it has
             yield []
         elif several:
@@ -99,18 +124,12 @@ def _goes_on(overrides: Sequence[str]) -> bool:
     return bool(given) and given[-1] not in ("", "null", "auto", "never")
 
 
-def _settings(table: Table, own: dict[str, str], acting: Sequence[str], overrides: Sequence[str]) -> dict[str, str]:
-    """Name within `data` to value, as an override writes it."""
+def _settings(table: Table, own: dict[str, str]) -> dict[str, str]:
+    """Name within `data` to value, as an override writes it, but for channels."""
     from pinn_cli.record.files.table import column_of_times
 
-    said = {setting_of(override) for override in overrides}
-    found = {"path": quoted(table.path.name), **own}
     times = column_of_times(table.columns)
-    if times in table.columns and not said & set(_CLOCKS):
-        found["time"] = quoted(times)
-    if not any(f"{name}.".startswith(f"{channel}.") for name in said for channel in _CHANNELS):
-        found |= _named_channels(table, acting)
-    return found
+    return {"path": quoted(table.path.name), **own, **({"time": quoted(times)} if times in table.columns else {})}
 
 
 def _written(settings: dict[str, str]) -> str:
@@ -118,26 +137,38 @@ def _written(settings: dict[str, str]) -> str:
     return f"{{{', '.join(f'{name}: {value}' for name, value in settings.items())}}}"
 
 
-def _named_channels(table: Table, acting: Sequence[str]) -> dict[str, str]:
-    """Channels by the names of the columns."""
-    from pinn_cli.record.files.table import bare, listed
+def channels_of(table: Table) -> dict[str, dict[str, str]]:
+    """Quantity to DOF to column, of the columns whose names say both; of the ground the DOF is "".
 
+    Where a header says what all others measure, their DOFs are the numbers in their names.
+
+    Raises:
+        InputError: Two columns say the same.
+    """
+    from pinn_cli.inspection.guesses import number_in
+    from pinn_cli.record.files.table import SensorHint, bare, is_called_times
+
+    said: list[tuple[str, str, str]] = [(_GROUND, "", name) for name in table.columns if bare(name) == _GROUND][:1]
+    matches = {name: _CHANNEL.fullmatch(bare(name)) for name in table.columns}
+    said += [(match[1], match[2] or match[3], name) for name, match in matches.items() if match]
+    left = [n for n in table.columns if n not in [name for _, _, name in said] and not is_called_times(n)]
+    told = [(table.hints.get(name, SensorHint()).quantity, number_in(name), name) for name in left]
+    if all(quantity and number for quantity, number, _ in told):
+        said += [(quantity, str(number), name) for quantity, number, name in told]
     maps: dict[str, dict[str, str]] = {}
-    ground = [name for name in table.columns if bare(name) == _GROUND]
-    for name in table.columns:
-        match = _CHANNEL.fullmatch(bare(name))
-        if match is None:
-            continue
-        quantity, dof = match[1], match[2] or match[3]
-        dof = str(int(dof)) if dof.isdecimal() else dof
+    for quantity, place, name in said:
+        dof = str(int(place)) if place.isdecimal() else place
         if dof in maps.setdefault(quantity, {}):
             hint = "a DOF with two sensors of a kind takes data.channels"
             raise InputError("data", repr(name), f"the only column of data.{quantity}.{dof}", hint)
-        maps[quantity][dof] = quoted(name)
-    if not maps and not ground:
-        hint = "or say what is what: \"data.acceleration={1: 'a1'}\""
-        raise InputError("data", listed(table.columns), "columns such as force.1, acceleration.3", hint)
+        maps[quantity][dof] = name
+    return maps
+
+
+def _written_channels(maps: dict[str, dict[str, str]], acting: Sequence[str]) -> dict[str, str]:
+    """As overrides write them, with the DOFs whose force nobody measured."""
+    of_dofs = {q: {dof: quoted(name) for dof, name in columns.items()} for q, columns in maps.items() if q != _GROUND}
     if acting:
-        maps.setdefault("force", {}).update(dict.fromkeys(acting, "null"))
-    written = {quantity: _written(columns) for quantity, columns in maps.items()}
-    return written | ({_GROUND: quoted(ground[0])} if ground else {})
+        of_dofs.setdefault("force", {}).update(dict.fromkeys(acting, "null"))
+    written = {quantity: _written(columns) for quantity, columns in of_dofs.items()}
+    return written | {quantity: quoted(columns[""]) for quantity, columns in maps.items() if quantity == _GROUND}

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property, partial
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from pinn_cli.record.record import Record, Truth
 from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.report.figures import record_drawings, run_drawings
 from pinn_cli.report.figures.posterior import posterior_pairs_figure
-from pinn_cli.report.figures.style import look
+from pinn_cli.report.figures.style import for_notebooks
 from pinn_cli.report.results import LABELS, Results, RunDescription, checked_times
 from pinn_cli.runs.reading import read_histories, read_table, undamaged
 from pinn_cli.runs.resume import read_record
@@ -113,16 +112,7 @@ class Plots:
                 raise InputError(f"plot.{name}, between", between, "left out", f"{' and '.join(OF_TIME)} take it")
             between = checked_times(f"plot.{name}, between", between, self._results.record.time)
         figure = (self._builders if between is None else self._showing(between))[name]()
-        # Figures that pyplot has not made are shown by no notebook of their own accord.
-        figure._repr_png_ = partial(_png, figure)  # type: ignore[attr-defined]
-        return figure
-
-
-def _png(figure: Figure) -> bytes:
-    content = BytesIO()
-    with look():
-        figure.savefig(content, format="png")
-    return content.getvalue()
+        return for_notebooks(figure)
 
 
 def stored_results(directory: Path) -> Results:

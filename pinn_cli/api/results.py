@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from pinn_cli.runs.reading import check_regular, read_histories, read_json, read_table, undamaged
 from pinn_cli.runs.resume import FORMAT, RESULT, RunFile
+from pinn_cli.runs.workbook import write_workbook
 from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.sweep.jobs import FINISHED, STORED, Job, Sweep
 
@@ -79,6 +80,15 @@ class _Tables:
             raise InputError("table", name, f"one of {', '.join(self.tables)}", suggestion(name, self.tables))
         with undamaged("directory", self.directory):
             return read_table(self.directory / f"{name}.csv", *COLUMNS.get(f"{name}.csv", ()))
+
+    def to_excel(self, path: str | os.PathLike[str]) -> Path:
+        """Write all tables into an Excel file (.xlsx), a sheet for each.
+
+        Raises:
+            InputError: It has another suffix, a table has more rows than a sheet, or openpyxl is not installed.
+            WriteError: The disk does not take it.
+        """
+        return write_workbook({name: self.table(name) for name in self.tables}, path)
 
     def _shown(self, table: pd.DataFrame) -> pd.DataFrame:
         """A table as a property has it: as it is."""
@@ -161,6 +171,15 @@ class Result(_Tables):
         """
         with undamaged("directory", self.directory):
             return read_histories(self.directory / "response.nc")
+
+    def to_sep005(self) -> list[dict[str, Any]]:
+        """:attr:`response` as time series of SDyPy's SEP 5: a map for each estimate, ``displacement.3``.
+
+        ``group`` tells estimates from their standard deviations, ``displacement.3 std``.
+        """
+        from pinn_cli.api.sep005 import response_as_sep005
+
+        return response_as_sep005(self.response)
 
     @cached_property
     def posterior(self) -> arviz.InferenceData | None:

@@ -4,33 +4,20 @@ from __future__ import annotations
 
 import os
 import shutil
-import signal
 import tempfile
-import threading
 import weakref
-from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, overload
 
+from pinn_cli.api.command import ONE_AT_A_TIME, check_overrides, performed
 from pinn_cli.api.data import settings_of
 from pinn_cli.api.results import Result, SweepResult, load
-from pinn_cli.cli.command_line import REPORTED, WITHOUT_LOGS, Jobs, Silence, perform
+from pinn_cli.cli.command_line import Silence
 from pinn_cli.main import run as run_job
-from pinn_cli.runs.interruption import watched
-from pinn_cli.runs.process import borrowed
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.override_syntax import quoted, setting_of
-
-# A run sets what belongs to the process (:mod:`pinn_cli.runs.process`): a second thread waits.
-_ONE_AT_A_TIME = threading.Lock()
-# The process has logs of its own, which Hydra would replace.
-_ELSEWHERE = {
-    "collect": "pinn_cli.load(DIRECTORY) puts a sweep together",
-    "hydra.run.dir": "directory=... is an argument",
-    "hydra.sweep.dir": "directory=... is an argument",
-}
+from pinn_cli.settings.override_syntax import quoted
 
 
 @overload
@@ -99,50 +86,23 @@ def run(
         >>> result.verdict  # doctest: +SKIP
         'sound'
     """
-    _check(overrides, directory, keep)
+    check_overrides(overrides, "run")
+    if directory is not None and not keep:
+        raise InputError("directory", directory, "left out with keep=False", "nothing is kept there")
     place = None if directory is None else Path(directory).expanduser().absolute()
     with ExitStack() as on_failure:
         temporary = None if keep else Path(tempfile.mkdtemp(prefix="pinn-run-"))
         if temporary is not None:
             place = temporary / "result"
             on_failure.callback(shutil.rmtree, temporary, ignore_errors=True)
-        with _ONE_AT_A_TIME, settings_of(data, overrides) as of_data:
+        with ONE_AT_A_TIME, settings_of(data, overrides) as of_data:
             arguments = ["pinn-run", *(["--multirun"] if multirun else []), *of_data, *overrides]
             if config_dir is not None:
                 arguments[1:1] = ["--config-dir", os.fspath(config_dir)]
             if place is not None:
                 arguments.append(f"hydra.{'sweep' if multirun else 'run'}.dir={quoted(str(place))}")
-            result = load(_performed(arguments))
+            result = load(performed(partial(run_job, terminal=Silence()), arguments))
         on_failure.pop_all()
     if temporary is not None:
         weakref.finalize(result, shutil.rmtree, temporary, ignore_errors=True)
     return result
-
-
-def _check(overrides: Sequence[str], directory: object, keep: bool) -> None:
-    for override in overrides:
-        if not isinstance(override, str):
-            raise InputError("override", override, "a string such as 'system.ndof=3'")
-        name = setting_of(override)
-        if name in _ELSEWHERE:
-            raise InputError(name, override.partition("=")[2], "left out of run(...)", _ELSEWHERE[name])
-        if override.startswith("-"):
-            hint = "multirun=True and config_dir=... are arguments"
-            raise InputError("override", override, "of the form setting=value", hint)
-    if directory is not None and not keep:
-        raise InputError("directory", directory, "left out with keep=False", "nothing is kept there")
-
-
-def _performed(arguments: Sequence[str]) -> Path:
-    """The directory that the command with these arguments leaves its results in."""
-    jobs = Jobs(partial(run_job, terminal=Silence()), Silence(), of_hydra=WITHOUT_LOGS)
-    try:
-        with borrowed(arguments):
-            here = Path.cwd()
-            perform(jobs, watched((signal.SIGINT,), ends=False))
-    except REPORTED as error:
-        raise error.with_traceback(None) from None  # of use to nobody: it leads through Hydra
-    if jobs.refused and jobs.reasons:
-        raise InputError.read(jobs.reasons[0])
-    assert jobs.directory is not None
-    return here / jobs.directory

@@ -8,13 +8,17 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from pinn_cli.api.data import settings_of_record
+from pinn_cli.api.data import channels_of, refuse_nameless, settings_of_record
+from pinn_cli.api.sep005 import placed, table_of_sep005
 from pinn_cli.record import record
 from pinn_cli.record.between_samples import INTERSAMPLE_OF_HOLD, BandLimited
+from pinn_cli.record.clock import Clock
+from pinn_cli.record.files.table import TIMES
 from pinn_cli.record.response import GROUND, QUANTITIES, Response
 from pinn_cli.record.simulated import Noise, add_noise
 from pinn_cli.record.simulation import simulate
 from pinn_cli.record.steps import substeps_needed
+from pinn_cli.record.units import si_factor
 from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.system import structure
@@ -58,6 +62,48 @@ class Record(record.Record):
         Noise(snr_db, seed)  # refuses what is no ratio
         clean = Response(**{name: getattr(self, name) for name in ("time", *QUANTITIES, GROUND)})
         return replace(self, **add_noise(clean, snr_db, seed).measurable)
+
+    @classmethod
+    def from_sep005(cls, series: Any, dofs: Mapping[str, int] | None = None) -> Self:
+        """Of time series as SDyPy's SEP 5 has them: maps with ``name``, ``data``, ``unit_str``, and ``fs`` or ``time``.
+
+        ``quantity`` (``a``, ``v``, ``d``, ``f``) says what a channel measures, or else its unit. A DOF without a force
+        among the channels carries none.
+
+        Args:
+            series: One, or a list of them, on one even clock and without gaps; others are taken by
+                ``run(..., data=series)``.
+            dofs: Name of a channel to its DOF, from 1, and no others are taken; None: that is the number in its name.
+
+        Raises:
+            InputError: What a channel measures, or at which DOF, is not said; or it cannot be used.
+        """
+        table = table_of_sep005(series, "series") if dofs is None else placed(table_of_sep005(series, "series"), dofs)
+        channels = channels_of(table)
+        if not channels:
+            refuse_nameless(table.columns)
+        places = {dof: name for of_quantity in channels.values() for dof, name in of_quantity.items() if dof}
+        for dof, name in places.items():
+            if not dof.isdecimal() or int(dof) < 1:
+                raise InputError(
+                    f"series[{name!r}]", dof, "a channel of a DOF by its number, from 1", "give dofs={...}"
+                )
+        time = Clock.by_column(table, TIMES, None).uniform(0, len(table))
+        forced = np.isin(
+            np.arange(max(map(int, places), default=1)) + 1, [int(dof) for dof in channels.get("force", ())]
+        )
+        columns: dict[str, Any] = {quantity: np.full((len(time), len(forced)), np.nan) for quantity in QUANTITIES}
+        columns["force"][:] = 0.0
+        for quantity, of_quantity in channels.items():
+            for dof, name in of_quantity.items():
+                factor = si_factor(f"series[{name!r}], unit_str", table.hints[name].unit or None, quantity)
+                values = factor * table.numbers(name)
+                table.refuse_gaps(name, values)
+                if quantity == GROUND:
+                    columns[GROUND] = values
+                else:
+                    columns[quantity][:, int(dof) - 1] = values
+        return cls(time, **columns, unforced=~forced)
 
     def to_frame(self) -> pd.DataFrame:
         """A column for each sensor, ``acceleration.3``, and the times ``t``, SI units: what `run` reads as data.

@@ -1,4 +1,4 @@
-"""`pinn-run inspect FILE` and `modes FILE`: from the configuration to the columns, and the structure beside."""
+"""`pinn-run inspect FILE` and `modes FILE`: from the configuration to the columns, and to what they show."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ from pinn_cli.settings.legal_values import entries, finite_number, located
 if TYPE_CHECKING:
     import numpy as np
 
+    from pinn_cli.inspection.mode_report import ModesReport
     from pinn_cli.inspection.proposal import Said
+    from pinn_cli.inspection.report import InspectionReport
     from pinn_cli.record.clock import MeasuredFiles
     from pinn_cli.record.data_channels import DataChannel
     from pinn_cli.record.files.base import FileFormat
@@ -116,6 +118,35 @@ class Inspected:
                 own = replace(said or Said(), settings={"data": plain, "system": system}, time=of_times)
                 found.append(cls(signals, time, frequencies, modes, own))
         return found
+
+
+def inspected_record(config: DictConfig, base: Path, said: Said) -> InspectionReport:
+    """Look at the record of a composed configuration; arguments and errors as of :meth:`Inspected.read`.
+
+    Raises:
+        InputError: It has too few samples, or no column varies.
+    """
+    from pinn_cli.inspection.inspection import inspect_record
+    from pinn_cli.inspection.report import InspectionReport
+
+    record = Inspected.read(config, base, said)
+    return InspectionReport(inspect_record(record.signals, record.time, record.said, record.frequencies))
+
+
+def modes_of_records(config: DictConfig, base: Path, said: Said) -> ModesReport:
+    """Modes that the records of a composed configuration show; arguments and errors as of :meth:`Inspected.read_all`.
+
+    Raises:
+        InputError: One has too few samples, or no sensor that varies.
+    """
+    from pinn_cli.inspection.mode_report import ModesReport
+    from pinn_cli.inspection.modes import ModalRecord
+
+    looked_at, records = Inspected.read_all(config, base, said), []
+    for number, record in enumerate(looked_at, start=1):
+        with of_record(number, len(looked_at)):
+            records.append(ModalRecord.of(record.signals, record.time))
+    return ModesReport(records, looked_at[0].modes)
 
 
 def _by_file(data: DictConfig, files: FileFormat, base: Path) -> list[DictConfig]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
@@ -15,9 +15,8 @@ from omegaconf import DictConfig
 
 from pinn_cli.cli.command_line import Silence, Terminal
 from pinn_cli.cli.config import RunConfig
-from pinn_cli.cli.inspecting import Inspected
+from pinn_cli.cli.inspecting import inspected_record, modes_of_records
 from pinn_cli.cli.prepare import check_records, prepare_problem, prepare_windows
-from pinn_cli.cli.records import of_record
 from pinn_cli.runs.claim import current
 from pinn_cli.runs.identity import flattened
 from pinn_cli.runs.process import collect_rarely, is_borrowed
@@ -36,12 +35,15 @@ from pinn_cli.settings.yaml_file import SCHEME
 
 if TYPE_CHECKING:
     from pinn_cli.cli.prepare import PreparedProblem
+    from pinn_cli.inspection.look_report import LookReport
     from pinn_cli.inspection.proposal import Said
     from pinn_cli.report.results import Results
     from pinn_cli.scheme.joint_problem import JointProblem
     from pinn_cli.sweep.windows.run import WindowedRun
     from pinn_cli.training.estimate import Estimate, RunContext, Watch
     from pinn_cli.validation.base import Setup
+
+Found = TypeVar("Found", bound="LookReport")
 
 
 @dataclass(frozen=True)
@@ -267,64 +269,48 @@ def results_of(job: Job, problem: JointProblem, estimate: Estimate, **more: Any)
 
 
 def inspect(composed: DictConfig, terminal: Terminal | None = None) -> None:
-    """Look at a record before anything is estimated: a table, a figure and a command to go on with."""
-    terminal = terminal or Terminal()
-
-    def write(looked_at: Sequence[Inspected], directory: Path, figures: bool) -> str:
-        from pinn_cli.inspection.inspection import inspect_record
-        from pinn_cli.inspection.report import write_inspection
-
-        (record,) = looked_at
-        found = inspect_record(record.signals, record.time, record.said, record.frequencies)
-        _claim()
-        return write_inspection(found, directory, figures)
-
-    _look(composed, terminal, lambda *of: [Inspected.read(*of)], write)
+    """Look at a record before anything is estimated: tables, a figure and a command to go on with."""
+    _tell(look(composed, inspected_record), composed, terminal or Terminal())
 
 
 def find_modes(composed: DictConfig, terminal: Terminal | None = None) -> None:
     """Modes that records show by themselves: tables and a stabilisation diagram."""
-    terminal = terminal or Terminal()
-
-    def write(looked_at: Sequence[Inspected], directory: Path, figures: bool) -> str:
-        from pinn_cli.inspection.mode_report import write_modes
-        from pinn_cli.inspection.modes import ModalRecord
-
-        records = []
-        for number, record in enumerate(looked_at, start=1):
-            with of_record(number, len(looked_at)):
-                records.append(ModalRecord.of(record.signals, record.time))
-        _claim()
-        return write_modes(records, looked_at[0].modes, directory, figures)
-
-    _look(composed, terminal, Inspected.read_all, write)
+    _tell(look(composed, modes_of_records), composed, terminal or Terminal())
 
 
-def _claim() -> None:
-    current().lock()
-    current().take()
+def _tell(found: LookReport, composed: DictConfig, terminal: Terminal) -> None:
+    directory = leave(found, composed)
+    terminal.say(found.text())
+    terminal.conclude(directory)
 
 
-def _look(
-    composed: DictConfig,
-    terminal: Terminal,
-    read: Callable[[DictConfig, Path, Said], list[Inspected]],
-    write: Callable[[Sequence[Inspected], Path, bool], str],
-) -> None:
-    """Read records, and print what is written of them."""
+def look(composed: DictConfig, at: Callable[[DictConfig, Path, Said], Found]) -> Found:
+    """What a look at records finds, whose settings and columns Hydra's job has; nothing is written.
+
+    Args:
+        composed: Its configuration.
+        at: Reads the records of a configuration from a folder on, and looks at them.
+
+    Raises:
+        InputError: They cannot be read, or are no records.
+    """
     hydra, stages = HydraConfig.get(), Stages()
     runtime = hydra.runtime
-    directory = Path(runtime.output_dir)
     with signs_of_life(stages):
         with stages("imports"):
             from pinn_cli.inspection.proposal import Said
-        with stages("record"):
-            said = Said(list(hydra.overrides.task), _folders(runtime), chosen=dict(runtime.choices))
-            looked_at = read(composed, Path(runtime.cwd), said)
         with stages("inspection"):
-            text = write(looked_at, directory, composed.get("figures") is not False)
-    terminal.say(text)
-    terminal.conclude(directory)
+            said = Said(list(hydra.overrides.task), _folders(runtime), chosen=dict(runtime.choices))
+            return at(composed, Path(runtime.cwd), said)
+
+
+def leave(found: LookReport, composed: DictConfig) -> Path:
+    """Write what a look has found into the job's directory, and return that."""
+    directory = Path(HydraConfig.get().runtime.output_dir)
+    current().lock()
+    current().take()
+    found.write(directory, composed.get("figures") is not False)
+    return directory
 
 
 def _folders(runtime: Any) -> list[str]:

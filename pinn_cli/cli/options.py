@@ -120,12 +120,18 @@ def _take_out(options: Namespace, word: str) -> None:
 def _with_file(overrides: list[str]) -> list[str]:
     """`inspect rig.csv` as `data=csv data.path=rig.csv`; several files stand on one clock."""
     files = [word for word in overrides if "=" not in word and not word.startswith("~")]
-    if not files:
-        return overrides
+    others = [override for override in overrides if override not in files]
+    return [*settings_of_files(files, others), *others] if files else overrides
+
+
+def settings_of_files(files: Sequence[str], others: Sequence[str]) -> list[str]:
+    """What has a record read from files, whose format is recognised unless one of the other overrides says it.
+
+    Raises:
+        InputError: A file is missing, or in no format that anybody here reads.
+    """
     from pinn_cli.record.clock import recognised  # not for other commands: it imports NumPy
 
     formats = [recognised(Path(file)) for file in files]
-    paths = [written(file) for file in files]
-    others = [override for override in overrides if override not in files]
     kind = [] if any(setting_of(override) == "data" for override in others) else [f"data={formats[0].name}"]
-    return [*kind, f"data.path={paths[0] if len(paths) == 1 else '[' + ','.join(paths) + ']'}", *others]
+    return [*kind, f"data.path={written(files[0] if len(files) == 1 else list(files))}"]

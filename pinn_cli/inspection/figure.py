@@ -74,7 +74,7 @@ def _draw_history(axes: Axes, found: Inspection, signal: Signal) -> None:
 def _draw_spectrum(axes: Axes, found: Inspection, signal: Signal) -> None:
     spectra = found.spectra
     i = next(i for i, other in enumerate([*spectra.sensors, *spectra.acting]) if other is signal)
-    power = 2.0 * spectra.step * spectra.power[1:, i]  # one-sided density
+    power = spectra.density[1:, i]
     kept = _spectral_indices(power)
     axes.plot(spectra.frequency[1:][kept], np.where(power > 0.0, power, np.nan)[kept], **_LINE)
     row = found.channels.iloc[next(j for j, other in enumerate(found.signals) if other is signal)]

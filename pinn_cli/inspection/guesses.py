@@ -67,18 +67,29 @@ def guessed(signals: Sequence[Signal]) -> tuple[list[Signal], list[str]]:
     return [replace(signal, quantity=quantity, place=place) for signal, quantity, place in found], notes
 
 
+def quantity_of_unit(unit: str) -> str:
+    """What is measured in a unit; "": nothing that is known here."""
+    return next((quantity for quantity, pattern in _UNITS if pattern.fullmatch(unit)), "")
+
+
 def _quantity(signal: Signal) -> str:
-    of_unit = next((quantity for quantity, unit in _UNITS if unit.fullmatch(signal.unit)), "")
+    of_unit = quantity_of_unit(signal.unit)
     parts = [signal.column, *reversed(re.split(r"[/.]", signal.column))]
     of_name = next((quantity for part in parts for quantity, name in _NAMES if name.search(part.strip())), "")
     return GROUND if of_name == GROUND and of_unit in ("", ACCELERATION) else of_unit or of_name
 
 
-def number_of(signal: Signal) -> int | None:
-    """That of the place, else that in the name's last part that has one."""
-    parts = [signal.place, *reversed(re.split(r"[/.]", bare(signal.column)))]
+def number_in(column: str) -> int | None:
+    """In the name of a column, that of its last part that has one."""
+    parts = reversed(re.split(r"[/.]", bare(column)))
     found = next((match for part in parts if (match := re.search(r"\d+", part))), None)
     return None if found is None else int(found[0])
+
+
+def number_of(signal: Signal) -> int | None:
+    """That of the place, else that in the name."""
+    found = re.search(r"\d+", signal.place)
+    return number_in(signal.column) if found is None else int(found[0])
 
 
 def _are_dofs(numbers: Sequence[int | None]) -> bool:

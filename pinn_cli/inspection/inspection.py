@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -10,7 +11,7 @@ import pandas as pd
 
 from pinn_cli.inspection.guesses import guessed, number_of
 from pinn_cli.inspection.modes import ModalRecord
-from pinn_cli.inspection.proposal import Look, Said, proposed_command
+from pinn_cli.inspection.proposal import Look, Said, proposed_settings
 from pinn_cli.record.channels import clipped_percent, constant_percent
 from pinn_cli.record.cross_spectra import CrossSpectra
 from pinn_cli.record.identification.modes import RecordMode
@@ -123,8 +124,9 @@ class Inspection:
         spectra: Of the columns that vary.
         peaks: Columns `PEAK_COLUMNS`; the last three compare with the structure, NaN without one.
         notes: Sentences about what is odd.
-        command: What to type next, word by word.
-        remarks: Sentences beside the command.
+        said: By the command that looked.
+        settings: With which to run next.
+        remarks: Sentences beside them.
     """
 
     sampling: Sampling
@@ -133,8 +135,17 @@ class Inspection:
     spectra: CrossSpectra[Signal]
     peaks: pd.DataFrame
     notes: Sequence[str]
-    command: Sequence[str]
+    said: Said
+    settings: Sequence[str]
     remarks: Sequence[str] = ()
+
+    @property
+    def command(self) -> list[str]:
+        """What to type next, word by word; of a record in memory, a call of Python."""
+        if self.said.in_memory:
+            first, *others = self.settings
+            return [f"run({first!r},", *(f"{setting!r}," for setting in others), "data=...)"]
+        return [shlex.quote(word) for word in ("pinn-run", *self.said.options, *self.settings)]
 
 
 def inspect_record(
@@ -187,9 +198,9 @@ def inspect_record(
         [signal.column for signal in alive if signal.quantity == "acceleration" and _has_offset(signal)],
         [signal.column for signal, note in converted if note],
     )  # fmt: skip
-    command, remarks = proposed_command(said, look)
+    settings, remarks = proposed_settings(said, look)
     table = peak_table(peaks, frequencies)
-    return Inspection(sampling, signals, channels, spectra, table, notes, command, remarks)
+    return Inspection(sampling, signals, channels, spectra, table, notes, said, settings, remarks)
 
 
 def peak_table(peaks: Sequence[RecordMode], frequencies: np.ndarray | None) -> pd.DataFrame:

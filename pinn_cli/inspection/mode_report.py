@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from pinn_cli.inspection.joined import JoinedMode, JoinedModes
+from pinn_cli.inspection.look_report import LookReport
 from pinn_cli.inspection.modes import ModalRecord, ModesAtSensors, mac_table, mode_table
+from pinn_cli.inspection.spectra import spectra_table
 from pinn_cli.report.text import Column, count, marked_lines, number, table_lines
-from pinn_cli.runs.writing import write_table
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from pinn_cli.system.modes import NaturalModes
 
 # Sensors whose shapes are printed, and modes of all records whose assurance is.
@@ -25,59 +29,81 @@ SENSORS_SHOWN, MODES_SHOWN = 10, 12
 RARELY, ALIKE, LOOSE = 0.01, 0.9, 0.1
 
 
-def write_modes(
-    records: Sequence[ModalRecord], structure: NaturalModes | None, directory: Path, figures: bool = True
-) -> str:
-    """Write the modes and figures; the text that is printed.
+@dataclass(frozen=True, eq=False, repr=False)
+class ModesReport(LookReport):
+    """What :func:`pinn_cli.modes` returns; ``print`` shows what the command prints.
 
-    ``modes.csv`` has the modes; of several records those of all together, and ``modes_of_records.csv`` each record's.
-
-    Args:
+    Attributes:
         records: With their modes.
         structure: Whose modes stand beside; None: no parameters were given.
-        directory: Of the run.
-        figures: Whether to draw.
     """
-    shown, joined = records[0], None
-    several = len(records) > 1
-    if several:
-        each = [mode_table(record, structure) for record in records]
-        for i, of_one in enumerate(each, start=1):
-            of_one.insert(0, "record", i)
-        of_records = pd.concat([of_one for of_one in each if len(of_one)] or each, ignore_index=True)
-        write_table(of_records, directory / "modes_of_records.csv")
-        joined = JoinedModes.of(records)
-    table = mode_table(joined or shown, structure)
-    if joined is not None:
-        table = _with_agreement(table, joined)
-    write_table(table, directory / "modes.csv")
-    assurance = mac_table(records)
-    write_table(assurance, directory / "mac.csv")
-    if figures:
+
+    records: Sequence[ModalRecord]
+    structure: NaturalModes | None
+
+    @cached_property
+    def joined(self) -> JoinedModes | None:
+        """The modes of several records together; None of one."""
+        return JoinedModes.of(self.records) if len(self.records) > 1 else None
+
+    @property
+    def shown(self) -> ModesAtSensors:
+        """The modes of all records."""
+        return self.joined or self.records[0]
+
+    @cached_property
+    def tables(self) -> Mapping[str, pd.DataFrame]:
+        """``modes``, ``mac`` and ``spectra``; of several records ``modes_of_records`` too."""
+        found = {"modes": mode_table(self.shown, self.structure), "mac": mac_table(self.records)}
+        if self.joined is not None:
+            found["modes"] = _with_agreement(found["modes"], self.joined)
+            found["modes_of_records"] = _below([mode_table(record, self.structure) for record in self.records])
+        return found | {"spectra": _below([spectra_table(record.spectra) for record in self.records])}
+
+    @property
+    def drawings(self) -> Mapping[str, Callable[[], Figure]]:
+        """``stabilisation``: poles by order over the singular values of the spectra; ``shapes``, of modes."""
         from pinn_cli.inspection.shapes import shapes_figure
         from pinn_cli.inspection.stabilisation import stabilisation_figure
-        from pinn_cli.report.figures.style import save
 
-        save(stabilisation_figure(records), directory / "figures", "stabilisation")
-        if len(table):
-            save(shapes_figure(joined or shown, joined.joined if joined else ()), directory / "figures", "shapes")
-    lines: list[str] = []
-    for i, record in enumerate(records, start=1):
-        lines += [*([f"record {i}"] if several else []), *_of_record(record), ""]
-    if table.empty:
-        lines.append("no mode stands out of noise")
-    else:
-        lines += [
-            *(["all records together", ""] if several else []),
-            *_frequencies(table),
-            "",
-            *_shapes(joined or shown),
-        ]
-    if joined is not None:
-        lines += _doubts(joined)
-        if 0 < len(assurance) <= MODES_SHOWN:
-            lines += ["", "MAC between records", *_assurance(assurance)]
-    return "\n".join(lines)
+        found: dict[str, Callable[[], Figure]] = {"stabilisation": partial(stabilisation_figure, self.records)}
+        if len(self.modes):
+            found["shapes"] = partial(shapes_figure, self.shown, self.joined.joined if self.joined else ())
+        return found
+
+    @property
+    def modes(self) -> pd.DataFrame:
+        """A row for each mode: frequency (Hz), damping ratio and shape with 90 % intervals."""
+        return self.tables["modes"]
+
+    @property
+    def mac(self) -> pd.DataFrame:
+        """Modal assurance criterion between all modes of all records."""
+        return self.tables["mac"]
+
+    def text(self) -> str:
+        """See :class:`LookReport`."""
+        several, lines = len(self.records) > 1, list[str]()
+        for i, record in enumerate(self.records, start=1):
+            lines += [*([f"record {i}"] if several else []), *_of_record(record), ""]
+        if self.modes.empty:
+            lines.append("no mode stands out of noise")
+        else:
+            together = ["all records together", ""] if several else []
+            lines += [*together, *_frequencies(self.modes), "", *_shapes(self.shown)]
+        if self.joined is not None:
+            lines += _doubts(self.joined)
+            if 0 < len(self.mac) <= MODES_SHOWN:
+                lines += ["", "MAC between records", *_assurance(self.mac)]
+        return "\n".join(lines)
+
+
+def _below(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Those of the records in one, with their numbers where there are several."""
+    if len(tables) == 1:
+        return tables[0]
+    numbered = [table.assign(record=i)[["record", *table]] for i, table in enumerate(tables, start=1)]
+    return pd.concat([table for table in numbered if len(table)] or numbered, ignore_index=True)
 
 
 def _with_agreement(table: pd.DataFrame, joined: JoinedModes) -> pd.DataFrame:
@@ -88,9 +114,8 @@ def _with_agreement(table: pd.DataFrame, joined: JoinedModes) -> pd.DataFrame:
         "damping_agreement": [one.agreement[1] for one in joined.joined],
         "least_record_mac": [float(np.min(one.mac)) if len(one.parts) > 1 else np.nan for one in joined.joined],
     }
-    for place, (name, column) in enumerate(values.items(), start=table.columns.get_loc("explained") + 1):
-        table.insert(place, name, column)
-    return table
+    place = list(table.columns).index("explained") + 1
+    return pd.concat([table.iloc[:, :place], pd.DataFrame(values), table.iloc[:, place:]], axis=1)
 
 
 def _doubts(joined: JoinedModes) -> list[str]:
@@ -173,7 +198,7 @@ def _digits(table: pd.DataFrame, value: str, lower: str, upper: str, factor: flo
 
 
 def _shapes(record: ModesAtSensors) -> list[str]:
-    shown = record.names[:SENSORS_SHOWN]
+    shown = list(record.names[:SENSORS_SHOWN])
     table = pd.DataFrame(record.shapes.real[:, : len(shown)], columns=shown)
     table.insert(0, "mode", range(1, len(table) + 1))
     columns = {"mode": Column("mode", 4, count)}

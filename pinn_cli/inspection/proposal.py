@@ -1,9 +1,8 @@
-"""The command that a look at a record proposes: it runs as it is."""
+"""The settings that a look at a record proposes: a run with them goes as it is."""
 
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -45,6 +44,11 @@ class Said:
     time: str = ""
     chosen: Mapping[str, str] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def in_memory(self) -> bool:
+        """Whether the record is in that of a Python program."""
+        return self.chosen.get("data") == "frame"
 
     def names(self, *settings: str) -> bool:
         """Whether one of some settings, or a part of it, was typed."""
@@ -96,15 +100,15 @@ class Look:
         return {int(one.place) for one in self.known if one.place.isdecimal() and one.quantity not in SUPPORT}
 
 
-def proposed_command(said: Said, look: Look) -> tuple[list[str], list[str]]:
-    """What to type next.
+def proposed_settings(said: Said, look: Look) -> tuple[list[str], list[str]]:
+    """What to run next.
 
     Args:
         said: By the command that looked.
         look: What it has found.
 
     Returns:
-        Words for a shell, those that need quotes in quotes; and sentences that stand beside the command.
+        Overrides; and sentences that stand beside them.
     """
     added = [f"data.time={text_value(said.time)}"] if said.time else []
     added += _assigned(look) if look.guessed else _with_offsets(said, look)
@@ -115,8 +119,10 @@ def proposed_command(said: Said, look: Look) -> tuple[list[str], list[str]]:
     added += structure
     replaced = {setting_of(text) for text in added}
     kept = [override for override in said.overrides if setting_of(override) not in replaced]
-    plain = (re.sub(r"^\+\+(?=[\w.]+=\{)", "", override) for override in (*kept, *added))
-    return [shlex.quote(word) for word in ("pinn-run", *said.options, *plain)], remarks
+    plain = [re.sub(r"^\+\+(?=[\w.]+=\{)", "", override) for override in (*kept, *added)]
+    if said.in_memory:  # whose name is of no use to anybody: data=... is an argument
+        plain = [override for override in plain if setting_of(override) not in ("data", "data.path")]
+    return plain, remarks
 
 
 def _structure(said: Said, look: Look) -> tuple[list[str], list[str], int]:

@@ -3,15 +3,76 @@
 from __future__ import annotations
 
 import textwrap
-from pathlib import Path
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pinn_cli.inspection.inspection import Inspection
+from pinn_cli.inspection.look_report import LookReport
+from pinn_cli.inspection.spectra import spectra_table
 from pinn_cli.report.text import WIDTH, Column, count, marked_lines, number, table_lines
-from pinn_cli.runs.writing import write_table
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
 
 _SHOWN, _NAME = 20, 26
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class InspectionReport(LookReport):
+    """What :func:`pinn_cli.inspect` returns; ``print`` shows what the command prints.
+
+    Attributes:
+        found: All of it.
+    """
+
+    found: Inspection
+
+    @cached_property
+    def tables(self) -> Mapping[str, pd.DataFrame]:
+        """``inspect``, ``peaks`` and ``spectra``."""
+        found = self.found
+        return {"inspect": found.channels, "peaks": found.peaks, "spectra": spectra_table(found.spectra)}
+
+    @property
+    def drawings(self) -> Mapping[str, Callable[[], Figure]]:
+        """``inspect``: channels over time and frequency."""
+        from pinn_cli.inspection.figure import inspection_figure
+
+        return {"inspect": partial(inspection_figure, self.found)}
+
+    @property
+    def channels(self) -> pd.DataFrame:
+        """A row for each channel: missing and clipped samples, mean, rms, band, noise."""
+        return self.found.channels
+
+    @property
+    def peaks(self) -> pd.DataFrame:
+        """Natural frequencies and damping ratios, beside those of the structure if one was given."""
+        return self.found.peaks
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is odd about the record."""
+        return tuple(self.found.notes)
+
+    @property
+    def settings(self) -> tuple[str, ...]:
+        """What is proposed to run: ``run(*look.settings)``, with ``data=...`` where the record is in memory."""
+        return tuple(self.found.settings)
+
+    @property
+    def command(self) -> str:
+        """The same as it is typed."""
+        return " ".join(self.found.command)
+
+    def text(self) -> str:
+        """See :class:`LookReport`."""
+        return inspection_text(self.found)
 
 
 def inspection_text(found: Inspection) -> str:
@@ -31,7 +92,7 @@ def inspection_text(found: Inspection) -> str:
     lines += ["", "To estimate:", f"  {found.command[0]}"]
     for word in found.command[1:]:  # on lines that end with a backslash between two words
         if len(lines[-1]) + len(word) + 3 > WIDTH:
-            lines[-1] += " \\"
+            lines[-1] += "" if found.said.in_memory else " \\"
             lines.append(f"    {word}")
         else:
             lines[-1] += f" {word}"
@@ -80,21 +141,3 @@ def _peaks(found: Inspection) -> list[str]:
         columns["structure_hz"] = Column("structure (Hz)", 16, lambda value: number(value, 5))
         columns["difference_percent"] = Column("off (%)", 10, lambda value: number(value, 2))
     return table_lines(columns, found.peaks)
-
-
-def write_inspection(found: Inspection, directory: Path, figures: bool = True) -> str:
-    """Write ``inspect.csv`` (channels), ``peaks.csv`` and ``figures/inspect``; the text that is printed.
-
-    Args:
-        found: What there is to say.
-        directory: Of the run.
-        figures: Whether to draw.
-    """
-    write_table(found.channels, directory / "inspect.csv")
-    write_table(found.peaks, directory / "peaks.csv")
-    if figures:
-        from pinn_cli.inspection.figure import inspection_figure
-        from pinn_cli.report.figures.style import save
-
-        save(inspection_figure(found), directory / "figures", "inspect")
-    return inspection_text(found)

@@ -62,7 +62,7 @@ def _draw(axes: Axes, found: ModesAtSensors, number: int) -> None:
     axes.errorbar(at, shape[at], NORMAL_90 * std[at], **_SHAPE)
     axes.set_title(f"{found.modes[number].frequency:.4g} Hz", loc="left", pad=3)
     every = -(-len(shape) // NAMES)
-    places = np.arange(0, len(shape), every)
+    places = range(0, len(shape), every)
     axes.set_xticks(places, [style.literal(found.names[i][:LONGEST]) for i in places])
     if max(len(name) for name in found.names) > 2:
         axes.tick_params(axis="x", rotation=90)

@@ -154,6 +154,15 @@ class CrossSpectra(Generic[S]):
         """(B, S), from displacement to what each sensor shows."""
         return (1j * self.omega[:, None]) ** self.orders
 
+    @property
+    def density(self) -> np.ndarray:
+        """(B, S + F), one-sided power spectral density of every channel, its unit squared per Hz.
+
+        Summed over the frequencies and times their step it is the variance.
+        """
+        inner = (self.frequency > 0.0) & (2.0 * self.frequency * self.step < 1.0 - 1e-9)
+        return np.where(inner, 2.0, 1.0)[:, None] * self.step * self.power
+
     @cached_property
     def floor(self) -> np.ndarray:
         """(S + F,) power of white noise in every channel, at most."""

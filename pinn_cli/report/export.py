@@ -1,4 +1,4 @@
-"""The estimated response in files of other programs, beside ``response.nc``: ``report.export=[csv,mat,uff]``."""
+"""The estimated response in files of other programs, beside ``response.nc``: ``report.export=[csv,mat,uff,xlsx]``."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.record.response import QUANTITIES
+from pinn_cli.runs.workbook import ROWS, write_workbook
 from pinn_cli.runs.writing import replacing, write_bytes, write_table
 from pinn_cli.settings.errors import InputError
 
@@ -30,18 +31,20 @@ class Export:
     """Estimate and standard deviation of every quantity and DOF, in a file named ``response`` and the export's suffix.
 
     ``name`` is as in ``report.export``; ``write`` writes what `pinn_cli.report.netcdf.response_dataset` makes to a
-    file, whole or not at all.
+    file, whole or not at all, by a ``package`` that ``pip install 'pinn-cli[EXTRA]'`` brings.
     """
 
     name: str
     write: Callable[[xr.Dataset, Path], None]
+    package: str = ""
+    extra: str = ""
 
 
 def _dof_names(dataset: xr.Dataset) -> list[str]:
     return [str(name) for name in dataset["dof_name" if "dof_name" in dataset.coords else "dof"].values]
 
 
-def _histories(dataset: xr.Dataset) -> Iterator[tuple[str, str, int, str, xr.DataArray]]:
+def histories(dataset: xr.Dataset) -> Iterator[tuple[str, str, int, str, xr.DataArray]]:
     """Of every quantity and DOF, its name and its number, the estimate and its ``std``."""
     for quantity in QUANTITIES:
         for i, (dof, number) in enumerate(zip(_dof_names(dataset), dataset["dof"].values, strict=True)):
@@ -49,10 +52,23 @@ def _histories(dataset: xr.Dataset) -> Iterator[tuple[str, str, int, str, xr.Dat
             yield quantity, dof, int(number), "std", dataset[f"{quantity}_std"][:, i]
 
 
+def _table(dataset: xr.Dataset) -> pd.DataFrame:
+    """Columns ``t``, ``displacement_1``, ``displacement_1_std`` and so on, s and SI units."""
+    found = {"_".join(filter(None, (q, dof, std))): own.values for q, dof, _, std, own in histories(dataset)}
+    return pd.DataFrame({"t": dataset["time"].values, **found})
+
+
 def write_csv(dataset: xr.Dataset, path: Path) -> None:
-    """Columns ``t``, ``displacement_1``, ``displacement_1_std`` and so on, s and SI units, ten significant digits."""
-    found = {"_".join(filter(None, (q, dof, std))): own.values for q, dof, _, std, own in _histories(dataset)}
-    write_table(pd.DataFrame({"t": dataset["time"].values, **found}), path)
+    """The columns of `_table`, ten significant digits."""
+    write_table(_table(dataset), path)
+
+
+def write_xlsx(dataset: xr.Dataset, path: Path) -> None:
+    """The columns of `_table`, a sheet ``response``; what has no place on it goes on in ``response 2`` and so on."""
+    table = _table(dataset)
+    parts = range(0, len(table), ROWS - 1)
+    names = [f"response {i}" if i > 1 else "response" for i, _ in enumerate(parts, start=1)]
+    write_workbook({name: table.iloc[at : at + ROWS - 1] for name, at in zip(names, parts, strict=True)}, path)
 
 
 def write_mat(dataset: xr.Dataset, path: Path) -> None:
@@ -82,7 +98,7 @@ def write_uff(dataset: xr.Dataset, path: Path) -> None:
     time = dataset["time"].values
     step = float(time[-1] - time[0]) / (len(time) - 1)
     sets = [pyuff.prepare_164(**si, temp_mode=1, temp=1.0, temp_offset=273.15)]
-    for quantity, dof, number, std, history in _histories(dataset):
+    for quantity, dof, number, std, history in histories(dataset):
         title = " ".join(filter(None, (quantity, dof, std)))
         own = pyuff.prepare_58(
             binary=0, func_type=_TIME_RESPONSE, id1=title[:_LINE], id2="estimated by pinn-run", id3="NONE", id4="NONE",
@@ -97,7 +113,11 @@ def write_uff(dataset: xr.Dataset, path: Path) -> None:
         pyuff.UFF(str(beside)).write_sets(sets)
 
 
-EXPORTS = {name: Export(name, write) for name, write in (("csv", write_csv), ("mat", write_mat), ("uff", write_uff))}
+_EVERY = (
+    Export("csv", write_csv), Export("mat", write_mat), Export("uff", write_uff, "pyuff", "uff"),
+    Export("xlsx", write_xlsx, "openpyxl", "excel"),
+)  # fmt: skip
+EXPORTS = {export.name: export for export in _EVERY}
 
 
 def report_settings(
@@ -119,10 +139,11 @@ def exports_of(names: Any) -> tuple[Export, ...]:
     """
     if not isinstance(names, Sequence) or isinstance(names, str) or not all(name in EXPORTS for name in names):
         raise InputError("report.export", names, f"a list of any of {', '.join(EXPORTS)}")
-    try:
-        if "uff" in names:
-            import_module("pyuff")
-    except ModuleNotFoundError:
-        allowed = "a format whose package is installed; uff needs pyuff"
-        raise InputError("report.export", "uff", allowed, "pip install 'pinn-cli[uff]'") from None
-    return tuple(EXPORTS[name] for name in dict.fromkeys(names))
+    found = tuple(EXPORTS[name] for name in dict.fromkeys(names))
+    for export in (export for export in found if export.package):
+        try:
+            import_module(export.package)
+        except ModuleNotFoundError:
+            allowed = f"a format whose package is installed; {export.name} needs {export.package}"
+            raise InputError("report.export", export.name, allowed, f"pip install 'pinn-cli[{export.extra}]'") from None
+    return found

@@ -11,7 +11,7 @@ import pytest
 from vibrating_records import Vibrating, ambient
 
 from pinn_cli.inspection.joined import JoinedModes
-from pinn_cli.inspection.mode_report import write_modes
+from pinn_cli.inspection.mode_report import ModesReport
 from pinn_cli.inspection.modes import ModalRecord
 from pinn_cli.record.identification.lines import normalised
 from pinn_cli.record.identification.modes import NORMAL_90, Identified, RecordMode
@@ -84,7 +84,9 @@ def test_records_that_do_not_go_together(tmp_path):
     elsewhere = [replace(signal, place=place) for signal, place in zip(other.sensors, ("11", "12"), strict=True)]
     records = [shown(random, SETUPS[0]), shown(random, SETUPS[1], frequencies=(1.2, 3.47)), weak, turned,
                replace(other, sensors=elsewhere)]  # fmt: skip
-    text = " ".join(write_modes(records, None, tmp_path, figures=False).split())
+    report = ModesReport(records, None)
+    report.write(tmp_path, figures=False)
+    text = " ".join(report.text().split())
     assert "frequencies differ beyond their intervals (3.4" in text
     assert "the shape of record 3 differs from that of all" in text
     assert "and another shape at common sensors (MAC 0." in text

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from vibrating_records import BUILDING, Measured, of_building, of_building_with_machines, of_hammer, of_multisine
 
-from pinn_cli.inspection.mode_report import write_modes
+from pinn_cli.inspection.mode_report import ModesReport
 from pinn_cli.inspection.modes import ModalRecord, mac_table, mode_table
 from pinn_cli.record.signal import Signal
 
@@ -62,14 +62,15 @@ def test_records_beside_each_other(building):
 @pytest.mark.parametrize("make", [of_hammer, of_multisine])
 def test_what_is_written_of_forced_records(make, tmp_path):
     record = make(0)
-    text = write_modes([recorded(record)], None, tmp_path)
-    assert "what acts: force of DOF 1" in text
+    found = ModesReport([recorded(record)], None)
+    found.write(tmp_path)
+    assert "what acts: force of DOF 1" in found.text()
     assert len(pd.read_csv(tmp_path / "modes.csv")) == len(record.structure.frequency)
     assert (tmp_path / "figures" / "stabilisation.png").stat().st_size > 10_000
 
 
-def test_machines_are_named(tmp_path):
-    text = write_modes([recorded(of_building_with_machines(1))], None, tmp_path, figures=False)
+def test_machines_are_named():
+    text = ModesReport([recorded(of_building_with_machines(1))], None).text()
     assert "steady lines at 1.000, 2.000, 4.100, 7.300, " in text
 
 
@@ -91,7 +92,10 @@ def test_the_command(pinn_run, tmp_path):
     assert table["records"].tolist() == ["1 2"] * 3
     np.testing.assert_allclose(table["prescribed_frequency"], table["frequency"], rtol=0.02)
     assert (table["mac"] > 0.95).all()
-    assert {p.name for p in outcome.directory.iterdir()} >= {"modes.csv", "mac.csv", "figures", ".hydra"}
+    assert {p.name for p in outcome.directory.iterdir()} >= {
+        "modes.csv", "mac.csv", "spectra.csv", "figures", ".hydra",
+    }  # fmt: skip
+    assert pd.read_csv(outcome.directory / "spectra.csv")["record"].unique().tolist() == [1, 2]
 
 
 @pytest.mark.parametrize(

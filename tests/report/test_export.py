@@ -9,6 +9,7 @@ import pytest
 from small_estimates import results_of
 
 from pinn_cli.record.files.csv import CsvFormat
+from pinn_cli.record.files.excel import ExcelFormat
 from pinn_cli.record.files.mat import MatFormat
 from pinn_cli.record.files.uff import UffFormat
 from pinn_cli.record.response import QUANTITIES, UNITS
@@ -30,18 +31,20 @@ def dataset(case):
 @pytest.mark.usefixtures("in_this_process")
 def test_every_format_has_every_quantity_of_every_dof(case, dataset, tmp_path):
     pytest.importorskip("pyuff")
+    pytest.importorskip("openpyxl")
     for export in exports_of(list(EXPORTS)):
         export.write(dataset, tmp_path / f"response.{export.name}")
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["response.csv", "response.mat", "response.uff"]
+    assert sorted(file.suffix for file in tmp_path.iterdir()) == [".csv", ".mat", ".uff", ".xlsx"]
     names = {"csv": "{quantity}_{dof}{_std}", "mat": "{quantity}{_std}.{dof}", "uff": "{quantity} {dof}{ std}"}
-    for reader in (CsvFormat(), MatFormat(), UffFormat()):
+    names["excel"] = names["csv"]
+    for reader in (CsvFormat(), MatFormat(), UffFormat(), ExcelFormat()):
         expected = {}
         for quantity, dof, (word, source) in product(
             QUANTITIES, (1, 2, 3), (("", case.estimate.response), ("std", case.estimate.std))
         ):
             name = names[reader.name].replace("{_std}", word and "_std").replace("{ std}", word and " std")
             expected[name.format(quantity=quantity, dof=dof)] = quantity, getattr(source, quantity)[:, dof - 1]
-        table = reader.read(tmp_path / f"response.{reader.name}", {name: name for name in expected})
+        table = reader.read(tmp_path / f"response{reader.suffixes[0]}", {name: name for name in expected})
         for name, (quantity, values) in expected.items():
             np.testing.assert_allclose(table.columns[name], values, rtol=1e-9, atol=1e-11)
             if table.time is not None:
@@ -66,9 +69,9 @@ def test_a_mat_file_says_what_is_in_it_and_dofs_go_by_their_names(case, dataset,
     assert content["units"] == {**{quantity: UNITS[quantity] for quantity in QUANTITIES}, "t": "s"}
 
 
-@pytest.mark.parametrize("names", ["csv", ["xlsx"], [1], {"csv": 1}, None])
+@pytest.mark.parametrize("names", ["csv", ["xls"], [1], {"csv": 1}, None])
 def test_what_is_no_list_of_formats(names):
-    with pytest.raises(InputError, match=r"^report.export=.*: must be a list of any of csv, mat, uff$"):
+    with pytest.raises(InputError, match=r"^report.export=.*: must be a list of any of csv, mat, uff, xlsx$"):
         exports_of(names)
 
 
@@ -77,6 +80,7 @@ def test_a_format_whose_package_is_missing_is_told_before_anything_is_estimated(
         raise ModuleNotFoundError(f"No module named {module!r}", name=module)
 
     monkeypatch.setattr("pinn_cli.report.export.import_module", missing)
-    with pytest.raises(InputError, match=r"^report.export=uff: must be .*; pip install 'pinn-cli\[uff\]'$"):
-        exports_of(["uff"])
+    for name, extra in (("uff", "uff"), ("xlsx", "excel")):
+        with pytest.raises(InputError, match=rf"^report.export={name}: must be .*; pip install 'pinn-cli\[{extra}\]'$"):
+            exports_of([name])
     assert [export.name for export in exports_of(["mat", "csv", "mat"])] == ["mat", "csv"]

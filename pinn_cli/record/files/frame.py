@@ -79,7 +79,11 @@ def table_of(data: Any, setting: str = SETTING) -> Table:
     cells = {name: pd.Series(values).reset_index(drop=True) for name, values in columns.items()}
     in_brackets = {name: match["unit"] for name in cells if (match := IN_BRACKETS.fullmatch(name))}
     told = {name: units.get(name) or units.get(bare(name)) or in_brackets.get(name, "") for name in cells}
-    table = Table.of_cells(Path(), cells, told)
+    return named_by_content(Table.of_cells(Path(), cells, told))
+
+
+def named_by_content(table: Table) -> Table:
+    """The same under a name that says its content."""
     digest = hashlib.sha256()  # the same for the same content alone: the name makes a run's identity
     for name, numbers in table.columns.items():
         unit = table.hints.get(name, SensorHint()).unit

@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -182,6 +183,19 @@ def save(figure: Figure, directory: Path | str, name: str) -> list[Path]:
         with look(), replacing(place) as beside:
             figure.savefig(beside, format=kind, **options)
     return written
+
+
+def for_notebooks(figure: Figure) -> Figure:
+    """The same, which a notebook shows: those that pyplot has not made are shown by none of their own accord."""
+
+    def png() -> bytes:
+        content = BytesIO()
+        with look():
+            figure.savefig(content, format="png")
+        return content.getvalue()
+
+    figure._repr_png_ = png  # type: ignore[attr-defined]
+    return figure
 
 
 def literal(name: str) -> str:

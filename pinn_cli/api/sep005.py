@@ -1,0 +1,154 @@
+"""Time series as other packages of structural dynamics exchange them: SEP 5 of SDyPy, a map for each channel.
+
+Keys that are read: ``name``, ``data`` (samples, or channels x samples), ``unit_str``; ``fs`` (Hz) or ``time`` (s);
+``quantity`` (``a``, ``v``, ``d``, ``f``), ``start_timestamp``. See https://sdypy.readthedocs.io, SEP 5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pinn_cli.inspection.guesses import quantity_of_unit
+from pinn_cli.record.files.table import TIMES, SensorHint, Table, check_names, joined
+from pinn_cli.report.export import histories
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import positive_number
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+QUANTITIES = {"d": "displacement", "v": "velocity", "a": "acceleration", "f": "force"}
+_COMPULSORY = ("name", "data", "unit_str")
+
+
+def is_sep005(given: Any) -> bool:
+    """Whether it is a time series, or a list of them."""
+    every = given if isinstance(given, list | tuple) and given else [given]
+    return all(isinstance(one, Mapping) and {"data", "unit_str"} <= set(one) for one in every)
+
+
+def table_of_sep005(given: Any, setting: str) -> Table:
+    """Columns by the names of the channels, and the times ``t``, s; NaN where another channel alone has a sample.
+
+    Args:
+        given: See :func:`is_sep005`.
+        setting: What it is called in errors.
+
+    Raises:
+        InputError: A key is missing or has a value that is none of it; clocks do not overlap; a name is there twice.
+    """
+    series = given if isinstance(given, list | tuple) else [given]
+    tables: list[Table] = []
+    for one, time in zip(series, _times(series, setting), strict=True):
+        columns = _columns(one, f"{setting}[{one.get('name')!r}]", len(time))
+        unit, code = str(one["unit_str"] or ""), str(one.get("quantity") or "")
+        quantity = QUANTITIES.get(code) or quantity_of_unit(SensorHint(unit).unit)
+        hints = {name: SensorHint(unit, quantity) for name in columns}
+        tables.append(Table(Path(setting), columns, hints=hints, time=time))
+    names = [name for table in tables for name in table.columns]
+    if twice := [name for i, name in enumerate(names) if name in (TIMES, *names[:i])]:
+        raise InputError(setting, repr(twice[0]), f"channels with different names, none of them {TIMES}")
+    first = tables[0].time
+    if all(first is table.time or np.array_equal(first, table.time) for table in tables):  # type: ignore[arg-type]
+        columns = {name: values for table in tables for name, values in table.columns.items()}
+        table = Table(
+            Path(setting), columns, hints={n: hint for t in tables for n, hint in t.hints.items()}, time=first
+        )
+    else:
+        table = joined(tables, [table.time for table in tables if table.time is not None])
+    assert table.time is not None
+    return Table(table.path, {TIMES: table.time, **table.columns}, {name: {} for name in (TIMES, *names)}, table.hints)
+
+
+def placed(table: Table, dofs: Mapping[str, int]) -> Table:
+    """Some channels of :func:`table_of_sep005` by the names that say what they measure, at which DOF, and no others.
+
+    Raises:
+        InputError: There is no such channel, or it is not said what it measures.
+    """
+    check_names(table.path, {f"dofs[{name!r}]": name for name in dofs}, table.columns)
+    names = {}
+    for name, dof in dofs.items():
+        quantity = table.hints[name].quantity
+        if not quantity:
+            raise InputError(f"{table.path}[{name!r}], quantity", None, f"one of {', '.join(QUANTITIES)}")
+        names[name] = f"{quantity}.{dof}"
+    columns = {TIMES: table.columns[TIMES], **{names[name]: table.columns[name] for name in names}}
+    return Table(table.path, columns, hints={names[name]: table.hints[name] for name in names})
+
+
+def _times(series: Sequence[Mapping[str, Any]], setting: str) -> list[np.ndarray]:
+    """(N,) of every series, s; from the earliest start on where all say when they begin."""
+    found, starts = [], []
+    for one in series:
+        place = f"{setting}[{one.get('name')!r}]"
+        for key in _COMPULSORY:
+            if one.get(key) is None:
+                raise InputError(f"{place}, {key}", one.get(key), "given", "SEP 5 of SDyPy asks for it")
+        samples = np.shape(one["data"])[-1] if np.ndim(one["data"]) else 0
+        if one.get("time") is not None:
+            time = _numbers(one["time"], f"{place}, time")
+            if time.shape != (samples,) or not np.isfinite(time).all() or (np.diff(time) <= 0.0).any():
+                allowed = f"{samples} times that grow, one for each sample"
+                raise InputError(f"{place}, time", f"an array of shape {time.shape}", allowed)
+        elif one.get("fs") is not None:
+            time = np.arange(samples) / positive_number(f"{place}, fs", one["fs"])
+        else:
+            raise InputError(f"{place}, fs", None, "given, in Hz, or time, in s")
+        found.append(time)
+        starts.append(_start(one.get("start_timestamp"), f"{place}, start_timestamp"))
+    known = [start for start in starts if start is not None]
+    if len(known) < len(starts):
+        return found
+    return [time + (start - min(known)) for time, start in zip(found, known, strict=True)]
+
+
+def _start(given: Any, setting: str) -> float | None:
+    """Seconds since 1970; a time without a zone counts as that of this machine."""
+    if given is None:
+        return None
+    try:
+        return (given if isinstance(given, datetime) else datetime.fromisoformat(str(given))).timestamp()
+    except ValueError:
+        raise InputError(setting, given, "a date as ISO 8601 writes it, 2026-03-01T12:00:00") from None
+
+
+def _columns(one: Mapping[str, Any], setting: str, samples: int) -> dict[str, np.ndarray]:
+    values, name = _numbers(one["data"], f"{setting}, data"), str(one["name"])
+    if values.ndim not in (1, 2) or samples == 0:
+        shown = f"an array of shape {values.shape}"
+        raise InputError(f"{setting}, data", shown, "samples of one channel, or (channels, samples)")
+    if values.ndim == 1:
+        return {name: values}
+    return {f"{name}.{i}": row for i, row in enumerate(values, start=1)}
+
+
+def _numbers(given: Any, setting: str) -> np.ndarray:
+    try:
+        return np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(setting, type(given).__name__, "an array of numbers") from None
+
+
+def response_as_sep005(response: xr.Dataset) -> list[dict[str, Any]]:
+    """The estimate of every quantity and DOF and its standard deviation, groups ``estimate`` and ``std``.
+
+    Args:
+        response: As of :attr:`pinn_cli.Result.response`.
+    """
+    time = response["time"].values
+    common = {"fs": float((len(time) - 1) / (time[-1] - time[0])), "time": time.tolist()}
+    codes = {quantity: code for code, quantity in QUANTITIES.items()}
+    return [
+        {
+            "name": f"{quantity}.{dof}{f' {std}' if std else ''}", "data": np.array(history.values, dtype=np.float64),
+            "unit_str": history.attrs["units"].replace("^2", "\N{SUPERSCRIPT TWO}"), "quantity": codes[quantity],
+            "group": std or "estimate", **common,
+        }
+        for quantity, dof, _, std, history in histories(response)
+    ]  # fmt: skip
