@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -82,13 +82,13 @@ def write_modes(
 
 def _with_agreement(table: pd.DataFrame, joined: JoinedModes) -> pd.DataFrame:
     """With columns that say which records show a mode, and how well they agree."""
-    values = {
+    values: dict[str, Any] = {
         "records": [" ".join(str(part.record + 1) for part in one.parts) for one in joined.joined],
         "frequency_agreement": [one.agreement[0] for one in joined.joined],
         "damping_agreement": [one.agreement[1] for one in joined.joined],
         "least_record_mac": [float(np.min(one.mac)) if len(one.parts) > 1 else np.nan for one in joined.joined],
     }
-    for place, (name, column) in enumerate(values.items(), start=table.columns.get_loc("explained") + 1):
+    for place, (name, column) in enumerate(values.items(), start=list(table.columns).index("explained") + 1):
         table.insert(place, name, column)
     return table
 
