@@ -15,6 +15,7 @@ from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import periodogram, reaches_nyquist
 from pinn_cli.system.connection.base import Hysteresis
 from pinn_cli.system.modes import modes_of
+from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 from pinn_cli.verdict.finding import Finding, failed_if
 from pinn_cli.verdict.prediction import predicted
@@ -158,10 +159,10 @@ def _output_only(problem: Problem) -> list[Finding]:
 def _under_forces(problem: Problem, estimate: Estimate) -> list[Finding]:
     """Parameters that were found together with the most probable unknown forces, and not with these integrated out.
 
-    With a force on every DOF nothing but the spectrum of the forces holds them, and the peak that Laplace's
-    approximation has is still too low in damping (15 % over three records of wind on three storeys).
+    What the equations do not hold, see :func:`_are_held`, is held by the spectrum of the forces alone, and the peak
+    that Laplace's approximation has is wrong then (damping 15 % low over three records of wind on three storeys).
     """
-    approximated = bool(estimate.summary.get("at_marginal_peak")) and len(problem.inputs.forces) < problem.record.ndof
+    approximated = bool(estimate.summary.get("at_marginal_peak")) and _are_held(problem)
     integrated = "spectral_misfit" in estimate.summary or approximated
     if not problem.uncertain or not problem.inputs.forces or integrated:
         return []
@@ -172,6 +173,32 @@ def _under_forces(problem: Problem, estimate: Estimate) -> list[Finding]:
     )
     remedy = "measure the forces, or prescribe the parameters (scheme.parameter_uncertainty=0)"
     return [Finding("output_only_parameters", "parameters", f"{text}; {remedy}")]
+
+
+def _are_held(problem: Problem) -> bool:
+    """Whether equations without an unknown force hold every parameter.
+
+    Such a force, on a DOF with a sensor, leaves the DOFs on its two sides with nothing in common. A part that has no
+    sensor of its own has no more equations than motions that nobody measured.
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    structure, observed = problem.structure, problem.record.observed
+    free = np.setdiff1d(np.arange(problem.record.ndof), problem.inputs.forces)
+    if structure.is_modal or not len(free) or not observed[list(problem.inputs.forces)].all():
+        return False
+    stretch = abs(structure.incidence.matrix)
+    _, part = connected_components(stretch[:, free].T @ stretch[:, free], directed=False)
+    sensed = np.zeros(problem.record.ndof, dtype=bool)
+    sensed[free] = np.isin(part, part[observed[free]])
+    for p in problem.uncertain:
+        if p.kind in structure.carriers:
+            connections, which = structure.carriers[p.kind]
+            if not sensed[stretch[connections[which == p.index]].nonzero()[1]].any():
+                return False
+        elif p.kind == MASS and not sensed[p.index]:
+            return False
+    return True
 
 
 def _energy(structure: Structure) -> list[Finding]:
