@@ -54,7 +54,7 @@ def table_of_sep005(given: Any, setting: str) -> Table:
     if twice := [name for i, name in enumerate(names) if name in (TIMES, *names[:i])]:
         raise InputError(setting, repr(twice[0]), f"channels with different names, none of them {TIMES}")
     first = tables[0].time
-    if all(first is table.time or np.array_equal(first, table.time) for table in tables):  # type: ignore[arg-type]
+    if all(np.array_equal(first, table.time) for table in tables):  # type: ignore[arg-type]
         columns = {name: values for table in tables for name, values in table.columns.items()}
         table = Table(
             Path(setting), columns, hints={n: hint for t in tables for n, hint in t.hints.items()}, time=first

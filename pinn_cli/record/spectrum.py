@@ -121,13 +121,6 @@ def white_level(residual: np.ndarray, step: float, above: float) -> float:
     return float(np.sqrt(np.mean(power[frequency > min(above, 0.9 * frequency[-1])])))
 
 
-def mean_power(x: np.ndarray, step: float, low: float, high: float) -> float:
-    """Mean of the periodogram of a channel (N,) between two frequencies, Hz; NaN where there is none."""
-    frequency, power = periodogram(x, step)
-    within = power[(frequency > low) & (frequency <= high)]
-    return float(within.mean()) if len(within) else np.nan
-
-
 def noise_level(x: np.ndarray, step: float) -> float:
     """Standard deviation of the white noise that a channel (N,) shows, see :func:`signal_band`."""
     return _noise_floor(usable_periodogram(x, step)[1]) ** 0.5

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, mean_power
+from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, white_level
 from pinn_cli.system.functions import FLAT, Inputs
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 
@@ -128,15 +128,14 @@ def reaches_beyond(evidence: RecordEvidence, solution: RecordSolution) -> float:
     """
     level, equations = level_in_band(evidence, solution), evidence.equations
     record, inputs, structure = equations.problem.record, equations.problem.inputs, equations.dynamics.structure
-    usable = USABLE_NYQUIST_FRACTION * 0.5 / record.step
     top = inputs.edge / (2.0 * np.pi)
-    wider = usable / top
+    wider = USABLE_NYQUIST_FRACTION * 0.5 / record.step / top
     if level is None or structure.is_modal or wider < 1.1:
         return 1.0
     mass = equations.prescribed["m"].cpu().numpy()
     share = [
         # White noise of the points has so much power per frequency less than that of the samples.
-        (level / mass[dof]) ** 2 / equations.refinement / mean_power(felt, record.step, top, usable)
+        (level / mass[dof] / white_level(felt, record.step, top)) ** 2 / equations.refinement
         for dof in inputs.forces
         if np.isfinite(felt := record.acceleration[:, dof]).all()
     ]
