@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -84,14 +85,14 @@ def causes(problem: Problem, believed: Structure, estimated: Structure, excused:
     Args:
         problem: Whose structure does not do what was measured.
         believed: What was said of it. Of a nonlinear one the linear part is looked at.
-        estimated: Where what is unknown of it is looked for first.
+        estimated: Where what is unknown of it is looked for first; then, where the estimate's own search began.
         excused: Names of channels whose fault is known already.
     """
     record = _in_columns(problem.record, excused)
     if record is None or believed.is_modal or believed.coordinates > MOST_INVERTED:
         return []
     unknown = [p for p in problem.uncertain if p.unknown]
-    fits = _Fits(believed, linear_parts(believed, unknown), estimated)
+    fits = _Fits(believed, linear_parts(believed, unknown), (estimated, problem.structure))
     without, _ = fits.fitted(Cause(record, lambda _: None))
     if without.misfit < NEEDS_NO_CAUSE:
         return []
@@ -144,18 +145,17 @@ class _Fits:
 
     Attributes:
         structure: As it was told.
-        known: ``m``, ``c``, ``k``, ``loss``, NaN where unknown.
-        estimated: Where the unknown ones start.
+        begun: Where the unknown ones start; a fault may have led each of them astray.
     """
 
     structure: Structure
     known: dict[str, np.ndarray]
-    estimated: Structure
+    begun: Sequence[Structure]
 
-    @property
-    def guess(self) -> dict[str, np.ndarray]:
+    @cached_property
+    def guesses(self) -> list[dict[str, np.ndarray]]:
         """``m`` and ``k`` where the fits start."""
-        return {kind: _sizes(linear_parts(self.estimated, ())[kind]) for kind in (MASS, "k")}
+        return [{kind: _sizes(linear_parts(one, ())[kind]) for kind in (MASS, "k")} for one in self.begun]
 
     def fitted(self, cause: Cause, survivors: Sequence[int] = SURVIVORS) -> tuple[Candidate, float]:
         """The structure that comes nearest to the record, and minus the logarithm of the record's probability."""
@@ -163,7 +163,8 @@ class _Fits:
         known[kind][list(places)] = np.nan
         fit = self._fit(cause.record, known, cause.doubted)
         model = JointFit([fit])
-        found = nearest(model, grid_of_starts(model, [cause.record], self.guess), survivors)[0]
+        starts = [x for guess in self.guesses for x in grid_of_starts(model, [cause.record], guess)]
+        found = nearest(model, starts, survivors)[0]
         values, off = fit.common.size, np.log(abs(cause.factor(found))) / WRONG
         minus_log = values * np.log(max(found.misfit, 1e-12)) + cause.numbers * np.log(values) + off**2
         return found, 0.5 * float(minus_log)
@@ -193,7 +194,7 @@ class _Fits:
     def _fit(self, record: Record, known: dict[str, np.ndarray], doubted: Channel | None = None) -> LinearFit:
         """Of the record's spectra."""
         stretch = self.structure.stretch.matrix[self.structure.added].toarray()
-        structure = LinearStructure(stretch, known, self.guess["k"], self.structure.with_ground)
+        structure = LinearStructure(stretch, known, self.guesses[0]["k"], self.structure.with_ground)
         return LinearFit(record, structure, [] if doubted is None else doubts_about(doubted, record.step))
 
 

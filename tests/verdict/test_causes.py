@@ -76,6 +76,14 @@ def test_exchanged_sensors(problem):
     assert (cause.kind, cause.suspect) == ("swap", "acceleration of DOFs 1 and 3")
 
 
+def test_exchanged_sensors_that_led_the_estimate_astray(from_afar):
+    k = from_afar.structure.parameters["k"]
+    astray = from_afar.structure.with_parameters(k=k * k.new_tensor([1e-3, 50.0, 200.0]))
+    record = replace(from_afar.record, acceleration=from_afar.record.acceleration[:, [2, 1, 0]])
+    (cause,) = causes(replace(from_afar, record=record), from_afar.structure, astray)
+    assert (cause.kind, cause.suspect) == ("swap", "acceleration of DOFs 1 and 3")
+
+
 @pytest.mark.parametrize(("dof", "factor"), [(1, 5.0), (2, 0.5)])
 def test_a_wrong_mass(problem, dof, factor):
     m = problem.structure.parameters["m"].clone()
