@@ -20,9 +20,10 @@ from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Rival
-from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.evidence import Trained
 from pinn_cli.training.point import Point
 from pinn_cli.training.solver import Inference
+from pinn_cli.training.steps.updated_problem import problem_in_own_modes
 
 # Solutions that are weighed at most.
 MOST_WEIGHED = 3
@@ -38,31 +39,31 @@ def choose_equivalent_structure(found: Inference) -> Inference | None:
     """The solution that lies nearest to the start among those that are as probable as any; None: there is one alone."""
     if found.is_informed:
         return None
-    evidence, trained = found.evidence, found.trained
-    solutions = [trained]
-    for values in _others(evidence, trained):
-        other = _solved(evidence, trained, values)
-        if other is not None and all(_differ(evidence, other, one) for one in solutions):
+    solutions = [found]
+    for values in _others(found):
+        other = _solved(found, values)
+        if other is not None and all(_differ(other, one) for one in solutions):
             solutions.append(other)
     if len(solutions) == 1:
         return None
-    best = max(one.log_evidence for one in solutions)
-    as_good = [one for one in solutions if one.log_evidence > best - AS_GOOD]
-    as_good.sort(key=lambda one: _distance(evidence, one))
-    first = as_good[0] if as_good[0] is trained else found.solver.settled(evidence, as_good[0])
-    rivals = [_rival(evidence, one, one.log_evidence - as_good[0].log_evidence) for one in as_good[1:]]
-    return replace(found, trained=first, rivals=tuple(rivals))
+    best = max(one.trained.log_evidence for one in solutions)
+    as_good = [one for one in solutions if one.trained.log_evidence > best - AS_GOOD]
+    as_good.sort(key=_distance)
+    first = as_good[0]
+    rivals = [_rival(one, one.trained.log_evidence - first.trained.log_evidence) for one in as_good[1:]]
+    trained = first.trained if first is found else first.solver.settled(first.evidence, first.trained)
+    return replace(first, trained=trained, rivals=tuple(rivals))
 
 
-def _others(evidence: Evidence, trained: Trained) -> list[dict[Parameter, float]]:
+def _others(found: Inference) -> list[dict[Parameter, float]]:
     """Values of the unknown parameters of structures that do the same."""
-    problem, values = evidence.problem, _values(evidence, trained)
+    problem, values = found.problem, _values(found)
     unknown = [p for p in values if p.unknown and p.kind in (MASS, "k")]
     if not unknown or problem.structure.is_modal:
         return []
     structure = problem.structure.with_values({p: x for p, x in values.items() if p.kind not in CALIBRATION_UNITS})
-    found = twins(structure, unknown, seen_by(structure, [own.record for own in problem]), MOST_WEIGHED)
-    return [other | _dampers(values, other) for other in found]
+    others = twins(structure, unknown, seen_by(structure, [own.record for own in problem]), MOST_WEIGHED)
+    return [other | _dampers(values, other) for other in others]
 
 
 def _dampers(values: dict[Parameter, float], other: dict[Parameter, float]) -> dict[Parameter, float]:
@@ -96,43 +97,65 @@ def seen_by(structure: Structure, records: Sequence[Record]) -> Seen:
     return Seen(np.reshape(sensing, (-1, structure.ndof)), Acting.of(inputs, structure.ndof), low, high)
 
 
-def _solved(evidence: Evidence, trained: Trained, values: dict[Parameter, float]) -> Trained | None:
-    """The solution next to these values, under the same noise; None where there is none."""
-    equations, point = evidence.equations, trained.solution.point
-    scale, moved = equations.scale, point.parameters.clone()
+def _solved(found: Inference, values: dict[Parameter, float]) -> Inference | None:
+    """The solution next to these values, under the same noise and damped in its own modes; None where there is none."""
+    equations, point = found.evidence.equations, found.trained.solution.point
+    moved = point.parameters.clone()
     for i, p in enumerate(equations.uncertain):
         if p in values:
-            moved[i] = (values[p] - p.prescribed) / scale[i]
+            moved[i] = (values[p] - p.prescribed) / equations.scale[i]
+    there = Point(point.unknowns, moved)
+    begun = _damped_in_own_modes(replace(found, trained=_at(found.trained, there)))
     try:
-        again = evidence.train(trained.noise, equations.followed(Point(point.unknowns, moved), trained.noise))
+        followed = begun.evidence.equations.followed(there, found.trained.noise)
+        again = begun.evidence.train(found.trained.noise, followed)
     except DivergenceError:
         return None
-    return again if again is not None and again.solution.converged else None
+    return replace(begun, trained=again) if again is not None and again.solution.converged else None
 
 
-def _values(evidence: Evidence, trained: Trained) -> dict[Parameter, float]:
-    scaled = trained.solution.point.parameters.cpu().numpy() * evidence.equations.scale
-    return {p: p.value(float(x)) for p, x in zip(evidence.equations.uncertain, scaled, strict=True)}
+def _at(trained: Trained, point: Point) -> Trained:
+    return replace(trained, solution=replace(trained.solution, point=point))
 
 
-def _differ(evidence: Evidence, a: Trained, b: Trained) -> bool:
+def _damped_in_own_modes(found: Inference) -> Inference:
+    """The same point of a problem whose damping of the whole is that of the structure there."""
+    problem = problem_in_own_modes(found)
+    if problem is None:
+        return found
+    evidence = found.solver.evidence(problem)
+    for own, before in zip(evidence.equations.each, found.evidence.equations.each, strict=True):
+        own.ridge.value = before.ridge.value  # what is compared has one prior
+    return replace(found, evidence=evidence)
+
+
+def _values(found: Inference) -> dict[Parameter, float]:
+    equations = found.evidence.equations
+    scaled = found.trained.solution.point.parameters.cpu().numpy() * equations.scale
+    return {p: p.value(float(x)) for p, x in zip(equations.uncertain, scaled, strict=True)}
+
+
+def _differ(a: Inference, b: Inference) -> bool:
     """Whether two solutions are not one."""
-    mine, theirs = (np.array(list(_values(evidence, one).values())) for one in (a, b))
-    spread = sum(np.diag(one.factor.corner_covariance) for one in (a, b)) ** 0.5
-    scale, apart = evidence.equations.scale, np.abs(mine - theirs)
-    relevant = np.array([p.unknown and p.kind in LINEAR_UNITS for p in evidence.equations.uncertain])
+    equations = a.evidence.equations
+    mine, theirs = (np.array(list(_values(one).values())) for one in (a, b))
+    spread = sum(np.diag(one.trained.factor.corner_covariance) for one in (a, b)) ** 0.5
+    apart = np.abs(mine - theirs)
+    relevant = np.array([p.unknown and p.kind in LINEAR_UNITS for p in equations.uncertain])
     return bool(
-        ((apart > RIVALS_APART * spread * scale) & (apart > RIVALS_LEAST_APART * np.abs(mine)) & relevant).any()
+        (
+            (apart > RIVALS_APART * spread * equations.scale) & (apart > RIVALS_LEAST_APART * np.abs(mine)) & relevant
+        ).any()
     )
 
 
-def _distance(evidence: Evidence, trained: Trained) -> float:
+def _distance(found: Inference) -> float:
     """Of the unknown masses and springs from what the user says, else from where they started, as logarithms."""
-    springs = {p: x for p, x in _values(evidence, trained).items() if p.unknown and p.kind in (MASS, "k")}
+    springs = {p: x for p, x in _values(found).items() if p.unknown and p.kind in (MASS, "k")}
     pairs = [(x, p.said if p.said > 0 else p.prescribed) for p, x in springs.items()]
     return sum(math.log(x / start) ** 2 for x, start in pairs if x > 0 and start > 0)
 
 
-def _rival(evidence: Evidence, trained: Trained, log_odds: float) -> Rival:
-    values = {p.name: x for p, x in _values(evidence, trained).items() if p.unknown and p.kind not in CALIBRATION_UNITS}
+def _rival(found: Inference, log_odds: float) -> Rival:
+    values = {p.name: x for p, x in _values(found).items() if p.unknown and p.kind not in CALIBRATION_UNITS}
     return Rival(values, log_odds)

@@ -87,9 +87,15 @@ def update_modes(found: Inference) -> Inference | None:
     The next modes are those of the last solution. What parameters do to the modes is left out of the linearised
     equations: of the stiffness's part it is the damping ratio. None where they are the same.
     """
+    problem = problem_in_own_modes(found)
+    return None if problem is None else _carried_to(found, problem, found.solver)
+
+
+def problem_in_own_modes(found: Inference) -> JointProblem | None:
+    """The problem in the modes at a solution's parameters; None where they are those that it has."""
     before, problem = found.problem.structure, _present(found)
     moved = not problem.structure.shares_coordinates(before) or problem.structure.damping_apart(before) > SAME_MODES
-    return _carried_to(found, problem, found.solver) if moved else None
+    return problem if moved else None
 
 
 def loosen_at_turning_points(found: Inference) -> Inference | None:
