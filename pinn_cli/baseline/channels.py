@@ -96,7 +96,7 @@ class Channel:
 
 def gauges_of(record: Record, dynamics: Dynamics) -> list[tuple[Gauge, SensorSamples]]:
     """Its gauges, and behind them its other columns: gauges about which nothing is in doubt."""
-    gauges = [(gauge, SensorSamples.of_gauge(gauge)) for gauge in record.gauges]
+    gauges = [(gauge, SensorSamples.of_gauge(gauge, record)) for gauge in record.gauges]
     return gauges + list(_columns(record, dynamics))
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -14,10 +15,10 @@ import numpy as np
 from pinn_cli.record.between_samples import INTERSAMPLE, Intersample
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Repeats, Response
-from pinn_cli.record.spectrum import BandPass
+from pinn_cli.record.spectrum import BandPass, level_at_end
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of
-from pinn_cli.system.quantities import SUPPORT
+from pinn_cli.system.quantities import FORCE, SUPPORT
 
 Frame = Literal["absolute", "relative"]
 FRAMES: tuple[str, ...] = get_args(Frame)
@@ -183,6 +184,12 @@ class Record:
         """(channels,) bool: the DOFs whose ``quantity`` is measured. A force that is known to be zero is no sensor."""
         measured: np.ndarray = np.isfinite(self.histories(quantity)[0])
         return np.logical_and(measured, ~self.unforced) if quantity == "force" else measured
+
+    @cached_property
+    def is_filtered(self) -> bool:
+        """Whether every channel ends as one behind an anti-alias filter does; one that is white to the end has none."""
+        columns = (self.histories(q)[:, self.sensors(q)].T for q in (*self.response_quantities, FORCE))
+        return all(level_at_end(column, self.step) is not None for every in columns for column in every if column.any())
 
     def gauged(self, quantity: str) -> np.ndarray:
         """(channels,) bool: those whose column only shows what a gauge is believed to have measured."""

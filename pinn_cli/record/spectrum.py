@@ -155,6 +155,19 @@ def visible_floor(x: np.ndarray, step: float) -> float | None:
     return float(np.sqrt(above.mean()))
 
 
+def level_at_end(x: np.ndarray, step: float) -> float | None:
+    """Standard deviation that white noise has at most by the last tenth below the Nyquist frequency of a channel (N,).
+
+    None unless that is far less than what lies before: a filter lets no more through, or content ends only there.
+    """
+    frequency, power = periodogram(x, step)
+    share = frequency / frequency[-1]
+    before, last = power[(share > 0.6) & (share <= USABLE_NYQUIST_FRACTION)], power[share > 0.9]
+    if len(last) < FEWEST_BINS or not last.mean() < FAR_BELOW * before.mean():
+        return None
+    return float(np.sqrt(last.mean()))
+
+
 def reaches_nyquist(x: np.ndarray, step: float, noise: float = 0.0) -> bool:
     """Whether a channel (N,) has content up to its Nyquist frequency, with power that falls off in the last parts.
 

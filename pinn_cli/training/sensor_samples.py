@@ -9,7 +9,7 @@ import numpy as np
 
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import Record
-from pinn_cli.record.spectrum import lowest_level, visible_floor
+from pinn_cli.record.spectrum import FAR_BELOW, level_at_end, lowest_level, visible_floor
 
 # No sensor is taken to be better than this fraction of its channel's spread: below it, rounding and the splines' own
 # error rule.
@@ -28,6 +28,7 @@ class SensorSamples:
         dof: The channel of its quantity that it fills, counted from 0; None: it fills none.
         values: (J,), SI units.
         run: Samples in a row (R,) whose times are even, and the step, s; None: none are many enough to show its noise.
+        is_filtered: Whether anti-alias filters may leave less at the end of its spectrum than its noise is.
         scatter: Its noise as repeated measurements tell it; None: they do not.
     """
 
@@ -35,6 +36,7 @@ class SensorSamples:
     dof: int | None
     values: np.ndarray
     run: tuple[np.ndarray, float] | None
+    is_filtered: bool
     scatter: float | None = None
 
     @classmethod
@@ -42,12 +44,12 @@ class SensorSamples:
         """Of a column of the record."""
         values, repeats = record.histories(quantity)[:, dof], record.repeats
         scatter = None if repeats is None else float(repeats.noise_of_mean(quantity)[dof])
-        return cls(quantity, dof, values, (values, record.step), scatter)
+        return cls(quantity, dof, values, (values, record.step), record.is_filtered, scatter)
 
     @classmethod
-    def of_gauge(cls, gauge: Gauge) -> SensorSamples:
+    def of_gauge(cls, gauge: Gauge, record: Record) -> SensorSamples:
         """Of a channel with samples of its own."""
-        return cls(gauge.quantity, gauge.dof, gauge.values, gauge.even_run)
+        return cls(gauge.quantity, gauge.dof, gauge.values, gauge.even_run, record.is_filtered)
 
     @cached_property
     def rms(self) -> float:
@@ -66,8 +68,15 @@ class SensorSamples:
 
     @cached_property
     def shown(self) -> float:
-        """Noise that its spectrum shows above its band; 0 where it shows none."""
-        return 0.0 if self.run is None else visible_floor(*self.run) or 0.0
+        """Noise that its spectrum shows above its band; 0 where it shows none.
+
+        Content that is even up to 0.8 of the Nyquist frequency and ends above it passes for noise there, unless nothing
+        else can have emptied what lies beyond.
+        """
+        if self.run is None:
+            return 0.0
+        visible, at_end = visible_floor(*self.run) or 0.0, None if self.is_filtered else level_at_end(*self.run)
+        return visible if at_end is None or at_end**2 > FAR_BELOW * visible**2 else at_end
 
     @cached_property
     def most(self) -> float:

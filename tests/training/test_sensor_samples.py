@@ -8,6 +8,8 @@ from independent_records import frame_record
 from small_problems import excitation, measured, small_chain
 
 from pinn_cli.record.gauge import Gauge
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import GROUND
 from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.training.sensor_samples import SensorSamples, starting_levels
@@ -56,9 +58,27 @@ def test_a_load_cell_with_a_gap_shows_its_noise_where_it_has_samples():
     shown = sum(np.cos(2.0 * np.pi * f * time + 7.0 * f) for f in np.linspace(0.5, 15.0, 60))
     shown = shown + 0.05 * rng.standard_normal(3000)
     there = (time < 12.0) | (time > 18.0)
-    gauge = Gauge("f", "force", {0: 1.0}, time[there], shown[there])
-    assert SensorSamples.of_gauge(gauge).first == pytest.approx(0.05, rel=0.15)
-    assert SensorSamples.of_gauge(gauge).shown == pytest.approx(0.05, rel=0.15)
+    record = frame_record(rate=100.0, duration=15.0).record
+    cell = SensorSamples.of_gauge(Gauge("f", "force", {0: 1.0}, time[there], shown[there]), record)
+    assert [cell.first, cell.shown] == pytest.approx([0.05, 0.05], rel=0.15)
     half = rng.random(3000) < 0.5
     scattered = Gauge("f", "force", {0: 1.0}, time[half], shown[half])
-    assert SensorSamples.of_gauge(scattered).first == pytest.approx(0.1 * np.std(scattered.values))
+    assert SensorSamples.of_gauge(scattered, record).first == pytest.approx(0.1 * np.std(scattered.values))
+
+
+@pytest.mark.parametrize("behind_filters", [False, True])
+def test_content_that_ends_short_of_the_nyquist_frequency_passes_for_noise_only_behind_filters(behind_filters):
+    """The ground's motion is even from 0.2 to 0.88 of the Nyquist frequency, twenty times its noise of 0.005."""
+    rng, count, step = np.random.default_rng(0), 4000, 0.01
+    share = np.fft.rfftfreq(count, step) / (0.5 / step)
+    below = np.fft.irfft(np.where(share < 0.88, np.fft.rfft(rng.standard_normal(count)), 0.0), count)
+    slow = np.fft.irfft(np.where(share < 0.2, np.fft.rfft(rng.standard_normal(count)), 0.0), count)
+    ground = 10.0 * slow + 0.1 * below + 0.005 * rng.standard_normal(count)
+    noise = below if behind_filters else rng.standard_normal(count)
+    nothing = np.full((count, 1), np.nan)
+    record = Record(
+        step * np.arange(count), nothing, nothing.copy(), (20.0 * slow + 0.1 * noise)[:, None], np.zeros_like(nothing),
+        np.ones(1, bool), ground_acceleration=ground,
+    )  # fmt: skip
+    cell = SensorSamples.of_column(record, GROUND, 0)
+    assert cell.shown == pytest.approx(0.1 if behind_filters else 0.005, rel=0.15)

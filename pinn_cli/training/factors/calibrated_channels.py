@@ -231,9 +231,10 @@ class CalibratedChannels(Channels):
 
     def __init__(self, frame: Frame) -> None:
         super().__init__(frame)
-        gauges = frame.problem.record.gauges
+        record = frame.problem.record
+        gauges = record.gauges
         self.each = [CalibratedChannel(gauge, number, frame) for number, gauge in enumerate(gauges)]
-        self.sensors = [SensorSamples.of_gauge(gauge) for gauge in gauges]
+        self.sensors = [SensorSamples.of_gauge(gauge, record) for gauge in gauges]
         self.there = np.ones(len(gauges), dtype=bool)
         self.samples = np.array([len(channel.time) for channel in self.each])
         self.acting = np.array([gauge.quantity in (FORCE, GROUND) for gauge in gauges], dtype=bool)
