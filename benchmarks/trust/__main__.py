@@ -142,7 +142,7 @@ def main() -> None:
         command = f'make trust ARGS="{options} --write"'.replace('" ', '"')
         for name, text in told.items():
             write(PAGE, name, text, command)
-        write(PAGE, "trust-worst", "\n".join(f"- {line}" for line in worst(found.rows, 3).splitlines()), command)
+        write(PAGE, "trust-worst", "\n".join(f"- {line}" for line in worst(found.rows).splitlines()), command)
         draw(table, PAGE.with_suffix(".png"))
 
 
