@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
 from calls import PinnRun
+from scipy.signal import butter, lsim, sosfilt
 
 EARTHQUAKE = (
     "excitation=ground_motion", "excitation.highest=10", "excitation.rise=1", "excitation.strong=4",
@@ -55,3 +57,34 @@ def test_a_frame_of_which_the_roof_leaves_two_open(pinn_run: PinnRun) -> None:
     other = {name: float(x) for name, x in re.findall(r"(k_\d) = ([\d.e+]+)", reason)}
     assert other["k_1"] == pytest.approx(4e6, rel=0.1)
     assert other["k_2"] == pytest.approx(1e6, rel=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sensors", [(1, 2, 3), (1, 3)])
+def test_an_earthquake_whose_ground_record_is_missing(
+    pinn_run: PinnRun, tmp_path: Path, sensors: tuple[int, ...]
+) -> None:
+    """To a floor above the ground its motion is a force: k_1 u_g + c_1 u_g'."""
+    rng, m, k, time = np.random.default_rng(3), np.array([26e3, 24e3, 23e3]), [30e6, 21e6, 23e6], np.arange(0, 60, 5e-4)
+    ground = sosfilt(butter(2, [0.3, 12], "bandpass", fs=2000, output="sos"), rng.standard_normal(len(time)))
+    stretch = np.eye(3) - np.eye(3, k=-1)
+    k_over_m = stretch.T @ np.diag(k) @ stretch / m[:, None]
+    rates = np.hstack((-k_over_m, -3e-3 * k_over_m))
+    a = np.vstack((np.hstack((np.zeros((3, 3)), np.eye(3))), rates))
+    _, moved, _ = lsim((a, np.repeat([[0.0], [-1.0]], 3, axis=0), rates, np.zeros((3, 1))), ground, time)
+    felt = moved[::20]
+    felt = felt + 0.01 * felt.std(axis=0) * rng.standard_normal(felt.shape)
+    table = pd.DataFrame({"t": time[::20]} | {f"a{dof}": felt[:, dof - 1] for dof in sensors})
+    table.to_csv(tmp_path / "rig.csv", index=False)
+    outcome = pinn_run(
+        "data=csv", f"data.path={tmp_path}/rig.csv", "data.force={1: null}",
+        f"data.acceleration={{{', '.join(f'{dof}: a{dof}' for dof in sensors)}}}", "system=linear", "system.ndof=3",
+        f"system.m={m.tolist()}", "scheme=state_parameter", "scheme.unknown=[k_*, c_*]", "figures=false",
+    )  # fmt: skip
+    found = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    assert found.loc[["k_2", "k_3"], "estimate"].to_numpy() == pytest.approx(k[1:], rel=0.01)
+    off = found["estimate"] - pd.Series(
+        {f"{kind}_{i + 1}": x for i, x in enumerate(k) for kind, x in (("k", x), ("c", 3e-3 * x))}
+    )
+    assert (off.abs() < 4.0 * found["std"]).all()
+    assert json.loads((outcome.directory / "run.json").read_text())["verdict"] != "failed"
