@@ -1,7 +1,5 @@
 """How tests call the program, and the small settings that they call it with."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,6 +18,11 @@ class Outcome:
 
     def __init__(self, status: int, out: str, err: str) -> None:
         self.status, self.out, self.err = status, out, err
+
+    def done(self) -> "Outcome":
+        """This, of a call that must have gone well."""
+        assert self.status == 0, self.err
+        return self
 
     @property
     def directory(self) -> Path:

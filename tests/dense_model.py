@@ -1,7 +1,5 @@
 """The probability of a record under a spline network and a chain, written out with dense matrices, in numpy alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Estimates of records that other code has made, by the spline and its own training."""
 
-from __future__ import annotations
-
 from independent_records import IndependentRecord
 
 from pinn_cli.network.spline import Spline

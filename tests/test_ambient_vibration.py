@@ -1,7 +1,5 @@
 """Frames under forces that nobody measured: motion, forces and bands, on records that scipy made."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every estimator on structures that are no chains: braces, weighted connections, several laws, any order."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from small_problems import measured

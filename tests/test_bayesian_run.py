@@ -1,7 +1,5 @@
 """Whole runs of Bayesian estimation, small: what they leave behind, what they take over, and what is refused."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -28,8 +26,7 @@ def draws(outcome: Outcome) -> dict[str, np.ndarray]:
 
 
 def test_a_run_leaves_its_posterior(pinn_run: PinnRun) -> None:
-    outcome = pinn_run(*SAMPLED)
-    assert outcome.status == 0, outcome.err
+    outcome = pinn_run(*SAMPLED).done()
     left = {entry.name for entry in outcome.directory.iterdir()}
     assert {"posterior.nc", "diagnostics.csv", "parameters.csv", "fitness.csv", "response.nc", "run.json"} <= left
     assert sorted(entry.name for entry in (outcome.directory / "chains").iterdir()) == CHAINS
@@ -40,14 +37,11 @@ def test_a_run_leaves_its_posterior(pinn_run: PinnRun) -> None:
 
 
 @pytest.mark.slow
-def test_a_second_start_takes_over_what_was_finished_and_the_seed_decides_the_rest(
-    pinn_run: PinnRun, tmp_path: Path
-) -> None:
+def test_a_second_start_takes_over_what_was_finished_and_the_seed_decides_the_rest(pinn_run, tmp_path):
     first = pinn_run(*SAMPLED, "hydra.run.dir=first", "seed=3")
     found, found_draws, chains = parameters(first), draws(first), tmp_path / "first" / "chains"
     before = {name: (chains / name).stat().st_mtime_ns for name in CHAINS}
-    again = pinn_run(*SAMPLED, "hydra.run.dir=first", "seed=3")
-    assert again.status == 0, again.err
+    again = pinn_run(*SAMPLED, "hydra.run.dir=first", "seed=3").done()
     assert {name: (chains / name).stat().st_mtime_ns for name in CHAINS} == before
     assert "2 of 2 chains were finished before" in (again.directory / "pinn-run.log").read_text()
     elsewhere = pinn_run(*SAMPLED, "hydra.run.dir=second", "seed=3")
@@ -103,8 +97,7 @@ def check_groups(outcome: Outcome) -> None:
 @pytest.mark.parametrize("choice", ["laplace", pytest.param("conditional", marks=pytest.mark.slow)])
 def test_the_other_posteriors(pinn_run: PinnRun, choice: str) -> None:
     few = ("posterior.draws=200",) if choice == "laplace" else SAMPLED[-3:]
-    outcome = pinn_run(*BAYESIAN, f"posterior={choice}", *few, "figures=false")
-    assert outcome.status == 0, outcome.err
+    outcome = pinn_run(*BAYESIAN, f"posterior={choice}", *few, "figures=false").done()
     assert list(parameters(outcome).index) == NAMES
     record = json.loads((outcome.directory / "run.json").read_text())
     assert record["posterior"]["method"] == choice
@@ -129,9 +122,7 @@ SETTINGS = {
 
 
 @pytest.mark.parametrize(("overrides", "told"), SETTINGS.items(), ids=SETTINGS.keys())
-def test_what_cannot_be_is_refused_and_nothing_is_left_behind(
-    pinn_run: PinnRun, tmp_path: Path, overrides: str, told: str
-) -> None:
+def test_what_cannot_be_is_refused_and_nothing_is_left_behind(pinn_run, tmp_path, overrides, told):
     given = overrides.split() if overrides.startswith("training=") else [overrides]
     outcome = pinn_run(*BAYESIAN, *given)
     assert (outcome.status, outcome.err.count("\n")) == (2, 1), outcome.err
@@ -149,8 +140,7 @@ def test_a_measured_record(pinn_run: PinnRun, tmp_path: Path) -> None:
     pd.DataFrame(columns).to_csv(tmp_path / "rig.csv", index=False)
     settings = ["data.path=rig.csv", "data.time=t", "data.force={1: f}", "data.displacement={1: u1, 2: u2}"]
     own = [text for text in BAYESIAN if not text.startswith(("simulation.", "excitation.", "noise."))]
-    outcome = pinn_run(*own, "data=csv", *settings, "posterior=laplace", "system.m=10")
-    assert outcome.status == 0, outcome.err
+    outcome = pinn_run(*own, "data=csv", *settings, "posterior=laplace", "system.m=10").done()
     table = parameters(outcome)
     assert list(table.index) == NAMES
     assert table["true"].isna().all()
@@ -169,8 +159,7 @@ HYSTERETIC = (
 @pytest.mark.slow
 def test_a_structure_with_memory(pinn_run: PinnRun) -> None:
     """Under Gaussians hundreds of times as wide as the parameters it ended where the brace has no stiffness."""
-    outcome = pinn_run(*HYSTERETIC)
-    assert outcome.status == 0, outcome.err
+    outcome = pinn_run(*HYSTERETIC).done()
     table = parameters(outcome)
     assert (table.loc[["k_s1", "k_s2", "A_s1"], "error_percent"] < 8.0).all()
     apart = (table["estimate"] - table["true"]) / table["std"]

@@ -1,7 +1,5 @@
 """The cases, the counting and the exponents of `make bench`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Hidden forces, the ground and forces that nobody measured, found together with the motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What runs on a CUDA device finds what the processor finds; left out where there is none."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -99,8 +97,7 @@ def test_blocks_of_the_normal_equations(design):
 
 @pytest.mark.parametrize("network", ["spline", "mlp"])
 def test_a_run_says_which_device_it_used_and_can_be_taken_up(pinn_run: PinnRun, network: str):
-    outcome = pinn_run(*SMALL, f"network={network}", "device=cuda", "figures=false", "hydra.run.dir=run")
-    assert outcome.status == 0, outcome.err
+    outcome = pinn_run(*SMALL, f"network={network}", "device=cuda", "figures=false", "hydra.run.dir=run").done()
     told = json.loads((outcome.directory / "run.json").read_text())
     assert told["device"].startswith("cuda (")
     assert told["peak_memory_mib"]["cuda"] > 0

@@ -1,7 +1,5 @@
 """Every command of README.md and docs/ is accepted: composed, validated, and posed up to the first step of training."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

@@ -71,8 +71,7 @@ def example(installed, pinn_run):
     def call(heading):
         (command,) = EXAMPLES[heading][1]
         arguments = shlex.split(command)[1:]
-        outcome = pinn_run("--config-dir", str(installed / "conf"), *arguments, "figures=false")
-        assert outcome.status == 0, outcome.err
+        outcome = pinn_run("--config-dir", str(installed / "conf"), *arguments, "figures=false").done()
         return outcome.directory
 
     return call
@@ -143,8 +142,7 @@ def test_a_law_is_one_of_a_structure_s_connections_too(installed, pinn_run):
     outcome = pinn_run(
         "system=structure", "system.dofs=[x]", "system.mass=10", f"system.connections={connections}", "figures=false",
         "scheme.unobserved=[]", "simulation.duration=10", "simulation.samples=256", "excitation.band=[0.2,1]",
-    )  # fmt: skip
-    assert outcome.status == 0, outcome.err
+    ).done()  # fmt: skip
     assert "strength_a" in set(pd.read_csv(outcome.directory / "parameters.csv")["parameter"])
 
 

@@ -1,7 +1,5 @@
 """Numbers on the command line that no run can use: one line with the setting and what is allowed, and no files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Whole runs on finite-element models."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -51,8 +49,7 @@ def strict_fitness(directory) -> pd.Series:
 @pytest.mark.slow
 def test_a_cubic_stop_at_the_tip_is_found(in_folder_with_a_beam: PinnRun):
     pair = "system.drifts={bend: [a, tip]}"
-    outcome = in_folder_with_a_beam(*SMALL, *IDENTIFY, f"system.connections={STOP}", pair)
-    assert outcome.status == 0, outcome.err
+    outcome = in_folder_with_a_beam(*SMALL, *IDENTIFY, f"system.connections={STOP}", pair).done()
     parameters = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
     assert parameters["estimate"]["kappa_stop"] == pytest.approx(4e4, rel=0.03)
     drifts = pd.read_csv(outcome.directory / "drift.csv").set_index("connection")
@@ -70,8 +67,9 @@ def test_a_cubic_stop_at_the_tip_is_found(in_folder_with_a_beam: PinnRun):
 
 @pytest.mark.slow
 def test_a_model_without_connections_has_no_drifts_to_draw(in_folder_with_a_beam: PinnRun):
-    outcome = in_folder_with_a_beam(*SMALL, "simulation.samples=129", "scheme.parameter_uncertainty=0", "figures=true")
-    assert outcome.status == 0, outcome.err
+    outcome = in_folder_with_a_beam(
+        *SMALL, "simulation.samples=129", "scheme.parameter_uncertainty=0", "figures=true"
+    ).done()
     assert (outcome.directory / "run.json").is_file()
     assert pd.read_csv(outcome.directory / "drift.csv").empty
 
@@ -92,8 +90,7 @@ def test_a_record_that_begins_in_motion_with_modes_above_its_band(in_folder_with
     outcome = in_folder_with_a_beam(
         *SMALL[:3], "system.modes=7", "system.damping_ratio=0.02", "data=csv", "data.path=beam.csv",
         "data.force={b: f}", "data.acceleration={tip: tip, a: a}", "scheme.parameter_uncertainty=0", "figures=false",
-    )  # fmt: skip
-    assert outcome.status == 0, outcome.err
+    ).done()  # fmt: skip
     with xr.open_dataset(outcome.directory / "response.nc") as found:
         for name, true in (("displacement", u), ("acceleration", a)):
             missed = np.abs(found[name] - true)
@@ -120,8 +117,7 @@ def test_a_mass_on_a_dof_that_the_model_does_not_have_is_named(in_folder_with_a_
         *SMALL[:3], "system.modes=6", "system.damping_ratio=0.02", "data=csv", "data.path=beam.csv",
         "data.force={b: f}", "data.acceleration={tip: tip, a: a, b: b}", "scheme.parameter_uncertainty=0",
         "figures=false",
-    )  # fmt: skip
-    assert outcome.status == 0, outcome.err
+    ).done()  # fmt: skip
     told = json.loads((outcome.directory / "run.json").read_text())
     assert told["verdict"] != "sound"
     (by, std) = re.search(
@@ -136,8 +132,7 @@ def test_the_stiffness_of_parts_is_updated(in_folder_with_a_beam: PinnRun):
     outcome = in_folder_with_a_beam(
         *SMALL, "scheme=state_parameter", "scheme.parameter_uncertainty=0", "scheme.initial_motion=rest",
         "system.factors={root: {file: root.mtx, value: 0.8}, end: {file: end.mtx, value: 1.2}}",
-    )  # fmt: skip
-    assert outcome.status == 0, outcome.err
+    ).done()  # fmt: skip
     parameters = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
     assert parameters.index.tolist() == ["factor_root", "factor_end"]
     assert parameters["start"].tolist() == [1.0, 1.0]
@@ -187,8 +182,7 @@ def test_parts_far_off_in_a_record_of_the_whole_model(pinn_run: PinnRun):
         "data=csv", "data.path=beam.csv", "data.force={b: f}",
         "data.acceleration={tip: tip, a: a, b: b}", "scheme=state_parameter", "scheme.parameter_uncertainty=0",
         "figures=false",
-    )  # fmt: skip
-    assert outcome.status == 0, outcome.err
+    ).done()  # fmt: skip
     assert "nothing is said of damping" in outcome.out + outcome.err
     found = pd.read_csv(outcome.directory / "parameters.csv", index_col="parameter")
     true = {"factor_root": factors[0], "factor_end": factors[1]} | {f"zeta_{i}": 0.02 for i in (1, 2, 3)}
@@ -234,8 +228,7 @@ def test_a_shaken_model_with_an_unknown_force(in_folder_with_a_beam: PinnRun):
         *SMALL[:3], "system.modes=3", "system.damping_ratio=0.03", "system.ground=1::2", "data=csv",
         "data.path=rig.csv", "data.force={tip: null}", "data.acceleration={tip: tip, a: a, b: b}",
         "data.displacement={p: up}", "data.holdout=[p]", "data.ground_acceleration=ground", "figures=false",
-    )  # fmt: skip
-    assert outcome.status == 0, outcome.err
+    ).done()  # fmt: skip
     with xr.open_dataset(outcome.directory / "response.nc") as found:
         at_p, std = (found[name].values[:, 3] for name in ("displacement", "displacement_std"))
         error = found["force"].values[20:-20, 0] - force(time)[20:-20]
@@ -269,8 +262,7 @@ def test_the_cantilever_of_the_documentation(pinn_run: PinnRun):
     """Two hundred elements, twelve modes: the stop within 3 %, and the motion of twenty other points."""
     (script,) = re.findall(r"^```python\n(.*?)^```", MY_STRUCTURE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     exec(script, {})
-    outcome = pinn_run("experiment=examples/beam_with_stop", "figures=false")
-    assert outcome.status == 0, outcome.err
+    outcome = pinn_run("experiment=examples/beam_with_stop", "figures=false").done()
     parameters = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
     assert parameters["estimate"]["kappa_stop"] == pytest.approx(4e4, rel=0.03)
     fitness = strict_fitness(outcome.directory)
@@ -292,8 +284,7 @@ def test_parts_are_updated_with_modes_above_the_record_s_band(pinn_run: PinnRun)
         "excitation.rms=1", "excitation.dofs=[b]", "noise.snr_db=42", "scheme.unobserved=[b]", "seed=2",
         "scheme=state_parameter", "scheme.parameter_uncertainty=0", "scheme.initial_motion=rest", "figures=false",
         "system.factors={root: {file: root.mtx, value: 1.02}, mid: {file: mid.mtx, value: 1.07}}",
-    )  # fmt: skip
-    assert outcome.status == 0, outcome.err
+    ).done()  # fmt: skip
     parameters = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
     np.testing.assert_allclose(parameters["estimate"], [1.02, 1.07], rtol=2e-3)
     residuals = pd.read_csv(outcome.directory / "residuals.csv")

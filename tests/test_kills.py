@@ -4,8 +4,6 @@ Bit for bit, the column of seconds apart. A run is a fork of this process, which
 takes a second or two; workers of joblib are processes of their own.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import random

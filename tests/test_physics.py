@@ -1,7 +1,5 @@
 """Residuals of the true motion, and the tangent of the connections."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

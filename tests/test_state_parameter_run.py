@@ -1,7 +1,5 @@
 """Whole runs of state-parameter estimation, small: unknown parameters in the tables, and settings that cannot be."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +11,7 @@ STATE_PARAMETER = (*SMALL, "scheme=state_parameter", "scheme.unobserved=[2]")
 
 
 def test_a_run_leaves_what_was_unknown_and_what_was_found(pinn_run: PinnRun) -> None:
-    outcome = pinn_run(*STATE_PARAMETER, "scheme.initial={k_2: 5}", "figures=false")
-    assert outcome.status == 0, outcome.err
+    outcome = pinn_run(*STATE_PARAMETER, "scheme.initial={k_2: 5}", "figures=false").done()
     table = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
     assert set(table["scheme"]) == {"state_parameter"}
     assert list(table.index) == [f"{kind}_{dof}" for kind in ("c", "k", "kappa") for dof in (1, 2, 3)]

@@ -1,7 +1,5 @@
 """strict=true: a verdict other than sound is exit status 4, whose results are written all the same."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Whole runs on structures that a user writes down."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """The wheel holds what a run needs, and works from any folder of an environment that has never seen this checkout."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Runs by windows, through the whole program."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
@@ -27,10 +25,8 @@ def parameters(run: str) -> pd.DataFrame:
 def test_windows_come_to_what_the_whole_record_says(pinn_run: PinnRun, tmp_path: Path) -> None:
     each = record(3, duration=10.02)
     data = written(each.record, tmp_path / "one.csv")
-    whole = pinn_run(*KNOWN, *data, "hydra.run.dir=whole")
-    assert whole.status == 0, whole.err
-    done = pinn_run(*KNOWN, *data, *WINDOWS, "hydra.run.dir=parts")
-    assert done.status == 0, done.err
+    pinn_run(*KNOWN, *data, "hydra.run.dir=whole").done()
+    done = pinn_run(*KNOWN, *data, *WINDOWS, "hydra.run.dir=parts").done()
     assert "window 2, 3 to 7 s: sound" in done.out
     assert done.out.strip().splitlines()[-2:] == ["verdict: sound", str(tmp_path / "parts")]
     ours, theirs = parameters("parts"), parameters("whole")
@@ -64,8 +60,7 @@ def follow_what_grows(pinn_run: PinnRun, tmp_path: Path, data: tuple[str, ...]) 
     follow += ["follow.until_idle=0.1", "follow.poll=0.05"]
     for text in ("".join(lines[:300]) + lines[300][:5], "".join(lines)):
         growing.write_text(text)
-        done = pinn_run(*follow)
-        assert done.status == 0, done.err
+        done = pinn_run(*follow).done()
     assert done.directory == tmp_path / "outputs/default/follow"
     assert "window 1," not in done.out
     assert "window 3," in done.out
@@ -79,23 +74,20 @@ def follow_what_grows(pinn_run: PinnRun, tmp_path: Path, data: tuple[str, ...]) 
 @pytest.mark.slow
 def test_windows_that_are_there_are_not_solved_again(pinn_run: PinnRun, tmp_path: Path) -> None:
     data = written(record(3, duration=10.02).record, tmp_path / "one.csv")
-    first = pinn_run(*KNOWN, *data, *WINDOWS, "hydra.run.dir=run")
-    assert first.status == 0, first.err
+    pinn_run(*KNOWN, *data, *WINDOWS, "hydra.run.dir=run").done()
     kept = {name: Path("run", name).read_bytes() for name in TABLES}
     shutil.rmtree("run/windows/0003")
     Path("run/run.json").unlink()
     Path("run/windows/0003").mkdir()
     Path("run/windows/0003/.response.4711.partial.nc").write_text("half")
-    again = pinn_run("resume=run")
-    assert again.status == 0, again.err
+    again = pinn_run("resume=run").done()
     assert "window 2" not in again.out
     assert "window 3" in again.out
     assert {name: Path("run", name).read_bytes() for name in TABLES} == kept
     assert not list(Path("run").rglob("*.partial.*"))
     assert "nothing to do" in pinn_run("resume=run").out
     known = parameters("run")
-    more = pinn_run("model=run", *written(record(4).record, tmp_path / "two.csv"), *WINDOWS, "hydra.run.dir=next")
-    assert more.status == 0, more.err
+    pinn_run("model=run", *written(record(4).record, tmp_path / "two.csv"), *WINDOWS, "hydra.run.dir=next").done()
     assert (parameters("next")["std"] < known["std"]).all()
 
 
@@ -103,8 +95,7 @@ def test_windows_that_are_there_are_not_solved_again(pinn_run: PinnRun, tmp_path
 def test_a_simulated_record_by_windows(pinn_run: PinnRun) -> None:
     """Its truth is known: fitness is that of the whole record."""
     common = (*SMALL, "figures=false", "noise.snr_db=30", "scheme.unobserved=[2]")
-    done = pinn_run(*common, "data.window=5", "hydra.run.dir=run")
-    assert done.status == 0, done.err
+    pinn_run(*common, "data.window=5", "hydra.run.dir=run").done()
     assert pinn_run(*common, "hydra.run.dir=whole").status == 0
     fitness = [pd.read_csv(f"{run}/fitness.csv").set_index(["group", "quantity"]) for run in ("run", "whole")]
     assert fitness[0].index.equals(fitness[1].index)

@@ -1,7 +1,5 @@
 """Structures and records that are built without the command."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import eigh

@@ -1,7 +1,5 @@
 """Sensors in doubt and missing samples in the smoother: derivatives, what is skipped, refused and found."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

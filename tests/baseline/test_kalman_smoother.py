@@ -1,7 +1,5 @@
 """The smoother as a baseline: what was put in is found, and found again in other units of time."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 
@@ -192,9 +190,7 @@ def test_every_parameter_may_be_unknown() -> None:
     assert estimate.summary["stop_reason"] == "converged"
 
 
-def test_a_smoother_that_breaks_says_so_and_gives_no_estimate(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_smoother_that_breaks_says_so_and_gives_no_estimate(monkeypatch, caplog):
     def broken(self: StateSpace, trajectory: object) -> np.ndarray:
         raise FloatingPointError("overflow at sample 3")
 

@@ -1,7 +1,5 @@
 """The smoother's parameters: what cannot be negative has no interval below zero."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Exit statuses, one line per error, nothing left behind: the command line alone, with a stand-in for the task."""
 
-from __future__ import annotations
-
 import csv
 import os
 import subprocess
@@ -237,9 +235,7 @@ class Mine(Callback):
 """
 
 
-def test_callbacks_of_an_installed_package_are_called(
-    pinn_run: PinnRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_callbacks_of_an_installed_package_are_called(pinn_run, tmp_path, monkeypatch):
     information = tmp_path / "own" / "of_callbacks-1.dist-info"
     information.mkdir(parents=True)
     (information.parent / "of_callbacks.py").write_text(CALLBACK)

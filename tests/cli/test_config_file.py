@@ -1,7 +1,5 @@
 """`--config my.yaml`, `--quiet`, `--json` and `--help GROUP`."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

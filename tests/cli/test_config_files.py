@@ -1,7 +1,5 @@
 """Files of settings of somebody's own that no run can use: the file, the line and what to do, in one line and soon."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

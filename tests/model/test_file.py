@@ -1,7 +1,5 @@
 """The file of a model: what goes in comes out, and what is none is refused in one line."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from dataclasses import replace

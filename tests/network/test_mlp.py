@@ -1,7 +1,5 @@
 """The multilayer perceptron: its size, its weights and where they start, and the features of the time before it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What holds of every network: derivatives in time, continuity, precision, units of time; and of linear readouts."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest

@@ -1,7 +1,5 @@
 """The noise of a load cell beside accelerometers alone, which leave it open: its draws, and the truth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import storeys

@@ -1,7 +1,5 @@
 """The variants behind one interface: which likelihood they take, what they hand over, which settings they refuse."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 

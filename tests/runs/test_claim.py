@@ -1,7 +1,5 @@
 """A command that is refused, or waits, changes no byte of what lies where it would write; a user's files stay."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Signals outside of a training: at once, with handlers put back, and never twice too late."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

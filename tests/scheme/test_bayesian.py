@@ -1,7 +1,5 @@
 """Bayesian estimation: what is unknown, under which priors, where it starts, and what the estimator is not told."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Of a measured structure the user gives every value, or says that it is unknown; nothing is a demonstration's."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

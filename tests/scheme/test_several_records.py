@@ -1,7 +1,5 @@
 """One problem from several records: what is unknown, where it starts, what each record leaves open."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sparse recovery: sensors kept, parameters that may move, and the wall between a problem and its truth."""
 
-from __future__ import annotations
-
 import dataclasses
 import typing
 

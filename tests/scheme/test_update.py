@@ -1,7 +1,5 @@
 """Records one after the other: what the first leaves known is the prior of the second."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

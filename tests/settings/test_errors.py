@@ -1,7 +1,5 @@
 """Bad input, through the whole program: one line, exit status 2, and a folder as it was before."""
 
-from __future__ import annotations
-
 import pickle
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Which jobs a sweep has; those that are made from one another are those that Hydra composes."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from itertools import product

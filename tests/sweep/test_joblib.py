@@ -1,7 +1,5 @@
 """A sweep in processes of its own, started as a user starts it."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

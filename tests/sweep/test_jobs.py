@@ -1,7 +1,5 @@
 """What became of a sweep's jobs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

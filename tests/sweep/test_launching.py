@@ -1,7 +1,5 @@
 """Jobs that launchers send elsewhere, and what a user is told who has not what a launcher needs."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
@@ -17,9 +15,7 @@ from pinn_cli.sweep.launching import SerialLauncher
     ("preset", "extra", "package"),
     [("slurm", "slurm", "submitit"), ("workstation", "slurm", "submitit"), ("ray_local", "ray", "ray")],
 )
-def test_a_preset_whose_package_is_missing_names_the_extra(
-    preset: str, extra: str, package: str, pinn_run: PinnRun, monkeypatch
-) -> None:
+def test_a_preset_whose_package_is_missing_names_the_extra(preset, extra, package, pinn_run, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
     for module in ("submitit_launcher", "ray_launcher"):
         monkeypatch.delitem(sys.modules, f"pinn_cli.sweep.{module}", raising=False)
@@ -56,14 +52,11 @@ def test_a_ray_cluster_that_is_not_there_is_told_in_one_line(pinn_run: PinnRun, 
 
 
 @pytest.mark.slow
-def test_a_finished_trial_of_a_search_returns_its_score_and_is_not_run_again(
-    pinn_run: PinnRun, tmp_path: Path, monkeypatch
-) -> None:
+def test_a_finished_trial_of_a_search_returns_its_score_and_is_not_run_again(pinn_run, tmp_path, monkeypatch):
     """Without its score the search would take it for failed."""
     sweep = ("--multirun", *SMALL, "scheme.unobserved_fraction=0.3", "hydra.sweep.dir=sweep", "seed=0,1")
     sweep += ("validation=heldout", "validation.dofs=[1]")
-    done = pinn_run(*sweep)
-    assert done.status == 0, done.err
+    pinn_run(*sweep).done()
     returned: list[JobReturn] = []
     launch = SerialLauncher.launch
 

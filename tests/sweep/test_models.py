@@ -1,7 +1,5 @@
 """Models of one record are compared by their evidence, and models of different records are not compared."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

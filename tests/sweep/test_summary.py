@@ -1,7 +1,5 @@
 """Means and spreads over seeds, and their figure."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

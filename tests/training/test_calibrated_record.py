@@ -1,7 +1,5 @@
 """The record as its sensors turned out to be calibrated: what reports and verdicts compare an estimate with."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a record says against those before it, where everything is Gaussian and linear."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

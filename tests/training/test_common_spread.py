@@ -1,7 +1,5 @@
 """Records one after the other ask for the same common spread as all of them together."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

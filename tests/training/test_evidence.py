@@ -1,7 +1,5 @@
 """The search for the model error: what was put in is found."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

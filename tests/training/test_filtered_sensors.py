@@ -1,7 +1,5 @@
 """Accelerometers behind a high-pass filter, and tilting ones, whose filter or tilt is known or found."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

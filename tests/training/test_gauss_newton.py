@@ -1,7 +1,5 @@
 """Sparse recovery from end to end by Gauss-Newton, on a record of three DOFs."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """One row per step."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The chain's parameters as a module: units, bounds and what is reported of them."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

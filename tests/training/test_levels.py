@@ -1,7 +1,5 @@
 """Every noise level by evidence, on records that another simulator made."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Gauss-Newton's convergence, and a linear chain against dense weighted least squares."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Sensor noise read off a record, and the features' own projection."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

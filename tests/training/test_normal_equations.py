@@ -1,7 +1,5 @@
 """Parameters, priors and weights of the normal equations, steps to bounds, and the layout of the band."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Free runs of an identified structure and their bands."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

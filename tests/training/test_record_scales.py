@@ -1,7 +1,5 @@
 """Orders of magnitude of a problem."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

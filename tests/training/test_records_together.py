@@ -1,7 +1,5 @@
 """Several records solved together, against one dense matrix of all their unknowns."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Averages over knot intervals: how many there are, what they are of, and what they make of white noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """State-parameter estimation from end to end by Gauss-Newton, on records of three DOFs: what was hidden is found."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

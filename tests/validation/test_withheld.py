@@ -1,7 +1,5 @@
 """Sensors and blocks of time that the estimator never sees: scores come of measurements alone, all else stays."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -190,8 +188,7 @@ def without_truth(measure):
 @pytest.mark.slow
 def test_a_run_with_one_sensor_is_scored(pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch) -> None:
     without_figures(monkeypatch)
-    scored = pinn_run(*ONE, "validation=forecast")
-    assert scored.status == 0, scored.err
+    scored = pinn_run(*ONE, "validation=forecast").done()
     kept = json.loads((scored.directory / "run.json").read_text())["validation"]
     assert kept["name"] == "forecast"
     assert 0.0 <= kept["score"] < 1.0

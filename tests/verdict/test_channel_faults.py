@@ -1,7 +1,5 @@
 """One channel of a good record is ruined: the fault is named, with its size, and no other."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

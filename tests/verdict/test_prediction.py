@@ -1,7 +1,5 @@
 """Predictions from the force alone: what is left of a channel once free decays are out, and what channels share."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

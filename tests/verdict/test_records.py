@@ -1,7 +1,5 @@
 """Several records before one verdict, and changes since earlier ones."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """A frame on moving ground: faults of the ground's sensor and of the others, and none where there is none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """What a model lacks is named, sized and located; a right model lacks nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

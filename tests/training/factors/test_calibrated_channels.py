@@ -1,7 +1,5 @@
 """Sensors with a calibration of their own: the loss of an unknown gain, and samples beyond the reach of a delay."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A motion that is known to begin at rest: what it adds to every estimator, and what that is worth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

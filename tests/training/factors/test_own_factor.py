@@ -1,7 +1,5 @@
 """A prior of one's own, as docs/develop.md says: a class with a loss and rows, and an entry of the list."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from one_record import evidence_of, levels_of, shown_noise

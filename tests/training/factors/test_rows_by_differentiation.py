@@ -4,8 +4,6 @@ The Jacobian is that of automatic differentiation. Of a sensor's delay and the c
 and equations are made anew, it is that of central differences.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """Steps from the low-rank factor against those with the whole matrix."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The linearisation without Jacobian against the Jacobian itself."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Training an MLP in function space, on records that take a step well under a second."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Parameters of the chain under first-order training: learned, bounded, believed and unknown."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

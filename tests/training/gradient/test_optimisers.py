@@ -1,7 +1,5 @@
 """Every optimiser on a small problem: it solves it, within bounds, and goes on from its state without a trace."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

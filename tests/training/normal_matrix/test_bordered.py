@@ -1,7 +1,5 @@
 """Systems with a border against dense linear algebra."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

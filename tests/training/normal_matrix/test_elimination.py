@@ -1,7 +1,5 @@
 """Elimination by fronts, in orders that are chosen by counting, against dense linear algebra."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Records of one structure agree within chance; one of another structure does not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """What a record hands over to one that goes on before it ends: a window, and the next."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

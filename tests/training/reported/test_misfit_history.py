@@ -1,7 +1,5 @@
 """The force that a model leaves out: a free run under it is the estimate, and an input's own noise is no part of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

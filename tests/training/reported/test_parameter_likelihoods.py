@@ -1,7 +1,5 @@
 """From a trained network to likelihoods: against sums over residuals, and against dense algebra of linear chains."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Estimates, standard deviations and intervals of parameters: against dense algebra, at bounds, and under misfit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parameters with which a structure runs free, under a model that is only nearly right."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parameters with the motion integrated out: a mass under forces that the model leaves out."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import expm

@@ -1,7 +1,5 @@
 """A search in a part of a long record ends where a search in all of it does."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ Of the roof's motion u_2 = (1 - m_1 m_2 s^4 / D) u_g and D = k_1 k_2 + (...) s^2
 (k_1 + k_2) m_2 + k_2 m_1 are seen. With equal masses k_1 = 2 k_2' and k_2 = k_1' / 2 of the other one.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete

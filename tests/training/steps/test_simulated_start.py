@@ -1,7 +1,5 @@
 """A motion to start from, for strongly nonlinear chains whose search from rest ends in the wrong valley."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A force that nobody measured on a structure with a cubic spring: its parameters, all unknown, and its history."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The discrepancy that windows say together, of records whose log evidence is given."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
