@@ -24,6 +24,12 @@ class Outcome:
         assert self.status == 0, self.err
         return self
 
+    def refused(self, *told: str) -> "Outcome":
+        """This, of a call whose input cannot be used: one line, which says all of that."""
+        assert (self.status, self.err.count("\n")) == (2, 1), self.err
+        assert all(part in self.err for part in told), self.err
+        return self
+
     @property
     def directory(self) -> Path:
         """The run's or the sweep's directory: the last line printed."""

@@ -31,8 +31,8 @@ from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.function_space import training as over_all_weights
 from pinn_cli.training.gradient import training as gradient_training
 
-# A second of processor time and more: test_documented_runs.py runs them too.
-SIMULATED_LONG = re.compile(r"examples/(beam_with_stop|frame_with_hysteretic_brace|shear_building_earthquake)$")
+# A second of processor time and more: test_examples.py runs them.
+SIMULATED_LONG = re.compile(r"experiment=examples/")
 
 
 class TrainingBeginsError(Exception):

@@ -61,13 +61,11 @@ def test_records_one_after_the_other(pinn_run: PinnRun, tmp_path: Path) -> None:
     assert of_k_1.loc[3, "std"] < of_k_1.loc[2, "std"]  # what did not change goes on being learned
     assert load("third").plot.modes().axes  # of the model's structure, not of the one that system would be
 
-    other = pinn_run(*system(), "system.ndof=2", "system.m=1", "system.c=1", "system.k=1", "model=first", *data["two"])
-    assert other.status == 2
-    assert "2 DOFs, not 3" in other.err
+    pinn_run(*system(), "system.ndof=2", "system.m=1", "system.c=1", "system.k=1", "model=first", *data["two"]).refused(
+        "2 DOFs, not 3"
+    )
     for scheme in ("state_parameter", "bayesian"):
-        refused = pinn_run("model=first", f"scheme={scheme}", *data["two"])
-        assert refused.status == 2
-        assert f"null with scheme={scheme}" in refused.err
+        pinn_run("model=first", f"scheme={scheme}", *data["two"]).refused(f"null with scheme={scheme}")
 
 
 def test_a_model_holds_no_truth(pinn_run: PinnRun) -> None:
@@ -88,13 +86,8 @@ def test_a_model_holds_no_truth(pinn_run: PinnRun) -> None:
 
 
 def test_update_without_a_model_is_refused(pinn_run: PinnRun) -> None:
-    done = pinn_run("scheme=update")
-    assert done.status == 2
-    assert "the directory of a finished run with scheme=update" in done.err
-    assert len(done.err.strip().splitlines()) == 1
-    gone = pinn_run("model=nowhere")
-    assert gone.status == 2
-    assert "no such directory" in gone.err
+    pinn_run("scheme=update").refused("the directory of a finished run with scheme=update")
+    pinn_run("model=nowhere").refused("no such directory")
     assert not Path("outputs").exists()
 
 
@@ -114,9 +107,5 @@ def test_a_prediction_without_a_response(pinn_run: PinnRun, tmp_path: Path) -> N
     assert "verdict" not in json.loads(Path("next/run.json").read_text())
     assert not Path("next/model.npz").exists()
     assert load("next").plot.response().axes
-    again = pinn_run("model=next", "scheme=predict", *data)
-    assert again.status == 2
-    assert "has no model.npz" in again.err
-    refused = pinn_run("model=first", *data)
-    assert refused.status == 2
-    assert "at least one of them" in refused.err
+    pinn_run("model=next", "scheme=predict", *data).refused("has no model.npz")
+    pinn_run("model=first", *data).refused("at least one of them")

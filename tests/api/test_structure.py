@@ -63,19 +63,6 @@ def test_a_shaken_structure_and_one_that_is_let_go(chain: Structure) -> None:
     assert np.abs(released.displacement[-1]).max() < 0.03
 
 
-@pytest.mark.parametrize(
-    ("law", "parameters"),
-    [("duffing", {"kappa": 1e4}), ("bouc_wen", {"A": 500.0, "beta": 30.0, "gamma": 20.0, "n": 1.0})],
-)
-def test_chains_of_every_law(law: str, parameters: dict[str, float]) -> None:
-    found = Structure.chain(law, ndof=2, m=4.0, c=2.0, k=900.0, **parameters)
-    assert found.nonlinearity_name == law
-    linear = Structure.chain(ndof=2, m=4.0, c=2.0, k=900.0)
-    responses = [chain.simulate(TIME, {1: FORCE}).displacement for chain in (found, linear)]
-    assert np.isfinite(responses[0]).all()
-    assert np.abs(responses[0] - responses[1]).max() > 1e-6 * np.abs(responses[1]).max()
-
-
 def test_named_structures() -> None:
     connections = {
         "base": {"between": ["ground", "x1"], "law": "linear", "c": 4500.0, "k": 1.5e6},

@@ -31,13 +31,12 @@ FRAME = Structure(
 @pytest.mark.parametrize(
     ("family", "seed"),
     [
-        ("chain", 0),
         ("finite_elements", 1),
         ("ground", 5),
         *(
             pytest.param(family, seed, marks=pytest.mark.slow)
             for family, seed in {
-                "topology": 0, "nonlinear": 1, "unmeasured": 13, "unmeasured_nonlinear": 3, "damping": 4,
+                "chain": 0, "topology": 0, "nonlinear": 1, "unmeasured": 13, "unmeasured_nonlinear": 3, "damping": 4,
                 "sensors": 2, "posterior": 0, "records": 0, "spoilt": 0,
             }.items()
         ),

@@ -58,10 +58,7 @@ def test_a_command_with_a_file(pinn_run: PinnRun, tmp_path: Path) -> None:
 def test_a_file_that_no_command_can_use(pinn_run: PinnRun, tmp_path: Path, text, expected) -> None:
     if text is not None:
         (tmp_path / "my.yaml").write_text(text)
-    outcome = pinn_run("--config", "my.yaml")
-    assert outcome.status == 2
-    assert expected in outcome.err
-    assert outcome.err.count("\n") == 1
+    pinn_run("--config", "my.yaml").refused(expected)
     assert not (tmp_path / "outputs").exists()
 
 
@@ -80,8 +77,7 @@ def test_quiet_and_json(pinn_run: PinnRun) -> None:
 
 def test_quiet_with_a_sweep(pinn_run: PinnRun) -> None:
     """Of its jobs those alone that failed."""
-    outcome = pinn_run(*SMALL, "--quiet", "--multirun", "seed=1,x", "hydra.sweep.dir=mine")
-    assert outcome.status == 2
+    outcome = pinn_run(*SMALL, "--quiet", "--multirun", "seed=1,x", "hydra.sweep.dir=mine").refused()
     assert outcome.out == "mine\n"
     (line,) = outcome.err.splitlines()
     assert line.endswith("failed: seed=x: must be a whole number >= 0")
@@ -99,9 +95,7 @@ def test_quiet_with_a_sweep(pinn_run: PinnRun) -> None:
     ],
 )
 def test_options_that_cannot_be_used(pinn_run: PinnRun, arguments, expected) -> None:
-    outcome = pinn_run(*arguments)
-    assert outcome.status == 2
-    assert expected in outcome.err
+    pinn_run(*arguments).refused(expected)
 
 
 def test_help_of_a_group(pinn_run: PinnRun) -> None:

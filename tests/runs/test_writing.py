@@ -27,14 +27,6 @@ def test_an_interrupted_file_leaves_the_old_one(tmp_path):
     assert list(tmp_path.iterdir()) == [place]
 
 
-def test_the_file_beside_keeps_its_suffix_and_folder(tmp_path):
-    place = tmp_path / "deep" / "response.nc"
-    with replacing(place) as beside:
-        assert (beside.parent, beside.suffix) == (place.parent, ".nc")
-        beside.touch()
-    assert list(place.parent.iterdir()) == [place]
-
-
 def test_empty_cells_stay_empty(tmp_path):
     table = pd.DataFrame({"case": ["a", "b"], "snr_db": [None, 50.0], "value": [np.nan, 1 / 3]})
     assert write_table(table, tmp_path / "t.csv").read_text() == "case,snr_db,value\na,,\nb,50,0.3333333333\n"

@@ -62,21 +62,6 @@ def test_every_parameter_but_the_masses_is_uncertain(measurements, structure, un
         assert p.prior_std == pytest.approx(expected[p.kind])
 
 
-@pytest.mark.parametrize(
-    ("settings", "named"),
-    [
-        ({"parameter_uncertainty": -0.1}, "scheme.parameter_uncertainty=-0.1"),
-        ({"parameter_uncertainty": "little"}, "scheme.parameter_uncertainty=little"),
-        ({"acceleration_through": "network"}, "scheme.acceleration_through=network"),
-        ({"sensors": {"acceleration": False}}, "scheme.sensors="),
-    ],
-)
-def test_impossible_settings_are_named(settings, named):
-    with pytest.raises(InputError) as error:
-        SparseRecovery(**settings)
-    assert str(error.value).startswith(named)
-
-
 def test_impossible_dofs_are_named_once_the_record_is_known(measurements):
     with pytest.raises(InputError, match=r"scheme\.unobserved="):
         SparseRecovery(unobserved=[4]).observe(measurements.record)

@@ -8,6 +8,7 @@ import pytest
 import torch
 from one_record import shown_noise
 from small_problems import accelerations, measured, small_chain
+from solved_records import by_spline
 
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
 from pinn_cli.network.fourier import Fourier
@@ -23,7 +24,6 @@ from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.function_space.training import FunctionSpaceGaussNewton
-from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.gradient.losses import Losses
 from pinn_cli.training.learned_parameters import LearnedParameters
 from pinn_cli.training.normal_equations import NormalEquations
@@ -46,7 +46,7 @@ def solved(estimator: str, problem: Problem) -> Estimate:
         found = KalmanSmoother().solve(JointProblem.of(problem), RunContext())
         assert found is not None
         return found
-    return GaussNewton().solve(JointProblem.of(problem), Spline(), RunContext())
+    return by_spline(problem)
 
 
 def fitness_of_the_far(estimate: Estimate, truth: Response) -> float:

@@ -143,15 +143,6 @@ def test_both_ways_find_the_same_motion(monkeypatch):
         assert one.std == pytest.approx(other.std, rel=0.01)
 
 
-def test_counted_operations_choose(monkeypatch):
-    small = Small(DESIGNS["sine"])
-    for dense, features, kind in ((1.0, 2.0, DenseSystem), (2.0, 1.0, FeatureSystem)):
-        monkeypatch.setattr(equations, "dense_operations", lambda blocks, value=dense: value)
-        monkeypatch.setattr(equations, "feature_operations", lambda blocks, value=features: value)
-        small.equations.dense = None
-        assert isinstance(small.equations.system(small.linear, PRECISION), kind)
-
-
 @pytest.mark.parametrize(
     ("design", "follows"),
     [(Mlp(1, 12, "sine", "exact", "fourier"), True), (Mlp(1, 2, "sine", "exact", "fourier"), False),

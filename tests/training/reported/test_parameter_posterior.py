@@ -212,14 +212,6 @@ def test_misfit_is_the_discrepancy_over_the_force_of_one_prior_deviation():
     np.testing.assert_allclose(misfit_of(equations, coloured), found, rtol=1e-9)
 
 
-def test_without_uncertain_parameters_there_is_nothing():
-    evidence = posed(small_chain(), small_chain(), ())
-    trained = solved(evidence)
-    estimates, correlation = estimated(evidence.equations.each[0], trained)
-    assert (estimates, correlation.shape) == ([], (0, 0))
-    assert misfit_of(evidence.equations.each[0], trained).shape == (0,)
-
-
 @pytest.mark.parametrize(("duration", "names"), [(12.0, (1,)), (20.0, (1,)), (20.0, (0, 1, 2))])
 def test_the_interval_of_a_stiffness_covers_it_where_the_model_forgets_the_cubic_springs(duration, names):
     """However long the record, the cubic force follows the motion as the linear one does, and makes k too large.
