@@ -105,16 +105,8 @@ def test_the_other_posteriors(pinn_run: PinnRun, choice: str) -> None:
 
 SETTINGS = {
     "training=adam network=mlp": "training=adam: must be gauss_newton",
-    "training=adam": "training=adam: must be gauss_newton",
-    "posterior.draws=0": "posterior.draws=0",
-    "posterior.target_accept=1": "posterior.target_accept=1",
-    "posterior.chains=none": "posterior.chains=none",
     "posterior=marginals": "posterior=marginals",
-    "scheme.priors={k: {kind: gama}}": "scheme.priors.k.kind=gama: must be one of gamma, half_normal",
-    "scheme.priors={k_7: {kind: half_normal, scale: 1}}": "scheme.priors.k_7=k_7",
-    "scheme.unknown=[]": "scheme.unknown=[]",
     "scheme.unobserved=[2]": "scheme=bayesian: must be a sensor on every DOF",
-    "noise.repeats=0": "noise.repeats=0",
     "noise.repeat_streams=shared": "noise.repeat_streams=shared",
     "noise.snr_db=null": "noise.repeats=2",
     "training.weights={observation: 1, continuity: 1, physics: 1}": "training.weights=",

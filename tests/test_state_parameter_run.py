@@ -1,7 +1,5 @@
 """Whole runs of state-parameter estimation, small: unknown parameters in the tables, and settings that cannot be."""
 
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -34,18 +32,3 @@ def test_a_run_leaves_what_was_unknown_and_what_was_found(pinn_run: PinnRun) -> 
     correlation = pd.read_csv(outcome.directory / "correlation.csv", index_col="parameter")
     assert list(correlation) == list(correlation.index) == list(table.index)
     assert "kappa_2 *" in outcome.out
-
-
-SETTINGS = {
-    "a connection that there is not": ("scheme.unknown=[k_9]", "scheme.unknown=k_9: must be one of m, c, k, kappa"),
-    "nothing unknown": ("scheme.unknown=[]", "scheme.unknown=[]: must be null, or at least one name"),
-    "a start below zero": ("scheme.initial.k=-3", "scheme.initial.k=-3: must be >= 0"),
-    "a start of what there is not": ("scheme.initial={k_7: 5}", "scheme.initial.k_7="),
-    "a start that is no number": ("scheme.initial.k=stiff", "scheme.initial.k=stiff: must be a finite number"),
-}
-
-
-@pytest.mark.parametrize(("override", "told"), SETTINGS.values(), ids=SETTINGS.keys())
-def test_settings_that_cannot_be(pinn_run: PinnRun, tmp_path: Path, override: str, told: str) -> None:
-    pinn_run(*STATE_PARAMETER, override).refused(f"pinn-run: {told}")
-    assert list(tmp_path.iterdir()) == []

@@ -56,12 +56,6 @@ def test_a_chain_written_out_gives_the_chain_s_numbers(pinn_run: PinnRun, settin
             np.testing.assert_allclose(found[name], expected[name], rtol=1e-10, atol=1e-10 * size)
 
 
-def test_a_structure_is_shown_by_cfg(pinn_run: PinnRun) -> None:
-    text = pinn_run("--cfg", "job", *written_chain("duffing", kappa=100.0)).out
-    assert "spring_3:" in text
-    assert "kappa: 100.0" in text
-
-
 def test_a_structure_that_nobody_has_written_down_is_one_line(pinn_run: PinnRun) -> None:
     pinn_run("system=structure").refused("system.dofs=[]: must be a list of names of coordinates")
 

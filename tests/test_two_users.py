@@ -57,7 +57,6 @@ def other() -> Iterator[Callable[[Path, str], subprocess.Popen[str]]]:
         directory.mkdir(exist_ok=True)
         command = [sys.executable, "-c", HOLD, str(directory), name]
         begun.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
-        assert begun[-1].stdout is not None
         assert begun[-1].stdout.readline() == "in\n"
         return begun[-1]
 

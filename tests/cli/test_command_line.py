@@ -196,10 +196,8 @@ def test_settings_are_completed_by_the_shell() -> None:
 def test_a_reader_that_leaves_is_no_defect() -> None:
     command = [sys.executable, "-m", "pinn_cli.main", "--help"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    assert process.stdout is not None
     process.stdout.close()
     assert process.wait() == 141
-    assert process.stderr is not None
     assert process.stderr.read() == b""
     process.stderr.close()
 

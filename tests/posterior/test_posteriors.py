@@ -49,12 +49,6 @@ def test_shapes_of_what_is_sampled():
     assert (samples.warmup, samples.seconds.shape) == (20, (3,))
 
 
-def test_shapes_of_the_closed_form():
-    samples = Laplace(50).sample(WIDE, PRIORS, RunContext())
-    assert (samples.draws.shape, samples.sigma_force.shape, samples.prior.shape) == ((1, 50, 2), (1, 50, 2), (50, 2))
-    assert (samples.statistics, samples.warmup, samples.seconds.shape) == ({}, 0, (1,))
-
-
 def test_draws_from_the_prior_are_in_the_likelihoods_order():
     prior = Laplace(4000).sample(WIDE, PRIORS, RunContext()).prior
     np.testing.assert_allclose(prior.mean(0), [HalfNormal(5.0).mean, 20.0], rtol=0.1)

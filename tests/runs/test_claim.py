@@ -70,11 +70,9 @@ def test_a_command_that_waits_changes_nothing(stopped: Path, tmp_path: Path) -> 
     hold = "import sys, time; from pathlib import Path; from pinn_cli.runs.lock import held\n"
     hold += "with held(Path('run')): print('in', flush=True); time.sleep(300)"
     owner = subprocess.Popen([sys.executable, "-c", hold], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
-    assert owner.stdout is not None
     assert owner.stdout.readline() == "in\n"
     before = contents(stopped)
     waiting = start(tmp_path, *STOPPED, "seed=9")
-    assert waiting.stderr is not None
     assert "waiting for another process" in waiting.stderr.readline()
     time.sleep(0.3)
     assert contents(stopped) == before

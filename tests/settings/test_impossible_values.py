@@ -13,13 +13,21 @@ from pinn_cli.posterior.laplace import Laplace
 from pinn_cli.posterior.marginal import Marginal
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system.connection import Friction, Polynomial, PowerDamping
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.connection import Duffing, Friction, Polynomial, PowerDamping
 from pinn_cli.system.model_error import PerturbedModelError
 from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.gradient.adam import Adam
 from pinn_cli.training.gradient.lbfgs import Lbfgs
 from pinn_cli.validation.forecast import Forecast
 from pinn_cli.validation.heldout import HeldOut
+
+
+def chain(**settings):
+    return build_chain(
+        **{"ndof": 3, "nonlinearity": Duffing(), "m": 10.0, "c": 1.0, "k": 15.0, "kappa": 100.0} | settings
+    )
+
 
 # By class, and where its settings stand: one value at a time, as YAML.
 IMPOSSIBLE = {
@@ -32,6 +40,9 @@ IMPOSSIBLE = {
     "target_accept: high",
     (SparseRecovery, "scheme"): "parameter_uncertainty: -0.1 | parameter_uncertainty: little | "
     "acceleration_through: network | sensors: {acceleration: false}",
+    (chain, "system"): "ndof: 0 | ndof: 2.5 | ndof: true | k: [15.0, 15.0] | k: '15' | k: [15.0, null, 15.0] | "
+    "k: [15.0, .nan, 15.0] | k: -15.0 | k: null | c: -1.0 | c: .inf | m: 0.0 | m: [1.0, -1.0, 1.0] | kappa: .nan | "
+    "kappa: [1.0, 1.0, 1.0, 1.0] | mu: 0.75",
     (PowerDamping, "system.nonlinearity"): "exponent: 0.5 | exponent: 0 | exponent: -1.0 | exponent: .nan | "
     "exponent: .inf | exponent: '2' | exponent: true | exponent: null",
     (Polynomial, "system.nonlinearity"): "orders: [] | orders: [1] | orders: [8] | orders: [2, 2] | orders: [2.0] | "

@@ -51,7 +51,6 @@ def test_a_finished_run_is_finished(stored: Path, pinn_run: PinnRun, name: str) 
 def test_a_checkpoint_is_taken_up_by_the_release_that_wrote_it(stored: Path, pinn_run: PinnRun) -> None:
     """Numbers of another one, or of another torch, would be others: it is refused, and names the release."""
     content = CheckpointFiles(stored / "mlp").read()
-    assert content is not None
     wrote = content["identity"]["versions"]
     now = {name: package_version(name) or "unknown" for name in PACKAGES}
     outcome = pinn_run("resume=mlp")

@@ -52,7 +52,6 @@ def with_the_third_changed(seed: int):
 
 def prior_covariance(problem: Problem) -> np.ndarray:
     std = np.array([p.prior_std for p in problem.uncertain])
-    assert problem.prior is not None
     return problem.prior.correlation * np.outer(std, std)
 
 

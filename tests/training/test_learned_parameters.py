@@ -52,12 +52,6 @@ def test_below_its_bound_a_parameter_is_exactly_zero(dtype):
     assert float(parameters()["k"][1].detach()) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_above_its_bound_a_parameter_stays_where_it_is():
-    parameters = learned()
-    parameters.respect_bounds()
-    assert not parameters.moved.any()
-
-
 def test_estimates_say_what_was_believed_and_nothing_of_their_spread():
     for given, p in zip(learned().estimates(), UNCERTAIN, strict=True):
         assert (given.name, given.prescribed, given.estimate) == (p.name, p.prescribed, p.prescribed)

@@ -54,14 +54,3 @@ def test_weights_are_inverse_variances():
     np.testing.assert_allclose(
         noise.observation_weight("observer", np.array([10.0, 10.0])), [1 / (1.5**2 + 0.0025), 0.0]
     )
-
-
-def test_pooled_sensors_share_the_root_mean_square_of_their_levels():
-    nothing = np.full(3, np.nan)
-    response = {"displacement": np.array([3.0, np.nan, 4.0]), "velocity": nothing, "acceleration": np.ones(3)}
-    noise = NoiseModel(response, np.array([1.0, 7.0, np.nan]), 0.1, 1.0).pooled()
-    np.testing.assert_allclose(noise.response["displacement"], [np.sqrt(12.5), np.nan, np.sqrt(12.5)])
-    np.testing.assert_array_equal(noise.response["velocity"], nothing)
-    np.testing.assert_array_equal(noise.response["acceleration"], np.ones(3))
-    np.testing.assert_allclose(noise.force, [5.0, 5.0, np.nan])
-    assert noise.discrepancy == 0.1

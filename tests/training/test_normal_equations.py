@@ -172,11 +172,6 @@ def test_a_splines_band_does_not_grow_with_the_record():
     assert short.half_width == long.half_width == 6 * 3 + 2
 
 
-def test_global_features_are_eliminated_along_the_structure():
-    best = posed(random_record(60), design=Fourier(harmonics=20)).layout.dissection.best
-    assert best.axis == "functions"
-
-
 @pytest.mark.parametrize("design", [Spline(intervals=5), Fourier(harmonics=3)])
 @pytest.mark.parametrize("ndof", [1, 2, 6])
 def test_every_weight_has_one_place(design, ndof):

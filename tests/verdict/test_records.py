@@ -11,7 +11,6 @@ from independent_records import measured
 from storeys import C, K, M, response
 
 from pinn_cli.record.response import Response
-from pinn_cli.report.text import changes_text
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
@@ -48,14 +47,6 @@ def test_what_is_told(given, told):
     found = change_findings(given)
     assert [finding.text.startswith(text) for finding, text in zip(found, told, strict=True)] == [True] * len(told)
     assert all(finding.word == "questionable" for finding in found)
-
-
-def test_a_contradiction_is_told_once():
-    alone = estimate(1e-6)
-    assert changes_text(alone.changes) == ""
-    assert len(change_findings(alone)) == 1
-    assert changes_text(estimate(0.4).changes).startswith("no change since the earlier records")
-    assert changes_text(estimate(0.4, 1).changes).startswith("changed: k_2")
 
 
 @pytest.mark.parametrize("named", [True, False])

@@ -73,5 +73,4 @@ def test_a_delay_beyond_the_record_s_reach_is_refused_and_takes_no_memory():
         far = point.parameters.clone()
         far[place] = by
         assert math.isfinite(equations.losses(Point(point.unknowns, far), noise)[GAUGE]) is finite
-        assert rows._moment is not None
         assert rows._moment.segments.mask.shape[1] <= held[1] + 2

@@ -131,7 +131,6 @@ def test_every_scheme_says_how_the_motion_begins(scheme):
     posing = scheme(initial_motion="rest", **({"unknown": "k_1"} if scheme is StateParameter else {}))
     problem = posing.pose(small_chain(), [record]).alone
     deviation = problem.initial_deviation
-    assert deviation is not None
     largest = np.sqrt(np.mean(record.displacement**2, axis=0)).max()
     assert deviation[0] == pytest.approx(RESIDUAL_MOTION * largest, rel=1e-6)
     with pytest.raises(InputError, match=r"scheme\.initial_motion=quiet: must be one of free, rest"):

@@ -40,7 +40,6 @@ def test_it_counts_like_all_others(deviation: float) -> None:
     size = {}
     for own in (plain, believed):
         trained = evidence_of(own).train(noise, own.start())
-        assert trained is not None
         assert trained.solution.converged
         size[own] = float(np.abs(trained.solution.point.unknowns).max())
     lost = believed.losses(trained.solution.point, noise.records[0])["still"]

@@ -49,7 +49,6 @@ def solved(evidence: Evidence, discrepancy: float = 3e-4) -> Trained:
     (equations,) = evidence.equations.each
     noise = shown_noise(equations.problem.record, discrepancy, 1.0)
     trained = evidence.train(levels_of(noise), equations.start())
-    assert trained is not None
     assert trained.solution.converged
     return trained
 
