@@ -1,8 +1,11 @@
 """How tests call the program, and the small settings that they call it with."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import pandas as pd
 from omegaconf import DictConfig
 
 # A chain, a record and a training small enough for a test, for tests about everything but accuracy.
@@ -34,3 +37,13 @@ class Outcome:
     def directory(self) -> Path:
         """The run's or the sweep's directory: the last line printed."""
         return Path(self.out.strip().splitlines()[-1])
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """Of `run.json`."""
+        return json.loads((self.directory / "run.json").read_text())
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """The table, by parameter."""
+        return pd.read_csv(self.directory / "parameters.csv", index_col="parameter")

@@ -1,6 +1,5 @@
 """Whole runs of Bayesian estimation, small: what they leave behind, what they take over, and what is refused."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +13,6 @@ SAMPLED = (*BAYESIAN, "posterior.chains=2", "posterior.warmup=50", "posterior.dr
 NAMES = [f"{kind}_{dof}" for kind in ("c", "k", "kappa") for dof in (1, 2)]
 FIGURES = {"posterior_pairs", "trace", "ranks", "fitted_force"}
 CHAINS = ["chain_1.npz", "chain_2.npz"]
-
-
-def parameters(outcome: Outcome) -> pd.DataFrame:
-    return pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
 
 
 def draws(outcome: Outcome) -> dict[str, np.ndarray]:
@@ -38,7 +33,7 @@ def test_a_run_leaves_its_posterior(pinn_run: PinnRun) -> None:
 @pytest.mark.slow
 def test_a_second_start_takes_over_what_was_finished_and_the_seed_decides_the_rest(pinn_run, tmp_path):
     first = pinn_run(*SAMPLED, "hydra.run.dir=first", "seed=3")
-    found, found_draws, chains = parameters(first), draws(first), tmp_path / "first" / "chains"
+    found, found_draws, chains = first.parameters, draws(first), tmp_path / "first" / "chains"
     assert {figure.stem for figure in (first.directory / "figures").iterdir()} >= FIGURES
     before = {name: (chains / name).stat().st_mtime_ns for name in CHAINS}
     again = pinn_run(*SAMPLED, "hydra.run.dir=first", "seed=3").done()
@@ -47,13 +42,13 @@ def test_a_second_start_takes_over_what_was_finished_and_the_seed_decides_the_re
     elsewhere = pinn_run(*SAMPLED, "hydra.run.dir=second", "seed=3")
     assert "finished before" not in (elsewhere.directory / "pinn-run.log").read_text()
     for outcome in (again, elsewhere):
-        pd.testing.assert_frame_equal(parameters(outcome), found)
+        pd.testing.assert_frame_equal(outcome.parameters, found)
         for name, values in draws(outcome).items():
             np.testing.assert_array_equal(found_draws[name], values)
 
 
 def check_parameters(outcome: Outcome) -> None:
-    table = parameters(outcome)
+    table = outcome.parameters
     assert list(table.index) == NAMES
     assert set(table["scheme"]) == {"bayesian"}
     posterior = draws(outcome)
@@ -70,7 +65,7 @@ def check_parameters(outcome: Outcome) -> None:
 
 
 def check_run_record(outcome: Outcome) -> None:
-    record = json.loads((outcome.directory / "run.json").read_text())
+    record = outcome.record
     told = record["posterior"]
     assert (told["method"], told["chains"], told["warmup"], told["draws"]) == ("marginal", 2, 50, 100)
     assert len(told["seconds_by_chain"]) == 2
@@ -98,8 +93,8 @@ def check_groups(outcome: Outcome) -> None:
 def test_the_other_posteriors(pinn_run: PinnRun, choice: str) -> None:
     few = ("posterior.draws=200",) if choice == "laplace" else SAMPLED[-3:]
     outcome = pinn_run(*BAYESIAN, f"posterior={choice}", *few, "figures=false").done()
-    assert list(parameters(outcome).index) == NAMES
-    record = json.loads((outcome.directory / "run.json").read_text())
+    assert list(outcome.parameters.index) == NAMES
+    record = outcome.record
     assert record["posterior"]["method"] == choice
 
 
@@ -131,7 +126,7 @@ def test_a_measured_record(pinn_run: PinnRun, tmp_path: Path) -> None:
     settings = ["data.path=rig.csv", "data.time=t", "data.force={1: f}", "data.displacement={1: u1, 2: u2}"]
     own = [text for text in BAYESIAN if not text.startswith(("simulation.", "excitation.", "noise."))]
     outcome = pinn_run(*own, "data=csv", *settings, "posterior=laplace", "system.m=10").done()
-    table = parameters(outcome)
+    table = outcome.parameters
     assert list(table.index) == NAMES
     assert table["true"].isna().all()
     assert abs(table.loc["k_2", "estimate"] - 15.0) < 4.0 * table.loc["k_2", "std"]
@@ -150,7 +145,7 @@ HYSTERETIC = (
 def test_a_structure_with_memory(pinn_run: PinnRun) -> None:
     """Under Gaussians hundreds of times as wide as the parameters it ended where the brace has no stiffness."""
     outcome = pinn_run(*HYSTERETIC).done()
-    table = parameters(outcome)
+    table = outcome.parameters
     assert (table.loc[["k_s1", "k_s2", "A_s1"], "error_percent"] < 8.0).all()
     apart = (table["estimate"] - table["true"]) / table["std"]
     assert (apart.abs() < 3.5).all()

@@ -1,7 +1,5 @@
 """The worked examples of docs/how-to/my-structure.md, as their commands run them."""
 
-import json
-
 import pandas as pd
 import pytest
 from calls import PinnRun
@@ -24,12 +22,12 @@ SEVERAL = ("shear_building_earthquake",)
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_an_example_finds_what_it_asks_for(pinn_run: PinnRun, example: str) -> None:
     outcome = pinn_run(f"experiment=examples/{example}", "figures=false").done()
-    parameters = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    parameters = outcome.parameters
     for name, percent in EXAMPLES[example].items():
         assert parameters.loc[name, "error_percent"] < percent
     fitness = pd.read_csv(outcome.directory / "fitness.csv").set_index(["group", "quantity"])["fitness_percent"]
     assert fitness["unobserved", "displacement"] > DISPLACEMENT.get(example, 97.0)
-    verdict = json.loads((outcome.directory / "run.json").read_text())
+    verdict = outcome.record
     if example not in SEVERAL:
         assert verdict["verdict"] == "sound"
         return

@@ -1,6 +1,5 @@
 """Whole runs on finite-element models."""
 
-import json
 import re
 
 import numpy as np
@@ -48,7 +47,7 @@ def strict_fitness(directory) -> pd.Series:
 def test_a_cubic_stop_at_the_tip_is_found(in_folder_with_a_beam: PinnRun):
     pair = "system.drifts={bend: [a, tip]}"
     outcome = in_folder_with_a_beam(*SMALL, *IDENTIFY, f"system.connections={STOP}", pair).done()
-    parameters = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    parameters = outcome.parameters
     assert parameters["estimate"]["kappa_stop"] == pytest.approx(4e4, rel=0.03)
     drifts = pd.read_csv(outcome.directory / "drift.csv").set_index("connection")
     assert drifts.index.tolist() == ["stop", "bend"]
@@ -116,7 +115,7 @@ def test_a_mass_on_a_dof_that_the_model_does_not_have_is_named(in_folder_with_a_
         "data.force={b: f}", "data.acceleration={tip: tip, a: a, b: b}", "scheme.parameter_uncertainty=0",
         "figures=false",
     ).done()  # fmt: skip
-    told = json.loads((outcome.directory / "run.json").read_text())
+    told = outcome.record
     assert told["verdict"] != "sound"
     (by, std) = re.search(
         r"the mass of DOF a is another one, by (\S+) \+- (\S+) kg", " ".join(told["reasons"])
@@ -131,7 +130,7 @@ def test_the_stiffness_of_parts_is_updated(in_folder_with_a_beam: PinnRun):
         *SMALL, "scheme=state_parameter", "scheme.parameter_uncertainty=0", "scheme.initial_motion=rest",
         "scheme.starts=given", "system.factors={root: {file: root.mtx, value: 0.8}, end: {file: end.mtx, value: 1.2}}",
     ).done()  # fmt: skip
-    parameters = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    parameters = outcome.parameters
     assert parameters.index.tolist() == ["factor_root", "factor_end"]
     assert parameters["start"].tolist() == [1.0, 1.0]
     np.testing.assert_allclose(parameters["estimate"], [0.8, 1.2], rtol=0.02)
@@ -179,12 +178,12 @@ def test_parts_far_off_in_a_record_of_the_whole_model(pinn_run: PinnRun):
         "figures=false",
     ).done()  # fmt: skip
     assert "nothing is said of damping" in outcome.out + outcome.err
-    found = pd.read_csv(outcome.directory / "parameters.csv", index_col="parameter")
+    found = outcome.parameters
     true = {"factor_root": factors[0], "factor_end": factors[1]} | {f"zeta_{i}": 0.02 for i in (1, 2, 3)}
     z = {name: (found["estimate"][name] - value) / found["std"][name] for name, value in true.items()}
     assert max(map(abs, z.values())) < 3.5, z
     assert (found["std"][["factor_root", "factor_end"]] < 1e-3).all()
-    assert json.loads((outcome.directory / "run.json").read_text())["verdict"] == "sound", outcome.out
+    assert outcome.record["verdict"] == "sound", outcome.out
 
 
 def test_sensors_bend_as_those_of_the_whole_model(tmp_path, monkeypatch):
@@ -264,7 +263,7 @@ def test_parts_are_updated_with_modes_above_the_record_s_band(pinn_run: PinnRun)
         "scheme=state_parameter", "scheme.parameter_uncertainty=0", "scheme.initial_motion=rest", "figures=false",
         "system.factors={root: {file: root.mtx, value: 1.02}, mid: {file: mid.mtx, value: 1.07}}",
     ).done()  # fmt: skip
-    parameters = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    parameters = outcome.parameters
     np.testing.assert_allclose(parameters["estimate"], [1.02, 1.07], rtol=2e-3)
     residuals = pd.read_csv(outcome.directory / "residuals.csv")
     accelerations = residuals[residuals["quantity"] == "acceleration"]

@@ -134,7 +134,7 @@ def test_a_baseline_is_compared_with(pinn_run: PinnRun) -> None:
     for name in ("fitness.csv", "parameters.csv"):
         estimators = pd.read_csv(outcome.directory / name)["estimator"]
         assert estimators.drop_duplicates().tolist() == ["pinn", "kalman_smoother"]
-    record = json.loads((outcome.directory / "run.json").read_text())
+    record = outcome.record
     assert record["baseline"]["name"] == "kalman_smoother"
     assert record["seconds"]["baseline"] > 0
     with xr.open_dataset(outcome.directory / "response.nc") as response:

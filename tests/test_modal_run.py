@@ -1,6 +1,5 @@
 """Modes in a band of a measured record, through the whole program."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +34,7 @@ def test_modes_masses_and_motion_of_a_wing(pinn_run: PinnRun, made: Wing, column
     assert (np.abs(masses["estimate"] - 1.0 / made.residues[0, INSIDE]) < 4.0 * masses["std"]).all()
     shapes = modes["shape_2"] / modes["shape_1"]
     np.testing.assert_allclose(shapes, made.shapes[1, INSIDE] / made.shapes[0, INSIDE], rtol=0.05)
-    report = json.loads((done.directory / "run.json").read_text())
+    report = done.record
     assert report["verdict"] == "sound", report["reasons"]
     assert (pd.read_csv(done.directory / "validation.csv")["nmse_percent"] < 5.0).all()
     assert (done.directory / "figures" / "frequency_response.png").exists()
@@ -44,7 +43,7 @@ def test_modes_masses_and_motion_of_a_wing(pinn_run: PinnRun, made: Wing, column
 @pytest.mark.slow
 def test_a_mode_that_is_left_out_is_named(pinn_run: PinnRun, columns: tuple[str, ...]) -> None:
     done = pinn_run(*columns, BAND, *MODAL, "system.modes=2")
-    report = json.loads((done.directory / "run.json").read_text())
+    report = done.record
     assert report["verdict"] != "sound"
     assert any("is in the band and not in the model" in reason for reason in report["reasons"])
 
@@ -61,10 +60,10 @@ def test_a_driven_point_without_a_sensor(pinn_run: PinnRun, tmp_path: Path) -> N
         "data.acceleration={tip: a1, root: a2}",
     )
     done = pinn_run(*sensors, BAND, *MODAL).done()
-    found = pd.read_csv(done.directory / "parameters.csv").set_index("parameter")["estimate"]
+    found = done.parameters["estimate"]
     largest = np.abs(true.residues[:, INSIDE]).max(axis=0)
     np.testing.assert_allclose([found[f"m_mode_{i}"] for i in (1, 2, 3)], 1.0 / largest, rtol=0.05)
-    report = json.loads((done.directory / "run.json").read_text())
+    report = done.record
     assert any("no sensor is where the force acts, at DOF engine" in reason for reason in report["reasons"])
 
 

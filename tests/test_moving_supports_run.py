@@ -1,7 +1,5 @@
 """A structure between a table that moves and the ground, from the command to the files; the record by scipy alone."""
 
-import json
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -58,9 +56,9 @@ def test_springs_dampers_bands_and_what_comes(pinn_run: PinnRun, tmp_path) -> No
         *record, f"data.path={tmp_path / 'seen.csv'}", "scheme=state_parameter", "scheme.unknown=[k_*,c_*]",
         f"data.channels={{{channel}, a: {{sensor: acceleration, dof: frame}}}}",
     ).done()  # fmt: skip
-    run = json.loads((outcome.directory / "run.json").read_text())
+    run = outcome.record
     assert run["verdict"] == "sound", run["reasons"]
-    found = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    found = outcome.parameters
     for name, (k, c) in TRUE.items():
         for kind, true in (("k", k), ("c", c)):
             row = found.loc[f"{kind}_{name}"]
@@ -126,6 +124,6 @@ def test_window_by_window_from_several_starts(pinn_run: PinnRun, tmp_path) -> No
         "data.overlap=2", f"data.channels={{{S}, a: {{sensor: acceleration, dof: frame}}}}", "scheme=state_parameter",
         "scheme.unknown=[k_*,c_*]",
     ).done()  # fmt: skip
-    found = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    found = outcome.parameters
     for name, (k, _) in TRUE.items():
         assert found.loc[f"k_{name}", "estimate"] == pytest.approx(k, rel=0.05)

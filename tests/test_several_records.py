@@ -1,6 +1,5 @@
 """Three records of a frame with one accelerometer that roves, through the whole program."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +46,7 @@ def test_three_records_make_one_report(pinn_run: PinnRun, tmp_path: Path) -> Non
     summary = pd.read_csv(done.directory / "records.csv")
     assert list(summary["folder"]) == [".", "record_2", "record_3"]
     assert list(summary["samples"]) == [600, 600, 600]
-    run = json.loads((done.directory / "run.json").read_text())
+    run = done.record
     assert len(run["records"]) == 3
     assert run["records"][1]["sigma_acceleration"][0] is None
     tried = pd.read_csv(done.directory / "validation.csv")

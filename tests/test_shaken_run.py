@@ -1,6 +1,5 @@
 """A frame in an earthquake, from the command to the files: sensors on the ground and on the roof."""
 
-import json
 import re
 
 import numpy as np
@@ -33,7 +32,7 @@ def test_a_frame_in_an_earthquake(pinn_run: PinnRun) -> None:
         assert np.isfinite(response["ground_acceleration_std"]).all()
         left = response["drift"] - response["drift_true"]
         assert float(np.mean(np.abs(left) < 1.96 * response["drift_std"])) > 0.7
-    verdict = json.loads((outcome.directory / "run.json").read_text())["verdict"]
+    verdict = outcome.record["verdict"]
     assert verdict == "sound", outcome.out
 
 
@@ -43,9 +42,9 @@ def test_a_frame_of_which_the_roof_leaves_two_open(pinn_run: PinnRun) -> None:
     outcome = pinn_run(
         *EARTHQUAKE, "scheme=state_parameter", "scheme.unobserved=[1]", "scheme.unknown=[k_*,c_*]", "figures=false"
     ).done()
-    found = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    found = outcome.parameters
     assert (found.loc[["k_1", "k_2"], "error_percent"] < 5.0).all()
-    run = json.loads((outcome.directory / "run.json").read_text())
+    run = outcome.record
     assert run["verdict"] == "questionable"
     (reason,) = (x for x in run["reasons"] if x.startswith("another structure"))
     other = {name: float(x) for name, x in re.findall(r"(k_\d) = ([\d.e+]+)", reason)}

@@ -10,7 +10,7 @@ STATE_PARAMETER = (*SMALL, "scheme=state_parameter", "scheme.unobserved=[2]")
 
 def test_a_run_leaves_what_was_unknown_and_what_was_found(pinn_run: PinnRun) -> None:
     outcome = pinn_run(*STATE_PARAMETER, "scheme.initial={k_2: 5}", "figures=false").done()
-    table = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    table = outcome.parameters
     assert set(table["scheme"]) == {"state_parameter"}
     assert list(table.index) == [f"{kind}_{dof}" for kind in ("c", "k", "kappa") for dof in (1, 2, 3)]
     assert table.loc[["k_2", "kappa_2"], "true"].tolist() == [15.0, 100.0]

@@ -1,9 +1,6 @@
 """Unknowns whose true value is zero, beside what the record determines well, through the whole program."""
 
-import json
-
 import numpy as np
-import pandas as pd
 import pytest
 from storeys import K, record, system, written
 
@@ -19,10 +16,10 @@ def test_an_offset_and_quadratic_springs_of_zero_leave_a_good_run_sound(pinn_run
         f"data.channels={{f: {{sensor: force, dof: 3}}, {channels}}}", "data.time=t", "scheme=state_parameter",
         "scheme.unknown=[k_*,k_2_*]", "figures=false", "threads=1",
     ).done()  # fmt: skip
-    found = pd.read_csv(done.directory / "parameters.csv").set_index("parameter")
+    found = done.parameters
     zero = found[found.index.str.startswith(("offset", "k_2_"))]
     zero = zero[zero["start"].notna() & ~zero.index.isin(["k_1", "k_2", "k_3"])]
     assert len(zero) == 6
     assert np.all(np.abs(zero["estimate"]) < 4.0 * zero["std"])
     np.testing.assert_allclose(found.loc[["k_1", "k_2", "k_3"], "estimate"], K, rtol=2e-3)
-    assert json.loads((done.directory / "run.json").read_text())["verdict"] == "sound"
+    assert done.record["verdict"] == "sound"

@@ -9,10 +9,7 @@ from scipy.stats import norm, truncnorm
 from pinn_cli.baseline.kalman_smoother import _parameters
 from pinn_cli.system.parameters import Parameter
 
-UNCERTAIN = (
-    Parameter("k", 0, 10.0, 20.0, unknown=True, positive=True),
-    Parameter("kappa", 0, 5.0, 3.0, unknown=True),
-)
+UNCERTAIN = (Parameter("k", 0, 10.0, 20.0, unknown=True, positive=True), Parameter("kappa", 0, 5.0, 3.0, unknown=True))
 
 
 def smoothed(k: float, kappa: float):

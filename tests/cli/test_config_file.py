@@ -70,7 +70,7 @@ def test_quiet_and_json(pinn_run: PinnRun) -> None:
     again = pinn_run(*SMALL, "--json", "figures=false", "hydra.run.dir=mine", "resume=auto")
     found = json.loads(again.out)
     assert found["directory"] == str(outcome.directory)
-    run = json.loads((outcome.directory / "run.json").read_text())
+    run = outcome.record
     assert (found["verdict"], found["reasons"]) == (run["verdict"], run["reasons"])
     assert {row["parameter"] for row in found["parameters"]} >= {"k_1", "kappa_3"}
 

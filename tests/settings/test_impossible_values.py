@@ -63,8 +63,7 @@ IMPOSSIBLE = {
 
 
 @pytest.mark.parametrize(
-    ("made", "place", "given"),
-    [(*of, value) for of, values in IMPOSSIBLE.items() for value in values.split(" | ")],
+    ("made", "place", "given"), [(*of, value) for of, values in IMPOSSIBLE.items() for value in values.split(" | ")]
 )
 def test_it_is_told_by_its_name(made, place, given):
     with pytest.raises(InputError, match=rf"^{re.escape(place)}\.{given.partition(':')[0]}[.=].*: must be ") as error:

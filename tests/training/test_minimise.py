@@ -255,9 +255,7 @@ def test_where_a_whole_step_promises_nothing_it_is_the_end(monkeypatch):
     found, losses = counted_factorisations(monkeypatch), LeastSquares.losses
     # Every step is a little worse, as where rounding is all that is left.
     monkeypatch.setattr(
-        LeastSquares,
-        "losses",
-        lambda own, p, level: losses(own, p, level) | {"rounding": 0.0 if p is there else 1e-3},
+        LeastSquares, "losses", lambda own, p, level: losses(own, p, level) | {"rounding": 0.0 if p is there else 1e-3}
     )
     solution = minimised(equations, noise, there, 40, 1e-6, lambda terms: None)
     assert solution.converged

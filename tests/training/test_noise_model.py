@@ -7,12 +7,7 @@ from small_problems import QUANTITIES, measured, small_chain
 
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline
-from pinn_cli.training.noise_model import (
-    FeatureProjection,
-    NoiseModel,
-    first_output,
-    output_features,
-)
+from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
 
 
 @pytest.fixture(scope="module")

@@ -72,8 +72,7 @@ def assert_found(estimate: Estimate, structure: Structure, relative: float, devi
 
 
 @pytest.mark.parametrize(
-    ("nonlinearity", "hold"),
-    [("duffing", "exact"), ("van_der_pol", "exact"), ("duffing", "zero_order")],
+    ("nonlinearity", "hold"), [("duffing", "exact"), ("van_der_pol", "exact"), ("duffing", "zero_order")]
 )
 def test_stiffness_and_nonlinearity_at_a_hidden_dof_are_found(nonlinearity, hold):
     estimate, structure = found(nonlinearity, hold), small_chain(nonlinearity)

@@ -1,6 +1,5 @@
 """Sensors and blocks of time that the estimator never sees: scores come of measurements alone, all else stays."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -158,7 +157,7 @@ def test_a_run_is_scored_and_its_estimate_stays_as_it_is(pinn_run: PinnRun, monk
     assert scored.status == 0, scored.err
     for name in ("fitness.csv", "parameters.csv", "free_run.csv"):
         assert (plain.directory / name).read_bytes() == (scored.directory / name).read_bytes()
-    kept = json.loads((scored.directory / "run.json").read_text())["validation"]
+    kept = scored.record["validation"]
     table = pd.read_csv(scored.directory / "score.csv", dtype={"withheld_dof": str}).set_index("withheld_dof")
     assert kept["name"] == "heldout"
     assert table.loc["all", "score"] == pytest.approx(kept["score"])
@@ -181,7 +180,7 @@ def without_truth(measure):
 def test_a_run_with_one_sensor_is_scored(pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch) -> None:
     without_figures(monkeypatch)
     scored = pinn_run(*ONE, "validation=forecast").done()
-    kept = json.loads((scored.directory / "run.json").read_text())["validation"]
+    kept = scored.record["validation"]
     assert kept["name"] == "forecast"
     assert 0.0 <= kept["score"] < 1.0
     assert f"validation score (forecast; log of error over noise, 0 at best): {kept['score']:.5g}" in scored.out
@@ -194,5 +193,5 @@ def test_the_evidence_prefers_the_right_model(pinn_run: PinnRun, monkeypatch: py
     scores = {}
     for error in ("none", "linear"):
         outcome = pinn_run(*TWO, "validation=evidence", f"model_error={error}", "excitation.rms=3", "noise.snr_db=40")
-        scores[error] = json.loads((outcome.directory / "run.json").read_text())["validation"]["score"]
+        scores[error] = outcome.record["validation"]["score"]
     assert scores["none"] < scores["linear"]

@@ -1,6 +1,5 @@
 """What a channel says against itself, and what it does not; first samples that are far off."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -113,8 +112,8 @@ def test_a_record_that_begins_with_wrong_samples(pinn_run: PinnRun, tmp_path: Pa
     table.to_csv(tmp_path / "rig.csv", index=False)
     command = *system(1.05 * K), *settings, "threads=1", "scheme=state_parameter", "scheme.unknown=[k_*]"
     done = pinn_run(*command).done()
-    run = json.loads((done.directory / "run.json").read_text())
+    run = done.record
     assert run["verdict"] != "sound"
     assert "samples are far off" in run["reasons"][0]
     again = pinn_run(*command, "data.start=" + run["reasons"][0].rpartition("data.start=")[2].rstrip(")"))
-    assert json.loads((again.directory / "run.json").read_text())["verdict"] == "sound"
+    assert again.record["verdict"] == "sound"

@@ -32,14 +32,8 @@ def estimate(chance: float, *changed: int) -> SimpleNamespace:
         (SimpleNamespace(changes=None), []),
         (estimate(0.4), []),
         (estimate(0.4, 1), []),
-        (
-            estimate(1e-6),
-            ["the record contradicts the earlier ones and no one parameter explains it (by chance 1e"],
-        ),
-        (
-            estimate(0.0, 1),
-            ["the record contradicts the earlier ones beyond what changes of k_2 explain (by chance"],
-        ),
+        (estimate(1e-6), ["the record contradicts the earlier ones and no one parameter explains it (by chance 1e"]),
+        (estimate(0.0, 1), ["the record contradicts the earlier ones beyond what changes of k_2 explain (by chance"]),
         (estimate(0.4, 1, 0), ["k_2, k_1 changed at once"]),
     ],
 )
