@@ -12,7 +12,6 @@ from calls import SMALL, PinnRun
 from storeys import K, record, system, written
 
 KNOWN = (*system(1.02 * K), "scheme.parameter_uncertainty=0.05", "figures=false")
-UNKNOWN = (*system(1.1 * K), "scheme=state_parameter", "scheme.unknown=[k_*]", "scheme.starts=given", "figures=false")
 WINDOWS = ("data.window=4", "data.overlap=1")
 TABLES = ("parameters.csv", "parameters_over_time.csv", "windows.csv", "fitness.csv", "residuals.csv", "drift.csv")
 
