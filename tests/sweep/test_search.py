@@ -207,7 +207,7 @@ def test_every_draw_of_a_preset_is_a_configuration(composed: Compose, preset: st
     assert not fixed
     assert set(space) == set(sweeper.params)
     study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0))
-    for _ in range(4):
+    for _ in range(2):
         drawn = study.ask(space).params
         config = composed(f"experiment={preset}", *SMALL[:3], *(f"{name}={value}" for name, value in drawn.items()))
         assert RunConfig.read(config).validation.name == "heldout"
