@@ -31,7 +31,7 @@ from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.function_space import training as over_all_weights
 from pinn_cli.training.gradient import training as gradient_training
 
-# A second of processor time and more: test_examples.py runs them.
+# A second of processor time and more: test_examples.py and test_finite_element_run.py run them.
 SIMULATED_LONG = re.compile(r"experiment=examples/")
 
 

@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 from beams import beam, beam_part, deflection, response
 from calls import PinnRun
+from documented_commands import MY_STRUCTURE, blocks
 from omegaconf import OmegaConf
 from scipy.io import mmwrite
 
@@ -246,6 +247,18 @@ def test_a_shaken_model_with_an_unknown_force(in_folder_with_a_beam: PinnRun):
 )
 def test_what_cannot_be_done_is_told_in_one_line(in_folder_with_a_beam: PinnRun, settings: list[str], said: str):
     in_folder_with_a_beam(*SMALL, *settings).refused(said)
+
+
+@pytest.mark.slow
+def test_the_cantilever_of_the_documentation(pinn_run: PinnRun):
+    """Two hundred elements, twelve modes: the stop within 3 %, and the motion of twenty other points."""
+    (script,) = blocks(MY_STRUCTURE, "python")
+    exec(script, {})
+    outcome = pinn_run("experiment=examples/beam_with_stop", "figures=false").done()
+    assert outcome.parameters["estimate"]["kappa_stop"] == pytest.approx(4e4, rel=0.03)
+    fitness = strict_fitness(outcome.directory)
+    assert len(fitness) == 24
+    assert (fitness > 99.0).all(), fitness
 
 
 @pytest.mark.slow  # half a minute

@@ -117,6 +117,14 @@ def test_a_finished_search_makes_no_trial_and_more_may_be_asked_for(search: Call
     pd.testing.assert_frame_equal(read(tmp_path).head(1), before, check_dtype=False)  # of an empty column
 
 
+@pytest.mark.slow
+def test_the_seed_decides(search: Callable[..., int], tmp_path: Path) -> None:
+    search(trials=3)
+    search("hydra.sweeper.sampler.seed=1", "hydra.sweep.dir=other", trials=3)
+    first, other = read(tmp_path), pd.read_csv(tmp_path / "other" / "search.csv")
+    assert not set(first["network.knots_per_period"][1:]) & set(other["network.knots_per_period"][1:])
+
+
 def test_the_first_trial_is_as_configured(pinn_run: PinnRun, tmp_path: Path) -> None:
     pooled = "training.pooled=choice(true,false)"
     outcome = pinn_run(*SEARCH, pooled, "hydra.sweeper.n_trials=1", task=score)
