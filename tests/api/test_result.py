@@ -83,3 +83,14 @@ def test_a_directory_that_is_none(result: Result, tmp_path: Path) -> None:
     (tmp_path / ".hydra").mkdir()
     with pytest.raises(InputError, match=r"run\('resume="):
         load(tmp_path)
+
+
+@pytest.mark.slow
+def test_draws_of_a_posterior() -> None:
+    settings = ("scheme=bayesian", "posterior=laplace", "noise.repeats=2", "figures=false", "system.ndof=2")
+    result = run(*SMALL, *settings, keep=False)
+    assert result.posterior is not None
+    draws = result.posterior["posterior"]["k_1"]
+    row = result.parameters.set_index("parameter").loc["k_1"]
+    assert float(draws.mean()) == pytest.approx(row["estimate"], rel=1e-6)
+    assert isinstance(result.plot.posterior(), Figure)

@@ -64,6 +64,8 @@ def test_a_shaken_structure_and_one_that_is_let_go(chain: Structure) -> None:
 
 
 def test_named_structures() -> None:
+    own = {"A": 500.0, "beta": 30.0, "gamma": 20.0, "n": 1.0}
+    assert Structure.chain("bouc_wen", ndof=2, m=4.0, c=2.0, k=900.0, **own).nonlinearity_name == "bouc_wen"
     connections = {
         "base": {"between": ["ground", "x1"], "law": "linear", "c": 4500.0, "k": 1.5e6},
         "top": {"between": ["x1", "x2"], "law": "duffing", "c": 4200.0, "k": 1.4e6, "kappa": 1e9},
