@@ -129,7 +129,7 @@ def test_the_stiffness_of_parts_is_updated(in_folder_with_a_beam: PinnRun):
         mmwrite(f"{name}.mtx", beam_part(10, own))
     outcome = in_folder_with_a_beam(
         *SMALL, "scheme=state_parameter", "scheme.parameter_uncertainty=0", "scheme.initial_motion=rest",
-        "scheme.starts=given", "system.factors={root: {file: root.mtx, value: 0.8}, end: {file: end.mtx, value: 1.2}}",
+        "system.factors={root: {file: root.mtx, value: 0.8}, end: {file: end.mtx, value: 1.2}}",
     ).done()  # fmt: skip
     parameters = outcome.parameters
     assert parameters.index.tolist() == ["factor_root", "factor_end"]
