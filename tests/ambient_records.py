@@ -1,7 +1,5 @@
 """Records of frames that unknown forces shake, by numpy and scipy alone: exact steps at a fine rate, decimated."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small problems of Bayesian parameter estimation, and what training makes of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from one_record import evidence_of, levels_of, shown_noise

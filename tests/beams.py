@@ -1,7 +1,5 @@
 """Finite-element models of beams (Euler and Bernoulli), for tests."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import eigh
 from scipy.signal import lsim

@@ -1,10 +1,11 @@
 """How tests call the program, and the small settings that they call it with."""
 
-from __future__ import annotations
-
+import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import pandas as pd
 from omegaconf import DictConfig
 
 # A chain, a record and a training small enough for a test, for tests about everything but accuracy.
@@ -21,7 +22,28 @@ class Outcome:
     def __init__(self, status: int, out: str, err: str) -> None:
         self.status, self.out, self.err = status, out, err
 
+    def done(self) -> "Outcome":
+        """This, of a call that must have gone well."""
+        assert self.status == 0, self.err
+        return self
+
+    def refused(self, *told: str) -> "Outcome":
+        """This, of a call whose input cannot be used: one line, which says all of that."""
+        assert (self.status, self.err.count("\n")) == (2, 1), self.err
+        assert all(part in self.err for part in told), self.err
+        return self
+
     @property
     def directory(self) -> Path:
         """The run's or the sweep's directory: the last line printed."""
         return Path(self.out.strip().splitlines()[-1])
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """Of `run.json`."""
+        return json.loads((self.directory / "run.json").read_text())
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """The table, by parameter."""
+        return pd.read_csv(self.directory / "parameters.csv", index_col="parameter")

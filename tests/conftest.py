@@ -1,7 +1,5 @@
 """What tests start from: the composed configuration, an empty folder, and global state as it was before any test."""
 
-from __future__ import annotations
-
 import logging
 import os
 import random

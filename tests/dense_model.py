@@ -1,7 +1,5 @@
 """The probability of a record under a spline network and a chain, written out with dense matrices, in numpy alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -157,10 +155,7 @@ def averaging_matrix(cell: np.ndarray, intervals: int, wanted: int) -> np.ndarra
     """
     points = np.bincount(cell, minlength=intervals)
     pieces, lacking = np.ones(intervals, dtype=int), wanted - intervals
-    for order, share in (
-        (range(intervals), (lacking + 1) // 2),
-        (reversed(range(intervals)), lacking // 2),
-    ):
+    for order, share in ((range(intervals), (lacking + 1) // 2), (reversed(range(intervals)), lacking // 2)):
         left = share
         for group in order:
             more = min(left, min(points[group], 3) - pieces[group])

@@ -1,7 +1,5 @@
 """The commands of README.md and docs/, for the tests that pose them and those that run them."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import math

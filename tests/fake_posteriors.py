@@ -1,7 +1,5 @@
 """Fake posteriors that look like the paper's: stiffness and its nonlinear part strongly correlated."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

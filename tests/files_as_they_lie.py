@@ -1,7 +1,5 @@
 """Records as programs of measurement leave them: twelve files of one rig of two storeys, and more."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from functools import cache

@@ -1,7 +1,5 @@
 """Records of small chains whose roof is driven, and copies with one channel changed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Records of structures in SI units, made with scipy alone: no line of the simulator under test."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache

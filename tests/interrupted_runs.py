@@ -1,7 +1,5 @@
 """Runs that are stopped on their way, and whether two runs came to the same numbers."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Records of a chain whose connections or sensors do more than its model says, made with numpy and scipy alone."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache

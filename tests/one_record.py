@@ -1,7 +1,5 @@
 """One record alone as the solvers of several take it: a list of one."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Estimation problems of any kind, as Hypothesis draws them: what is drawn decides their form, a seed their numbers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What is refused says so in one line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

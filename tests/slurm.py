@@ -1,7 +1,5 @@
 """A SLURM for tests: the user's own if one answers, else one of this machine alone, started and stopped by a script."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

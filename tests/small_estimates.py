@@ -1,7 +1,5 @@
 """A small estimate, its record and its truth, of any number of DOFs: sums of sinusoids, no physics."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

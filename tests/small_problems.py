@@ -1,7 +1,5 @@
 """Small simulated chains, records and problems, for tests about networks, physics and training."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Estimates of records that other code has made, by the spline and its own training."""
 
-from __future__ import annotations
-
 from independent_records import IndependentRecord
 
 from pinn_cli.network.spline import Spline
@@ -20,6 +18,12 @@ def model(made: IndependentRecord) -> Structure:
     return build_chain(len(s.m), Duffing(), m=s.m.tolist(), c=s.c.tolist(), k=s.k.tolist(), kappa=s.kappa.tolist())
 
 
+def by_spline(problem: Problem | JointProblem, **settings) -> Estimate:
+    """Of one record or of several; ``settings`` of the training."""
+    joint = problem if isinstance(problem, JointProblem) else JointProblem.of(problem)
+    return GaussNewton(**settings).solve(joint, Spline(), RunContext())
+
+
 def estimated(made: IndependentRecord, **settings) -> Estimate:
     """With its parameters known; ``settings`` of the training."""
-    return GaussNewton(**settings).solve(JointProblem.of(Problem(model(made), made.record)), Spline(), RunContext())
+    return by_spline(Problem(model(made), made.record), **settings)

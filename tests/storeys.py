@@ -1,7 +1,5 @@
 """Records of a linear frame of three storeys in SI units, simulated exactly step by step with scipy alone."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Structures that are no chains: braces, several laws, weighted connections, coordinates in any order."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sweeps made of nothing but their files, and sweeps in processes of their own."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

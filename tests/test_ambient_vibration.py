@@ -1,22 +1,18 @@
 """Frames under forces that nobody measured: motion, forces and bands, on records that scipy made."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from ambient_records import ambient_record
+from solved_records import by_spline
 
-from pinn_cli.network.spline import Spline
 from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.topology import build_partial_structure, build_structure
-from pinn_cli.training.base import TrainedNetwork
-from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.gauss_newton import GaussNewton
+from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.whittle.whittle_estimate import known_parameters
 from pinn_cli.verdict.input_findings import input_findings
 from pinn_cli.verdict.judge import judge
@@ -25,7 +21,7 @@ from pinn_cli.verdict.sensor_findings import noise_findings
 
 def solved(made, uncertainty=0.0):
     problem = SparseRecovery(parameter_uncertainty=uncertainty).pose(made.structure, [made.record])
-    return problem, TrainedNetwork(GaussNewton(), Spline()).solve(problem, RunContext())
+    return problem, by_spline(problem)
 
 
 def inside(estimate, std, truth):
@@ -88,7 +84,7 @@ def test_springs_and_dampers_without_a_start_come_from_the_resonances(first_freq
     masses = dict(zip(names, made.structure.parameters["m"].tolist(), strict=True))
     nothing = build_partial_structure(names, masses, connections)
     problem = StateParameter(unobserved=[], unknown="missing").pose(nothing, [made.record])
-    estimate = TrainedNetwork(GaussNewton(), Spline()).solve(problem, RunContext())
+    estimate = by_spline(problem)
     for p in estimate.parameters:
         truth = float(made.structure.parameters[p.kind][p.parameter.index])
         assert p.estimate == pytest.approx(truth, rel={"k": 0.05, "c": 0.5}[p.kind])

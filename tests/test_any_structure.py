@@ -1,22 +1,20 @@
 """Every estimator on structures that are no chains: braces, weighted connections, several laws, any order."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from small_problems import measured
+from solved_records import by_spline
 from structures import braced, shuffled
 
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
 from pinn_cli.network.mlp import Mlp
-from pinn_cli.network.spline import Spline
 from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
 
 ESTIMATORS = {
-    "spline": lambda problem: GaussNewton().solve(problem, Spline(), RunContext()),
+    "spline": by_spline,
     "mlp": lambda problem: GaussNewton().solve(problem, Mlp(1, None, "sine", embedding="fourier"), RunContext()),
     "smoother": lambda problem: KalmanSmoother().solve(problem, RunContext()),
 }

@@ -1,7 +1,5 @@
 """The cases, the counting and the exponents of `make bench`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +8,7 @@ import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from benchmarks.__main__ import exponents
-from benchmarks.cases import Case, cases, grid, ring, structure
+from benchmarks.cases import grid, ring, structure
 from benchmarks.scaling_figure import draw
 
 
@@ -33,15 +31,6 @@ def test_a_ring_and_a_grid_have_the_connections_of_their_kind() -> None:
         [("ground", "m1"), ("ground", "m2"), ("ground", "m3"), ("m1", "m2"), ("m2", "m3"), ("m3", "m1")]
     )
     assert set(grid(2)) == {("ground", "m1"), ("m1", "m2"), ("ground", "m3"), ("m3", "m4"), ("m1", "m3"), ("m2", "m4")}
-
-
-def test_every_case_says_its_size() -> None:
-    for case in cases(full=True):
-        command = " ".join(case.command)
-        assert f"simulation.duration={case.duration_s}" in command
-        assert f"system.ndof={case.ndof}" in command or f"m{case.ndof}]" in command
-    assert set(cases(full=False)) <= set(cases(full=True))
-    assert not Case("ndof", 200, 60).smoothed
 
 
 def test_the_overrides_are_read_as_a_structure() -> None:

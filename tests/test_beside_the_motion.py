@@ -1,17 +1,15 @@
 """Hidden forces, the ground and forces that nobody measured, found together with the motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from small_estimates import Case, results_of
 from small_problems import excitation, measured, small_chain
+from solved_records import by_spline as solved
 from structures import hysteretic
 
 from pinn_cli.network.mlp import Mlp
-from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation, simulate
@@ -20,12 +18,7 @@ from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.base import TrainedNetwork
-from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
-
-
-def solved(problem) -> Estimate:
-    return TrainedNetwork(GaussNewton(), Spline()).solve(problem, RunContext())
 
 
 def inside(estimate: np.ndarray, std: np.ndarray, truth: np.ndarray) -> float:

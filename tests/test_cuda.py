@@ -1,9 +1,5 @@
 """What runs on a CUDA device finds what the processor finds; left out where there is none."""
 
-from __future__ import annotations
-
-import json
-
 import numpy as np
 import pytest
 import torch
@@ -25,10 +21,7 @@ from pinn_cli.training.gradient.lbfgs import Lbfgs
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 
-pytestmark = [
-    pytest.mark.cuda,
-    pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device"),
-]
+pytestmark = [pytest.mark.cuda, pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")]
 EMBEDDED = Mlp(1, 12, "sine", "exact", "fourier")
 
 
@@ -75,10 +68,7 @@ def test_the_same_device_gives_the_same_numbers(design):
 @pytest.mark.parametrize("design", [EMBEDDED, Spline()], ids=["mlp", "spline"])
 @pytest.mark.parametrize(
     "training",
-    [
-        Adam(30, collocation_points=None, dtype="float64"),
-        Lbfgs(20, collocation_points=None, dtype="float64"),
-    ],
+    [Adam(30, collocation_points=None, dtype="float64"), Lbfgs(20, collocation_points=None, dtype="float64")],
     ids=["adam", "lbfgs"],
 )
 def test_gradients(training, design):
@@ -99,9 +89,8 @@ def test_blocks_of_the_normal_equations(design):
 
 @pytest.mark.parametrize("network", ["spline", "mlp"])
 def test_a_run_says_which_device_it_used_and_can_be_taken_up(pinn_run: PinnRun, network: str):
-    outcome = pinn_run(*SMALL, f"network={network}", "device=cuda", "figures=false", "hydra.run.dir=run")
-    assert outcome.status == 0, outcome.err
-    told = json.loads((outcome.directory / "run.json").read_text())
+    outcome = pinn_run(*SMALL, f"network={network}", "device=cuda", "figures=false", "hydra.run.dir=run").done()
+    told = outcome.record
     assert told["device"].startswith("cuda (")
     assert told["peak_memory_mib"]["cuda"] > 0
     assert pinn_run("resume=run").status == 0

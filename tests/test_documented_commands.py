@@ -1,12 +1,11 @@
 """Every command of README.md and docs/ is accepted: composed, validated, and posed up to the first step of training."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path
 
 import pytest
+from calls import Compose
 from documented_commands import (
     EVERY,
     FOLLOWED,
@@ -18,7 +17,6 @@ from documented_commands import (
     write_files,
     write_model_run,
 )
-from hydra import compose, initialize_config_module
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.inspecting import Inspected
@@ -33,8 +31,8 @@ from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.function_space import training as over_all_weights
 from pinn_cli.training.gradient import training as gradient_training
 
-# A second of processor time and more: test_documented_runs.py runs them too.
-SIMULATED_LONG = re.compile(r"examples/(beam_with_stop|frame_with_hysteretic_brace|shear_building_earthquake)$")
+# A second of processor time and more: test_examples.py and test_finite_element_run.py run them.
+SIMULATED_LONG = re.compile(r"experiment=examples/")
 
 
 class TrainingBeginsError(Exception):
@@ -69,16 +67,14 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     "line", [pytest.param(line, marks=pytest.mark.slow if SIMULATED_LONG.search(line) else ()) for line in RUNS]
 )
-def test_a_documented_run_gets_as_far_as_training(line: str, rig: Path) -> None:
+def test_a_documented_run_gets_as_far_as_training(composed: Compose, line: str, rig: Path) -> None:
     if package := missing_package(line):
         pytest.skip(f"{package} is not installed")
     arguments = [argument for argument in shlex.split(line, comments=True)[1:] if argument != "--multirun"]
     while "--config-dir" in arguments:
         place = arguments.index("--config-dir")
         arguments[place : place + 2] = [f"hydra.searchpath=[file://{rig / arguments[place + 1]}]"]
-    with initialize_config_module("pinn_cli.conf", version_base="1.3"):
-        composed = compose("config", overrides=first_job(arguments))
-    config = RunConfig.read(composed, rig)
+    config = RunConfig.read(composed(*first_job(arguments)), rig)
     true, prescribed = config.model_error.structures(config.structure)
     record = config.observe(config.source.measure(true).record)
     modes = config.modes
@@ -91,29 +87,22 @@ def test_a_documented_run_gets_as_far_as_training(line: str, rig: Path) -> None:
 
 
 @pytest.mark.parametrize("line", LOOKS)
-def test_a_documented_look_is_had(line: str, rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(rig)
-    with initialize_config_module("pinn_cli.conf", version_base="1.3"):
-        arguments = shlex.split(line)[1:]
-        composed = compose("config", overrides=first_job(read_options(arguments).overrides))
-    looked_at = Inspected.read(composed, rig)
+def test_a_documented_look_is_had(composed: Compose, line: str, rig: Path) -> None:
+    overrides = read_options(shlex.split(line)[1:]).overrides
+    looked_at = Inspected.read(composed(*first_job(overrides)), rig)
     assert inspect_record(looked_at.signals, looked_at.time, looked_at.said, looked_at.frequencies).command
 
 
 @pytest.mark.parametrize("line", MODAL)
-def test_documented_modes_are_found(line: str, rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(rig)
-    with initialize_config_module("pinn_cli.conf", version_base="1.3"):
-        composed = compose("config", overrides=first_job(read_options(shlex.split(line)[1:]).overrides))
-    for looked_at in Inspected.read_all(composed, rig):
+def test_documented_modes_are_found(composed: Compose, line: str, rig: Path) -> None:
+    overrides = read_options(shlex.split(line)[1:]).overrides
+    for looked_at in Inspected.read_all(composed(*first_job(overrides)), rig):
         assert ModalRecord.of(looked_at.signals, looked_at.time).modes
 
 
 @pytest.mark.parametrize("line", FOLLOWED)
-def test_a_documented_record_can_be_followed(line: str, rig: Path) -> None:
-    with initialize_config_module("pinn_cli.conf", version_base="1.3"):
-        composed = compose("config", overrides=first_job(shlex.split(line)[2:]))
-    config = RunConfig.read(composed, rig, follows=True)
+def test_a_documented_record_can_be_followed(composed: Compose, line: str, rig: Path) -> None:
+    config = RunConfig.read(composed(*first_job(shlex.split(line)[2:])), rig, follows=True)
     check_windows(config)
     assert isinstance(config.source.windows, GrowingWindows)
 

@@ -1,9 +1,5 @@
 """The worked examples of docs/how-to/my-structure.md, as their commands run them."""
 
-from __future__ import annotations
-
-import json
-
 import pandas as pd
 import pytest
 from calls import PinnRun
@@ -25,14 +21,13 @@ SEVERAL = ("shear_building_earthquake",)
 @pytest.mark.slow
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_an_example_finds_what_it_asks_for(pinn_run: PinnRun, example: str) -> None:
-    outcome = pinn_run(f"experiment=examples/{example}", "figures=false")
-    assert outcome.status == 0, outcome.err
-    parameters = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    outcome = pinn_run(f"experiment=examples/{example}", "figures=false").done()
+    parameters = outcome.parameters
     for name, percent in EXAMPLES[example].items():
         assert parameters.loc[name, "error_percent"] < percent
     fitness = pd.read_csv(outcome.directory / "fitness.csv").set_index(["group", "quantity"])["fitness_percent"]
     assert fitness["unobserved", "displacement"] > DISPLACEMENT.get(example, 97.0)
-    verdict = json.loads((outcome.directory / "run.json").read_text())
+    verdict = outcome.record
     if example not in SEVERAL:
         assert verdict["verdict"] == "sound"
         return

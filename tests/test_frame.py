@@ -1,15 +1,12 @@
 """A frame of three storeys in SI units, recorded by another simulator, through the whole program."""
 
-from __future__ import annotations
-
-import json
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from calls import Outcome, PinnRun
+from calls import PinnRun
 from independent_records import IndependentRecord, frame_record
 
 from pinn_cli.report.fitness import fitness_percent
@@ -35,38 +32,27 @@ def written(made: IndependentRecord, folder: Path) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def run_json(done: Outcome) -> dict:
-    return json.loads((done.directory / "run.json").read_text())
-
-
-def parameters(done: Outcome) -> pd.DataFrame:
-    table = pd.read_csv(done.directory / "parameters.csv")
-    return (table[table["estimator"] == "pinn"] if "estimator" in table else table).set_index("parameter")
-
-
 def test_the_motion_of_a_known_frame(pinn_run: PinnRun, made: IndependentRecord, tmp_path: Path) -> None:
-    done = pinn_run(*written(made, tmp_path))
-    assert done.status == 0, done.err
+    done = pinn_run(*written(made, tmp_path)).done()
     with xr.open_dataset(done.directory / "response.nc") as response:
         for quantity, least in (("displacement", 98.5), ("velocity", 98.5), ("acceleration", 97.0)):
             true, found = getattr(made.truth, quantity), response[quantity].values
             assert np.mean(fitness_percent(found, true)) >= least, quantity
             inside = np.abs(found - true) < WITHIN_95 * response[f"{quantity}_std"].values
             assert 0.85 < inside.mean() < 0.995, quantity
-    assert run_json(done)["verdict"] == "sound", run_json(done)["reasons"]
+    assert done.record["verdict"] == "sound", done.record["reasons"]
 
 
 def test_unknown_springs_from_the_default_start(pinn_run: PinnRun, made: IndependentRecord, tmp_path: Path) -> None:
     nothing = ("system.k=null", "system.kappa=[null,0,0]")
-    done = pinn_run(*written(made, tmp_path), *UNKNOWN, *nothing)
-    assert done.status == 0, done.err
-    table, s = parameters(done), made.structure
+    done = pinn_run(*written(made, tmp_path), *UNKNOWN, *nothing).done()
+    table, s = done.parameters, made.structure
     for i in range(3):
         row = table.loc[f"k_{i + 1}"]
         assert row["estimate"] == pytest.approx(s.k[i], rel=0.01)
         assert row["estimate"] == pytest.approx(s.k[i], abs=4.0 * row["std"])
     assert table.loc["kappa_1", "estimate"] == pytest.approx(s.kappa[0], rel=0.1)
-    assert run_json(done)["verdict"] == "sound", run_json(done)["reasons"]
+    assert done.record["verdict"] == "sound", done.record["reasons"]
 
 
 @pytest.mark.parametrize("factor", [0.01, 100.0])
@@ -75,6 +61,5 @@ def test_a_start_a_hundred_times_off_ends_at_the_truth(pinn_run: PinnRun, tmp_pa
     made = frame_record(rate=100.0, duration=8.0)
     start = ", ".join(f"k_{i + 1}: {factor * k:.0f}" for i, k in enumerate(made.structure.k))
     unknown = ("scheme=state_parameter", "scheme.unknown=[k_*]", f"scheme.initial={{{start}}}")
-    done = pinn_run(*written(made, tmp_path), *unknown)
-    assert done.status == 0, done.err
-    np.testing.assert_allclose(parameters(done).loc[["k_1", "k_2", "k_3"], "estimate"], made.structure.k, rtol=0.01)
+    done = pinn_run(*written(made, tmp_path), *unknown).done()
+    np.testing.assert_allclose(done.parameters.loc[["k_1", "k_2", "k_3"], "estimate"], made.structure.k, rtol=0.01)

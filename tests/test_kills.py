@@ -4,8 +4,6 @@ Bit for bit, the column of seconds apart. A run is a fork of this process, which
 takes a second or two; workers of joblib are processes of their own.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import random
@@ -233,22 +231,3 @@ def test_killed_in_a_process_of_its_own(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "going on from the checkpoint" in (tmp_path / "run" / "pinn-run.log").read_text()
     assert_same_numbers(run_in_a_child(tmp_path / "whole", *LONG), tmp_path / "run")
-
-
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_signals_to_a_process_of_its_own(number: int, status: int, tmp_path: Path) -> None:
-    # Started from a shell's background job, a process ignores SIGINT: here it must not.
-    code = (
-        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); import pinn_cli.main as m; m.main()"
-    )
-    endless = ("training.iterations=1000000", "training.checkpoint_every_s=null")
-    program = [sys.executable, "-c", code, *LONG, "hydra.run.dir=run", *endless]
-    process = subprocess.Popen(program, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    log = tmp_path / "run" / "pinn-run.log"
-    while process.poll() is None and "problem:" not in (log.read_text() if log.exists() else ""):
-        time.sleep(0.01)
-    time.sleep(4.0)  # torch's optimisers take seconds to import, and before the first step there is nothing to keep
-    process.send_signal(number)
-    _, err = process.communicate()
-    assert process.returncode == status
-    assert err == "pinn-run: interrupted; to go on: pinn-run resume=run\n"

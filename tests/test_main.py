@@ -1,7 +1,5 @@
 """Whole runs of the real program, small: what they leave behind, and that the same seed gives the same bytes."""
 
-from __future__ import annotations
-
 import io
 import json
 import subprocess
@@ -119,8 +117,7 @@ def test_the_same_seed_gives_the_same_bytes(small_run: FinishedRun, pinn_run: Pi
 
 
 def test_a_sweep_joins_its_tables(pinn_run: PinnRun) -> None:
-    outcome = pinn_run("--multirun", *SMALL, "figures=false", "noise.snr_db=40,30")
-    assert outcome.status == 0, outcome.err
+    outcome = pinn_run("--multirun", *SMALL, "figures=false", "noise.snr_db=40,30").done()
     for name in TABLES:
         joined = pd.read_csv(outcome.directory / name)
         assert joined.columns[0] == "noise.snr_db"
@@ -133,12 +130,11 @@ def test_a_sweep_joins_its_tables(pinn_run: PinnRun) -> None:
 
 
 def test_a_baseline_is_compared_with(pinn_run: PinnRun) -> None:
-    outcome = pinn_run(*SMALL, "figures=false", "baseline=kalman_smoother")
-    assert outcome.status == 0, outcome.err
+    outcome = pinn_run(*SMALL, "figures=false", "baseline=kalman_smoother").done()
     for name in ("fitness.csv", "parameters.csv"):
         estimators = pd.read_csv(outcome.directory / name)["estimator"]
         assert estimators.drop_duplicates().tolist() == ["pinn", "kalman_smoother"]
-    record = json.loads((outcome.directory / "run.json").read_text())
+    record = outcome.record
     assert record["baseline"]["name"] == "kalman_smoother"
     assert record["seconds"]["baseline"] > 0
     with xr.open_dataset(outcome.directory / "response.nc") as response:
@@ -154,8 +150,7 @@ def test_a_record_whose_forces_are_all_unknown(small_run: FinishedRun, pinn_run:
         pd.DataFrame({"t": response["time"].values, **columns}).to_csv(tmp_path / "rig.csv", index=False)
     settings = ["data.force={1: null, 2: null, 3: null}", "data.acceleration={1: a1, 2: a2, 3: a3}"]
     structure = ["system.m=10", "system.c=1", "system.k=15", "system.kappa=100"]
-    outcome = pinn_run(*MEASURED, "data=csv", "data.path=rig.csv", "figures=false", *settings, *structure)
-    assert outcome.status == 0, outcome.err
+    outcome = pinn_run(*MEASURED, "data=csv", "data.path=rig.csv", "figures=false", *settings, *structure).done()
     assert "the force on DOFs 1, 2, 3 is unknown, and a free run needs every force" in outcome.out
     table = pd.read_csv(outcome.directory / "free_run.csv")
     assert table[["fitness_percent", "range_fitness_percent"]].isna().all(axis=None)

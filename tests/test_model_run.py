@@ -1,7 +1,5 @@
 """A finished run used again, through the whole program."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -30,21 +28,17 @@ def files(folder: Path) -> dict[str, tuple[str, ...]]:
 @pytest.mark.slow
 def test_records_one_after_the_other(pinn_run: PinnRun, tmp_path: Path) -> None:
     data = files(tmp_path)
-    first = pinn_run(*FIRST, *data["one"], "hydra.run.dir=first")
-    assert first.status == 0, first.err
+    pinn_run(*FIRST, *data["one"], "hydra.run.dir=first").done()
 
-    new = pinn_run("model=first", *data["two"], UNDRAWN, "hydra.run.dir=new")
-    assert new.status == 0, new.err
+    pinn_run("model=first", *data["two"], UNDRAWN, "hydra.run.dir=new").done()
     found, known = (pd.read_csv(f"{run}/parameters.csv").set_index("parameter") for run in ("new", "first"))
     for name in ("k_1", "k_3", "c_2"):
         assert found.loc[name, "prescribed"] == pytest.approx(known.loc[name, "estimate"], rel=1e-6)
     assert not Path("new/parameters_over_time.csv").exists()
 
-    second = pinn_run("model=first", "scheme=update", *data["two"], UNDRAWN, "hydra.run.dir=second")
-    assert second.status == 0, second.err
+    second = pinn_run("model=first", "scheme=update", *data["two"], UNDRAWN, "hydra.run.dir=second").done()
     assert "no change since the earlier records" in second.out
-    third = pinn_run("model=second", "scheme=update", *data["less"], UNDRAWN, "hydra.run.dir=third")
-    assert third.status == 0, third.err
+    third = pinn_run("model=second", "scheme=update", *data["less"], UNDRAWN, "hydra.run.dir=third").done()
     assert "changed: k_3 (connection 3) by -" in third.out
     table = pd.read_csv("third/parameters_over_time.csv")
     drawn = over_time_figure(table)
@@ -67,22 +61,19 @@ def test_records_one_after_the_other(pinn_run: PinnRun, tmp_path: Path) -> None:
     assert of_k_1.loc[3, "std"] < of_k_1.loc[2, "std"]  # what did not change goes on being learned
     assert load("third").plot.modes().axes  # of the model's structure, not of the one that system would be
 
-    other = pinn_run(*system(), "system.ndof=2", "system.m=1", "system.c=1", "system.k=1", "model=first", *data["two"])
-    assert other.status == 2
-    assert "2 DOFs, not 3" in other.err
+    pinn_run(*system(), "system.ndof=2", "system.m=1", "system.c=1", "system.k=1", "model=first", *data["two"]).refused(
+        "2 DOFs, not 3"
+    )
     for scheme in ("state_parameter", "bayesian"):
-        refused = pinn_run("model=first", f"scheme={scheme}", *data["two"])
-        assert refused.status == 2
-        assert f"null with scheme={scheme}" in refused.err
+        pinn_run("model=first", f"scheme={scheme}", *data["two"]).refused(f"null with scheme={scheme}")
 
 
 def test_a_model_holds_no_truth(pinn_run: PinnRun) -> None:
     """Of a simulated record the truth is known to the run; none of its numbers is in the model."""
-    done = pinn_run(
+    pinn_run(
         "system.ndof=2", "model_error=perturbed", "simulation.samples=512", "simulation.duration=20", UNDRAWN,
         "noise.snr_db=20", "hydra.run.dir=first",
-    )  # fmt: skip
-    assert done.status == 0, done.err
+    ).done()  # fmt: skip
     true = pd.read_csv("first/parameters.csv").set_index("parameter")["true"]
     with np.load(f"first/{NAME}") as content:
         numbers = np.concatenate([content[name].astype(float).ravel() for name in content.files if name != "content"])
@@ -95,25 +86,18 @@ def test_a_model_holds_no_truth(pinn_run: PinnRun) -> None:
 
 
 def test_update_without_a_model_is_refused(pinn_run: PinnRun) -> None:
-    done = pinn_run("scheme=update")
-    assert done.status == 2
-    assert "the directory of a finished run with scheme=update" in done.err
-    assert len(done.err.strip().splitlines()) == 1
-    gone = pinn_run("model=nowhere")
-    assert gone.status == 2
-    assert "no such directory" in gone.err
+    pinn_run("scheme=update").refused("the directory of a finished run with scheme=update")
+    pinn_run("model=nowhere").refused("no such directory")
     assert not Path("outputs").exists()
 
 
 def test_a_prediction_without_a_response(pinn_run: PinnRun, tmp_path: Path) -> None:
-    first = pinn_run(*FIRST, *written(record(1).record, tmp_path / "one.csv"), "hydra.run.dir=first")
-    assert first.status == 0, first.err
+    pinn_run(*FIRST, *written(record(1).record, tmp_path / "one.csv"), "hydra.run.dir=first").done()
     new = record(4, duration=6.0)
     table = np.column_stack((new.record.time, new.truth.force[:, 2]))
     np.savetxt(tmp_path / "design.csv", table, delimiter=",", header="t,f", comments="")
     data = ("data=csv", f"data.path={tmp_path / 'design.csv'}", "data.time=t", "data.force={3: f}", UNDRAWN)
-    done = pinn_run("model=first", "scheme=predict", "scheme.draws=50", *data, "hydra.run.dir=next")
-    assert done.status == 0, done.err
+    done = pinn_run("model=first", "scheme=predict", "scheme.draws=50", *data, "hydra.run.dir=next").done()
     assert "peak drift of connection 3" in done.out
     with xr.open_dataset("next/response.nc") as response:
         error = np.abs(response["displacement"].values - new.truth.displacement)
@@ -123,9 +107,5 @@ def test_a_prediction_without_a_response(pinn_run: PinnRun, tmp_path: Path) -> N
     assert "verdict" not in json.loads(Path("next/run.json").read_text())
     assert not Path("next/model.npz").exists()
     assert load("next").plot.response().axes
-    again = pinn_run("model=next", "scheme=predict", *data)
-    assert again.status == 2
-    assert "has no model.npz" in again.err
-    refused = pinn_run("model=first", *data)
-    assert refused.status == 2
-    assert "at least one of them" in refused.err
+    pinn_run("model=next", "scheme=predict", *data).refused("has no model.npz")
+    pinn_run("model=first", *data).refused("at least one of them")

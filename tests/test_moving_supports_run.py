@@ -1,9 +1,5 @@
 """A structure between a table that moves and the ground, from the command to the files; the record by scipy alone."""
 
-from __future__ import annotations
-
-import json
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -59,11 +55,10 @@ def test_springs_dampers_bands_and_what_comes(pinn_run: PinnRun, tmp_path) -> No
     outcome = pinn_run(
         *record, f"data.path={tmp_path / 'seen.csv'}", "scheme=state_parameter", "scheme.unknown=[k_*,c_*]",
         f"data.channels={{{channel}, a: {{sensor: acceleration, dof: frame}}}}",
-    )  # fmt: skip
-    assert outcome.status == 0, outcome.err
-    run = json.loads((outcome.directory / "run.json").read_text())
+    ).done()  # fmt: skip
+    run = outcome.record
     assert run["verdict"] == "sound", run["reasons"]
-    found = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    found = outcome.parameters
     for name, (k, c) in TRUE.items():
         for kind, true in (("k", k), ("c", c)):
             row = found.loc[f"{kind}_{name}"]
@@ -81,8 +76,7 @@ def test_springs_dampers_bands_and_what_comes(pinn_run: PinnRun, tmp_path) -> No
     outcome = pinn_run(
         *record, f"data.path={tmp_path / 'new.csv'}", "scheme=predict", f"model={outcome.directory}",
         f"data.channels={{{channel}}}",
-    )  # fmt: skip
-    assert outcome.status == 0, outcome.err
+    ).done()  # fmt: skip
     with xr.open_dataset(outcome.directory / "response.nc") as response:
         for order, quantity in enumerate(("displacement", "velocity")):
             off = response[quantity].values - motion[:, order]
@@ -105,9 +99,7 @@ def test_what_cannot_be_meant(pinn_run: PinnRun, tmp_path, overrides, message) -
     time = np.arange(64) / RATE
     pd.DataFrame({"t": time, "s": np.sin(time), "a": np.cos(time)}).to_csv(tmp_path / "x.csv", index=False)
     given = ["data.acceleration={arm: a}"] if "channels" in overrides[-1] else []
-    outcome = pinn_run("data=csv", f"data.path={tmp_path / 'x.csv'}", "data.time=t", *SYSTEM, *given, *overrides)
-    assert outcome.status == 2
-    assert message in outcome.err
+    pinn_run("data=csv", f"data.path={tmp_path / 'x.csv'}", "data.time=t", *SYSTEM, *given, *overrides).refused(message)
 
 
 def test_inspect_shows_what_moves_and_keeps_its_channel(pinn_run: PinnRun, tmp_path) -> None:
@@ -116,8 +108,7 @@ def test_inspect_shows_what_moves_and_keeps_its_channel(pinn_run: PinnRun, tmp_p
     pd.DataFrame(columns).to_csv(tmp_path / "seen.csv", index=False)
     channels = "data.channels={s: {sensor: displacement, support: table}, a: {sensor: acceleration, dof: frame}}"
     given = ("data=csv", f"data.path={tmp_path / 'seen.csv'}", "data.time=t", *SYSTEM, channels, "figures=false")
-    outcome = pinn_run("inspect", *given)
-    assert outcome.status == 0, outcome.err
+    outcome = pinn_run("inspect", *given).done()
     assert "displacement of support 1" in outcome.out
     assert channels in " ".join(outcome.out.replace("\\\n", " ").split())
 
@@ -132,8 +123,7 @@ def test_window_by_window_from_several_starts(pinn_run: PinnRun, tmp_path) -> No
         "data=csv", f"data.path={tmp_path / 'seen.csv'}", "data.time=t", *SYSTEM, "figures=false", "data.window=9",
         "data.overlap=2", f"data.channels={{{S}, a: {{sensor: acceleration, dof: frame}}}}", "scheme=state_parameter",
         "scheme.unknown=[k_*,c_*]",
-    )  # fmt: skip
-    assert outcome.status == 0, outcome.err
-    found = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    ).done()  # fmt: skip
+    found = outcome.parameters
     for name, (k, _) in TRUE.items():
         assert found.loc[f"k_{name}", "estimate"] == pytest.approx(k, rel=0.05)

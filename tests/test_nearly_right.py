@@ -1,7 +1,5 @@
 """The judge of models that are nearly right: without an error the peer finds the truth, with one the truth misses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

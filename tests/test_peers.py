@@ -1,7 +1,5 @@
 """What `make bench-peers` counts and hands on; the peers themselves are not installed here."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

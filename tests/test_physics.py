@@ -1,7 +1,5 @@
 """Residuals of the true motion, and the tangent of the connections."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -132,36 +130,3 @@ def test_dofs_without_a_sensor_have_no_observation_residual():
         "displacement": [False, False, True],
         "acceleration": [True, False, False],
     }
-
-
-@pytest.mark.parametrize("nonlinearity", NONLINEARITIES)
-def test_the_tangent_is_the_slope_that_finite_differences_see(nonlinearity):
-    structure = small_chain(nonlinearity, ndof=4)
-    generator = torch.Generator().manual_seed(0)
-    u, v = (torch.randn(5, 4, generator=generator, dtype=torch.float64) for _ in range(2))
-    slope = structure.linearise(u, v, structure.parameters)
-    e, de = structure.elongation(u), structure.elongation(v)
-
-    def by(vary):
-        step = 1e-6
-        return (vary(step) - vary(-step)) / (2.0 * step)
-
-    force = structure.connection_force
-    torch.testing.assert_close(slope.force, force(e, de, structure.parameters))
-    close = {"rtol": 1e-7, "atol": 1e-7}
-    torch.testing.assert_close(slope.stiffness, by(lambda h: force(e + h, de, structure.parameters)), **close)
-    torch.testing.assert_close(slope.damping, by(lambda h: force(e, de + h, structure.parameters)), **close)
-    assert set(slope.by_parameter) == set(structure.parameters) - {"m"}
-    for name, given in slope.by_parameter.items():
-        expected = by(lambda h, name=name: force(e, de, {**structure.parameters, name: structure.parameters[name] + h}))
-        torch.testing.assert_close(given, expected, **close)
-
-
-def test_residuals_are_differentiable_in_the_parameters():
-    structure = small_chain()
-    measurements = measured(structure)
-    target, states = targets(measurements.record, Dynamics(structure)), states_of(measurements.truth.response)
-    parameters = {name: value.clone().requires_grad_() for name, value in structure.parameters.items()}
-    residual = physics_residual(states, target, Dynamics(structure), {**parameters, "k": parameters["k"] * 1.1})
-    gradients = torch.autograd.grad(residual.square().sum(), list(parameters.values()))
-    assert all(gradient.abs().min() > 0 for gradient in gradients)

@@ -1,7 +1,5 @@
 """What a release is made of agrees with pyproject.toml, the one place of the version and of what is needed."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

@@ -1,8 +1,5 @@
 """Three records of a frame with one accelerometer that roves, through the whole program."""
 
-from __future__ import annotations
-
-import json
 from pathlib import Path
 
 import numpy as np
@@ -42,15 +39,14 @@ def test_three_records_make_one_report(pinn_run: PinnRun, tmp_path: Path) -> Non
     other = f"data.validation={{path: '{tmp_path}/fresh.csv', acceleration: {{1: a1, 2: a2, 3: a3}}}}"
     settings = "data.force={3: f}", f"data.records=[{records}]", other, f"hydra.run.dir={tmp_path}/run"
     command = (*FRAME, *UNKNOWN, *settings)
-    done = pinn_run(*command)
-    assert done.status == 0, done.err
+    done = pinn_run(*command).done()
     found = parameters(done.directory)
     assert list(found.index) == ["k_1", "k_2", "k_3"]
     assert np.all(np.abs(found["estimate"] / TRUTH - 1.0) < 0.02)
     summary = pd.read_csv(done.directory / "records.csv")
     assert list(summary["folder"]) == [".", "record_2", "record_3"]
     assert list(summary["samples"]) == [600, 600, 600]
-    run = json.loads((done.directory / "run.json").read_text())
+    run = done.record
     assert len(run["records"]) == 3
     assert run["records"][1]["sigma_acceleration"][0] is None
     tried = pd.read_csv(done.directory / "validation.csv")
@@ -87,12 +83,12 @@ def test_a_roving_accelerometer_and_a_load_cell_of_unknown_gain(pinn_run: PinnRu
     alone = []
     for storey in (1, 2, 3):
         path, _, channels = entry(storey).partition(", channels: ")
-        done = pinn_run(*FRAME, *UNKNOWN, f"data.path={path.removeprefix('path: ')}", f"data.channels={channels}")
-        assert done.status == 0, done.err
+        done = pinn_run(
+            *FRAME, *UNKNOWN, f"data.path={path.removeprefix('path: ')}", f"data.channels={channels}"
+        ).done()
         alone.append(parameters(done.directory)["estimate"][["k_1", "k_2", "k_3"]].to_numpy())
     records = ",".join(f"{{{entry(storey)}}}" for storey in (1, 2, 3))
-    done = pinn_run(*FRAME, *UNKNOWN, f"data.records=[{records}]")
-    assert done.status == 0, done.err
+    done = pinn_run(*FRAME, *UNKNOWN, f"data.records=[{records}]").done()
     found = parameters(done.directory)["estimate"]
     assert list(found.index) == ["k_1", "k_2", "k_3", "gain_f"]
     assert np.all(np.abs(found[["k_1", "k_2", "k_3"]].to_numpy() / TRUTH - 1.0) < 0.01)

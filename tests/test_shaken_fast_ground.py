@@ -1,9 +1,5 @@
 """Ground motion with content nearly up to the Nyquist frequency: springs, dampers and bands; records by scipy alone."""
 
-from __future__ import annotations
-
-import json
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -45,9 +41,8 @@ def test_springs_dampers_and_bands(pinn_run: PinnRun, tmp_path, frame, highest, 
         f"data.frame={frame}", "data.acceleration={2: a2, 4: a4}", "system=linear", "system.ndof=4",
         "system.m=[1e4,1e4,1e4,8e3]", "system.k=8e6", "system.c=1e4", "scheme=state_parameter",
         "scheme.unknown=[k_*,c_*]", "figures=false",
-    )  # fmt: skip
-    assert outcome.status == 0, outcome.err
-    found = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    ).done()  # fmt: skip
+    found = outcome.parameters
     for kind, truth in (("k", K), ("c", C)):
         rows = found.loc[[f"{kind}_{i + 1}" for i in range(4)]]
         assert np.max(np.abs(rows["estimate"] - truth) / rows["std"]) < 4.0
@@ -55,7 +50,7 @@ def test_springs_dampers_and_bands(pinn_run: PinnRun, tmp_path, frame, highest, 
         for quantity, truth in (("displacement", motion[:, 0]), ("velocity", motion[:, 1]), ("acceleration", felt)):
             off = response[quantity].values - truth
             assert np.mean(np.abs(off) < 1.96 * response[f"{quantity}_std"].values) > 0.8, quantity
-    run = json.loads((outcome.directory / "run.json").read_text())
+    run = outcome.record
     noise = ground.std() * 10.0 ** (-ground_db / 20.0)
     assert run["training"]["sigma_ground_acceleration"][0] == pytest.approx(noise, rel=0.35)
     assert run["verdict"] == "sound", run["reasons"]

@@ -1,8 +1,5 @@
 """A frame in an earthquake, from the command to the files: sensors on the ground and on the roof."""
 
-from __future__ import annotations
-
-import json
 import re
 from pathlib import Path
 
@@ -21,8 +18,7 @@ EARTHQUAKE = (
 
 
 def test_a_frame_in_an_earthquake(pinn_run: PinnRun) -> None:
-    outcome = pinn_run(*EARTHQUAKE, "figures=false")
-    assert outcome.status == 0, outcome.err
+    outcome = pinn_run(*EARTHQUAKE, "figures=false").done()
     drift = pd.read_csv(outcome.directory / "drift.csv")
     assert (drift["error_percent"] < 5.0).all()
     assert (drift["lower_90"] < drift["peak"]).all()
@@ -38,7 +34,7 @@ def test_a_frame_in_an_earthquake(pinn_run: PinnRun) -> None:
         assert np.isfinite(response["ground_acceleration_std"]).all()
         left = response["drift"] - response["drift_true"]
         assert float(np.mean(np.abs(left) < 1.96 * response["drift_std"])) > 0.7
-    verdict = json.loads((outcome.directory / "run.json").read_text())["verdict"]
+    verdict = outcome.record["verdict"]
     assert verdict == "sound", outcome.out
 
 
@@ -47,11 +43,10 @@ def test_a_frame_of_which_the_roof_leaves_two_open(pinn_run: PinnRun) -> None:
     """Storeys of 4 and 1 MN/m move the roof as two of 2 MN/m do."""
     outcome = pinn_run(
         *EARTHQUAKE, "scheme=state_parameter", "scheme.unobserved=[1]", "scheme.unknown=[k_*,c_*]", "figures=false"
-    )
-    assert outcome.status == 0, outcome.err
-    found = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    ).done()
+    found = outcome.parameters
     assert (found.loc[["k_1", "k_2"], "error_percent"] < 5.0).all()
-    run = json.loads((outcome.directory / "run.json").read_text())
+    run = outcome.record
     assert run["verdict"] == "questionable"
     (reason,) = (x for x in run["reasons"] if x.startswith("another structure"))
     other = {name: float(x) for name, x in re.findall(r"(k_\d) = ([\d.e+]+)", reason)}

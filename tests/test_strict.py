@@ -1,8 +1,5 @@
 """strict=true: a verdict other than sound is exit status 4, whose results are written all the same."""
 
-from __future__ import annotations
-
-import json
 from pathlib import Path
 
 import pandas as pd
@@ -25,7 +22,7 @@ def test_the_verdict_is_the_line_before_the_directory_and_in_run_json(pinn_run: 
     done = pinn_run(*QUICK)
     assert done.status == 0
     assert done.out.splitlines()[-3:-1] == [f"- {DOUBT.reasons[0].text}", "verdict: questionable"]
-    record = json.loads((done.directory / "run.json").read_text())
+    record = done.record
     assert (record["verdict"], record["reasons"]) == ("questionable", [DOUBT.reasons[0].text])
 
 

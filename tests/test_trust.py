@@ -1,7 +1,5 @@
 """The referee: what is right, what is wrong, what is named, and which program is judged."""
 
-from __future__ import annotations
-
 import ast
 import json
 from pathlib import Path
@@ -60,9 +58,7 @@ def run(folder: Path, verdict: str, off: float = 0.0, **found: tuple[float, floa
         ("sound", 0.0, (np.nan, 1.0), WRONG_AND_SOUND),
     ],
 )
-def test_wrong_is_many_deviations_and_some_per_cent(
-    tmp_path: Path, verdict: str, off: float, k: tuple[float, float], outcome: str
-) -> None:
+def test_wrong_is_many_deviations_and_some_per_cent(tmp_path, verdict, off, k, outcome):
     found = scored(case(k_1=100.0), run(tmp_path / "run", verdict, off, k_1=k), "")
     assert found.row["outcome"] == outcome
 

@@ -1,7 +1,5 @@
 """Two processes that start the same thing at the same time, on locks that are slow: each ends, and nothing is lost."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal
@@ -14,7 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from calls import SMALL, PinnRun
+from calls import SMALL
 from filelock import FileLock
 
 from pinn_cli.runs import claim
@@ -59,7 +57,6 @@ def other() -> Iterator[Callable[[Path, str], subprocess.Popen[str]]]:
         directory.mkdir(exist_ok=True)
         command = [sys.executable, "-c", HOLD, str(directory), name]
         begun.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
-        assert begun[-1].stdout is not None
         assert begun[-1].stdout.readline() == "in\n"
         return begun[-1]
 
@@ -129,9 +126,7 @@ def test_a_file_system_without_locks_is_told_of(tmp_path: Path, monkeypatch, cap
     [(FILE, ("hydra.run.dir=place",)), (SWEEP_FILE, ("--multirun", "seed=0,1", "hydra.sweep.dir=place"))],
     ids=["a run", "a sweep"],
 )
-def test_a_command_waits_for_the_one_in_its_directory(
-    other, pinn_run: PinnRun, tmp_path: Path, monkeypatch, name: str, given: tuple[str, ...]
-) -> None:
+def test_a_command_waits_for_the_one_in_its_directory(other, pinn_run, tmp_path, monkeypatch, name, given):
     place = tmp_path / "place"
     first = other(place, name)
     monkeypatch.setattr(run_lock, "EVERY_S", 0.02)

@@ -1,22 +1,13 @@
 """Unknowns whose true value is zero, beside what the record determines well, through the whole program."""
 
-from __future__ import annotations
-
-import json
-from pathlib import Path
-
 import numpy as np
-import pandas as pd
 import pytest
-from calls import PinnRun
 from storeys import K, record, system, written
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_an_offset_and_quadratic_springs_of_zero_leave_a_good_run_sound(
-    pinn_run: PinnRun, tmp_path: Path, seed: int
-) -> None:
+def test_an_offset_and_quadratic_springs_of_zero_leave_a_good_run_sound(pinn_run, tmp_path, seed):
     written(record(seed, duration=20.0, snr_db=40.0).record, tmp_path / "rig.csv")
     channels = ", ".join(f"a{i}: {{sensor: acceleration, dof: {i}, offset: unknown}}" for i in (1, 2, 3))
     done = pinn_run(
@@ -24,12 +15,11 @@ def test_an_offset_and_quadratic_springs_of_zero_leave_a_good_run_sound(
         f"data.path={tmp_path}/rig.csv",
         f"data.channels={{f: {{sensor: force, dof: 3}}, {channels}}}", "data.time=t", "scheme=state_parameter",
         "scheme.unknown=[k_*,k_2_*]", "figures=false", "threads=1",
-    )  # fmt: skip
-    assert done.status == 0, done.err
-    found = pd.read_csv(done.directory / "parameters.csv").set_index("parameter")
+    ).done()  # fmt: skip
+    found = done.parameters
     zero = found[found.index.str.startswith(("offset", "k_2_"))]
     zero = zero[zero["start"].notna() & ~zero.index.isin(["k_1", "k_2", "k_3"])]
     assert len(zero) == 6
     assert np.all(np.abs(zero["estimate"]) < 4.0 * zero["std"])
     np.testing.assert_allclose(found.loc[["k_1", "k_2", "k_3"], "estimate"], K, rtol=2e-3)
-    assert json.loads((done.directory / "run.json").read_text())["verdict"] == "sound"
+    assert done.record["verdict"] == "sound"

@@ -1,7 +1,5 @@
 """A whole run with ``data.validation``: its files and its table, and an estimate that knows nothing of the data."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 from calls import PinnRun
@@ -21,8 +19,7 @@ def test_what_the_estimator_does_not_see(pinn_run: PinnRun) -> None:
     columns = {"t": record.time, "f": record.force[:, 0], **{f"a{i}": record.acceleration[:, i - 1] for i in (1, 2, 3)}}
     table = pd.DataFrame(columns)
     table.to_csv("rig.csv", index=False)
-    outcome = pinn_run(*RIG, "data.validation={start: 15}")
-    assert outcome.status == 0, outcome.err
+    outcome = pinn_run(*RIG, "data.validation={start: 15}").done()
     found = pd.read_csv(outcome.directory / "validation.csv")
     assert found["dof"].tolist() == [1, 3]
     assert (found["nmse_percent"] < 1.0).all()
@@ -40,7 +37,4 @@ def test_what_the_estimator_does_not_see(pinn_run: PinnRun) -> None:
 def test_a_segment_that_was_seen_is_refused(pinn_run: PinnRun) -> None:
     table = pd.DataFrame({"t": 0.1 * np.arange(200), "f": 1.0, "a1": 0.0, "a3": 0.0})
     table.to_csv("rig.csv", index=False)
-    outcome = pinn_run(*RIG, "data.validation={start: 5, stop: 8}", "data.stop=10")
-    assert outcome.status == 2
-    assert outcome.err.count("\n") == 1
-    assert "outside of what the estimator sees" in outcome.err
+    pinn_run(*RIG, "data.validation={start: 5, stop: 8}", "data.stop=10").refused("outside of what the estimator sees")

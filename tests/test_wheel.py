@@ -1,7 +1,5 @@
 """The wheel holds what a run needs, and works from any folder of an environment that has never seen this checkout."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys
@@ -60,6 +58,7 @@ def test_the_wheel_holds_every_module_config_and_data_file(wheel: Path) -> None:
     assert not any(name.startswith(("tests/", "conf/", "benchmarks/")) for name in held)
 
 
+@pytest.mark.slow  # the workflow does so with every Python that is supported
 def test_the_installed_command_helps_and_runs_elsewhere(pinn_run: Path, tmp_path: Path) -> None:
     def call(*arguments: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run([pinn_run, *arguments], cwd=tmp_path, capture_output=True, text=True)
@@ -75,6 +74,7 @@ def test_the_installed_command_helps_and_runs_elsewhere(pinn_run: Path, tmp_path
     assert call("system.ndof=0").returncode == 2
 
 
+@pytest.mark.slow
 def test_the_installed_package_is_the_wheel_s(pinn_run: Path, tmp_path: Path) -> None:
     code = "import pinn_cli, pinn_cli.conf; print(pinn_cli.__file__); print(pinn_cli.conf.__file__)"
     done = subprocess.run(

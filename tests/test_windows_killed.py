@@ -1,7 +1,5 @@
 """SIGKILL of a run by windows and of one that is followed: the same command ends with the same numbers, bit for bit."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Likelihoods of parameters whose posteriors are known in closed form."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

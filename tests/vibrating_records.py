@@ -1,7 +1,5 @@
 """Records of structures whose modes are known, by scipy alone: every mode is a filter of second order."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +24,7 @@ class Vibrating:
     shapes: np.ndarray
 
     @classmethod
-    def chain(cls, first: float, stiffness: list[float], damping: list[float]) -> Vibrating:
+    def chain(cls, first: float, stiffness: list[float], damping: list[float]) -> "Vibrating":
         """Masses of one, springs in these proportions from the support on."""
         drift = np.eye(len(stiffness)) - np.eye(len(stiffness), k=-1)
         squares, shapes = np.linalg.eigh(drift.T @ np.diag(stiffness) @ drift)
@@ -142,7 +140,7 @@ RIG = Vibrating.chain(7.245, [40.0, 36.0, 44.0], [0.004, 0.008, 0.01])
 FRAME = Vibrating.chain(1.3, [1.0] * 4, [0.02] * 4)
 
 
-def _orthogonal(frequencies: list[float], damping: list[float], dofs: int) -> Vibrating:
+def _orthogonal(frequencies: list[float], damping: list[float], dofs: int) -> "Vibrating":
     shapes, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(dofs, len(frequencies))))
     return Vibrating(np.array(frequencies), np.array(damping), shapes)
 

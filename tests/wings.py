@@ -1,7 +1,5 @@
 """Records of structures with many modes, by scipy alone: each mode by a first-order hold at many steps a sample."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

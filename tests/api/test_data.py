@@ -1,7 +1,5 @@
 """Data in memory are read as a file with the same columns: the same checks, units, identity and numbers."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`inspect` and `modes` of Python find what the commands find, and leave nothing that nobody has asked for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

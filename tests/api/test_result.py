@@ -1,7 +1,5 @@
 """Results read from the directory of a run: tables, response, posterior and figures, in Python and in a notebook."""
 
-from __future__ import annotations
-
 from io import BytesIO
 from pathlib import Path
 

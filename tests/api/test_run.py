@@ -1,7 +1,5 @@
 """`run` computes what the command computes, gives the process back as it was, and raises what the command prints."""
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import json

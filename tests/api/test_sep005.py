@@ -1,7 +1,5 @@
 """Time series as SDyPy's SEP 5 has them, in and out."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sensors in doubt and missing samples in the smoother: derivatives, what is skipped, refused and found."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +19,6 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.training.estimate import RunContext
 
 GAIN, OFFSET, LOAD_GAIN, LOAD_OFFSET = 1.3, 0.4, 0.8, 0.2
-NUMBERS = ("gain", "offset", "drift")
 
 
 def made(snr_db: float | None = None) -> Measurements:

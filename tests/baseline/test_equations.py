@@ -1,7 +1,5 @@
 """One sample's step: its motion against scipy's exponential, its derivatives against small changes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The smoother as a baseline: what was put in is found, and found again in other units of time."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 
@@ -24,7 +22,6 @@ from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
-from pinn_cli.settings.errors import InputError
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Estimate, RunContext
@@ -192,9 +189,7 @@ def test_every_parameter_may_be_unknown() -> None:
     assert estimate.summary["stop_reason"] == "converged"
 
 
-def test_a_smoother_that_breaks_says_so_and_gives_no_estimate(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_smoother_that_breaks_says_so_and_gives_no_estimate(monkeypatch, caplog):
     def broken(self: StateSpace, trajectory: object) -> np.ndarray:
         raise FloatingPointError("overflow at sample 3")
 
@@ -203,17 +198,3 @@ def test_a_smoother_that_breaks_says_so_and_gives_no_estimate(
     with caplog.at_level(logging.WARNING):
         assert baseline_estimate(KalmanSmoother(), JointProblem.of(problem), RunContext()) is None
     assert "overflow at sample 3" in caplog.text
-
-
-@pytest.mark.parametrize(
-    ("setting", "value"),
-    [("iterations", 0), ("tolerance", 1.0), ("process_noise", -1.0), ("learn_spread", "yes")],
-)
-def test_settings_out_of_range(setting: str, value: object) -> None:
-    with pytest.raises(InputError, match=f"baseline.{setting}"):
-        KalmanSmoother(**{setting: value})  # type: ignore[arg-type]
-
-
-def test_none_is_no_baseline() -> None:
-    problem = Problem(small_chain(), accelerations(measured(small_chain()).record))
-    assert baseline_estimate(None, JointProblem.of(problem), RunContext()) is None

@@ -1,7 +1,5 @@
 """Filter, smoother and likelihood against a textbook implementation and against the dense Gaussian posterior."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,7 +41,7 @@ class Dense:
     observation_mean: np.ndarray
 
     @classmethod
-    def of(cls, model: LinearGaussian) -> Dense:
+    def of(cls, model: LinearGaussian) -> "Dense":
         (steps, m), (s, columns) = model.observed.shape, model.initial.shape
         p, d = columns - 1, model.disturbance.shape[2]
         width = p + s + steps * (d + m + s)

@@ -1,7 +1,5 @@
 """The search for the process noise: what was put in is found, a coloured one is widened."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from small_problems import QUANTITIES, excitation, relative_error, small_chain

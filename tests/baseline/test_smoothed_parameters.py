@@ -1,7 +1,5 @@
 """The smoother's parameters: what cannot be negative has no interval below zero."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,10 +9,7 @@ from scipy.stats import norm, truncnorm
 from pinn_cli.baseline.kalman_smoother import _parameters
 from pinn_cli.system.parameters import Parameter
 
-UNCERTAIN = (
-    Parameter("k", 0, 10.0, 20.0, unknown=True, positive=True),
-    Parameter("kappa", 0, 5.0, 3.0, unknown=True),
-)
+UNCERTAIN = (Parameter("k", 0, 10.0, 20.0, unknown=True, positive=True), Parameter("kappa", 0, 5.0, 3.0, unknown=True))
 
 
 def smoothed(k: float, kappa: float):

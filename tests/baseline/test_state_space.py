@@ -1,7 +1,5 @@
 """A problem as a state-space model: derivatives by finite differences, and a true motion leaves no residual."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings

@@ -1,7 +1,5 @@
 """The benchmark's bar: the best level of the grid, for each quantity by itself."""
 
-from __future__ import annotations
-
 import pandas as pd
 import pytest
 

@@ -1,7 +1,5 @@
 """Exit statuses, one line per error, nothing left behind: the command line alone, with a stand-in for the task."""
 
-from __future__ import annotations
-
 import csv
 import os
 import subprocess
@@ -141,12 +139,7 @@ COMPOSITION_ERRORS = {
 
 @pytest.mark.parametrize(("arguments", "told"), COMPOSITION_ERRORS.values(), ids=COMPOSITION_ERRORS.keys())
 def test_composition_errors(pinn_run: PinnRun, tmp_path: Path, arguments: list[str], told: list[str]) -> None:
-    outcome = pinn_run(*arguments, task=judge)
-    assert outcome.status == 2
-    assert outcome.err.startswith("pinn-run: ")
-    assert outcome.err.count("\n") == 1
-    for part in told:
-        assert part in outcome.err
+    pinn_run(*arguments, task=judge).refused(*told)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -171,8 +164,7 @@ def test_a_name_is_not_suggested_for_itself(pinn_run: PinnRun, tmp_path: Path) -
     folder.mkdir(parents=True)
     (folder / "e.yaml").write_text("# @package _global_\ndefaults:\n  - /system: dufing\n")
     for arguments in (["e"], ["e=1"], ["experiment=e"]):
-        outcome = pinn_run("--config-dir", "own", *arguments, task=judge)
-        assert outcome.status == 2
+        outcome = pinn_run("--config-dir", "own", *arguments, task=judge).refused()
         assert "did you mean e?" not in outcome.err
     assert "dufing" in outcome.err
     assert "did you mean e?" in pinn_run("--config-dir", "own", "experiment=ee", task=judge).err
@@ -204,10 +196,8 @@ def test_settings_are_completed_by_the_shell() -> None:
 def test_a_reader_that_leaves_is_no_defect() -> None:
     command = [sys.executable, "-m", "pinn_cli.main", "--help"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    assert process.stdout is not None
     process.stdout.close()
     assert process.wait() == 141
-    assert process.stderr is not None
     assert process.stderr.read() == b""
     process.stderr.close()
 
@@ -215,7 +205,7 @@ def test_a_reader_that_leaves_is_no_defect() -> None:
 def test_nothing_slow_is_imported_before_a_run() -> None:
     modules = "pinn_cli.main, pinn_cli.sweep.running, pinn_cli.sweep.collect"
     code = f"import sys, {modules}; print(*(m for m in sys.argv[1:] if m in sys.modules))"
-    slow = ["torch", "numpy", "scipy", "pandas", "xarray", "matplotlib"]
+    slow = ["torch", "numpy", "scipy", "pandas", "xarray", "matplotlib", "mlflow", "tensorboard"]
     done = subprocess.run([sys.executable, "-c", code, *slow], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
 
@@ -237,9 +227,7 @@ class Mine(Callback):
 """
 
 
-def test_callbacks_of_an_installed_package_are_called(
-    pinn_run: PinnRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_callbacks_of_an_installed_package_are_called(pinn_run, tmp_path, monkeypatch):
     information = tmp_path / "own" / "of_callbacks-1.dist-info"
     information.mkdir(parents=True)
     (information.parent / "of_callbacks.py").write_text(CALLBACK)

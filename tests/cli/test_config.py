@@ -1,7 +1,5 @@
 """The shipped configuration composes and builds; values that no run can use are told by the setting's name."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

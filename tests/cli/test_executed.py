@@ -1,7 +1,5 @@
 """A configuration executes nothing: wherever it says to, a marker file stays unwritten and one line says why."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,15 +1,11 @@
 """`data.records`, what every record has of its own and in common; and names of DOFs where settings ask for DOFs."""
 
-from __future__ import annotations
-
-import json
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-import xarray as xr
-from calls import Compose, PinnRun
+from calls import Compose
 from omegaconf import OmegaConf
 
 from pinn_cli.cli.config import RunConfig
@@ -188,31 +184,3 @@ def test_messages_about_a_file_name_the_dof_as_the_user_does(composed: Compose, 
     config = composed(*frame, "data=csv", f"data.path={write(tmp_path, 'a.csv')}", *sensors)
     with pytest.raises(InputError, match="data.acceleration.mezzanine='none'"):
         prepare_problem(RunConfig.read(config))
-
-
-@pytest.mark.slow
-def test_files_and_sentences_of_a_run_have_the_names(pinn_run: PinnRun, tmp_path: Path) -> None:
-    record = ("simulation.duration=8", "simulation.samples=512", "excitation.band=[1,10]", "excitation.rms=1e3")
-    made = pinn_run(*FRAME, *record, "excitation.dofs=[roof]", "scheme.unobserved=[mezzanine]")
-    assert made.status == 0, made.err
-    with xr.open_dataset(made.directory / "response.nc") as dataset:
-        assert dataset["dof_name"].values.tolist() == ["ground_floor", "mezzanine", "roof"]
-        assert dataset["observed"].values.astype(bool).tolist() == [True, False, True]
-        assert dataset["unforced"].values.astype(bool).tolist() == [True, True, False]
-        accelerations = dataset["acceleration_true"].values
-        columns = {"t": dataset["time"].values, "f": dataset["force_observed"].values[:, 2]}
-    parameters = pd.read_csv(made.directory / "parameters.csv")["parameter"]
-    assert {"k_storey_1", "k_brace", "c_storey_3"} <= set(parameters)
-    assert {"dof_1", "dof_3"} <= set(pd.read_csv(made.directory / "fitness.csv")["group"])
-    drawn = {figure.name for figure in (made.directory / "figures").iterdir()}
-    assert {"structure.png", "structure.pdf", "response.png", "parameters.pdf", "residuals.png"} <= drawn
-    # A sensor with the wrong sign is told by its DOF's name.
-    accelerations = accelerations * [1, 1, -1] + np.random.default_rng(1).normal(0, 1e-3, accelerations.shape)
-    columns |= {f"a{i + 1}": accelerations[:, i] for i in range(3)}
-    pd.DataFrame(columns).to_csv(tmp_path / "signs.csv", index=False)
-    outcome = pinn_run(
-        *FRAME, "data=csv", f"data.path={tmp_path / 'signs.csv'}", "data.force={roof: f}", "figures=false",
-        "data.acceleration={ground_floor: a1, mezzanine: a2, roof: a3}",
-    )  # fmt: skip
-    reasons = " ".join(json.loads((outcome.directory / "run.json").read_text())["reasons"])
-    assert "acceleration of DOF roof" in reasons

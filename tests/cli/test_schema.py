@@ -1,7 +1,5 @@
 """`pinn-run --json-schema`: files of settings that a run takes pass, and slips do not."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is printed of files that may be anybody's."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

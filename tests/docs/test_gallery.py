@@ -1,7 +1,5 @@
 """docs/gallery/: every example has a command, what it prints, and a figure that it drew."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """docs/extensions/settings_tables.py: the page has every setting of conf/ with the default that a run has."""
 
-from __future__ import annotations
-
 import functools
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """`make docs`: the pages build without a warning (a link that leads nowhere is one), and need no network to be read."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -6,8 +6,6 @@ Prints a table and writes it to outputs/fuzz.csv. What fails lies in outputs/fuz
 file to tests/fuzz/corpus, and `make test` replays it for ever.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

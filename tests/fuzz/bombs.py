@@ -1,7 +1,5 @@
 """Inputs of the family bombs: little that unfolds to more than a machine holds, or is waited for long."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from fuzz.changes import BOMBS

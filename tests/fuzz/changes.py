@@ -1,7 +1,5 @@
 """What is changed within a file of a run or a sweep, and files that are far more than they look."""
 
-from __future__ import annotations
-
 import csv
 import json
 import sqlite3

@@ -1,7 +1,5 @@
 """Inputs of the families directories and terminal: runs and sweeps of somebody else, and what is shown of them."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

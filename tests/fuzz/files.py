@@ -1,7 +1,5 @@
 """Inputs of the families csv, yaml, resume and disk: files that a run reads, and where it writes."""
 
-from __future__ import annotations
-
 import gzip
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What became of a trial: the command in a forked child of this process, which has everything imported, is judged."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import importlib

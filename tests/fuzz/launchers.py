@@ -1,7 +1,5 @@
 """Inputs of the family launchers: options of launchers and trackers, and foreign files where trackers keep theirs."""
 
-from __future__ import annotations
-
 from fuzz.starts import QUICK
 from fuzz.trial import Trial
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """Inputs of the families options, numbers and physics: the command line."""
 
-from __future__ import annotations
-
 from functools import cache
 
 from fuzz.starts import QUICK, STEPPED

@@ -1,7 +1,5 @@
 """What may lie in the folder of a trial: nothing, a run that has finished, one that was stopped, a sweep, a record."""
 
-from __future__ import annotations
-
 import math
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Every input that ever failed is refused in one line, or has a sound result, and the judge sees what must not be."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

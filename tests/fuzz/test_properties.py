@@ -3,8 +3,6 @@
 The same inputs at each call; `make fuzz` tries others, and the whole command.
 """
 
-from __future__ import annotations
-
 import pickle
 import tempfile
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """One input of the command: arguments, and what lies in the folder where it is called."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import io
@@ -58,7 +56,7 @@ class Trial:
         return json.dumps({**content, "largest_file": self.largest_file}, indent=1, sort_keys=True) + "\n"
 
     @classmethod
-    def read(cls, file: Path) -> Trial:
+    def read(cls, file: Path) -> "Trial":
         """From a file of the corpus."""
         kept = json.loads(file.read_text(encoding="utf-8"))
         files = {

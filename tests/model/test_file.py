@@ -1,7 +1,5 @@
 """The file of a model: what goes in comes out, and what is none is refused in one line."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from dataclasses import replace
@@ -55,13 +53,10 @@ def test_what_goes_in_comes_out(tmp_path):
     np.testing.assert_allclose(back.known.hidden, [0.25, 0.0], rtol=1e-5)
     np.testing.assert_array_equal(back.levels.sensors["acceleration"], [0.1, np.nan, 0.2])
     assert (back.levels.discrepancy, back.levels.step, back.levels.force, back.levels.features) == (0.3, 0.01, 5.0, 7.5)
-    assert back.levels.windows is not None
     assert (back.levels.windows.start, back.levels.windows.common) == (1e-3, True)
     np.testing.assert_array_equal(back.levels.windows.at(np.array([-5.0, -3.5, 0.0])), [0.0, -0.75, -1.5])
-    assert back.end is not None
     np.testing.assert_array_equal(back.end.mean, np.arange(6.0))
     np.testing.assert_array_equal(back.draws, np.ones((4, 2)))
-    assert back.misfit is not None
     np.testing.assert_array_equal(back.misfit.history, np.arange(12.0).reshape(4, 3))
     assert (back.misfit.step, back.misfit.acting, back.misfit.rest, back.misfit.at_motion) == (0.01, 5.0, 0.25, 0.75)
 

@@ -1,7 +1,5 @@
 """What bounds leave of what a record says: the numbers of the table, and the most probable ones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A structure goes into a file and comes back the same, whatever it was made of."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

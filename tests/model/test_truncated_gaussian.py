@@ -1,7 +1,5 @@
 """What bounds leave of a Gaussian, against integrals and counted samples."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import quad

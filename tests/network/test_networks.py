@@ -1,7 +1,5 @@
 """What holds of every network: derivatives in time, continuity, precision, units of time; and of linear readouts."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest
@@ -15,7 +13,6 @@ from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline, SplineNetwork
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
-from pinn_cli.settings.errors import InputError
 
 DESIGNS = {
     "spline": Spline,
@@ -102,28 +99,6 @@ def test_nothing_rests_on_the_unit_and_the_beginning_of_time(record, kind):
 @pytest.mark.parametrize("design", [Fourier(), Fourier(harmonics=9), Mlp(2, 16)], ids=str)
 def test_refining_leaves_what_is_no_spline_as_it_is(design):
     assert design.refined() is design
-
-
-@pytest.mark.parametrize(
-    ("make", "named"),
-    [
-        (lambda: Spline(degree=2), "network.degree=2"),
-        (lambda: Spline(knots_per_period=0.0), "network.knots_per_period=0.0"),
-        (lambda: Spline(intervals=3), "network.intervals=3"),
-        (lambda: Fourier(band_margin=0.0), "network.band_margin=0.0"),
-        (lambda: Fourier(period_margin=0.5), "network.period_margin=0.5"),
-        (lambda: Fourier(harmonics=0), "network.harmonics=0"),
-        (lambda: Mlp(depth=0), "network.depth=0"),
-        (lambda: Mlp(width=2.5), "network.width=2.5"),
-        (lambda: Mlp(activation="relu"), "network.activation=relu: must be one of silu, tanh, sine"),
-        (lambda: Mlp(continuity="none"), "network.continuity=none"),
-        (lambda: Mlp(embedding="wavelet"), "network.embedding=wavelet: must be"),
-    ],
-)
-def test_impossible_settings_are_named(make, named):
-    with pytest.raises(InputError) as error:
-        make()
-    assert str(error.value).startswith(named)
 
 
 @both_continuities

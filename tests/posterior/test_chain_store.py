@@ -1,7 +1,5 @@
 """A killed run loses at most the chain that it was sampling, and goes on as if it had never stopped."""
 
-from __future__ import annotations
-
 import logging
 import os
 import shutil

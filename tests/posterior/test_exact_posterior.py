@@ -1,7 +1,5 @@
 """Posteriors of real, small records against exact ones: closed forms, quadrature, and a sampler over all weights."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 

@@ -1,18 +1,14 @@
 """The noise of a load cell beside accelerometers alone, which leave it open: its draws, and the truth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import storeys
-from solved_records import model
+from solved_records import by_spline, model
 
-from pinn_cli.network.spline import Spline
 from pinn_cli.posterior.marginal import Marginal
 from pinn_cli.posterior.result import diagnose
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.training.estimate import RunContext
-from pinn_cli.training.gauss_newton import GaussNewton
 
 
 @pytest.mark.slow
@@ -20,7 +16,7 @@ def test_short_chains_draw_it_as_well_as_the_parameters():
     """R-hat was 1.1 and 13 to 90 of 1000 draws were effective: the likelihood's peak lay beyond its table."""
     made = storeys.record(1)
     problem = Bayesian(unknown=["k_*", "c_*"]).pose(model(made), [made.record])
-    found = GaussNewton().solve(problem, Spline(), RunContext()).likelihoods
+    found = by_spline(problem).likelihoods
     scales = np.linspace(-5.0, 5.0, 101) * found.marginal.s_std
     values = [found.marginal.evaluate(found.marginal.peak, s)[0] for s in scales]
     assert abs(scales[np.argmax(values)]) < found.marginal.s_std

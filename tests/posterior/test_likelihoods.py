@@ -1,7 +1,5 @@
 """The two likelihoods of parameters, on matrices of their own: gradients, what they are at their peaks, and beyond."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from toy_likelihoods import correlated, slopes

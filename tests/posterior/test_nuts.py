@@ -1,7 +1,5 @@
 """NUTS against posteriors that are known in closed form or by quadrature."""
 
-from __future__ import annotations
-
 import arviz
 import numpy as np
 import pytest

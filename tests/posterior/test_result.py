@@ -1,7 +1,5 @@
 """The table of diagnostics, what is said of bad draws, and draws of the measured force."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

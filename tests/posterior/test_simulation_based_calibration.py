@@ -4,8 +4,6 @@ Of every problem the chain's parameters come from the priors that the scheme is 
 If posteriors are what they claim to be, the share of draws below the truth is uniform over many problems.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from bayesian_problems import posed

@@ -1,7 +1,5 @@
 """The whitened posterior density: its gradient, its mode, its coordinates."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import optimize

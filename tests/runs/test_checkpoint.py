@@ -1,7 +1,5 @@
 """Checkpoints: written whole, sealed, the last two kept, of one run only; and a loop that goes on from them."""
 
-from __future__ import annotations
-
 import logging
 import os
 import random

@@ -1,7 +1,5 @@
 """Which settings and files make a run another run."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path
@@ -50,9 +48,7 @@ FILES = {
 
 
 @pytest.mark.parametrize(("given", "name"), FILES.values(), ids=FILES.keys())
-def test_a_file_counts_by_what_is_in_it(
-    composed: Compose, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: tuple[str, ...], name: str
-) -> None:
+def test_a_file_counts_by_what_is_in_it(composed, tmp_path, monkeypatch, given, name):
     monkeypatch.setenv("HOME", str(tmp_path))
     config, elsewhere = composed(*given), tmp_path / "elsewhere"
     elsewhere.mkdir()

@@ -1,7 +1,5 @@
 """Signals outside of a training: at once, with handlers put back, and never twice too late."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -96,7 +94,6 @@ def test_nothing_holds_a_signal_up_for_long(block: str) -> None:
     code += "".join(f"    {line}\n" for line in block.strip().splitlines())
     code += "try:\n  run()\nexcept Interruption as stop:\n  sys.exit(stop.status)\n"
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
     assert process.stdout.readline() == "in\n"
     time.sleep(0.3)
     began = time.monotonic()

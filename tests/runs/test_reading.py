@@ -1,7 +1,5 @@
 """What lies in a directory comes in by one door: regular files, of a possible size, of the right types."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import dataclass

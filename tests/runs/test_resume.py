@@ -1,7 +1,5 @@
 """A run that is interrupted or killed goes on with its own configuration and ends with the same numbers."""
 
-from __future__ import annotations
-
 import os
 import signal
 from pathlib import Path
@@ -56,17 +54,14 @@ def interrupted(pinn_run: PinnRun, steps: Steps, tmp_path: Path) -> Path:
     [(signal.SIGINT, 130, ("resume=run",)), (signal.SIGTERM, 143, (*ADAM, "hydra.run.dir=run", "resume=auto"))],
     ids=["SIGINT, by directory", "SIGTERM, auto"],
 )
-def test_an_interrupted_run_goes_on(
-    pinn_run: PinnRun, steps: Steps, tmp_path: Path, whole: Path, number: int, status: int, how: tuple[str, ...]
-) -> None:
+def test_an_interrupted_run_goes_on(pinn_run, steps, tmp_path, whole, number, status, how):
     steps.signal_at(10, number)
     stopped = pinn_run(*ADAM, "hydra.run.dir=run")
     assert (stopped.status, stopped.out) == (status, "")
     assert stopped.err == "pinn-run: interrupted; to go on: pinn-run resume=run\n"
     assert {file.name for file in (tmp_path / "run").iterdir()} == HYDRAS | CHECKPOINTS
     steps.undisturbed()
-    resumed = pinn_run(*how)
-    assert resumed.status == 0, resumed.err
+    resumed = pinn_run(*how).done()
     assert steps.taken == list(range(11, 31))
     assert resumed.directory == tmp_path / "run"
     assert_same_numbers(whole, resumed.directory)
@@ -79,15 +74,12 @@ def test_a_killed_run_goes_on(pinn_run: PinnRun, steps: Steps, tmp_path: Path, w
     steps.signal_at(iteration, signal.SIGKILL)
     assert in_a_child(lambda: pinn_run(*ADAM, "hydra.run.dir=run")) == -signal.SIGKILL
     steps.undisturbed()
-    resumed = pinn_run("resume=run")
-    assert resumed.status == 0, resumed.err
+    pinn_run("resume=run").done()
     assert steps.taken == list(range(max(iteration - 1, 0), 31))
     assert_same_numbers(whole, tmp_path / "run")
 
 
-def test_killed_in_its_report_a_run_does_not_train_again(
-    pinn_run: PinnRun, steps: Steps, tmp_path: Path, whole: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_killed_in_its_report_a_run_does_not_train_again(pinn_run, steps, tmp_path, whole, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(netcdf, "write_dataset", lambda *args: os.kill(os.getpid(), signal.SIGKILL))
         assert in_a_child(lambda: pinn_run(*ADAM, "hydra.run.dir=run")) == -signal.SIGKILL
@@ -121,8 +113,7 @@ def test_a_stale_checkpoint_is_not_taken_up_unasked(pinn_run: PinnRun, steps: St
 
 
 def test_auto_starts_over_where_another_run_lies(pinn_run: PinnRun, steps: Steps, interrupted: Path) -> None:
-    other = pinn_run(*ADAM, "noise.snr_db=20", "hydra.run.dir=run", "resume=auto")
-    assert other.status == 0, other.err
+    other = pinn_run(*ADAM, "noise.snr_db=20", "hydra.run.dir=run", "resume=auto").done()
     assert other.err.count("\n") == 1
     assert "noise.snr_db=20 (was 50)" in other.err
     assert steps.taken == list(range(31))
@@ -131,29 +122,11 @@ def test_auto_starts_over_where_another_run_lies(pinn_run: PinnRun, steps: Steps
     assert steps.taken == list(range(31))
 
 
-def test_a_checkpoint_of_another_version_is_refused(
-    pinn_run: PinnRun, interrupted: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_checkpoint_of_another_version_is_refused(pinn_run, interrupted, monkeypatch):
     before = contents(interrupted)
     monkeypatch.setattr(identity, "package_version", lambda package: "9.9")
-    outcome = pinn_run("resume=run")
-    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
-    assert "torch=9.9 (was " in outcome.err
+    pinn_run("resume=run").refused("torch=9.9 (was ")
     assert contents(interrupted) == before
-
-
-@pytest.mark.slow
-def test_a_damaged_checkpoint_falls_back_on_the_previous_one(
-    pinn_run: PinnRun, steps: Steps, whole: Path, interrupted: Path
-) -> None:
-    last = interrupted / "checkpoint.pt"
-    last.write_bytes(last.read_bytes()[:-100])
-    resumed = pinn_run("resume=run")
-    assert resumed.status == 0
-    assert resumed.err.count("\n") == 1
-    assert f"{last} is damaged" in resumed.err
-    assert steps.taken == list(range(10, 31))
-    assert_same_numbers(whole, interrupted)
 
 
 def test_a_diverging_run_says_where_and_keeps_a_good_checkpoint(pinn_run: PinnRun, tmp_path: Path) -> None:
@@ -166,9 +139,7 @@ def test_a_diverging_run_says_where_and_keeps_a_good_checkpoint(pinn_run: PinnRu
     assert pinn_run("resume=run").err == outcome.err
 
 
-def test_interrupted_before_it_begins_a_run_leaves_nothing(
-    pinn_run: PinnRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_interrupted_before_it_begins_a_run_leaves_nothing(pinn_run, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(Simulated, "measure", lambda *args: os.kill(os.getpid(), signal.SIGTERM))
         stopped = pinn_run(*SMALL, "hydra.run.dir=run")
@@ -176,27 +147,12 @@ def test_interrupted_before_it_begins_a_run_leaves_nothing(
     assert not list(tmp_path.iterdir())
 
 
-def test_interrupted_in_the_report_a_run_leaves_nothing_half_written(
-    pinn_run: PinnRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_interrupted_in_the_report_a_run_leaves_nothing_half_written(pinn_run, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(pd.DataFrame, "to_csv", lambda *args, **kwargs: os.kill(os.getpid(), signal.SIGINT))
         stopped = pinn_run(*SMALL, "hydra.run.dir=run")
     assert stopped.status == 130
     assert {file.name for file in (tmp_path / "run").iterdir()} <= HYDRAS | CHECKPOINTS
-
-
-@pytest.mark.slow
-def test_a_sweep_goes_on_with_the_job_that_was_stopped(pinn_run: PinnRun, steps: Steps, tmp_path: Path) -> None:
-    sweep = ("--multirun", *ADAM, "seed=0,1", "hydra.sweep.dir=sweep", "resume=auto")
-    steps.happens = {20: lambda: steps.taken.count(0) == 2 and os.kill(os.getpid(), signal.SIGINT)}
-    stopped = pinn_run(*sweep)
-    assert stopped.status == 130
-    assert stopped.err.endswith("the same command again; for what there is: pinn-run collect=sweep\n")
-    steps.undisturbed()
-    assert pinn_run(*sweep).status == 0
-    assert steps.taken == list(range(21, 31))
-    assert set(pd.read_csv(tmp_path / "sweep" / "fitness.csv")["seed"]) == {0, 1}
 
 
 def test_it_goes_on_with_its_own_configuration(pinn_run: PinnRun, tmp_path: Path, monkeypatch) -> None:
@@ -214,8 +170,7 @@ def test_it_goes_on_with_its_own_configuration(pinn_run: PinnRun, tmp_path: Path
         seen.append(config)
         assert Path.cwd() == home
 
-    outcome = pinn_run(f"resume={name}", "threads=2", "training.checkpoint_every_s=null", task=note)
-    assert outcome.status == 0, outcome.err
+    pinn_run(f"resume={name}", "threads=2", "training.checkpoint_every_s=null", task=note).done()
     expected = seen[0].copy()
     changes = {"threads": 2, "training.checkpoint_every_s": None, "resume": str(tmp_path / name)}
     for setting, value in changes.items():
@@ -245,10 +200,7 @@ def test_what_cannot_be_resumed(pinn_run: PinnRun, tmp_path: Path, arguments: li
     (tmp_path / "sweep" / "multirun.yaml").write_text("")
     (tmp_path / "broken" / ".hydra" / "config.yaml").write_text("a: [")
     before = sorted(tmp_path.rglob("*"))
-    outcome = pinn_run(*arguments)
-    assert (outcome.status, outcome.err.count("\n")) == (2, 1), outcome.err
-    for part in told:
-        assert part in outcome.err
+    pinn_run(*arguments).refused(*told)
     assert sorted(tmp_path.rglob("*")) == before
 
 
@@ -261,28 +213,22 @@ def test_every_training_takes_the_interval(composed: Compose, training: str) -> 
         RunConfig.read(composed(f"training={training}", "threads=1", "training.checkpoint_every_s=-1"))
 
 
-def test_an_interrupted_training_that_keeps_nothing_says_so(
-    pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_an_interrupted_training_that_keeps_nothing_says_so(pinn_run, monkeypatch, tmp_path):
     monkeypatch.setattr(Evidence, "train", lambda *args, **settings: os.kill(os.getpid(), signal.SIGINT))
     stopped = pinn_run(*SMALL, "hydra.run.dir=run")
     assert (stopped.status, stopped.out) == (130, "")
     assert stopped.err == "pinn-run: interrupted; nothing is kept of it; to start over: pinn-run resume=run\n"
     monkeypatch.undo()
     monkeypatch.chdir(tmp_path)
-    again = pinn_run("resume=run", "figures=false")
-    assert again.status == 0, again.err
+    pinn_run("resume=run", "figures=false").done()
 
 
 MLP = (*SMALL, "network=mlp", "training.collocation_points=60", "figures=false")
 
 
 @pytest.mark.slow
-def test_a_long_step_is_broken_off_and_taken_anew(
-    pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    undisturbed = pinn_run(*MLP, "hydra.run.dir=whole")
-    assert undisturbed.status == 0, undisturbed.err
+def test_a_long_step_is_broken_off_and_taken_anew(pinn_run, monkeypatch, tmp_path):
+    pinn_run(*MLP, "hydra.run.dir=whole").done()
     factor, taken, survived = NetworkSystem.factor, [], []
 
     def stopped_in_the_third(*arguments: object) -> object:
@@ -298,6 +244,5 @@ def test_a_long_step_is_broken_off_and_taken_anew(
     assert stopped.status == 143
     assert stopped.err == "pinn-run: interrupted; to go on: pinn-run resume=run\n"
     assert (len(taken), survived) == (3, [])
-    resumed = pinn_run("resume=run")
-    assert resumed.status == 0, resumed.err
+    pinn_run("resume=run").done()
     assert_same_numbers(tmp_path / "whole", tmp_path / "run")

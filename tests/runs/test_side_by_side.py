@@ -1,7 +1,5 @@
 """Items in copies of the process."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

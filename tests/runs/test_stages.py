@@ -1,7 +1,5 @@
 """Seconds by stage, what a run that takes long says of itself, and that imported objects are no garbage."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

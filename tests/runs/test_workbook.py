@@ -1,7 +1,5 @@
 """Tables in an Excel file: what is read back, and what Excel would make of the cells."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files are there whole or not at all."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
@@ -27,14 +25,6 @@ def test_an_interrupted_file_leaves_the_old_one(tmp_path):
         _fail_halfway(place)
     assert place.read_text() == "old"
     assert list(tmp_path.iterdir()) == [place]
-
-
-def test_the_file_beside_keeps_its_suffix_and_folder(tmp_path):
-    place = tmp_path / "deep" / "response.nc"
-    with replacing(place) as beside:
-        assert (beside.parent, beside.suffix) == (place.parent, ".nc")
-        beside.touch()
-    assert list(place.parent.iterdir()) == [place]
 
 
 def test_empty_cells_stay_empty(tmp_path):

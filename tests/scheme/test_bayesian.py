@@ -1,7 +1,5 @@
 """Bayesian estimation: what is unknown, under which priors, where it starts, and what the estimator is not told."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 
@@ -104,18 +102,6 @@ def test_training_works_under_gaussians_that_are_wider_than_a_prior_that_was_cho
             assert parameter.prior_std >= GAUSSIAN_WIDTH * parameter.prior.std
         else:
             assert parameter.prior_std == pytest.approx(PRIOR_WIDTH * parameter.scale)
-
-
-def test_starts_scale_with_the_record(measurements):
-    """Forces and masses a thousand times larger at the same motion: everything is a thousand times stiffer."""
-    record, structure, scheme = measurements.record, small_chain(), Bayesian()
-    heavy = structure.with_parameters(**{**structure.parameters, "m": 1e3 * structure.parameters["m"]})
-    weak = scheme.pose(structure, [scheme.observe(record)]).alone
-    strong = scheme.pose(heavy, [scheme.observe(replace(record, force=1e3 * record.force))]).alone
-    for a, b in zip(weak.uncertain, strong.uncertain, strict=True):
-        assert b.prescribed == pytest.approx(1e3 * a.prescribed, rel=1e-3)
-        assert b.prior_std == pytest.approx(1e3 * a.prior_std, rel=1e-3)
-        assert a.prescribed > 0 or a.kind == "kappa"
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """What is in doubt about sensors: parameters in every scheme, and where the search for them starts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Of a measured structure the user gives every value, or says that it is unknown; nothing is a demonstration's."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -78,13 +76,6 @@ def test_what_is_given_or_unknown_makes_a_problem(composed: Compose, folder: Pat
         assert np.isfinite(values.numpy()).all()
 
 
-def test_the_demonstration_keeps_its_values(composed: Compose):
-    config = composed("system=van_der_pol")
-    assert (config.system.m, config.system.c, config.system.k, config.system.mu) == (10.0, 1.0, 15.0, 0.75)
-    assert composed("system.k=7").system.k == 7
-    assert composed(*CSV).system.k is None
-
-
 def test_a_simulated_structure_has_every_value(composed: Compose):
     with pytest.raises(InputError, match=r"system\.k=nothing"):
         RunConfig.read(composed("system.k=null"))
@@ -123,11 +114,3 @@ def test_values_from_files_of_the_user(pinn_run: PinnRun, folder: Path, tmp_path
         arguments = [argument.replace("++", "") for argument in chosen]
         assert pinn_run("--config-dir", "mine", *arguments, task=task).status == 0
     assert read == [[15.0, 15.0]] * 4
-
-
-def test_a_run_that_nobody_gave_masses_is_refused_in_one_line(pinn_run: PinnRun, folder: Path, tmp_path: Path):
-    (tmp_path / "rig.csv").write_text((folder / "rig.csv").read_text())
-    outcome = pinn_run(*(argument.replace("++", "") for argument in CSV), "system.ndof=2", "system=linear")
-    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
-    assert outcome.err.startswith("pinn-run: system.m, system.c, system.k=(nothing): must be your structure's own")
-    assert not (tmp_path / "outputs").exists()

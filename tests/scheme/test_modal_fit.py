@@ -1,7 +1,5 @@
 """Modes in a band of records whose modes are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from wings import Wing, wing, wing_record

@@ -1,7 +1,5 @@
 """Sensors on a part of a structure that nothing joins to where a force acts."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 

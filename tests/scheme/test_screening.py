@@ -1,7 +1,5 @@
 """Linear structures that make of the measured force what the sensors saw, from guesses that are far off."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Which DOFs have sensors, as a user says it."""
 
-from __future__ import annotations
-
 import pytest
 from omegaconf import OmegaConf
 

@@ -1,7 +1,5 @@
 """One problem from several records: what is unknown, where it starts, what each record leaves open."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -15,11 +13,9 @@ from storeys import C, K, M, response
 from pinn_cli.record.gauge import Calibration, Gauge, unknown_calibration
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.bayesian import Bayesian
-from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
-from pinn_cli.scheme.starts import parameter_scales
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
@@ -74,12 +70,6 @@ def test_a_roving_accelerometer_is_sensors_enough_for_a_bayesian_scheme():
         Bayesian(unknown="k_*").pose(CHAIN, roving((1, 2)))
 
 
-def test_scales_are_the_median_of_the_records():
-    first, second, third = roving()
-    alone = [parameter_scales(CHAIN, [record])["k"] for record in (first, second, third)]
-    assert parameter_scales(CHAIN, [first, second, third])["k"] == np.median(alone)
-
-
 class OneAtATime(SparseRecovery):
     """Somebody's own."""
 
@@ -132,12 +122,3 @@ def test_one_gain_of_several_records_is_found_together_with_where_springs_start(
         assert [start[f"k_{i}"] for i in (1, 2, 3)] == pytest.approx(K, rel=0.05)
     for one in SparseRecovery().pose(structure.with_parameters(k=torch.as_tensor(K)), records):
         assert {p.name: p.prescribed for p in one.uncertain}["gain_v1"] == pytest.approx(0.16, rel=0.03)
-
-
-def test_a_bayesian_scheme_has_priors_of_what_is_in_doubt_of_sensors():
-    records = [with_gauge(record, gain=Calibration(1.0, 0.1)) for record in roving()]
-    assert sensor_parameters(records[0])
-    problem = Bayesian(unknown="k_*").pose(CHAIN, records)
-    for own in problem:
-        (gain,) = (p for p in own.uncertain if p.kind == "gain")
-        assert (gain.prior.mean, gain.prior.std) == (1.0, 0.1)

@@ -1,7 +1,5 @@
 """Which parameters of a structure are unknown, how many starts they have, and where."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

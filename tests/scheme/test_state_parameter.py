@@ -1,7 +1,5 @@
 """State-parameter estimation: which parameters are unknown, where they start, and what the estimator is not told."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

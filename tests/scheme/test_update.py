@@ -1,7 +1,5 @@
 """Records one after the other: what the first leaves known is the prior of the second."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -73,11 +71,9 @@ def test_two_halves_one_after_the_other_are_both_together():
 def test_a_spring_that_lost_a_twentieth_is_named_and_left_open():
     _, model = first()
     same = estimated(Update(model).pose(PRESCRIBED, [record(2).record]), UpdatedNetwork)
-    assert same.changes is not None
     assert same.changes.found == ()
     assert same.changes.chance > 1e-3
     less = estimated(Update(model).pose(PRESCRIBED, [record(2, third=0.95).record]), UpdatedNetwork)
-    assert less.changes is not None
     assert [change.parameter.name for change in less.changes.found] == ["k_3"]
     change = less.changes.found[0]
     assert change.by == pytest.approx(-0.05 * K[2], abs=4.0 * change.std)
@@ -106,7 +102,6 @@ def test_a_new_record_without_a_search():
 
 def test_the_state_at_the_end():
     found, _ = first()
-    assert found.end is not None
     assert found.end.time == found.response.time[-1]
     last = [np.concatenate((r.displacement[-1], r.velocity[-1])) for r in (found.response, found.std)]
     np.testing.assert_allclose(found.end.mean, last[0], rtol=1e-9)
@@ -122,7 +117,6 @@ def test_what_misfit_hides_does_not_average_out_over_records():
     told = replace(model.known, told=np.full(6, 1e9), weight=np.full(6, 1e6))
     problem = Update(replace(model, known=told)).pose(PRESCRIBED, [record(2).record])
     found = estimated(problem)
-    assert found.known is not None
     hidden = found.known.hidden
     assert hidden[3] == pytest.approx(1e3, rel=0.05)
     assert next(p for p in found.parameters if p.name == "k_1").std > 900.0

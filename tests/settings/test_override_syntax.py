@@ -1,7 +1,5 @@
 """Values of overrides that hold signs of Hydra's grammar."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

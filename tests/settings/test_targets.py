@@ -1,7 +1,5 @@
 """A configuration chooses registered classes, each at its place, and runs nothing else."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`make stored`: the archive of the release that is installed, `tests/stored/VERSION.zip`, made once and kept."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """Which jobs a sweep has; those that are made from one another are those that Hydra composes."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from itertools import product
@@ -52,7 +50,7 @@ OF_SWEEP = ["hydra/launcher=basic", "hydra.job.config.override_dirname.exclude_k
 def test_jobs_are_as_hydra_composes_them(loader: Any, overrides: list[str]) -> None:
     sweep = of_sweep(loader, *overrides)
     composer = Composer(loader, sweep)
-    for job in (*JOBS, *JOBS):
+    for job in (*JOBS, *JOBS[:3]):
         theirs, ours = loader.load_sweep_config(sweep, list(job)), composer.job(job)
         assert OmegaConf.to_yaml(ours) == OmegaConf.to_yaml(theirs)
         assert type(ours.seed) is type(theirs.seed)

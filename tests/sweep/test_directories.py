@@ -1,7 +1,5 @@
 """Directories that the same overrides find again."""
 
-from __future__ import annotations
-
 import pytest
 
 from pinn_cli.settings.override_syntax import setting_of

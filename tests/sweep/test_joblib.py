@@ -1,7 +1,5 @@
 """A sweep in processes of its own, started as a user starts it."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal
@@ -13,6 +11,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from calls import SMALL
+from interrupted_runs import run_in_a_child
 from sweeps import start
 
 from pinn_cli.runs.machine import usable_cores
@@ -45,8 +44,7 @@ def test_workers_do_what_one_process_does(tmp_path: Path) -> None:
     assert fitness.loc[fitness["status"] == "finished", "seed"].drop_duplicates().tolist() == [0, 1]
     assert fitness["reason"].str.contains("system.m=-1").sum() == 2
     assert not list((tmp_path / "sweep").rglob("response.png"))
-    alone = start(tmp_path, *SMALL, "seed=1", "system.m=1", "figures=false", "hydra.run.dir=one")
-    assert alone.communicate(timeout=300) is not None
+    run_in_a_child(tmp_path / "one", *SMALL, "seed=1", "system.m=1")
     (job,) = (tmp_path / "sweep").glob("seed=1,system.m=1_*")
     for name in ("fitness.csv", "parameters.csv", "free_run.csv"):
         assert (tmp_path / "one" / name).read_bytes() == (job / name).read_bytes()

@@ -1,7 +1,5 @@
 """What became of a sweep's jobs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -59,7 +57,6 @@ def test_what_is_no_sweep(tmp_path: Path, content: str | None, told: str) -> Non
 def test_a_failure_is_kept(tmp_path: Path, error: Exception, status: int, reason: str) -> None:
     Failure.of(error).write(tmp_path, [])
     kept = Failure.read(tmp_path)
-    assert kept is not None
     assert (kept.status, kept.reason) == (status, reason)
     assert type(error).__name__ in kept.traceback
 
@@ -68,5 +65,4 @@ def test_a_failure_that_cannot_be_read_is_one(tmp_path: Path) -> None:
     for content in ("{", '{"a": 1}', "[]"):
         (tmp_path / FAILURE).write_text(content)
         kept = Failure.read(tmp_path)
-        assert kept is not None
         assert "cannot be read" in kept.reason

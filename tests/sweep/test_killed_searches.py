@@ -1,7 +1,5 @@
 """Searches in processes of their own, killed at any moment, and the same command once more; two trials at a time."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal

@@ -1,7 +1,5 @@
 """Models of one record are compared by their evidence, and models of different records are not compared."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -45,8 +43,6 @@ def test_probabilities_follow_from_evidence(tmp_path: Path) -> None:
     }
     sweep = sweep_of(tmp_path, "system=linear,duffing,van_der_pol", models)
     found = compared(sweep, sweep.jobs())
-    assert found is not None
-    assert found.table is not None
     table = found.table.set_index("system")
     assert table.index.tolist() == ["duffing", "linear", "van_der_pol"]
     np.testing.assert_allclose(table["probability"], [0.75, 0.25, 0.0], atol=1e-12)
@@ -68,8 +64,6 @@ def test_what_else_is_swept_keeps_models_apart(tmp_path: Path) -> None:
         record = {"training": {"model_log_evidence": evidence}, "observed": str(start)}
         (job.directory / "run.json").write_text(json.dumps(record))
     found = compared(sweep, sweep.jobs())
-    assert found is not None
-    assert found.table is not None
     for _, group in found.table.groupby("data.start"):
         np.testing.assert_allclose(group["probability"], [1.0 / (1.0 + np.exp(-1.0)), 1.0 / (1.0 + np.exp(1.0))])
 

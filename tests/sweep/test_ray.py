@@ -1,7 +1,5 @@
 """Sweeps on a real Ray, in a network namespace of its own: outside of one it listens on every interface."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

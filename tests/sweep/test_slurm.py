@@ -1,7 +1,5 @@
 """Sweeps on a real SLURM: preemption, requeue, cancelled jobs, and launchers that are killed."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

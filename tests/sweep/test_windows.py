@@ -1,7 +1,5 @@
 """The whole of a record from its parts."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

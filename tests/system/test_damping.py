@@ -1,7 +1,5 @@
 """Damping of a structure as a whole: a ratio for each mode, or Rayleigh's."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Equations of motion, memory and inputs against the equations written out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

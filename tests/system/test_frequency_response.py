@@ -1,7 +1,5 @@
 """Frequency responses against equations of motion that are written out, and their slopes against differences."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

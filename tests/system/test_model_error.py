@@ -1,12 +1,9 @@
-from __future__ import annotations
-
 import csv
 
 import numpy as np
 import pytest
 from structures import braced
 
-from pinn_cli.settings.errors import InputError
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Duffing, VanDerPol
 from pinn_cli.system.model_error import LinearModelError, NoModelError, PerturbedModelError
@@ -58,21 +55,6 @@ def test_authors_draws_give_the_papers_table(shared):
         name, dof = row["parameter"].rsplit("_", 1)
         # The table has two decimals.
         assert true.parameters[name][int(dof) - 1].item() == pytest.approx(float(row["true"]), abs=0.0051)
-
-
-@pytest.mark.parametrize(
-    ("setting", "changes"),
-    [
-        ("seed", {"seed": -1}),
-        ("seed_stride", {"seed_stride": "1"}),
-        ("draws", {"draws": "gaussian"}),
-        ("bounds", {"bounds": [0.1, 0.05]}),
-        ("bounds", {"bounds": [0.1, 1.0]}),
-    ],
-)
-def test_illegal_settings_are_named(setting, changes):
-    with pytest.raises(InputError, match=rf"^model_error\.{setting}="):
-        PerturbedModelError(**changes)
 
 
 def test_structures_of_several_laws_have_model_errors_too():

@@ -1,7 +1,5 @@
 """Natural modes against closed forms, scipy's eigenvalues and difference quotients."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

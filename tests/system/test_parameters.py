@@ -1,7 +1,5 @@
 """What a parameter knows of itself, its name, and all of them as a vector."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Priors against scipy's distributions, and how a user writes them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """Structures of any topology against their equations written out, dense matrices and automatic differentiation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Structures from named coordinates and connections."""
 
-from __future__ import annotations
-
 import copy
 import logging
 import math

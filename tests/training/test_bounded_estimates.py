@@ -1,7 +1,5 @@
 """Estimates of parameters that bounds may cut off: always inside their intervals, and the mode where nothing is cut."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import truncnorm

@@ -1,7 +1,5 @@
 """The record as its sensors turned out to be calibrated: what reports and verdicts compare an estimate with."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -63,7 +61,6 @@ def test_columns_show_what_a_sensor_felt_by_what_was_found(share):
     left = calibrated.acceleration[:, 0] - motion(TIME)
     seen = calibrated.there("acceleration", 0)
     # What it felt at t - delay stands at the record's nearest time: half a step between two of them.
-    assert seen is not None
     assert seen.sum() == pytest.approx((there[3:]).sum(), abs=2)
     np.testing.assert_allclose(np.sort(left[seen]), np.sort(noise[there & (TIME >= 0.05)])[: seen.sum()], atol=1e-5)
     np.testing.assert_array_equal(left[~seen], 0.0)

@@ -1,7 +1,5 @@
 """What a record says against those before it, where everything is Gaussian and linear."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,7 +52,6 @@ def with_the_third_changed(seed: int):
 
 def prior_covariance(problem: Problem) -> np.ndarray:
     std = np.array([p.prior_std for p in problem.uncertain])
-    assert problem.prior is not None
     return problem.prior.correlation * np.outer(std, std)
 
 

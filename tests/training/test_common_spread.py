@@ -1,7 +1,5 @@
 """Records one after the other ask for the same common spread as all of them together."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -82,6 +80,5 @@ def test_an_update_looks_at_earlier_records_again_under_another_spread():
     np.testing.assert_allclose([p.prescribed for p in found.uncertain], asked.mean)
     np.testing.assert_allclose([p.prior_std for p in found.uncertain], np.sqrt(np.diag(asked.covariance)))
     np.testing.assert_allclose(found.structure.parameters["c"], asked.mean[:3])
-    assert found.prior is not None
     assert found.prior.spread == 0.3
     assert (asked.mean[:3] > mean[:3]).all()

@@ -1,7 +1,5 @@
 """Standard deviations of DOFs that feel every mode, taken for all of them at once, against one at a time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,12 +1,9 @@
 """The search for the model error: what was put in is found."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from one_record import evidence_of, levels_of, residuals_of, shown_noise
 from small_problems import QUANTITIES, excitation, measured, small_chain
 
@@ -56,7 +53,7 @@ def found_by(evidence: Evidence, noise: NoiseLevels) -> Trained:
 
 
 @pytest.mark.parametrize("nonlinearity", ["linear", "duffing"])
-@pytest.mark.parametrize("level", [0.03, 0.05, 0.1, 0.2])
+@pytest.mark.parametrize("level", [0.03, 0.2])
 def test_the_scan_finds_the_discrepancy_that_was_put_in(level, nonlinearity):
     evidence, noise, put_in = disturbed(level, 1, nonlinearity)
     best = found_by(evidence, noise)
@@ -139,13 +136,6 @@ def test_colour_widens_a_narrow_discrepancy_and_leaves_a_white_one():
         growth[share] = widened(evidence, best).noise.discrepancy / best.noise.discrepancy
     assert growth[1.0] < 1.4
     assert growth[0.1] > 1.5 * growth[1.0]
-
-
-def test_without_parameters_the_spread_stays():
-    evidence, noise, _ = disturbed(0.1, 1)
-    trained = found_by(evidence, replace(noise, spread=0.7))
-    assert evidence.learned_spread(trained) == trained.noise.spread == 0.7
-    assert isinstance(trained.solution.point.parameters, torch.Tensor)
 
 
 def believed_and_unknown(start: float | None) -> tuple[Evidence, NoiseLevels]:

@@ -1,27 +1,23 @@
 """Accelerometers behind a high-pass filter, and tilting ones, whose filter or tilt is known or found."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from lacking_records import K, as_gauges, high_passed, moved, posed, recorded
+from solved_records import by_spline
 
-from pinn_cli.network.spline import Spline
 from pinn_cli.record.gauge import Calibration, Gauge
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
-from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.training.calibrated_record import as_calibrated
-from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.gauss_newton import GaussNewton
+from pinn_cli.training.estimate import Estimate
 
 CORNER = 0.5
 
 
 def solved(record: Record) -> Estimate:
-    return GaussNewton().solve(JointProblem.of(posed(record)), Spline(), RunContext())
+    return by_spline(posed(record))
 
 
 def assert_right(estimate: Estimate, truth: Response) -> None:

@@ -1,7 +1,5 @@
 """The method's page: its steps, as docs/method.md tells them."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

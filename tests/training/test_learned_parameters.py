@@ -1,7 +1,5 @@
 """The chain's parameters as a module: units, bounds and what is reported of them."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -52,12 +50,6 @@ def test_below_its_bound_a_parameter_is_exactly_zero(dtype):
     assert [p.estimate for p in parameters.estimates()][:2] == [0.0, 0.0]
     assert parameters.estimates()[2].estimate == pytest.approx(1.1 - 3.3)
     assert float(parameters()["k"][1].detach()) == pytest.approx(0.0, abs=1e-6)
-
-
-def test_above_its_bound_a_parameter_stays_where_it_is():
-    parameters = learned()
-    parameters.respect_bounds()
-    assert not parameters.moved.any()
 
 
 def test_estimates_say_what_was_believed_and_nothing_of_their_spread():

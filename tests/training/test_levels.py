@@ -1,7 +1,5 @@
 """Every noise level by evidence, on records that another simulator made."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +7,7 @@ import pytest
 from independent_records import IndependentRecord, frame_record, measured, storey_record
 from one_record import evidence_of, levels_of, of_record, residuals_of
 from small_problems import excitation, small_chain
-from solved_records import estimated, model
+from solved_records import by_spline, estimated, model
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.simulated import Noise, Simulated
@@ -48,9 +46,7 @@ def test_pooled_sensors_have_the_noise_that_is_common():
     made, rng = frame_record(rate=100.0, duration=15.0), np.random.default_rng(8)
     acceleration = made.truth.acceleration + 0.05 * rng.standard_normal(made.truth.acceleration.shape)
     problem = Problem(model(made), replace(made.record, acceleration=acceleration))
-    found = (
-        GaussNewton(pooled=True).solve(JointProblem.of(problem), Spline(), RunContext()).summary["sigma_acceleration"]
-    )
+    found = by_spline(problem, pooled=True).summary["sigma_acceleration"]
     assert len(set(found)) == 1
     assert found[0] == pytest.approx(0.05, rel=0.1)
 
@@ -125,7 +121,7 @@ def test_the_scatter_of_repeats_stays_what_it_is():
     structure = small_chain()
     source = Simulated(excitation(structure), Simulation(12.0, 257), Noise(20.0, repeats=4))
     record = source.measure(structure).record.keep({"acceleration": (1, 2)})
-    summary = GaussNewton().solve(JointProblem.of(Problem(structure, record)), Spline(), RunContext()).summary
+    summary = by_spline(Problem(structure, record)).summary
     for quantity in ("acceleration", "force"):
         there = record.sensors(quantity)
         found = np.array(summary[f"sigma_{quantity}"], dtype=float)[there]
@@ -140,6 +136,6 @@ def test_sensors_of_one_kind_and_very_different_noise_keep_their_own():
     acceleration = record.acceleration.copy()
     acceleration[:, 1] += extra * np.random.default_rng(9).standard_normal(len(acceleration))
     worse = replace(record, acceleration=acceleration)
-    summary = GaussNewton().solve(JointProblem.of(Problem(model(made), worse)), Spline(), RunContext()).summary
+    summary = by_spline(Problem(model(made), worse)).summary
     found = np.array(summary["sigma_acceleration"]) / noisy.noise["acceleration"]
     np.testing.assert_allclose(found, [1.0, np.hypot(10.0, 1.0), 1.0], rtol=0.15)

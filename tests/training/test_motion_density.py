@@ -1,7 +1,5 @@
 """The determinant that turns a motion into the forces that make it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline

@@ -1,7 +1,5 @@
 """Sensor noise read off a record, and the features' own projection."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -9,12 +7,7 @@ from small_problems import QUANTITIES, measured, small_chain
 
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline
-from pinn_cli.training.noise_model import (
-    FeatureProjection,
-    NoiseModel,
-    first_output,
-    output_features,
-)
+from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
 
 
 @pytest.fixture(scope="module")
@@ -56,14 +49,3 @@ def test_weights_are_inverse_variances():
     np.testing.assert_allclose(
         noise.observation_weight("observer", np.array([10.0, 10.0])), [1 / (1.5**2 + 0.0025), 0.0]
     )
-
-
-def test_pooled_sensors_share_the_root_mean_square_of_their_levels():
-    nothing = np.full(3, np.nan)
-    response = {"displacement": np.array([3.0, np.nan, 4.0]), "velocity": nothing, "acceleration": np.ones(3)}
-    noise = NoiseModel(response, np.array([1.0, 7.0, np.nan]), 0.1, 1.0).pooled()
-    np.testing.assert_allclose(noise.response["displacement"], [np.sqrt(12.5), np.nan, np.sqrt(12.5)])
-    np.testing.assert_array_equal(noise.response["velocity"], nothing)
-    np.testing.assert_array_equal(noise.response["acceleration"], np.ones(3))
-    np.testing.assert_allclose(noise.force, [5.0, 5.0, np.nan])
-    assert noise.discrepancy == 0.1

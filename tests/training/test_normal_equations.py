@@ -1,7 +1,5 @@
 """Parameters, priors and weights of the normal equations, steps to bounds, and the layout of the band."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -172,11 +170,6 @@ def test_unobserved_and_unenforced_dofs_weigh_nothing():
 def test_a_splines_band_does_not_grow_with_the_record():
     short, long = (posed(random_record(3), design=Spline(intervals=n)).layout for n in (5, 12))
     assert short.half_width == long.half_width == 6 * 3 + 2
-
-
-def test_global_features_are_eliminated_along_the_structure():
-    best = posed(random_record(60), design=Fourier(harmonics=20)).layout.dissection.best
-    assert best.axis == "functions"
 
 
 @pytest.mark.parametrize("design", [Spline(intervals=5), Fourier(harmonics=3)])

@@ -1,7 +1,5 @@
 """How far believed parameters are off in common: intervals under the spread that is learned, on Gaussians alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,13 +1,12 @@
 """Free runs of an identified structure and their bands."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from independent_records import IndependentRecord, measured, random_force
 from independent_records import Structure as Circuit
+from solved_records import by_spline
 from storeys import C, K, M, record, response
 
 from pinn_cli.model.knowledge import Levels, Misfit, Model, ParameterKnowledge
@@ -19,7 +18,6 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Linear
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.base import TrainedNetwork
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.training.gauss_newton import GaussNewton
@@ -155,7 +153,7 @@ def test_bands_of_a_circuit_hold_another_record_and_are_about_as_wide_as_the_err
     """What a quadratic spring leaves out has other frequencies than the forces of the parameters, and acts again."""
     (chain, first), (_, second) = circuit(quadratic, 1), circuit(quadratic, 101)
     problem = StateParameter(unknown=["c_1", "k_1", "kappa_1"]).pose(chain, [first.record])
-    found = TrainedNetwork(GaussNewton(), Spline()).solve(problem, RunContext())
+    found = by_spline(problem)
     own, structure = tuple(p.parameter for p in found.parameters), estimated_structure(chain, found.parameters)
     assert found.known is not None
     levels = replace(model().levels, step=first.record.step)

@@ -1,31 +1,16 @@
 """Orders of magnitude of a problem."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from small_problems import accelerations, measured, small_chain, sped_up
 
-from pinn_cli.record.channels import record_band
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
 CHAIN = small_chain()
 RECORD = measured(CHAIN, snr_db=40.0).record
-
-
-def test_the_force_is_the_measured_forces_rms():
-    force, velocity = force_and_velocity_scale(Problem(CHAIN, accelerations(RECORD)))
-    assert force == pytest.approx(np.sqrt(np.mean(RECORD.force[:, 0] ** 2)))
-    assert velocity == pytest.approx(force / 10.0 / (np.pi * record_band(accelerations(RECORD))))
-
-
-def test_without_a_measured_force_it_is_mass_times_acceleration():
-    silent = replace(RECORD, force=np.zeros_like(RECORD.force), unforced=np.ones(3, bool))
-    force, _ = force_and_velocity_scale(Problem(CHAIN, accelerations(silent, (1,))))
-    assert force == pytest.approx(10.0 * np.sqrt(np.mean(RECORD.acceleration[:, 0] ** 2)))
 
 
 def test_a_force_that_is_measured_as_zero_is_no_scale():

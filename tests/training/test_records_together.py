@@ -1,7 +1,5 @@
 """Several records solved together, against one dense matrix of all their unknowns."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +17,7 @@ from pinn_cli.training.covariance import ReadoutPosterior
 from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.history import History
 from pinn_cli.training.least_squares import joined_parameters
-from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
@@ -177,18 +175,6 @@ def test_records_that_believe_different_things_of_a_parameter_are_refused():
     other = (*STIFFNESSES, replace(DAMPER, prior_std=0.5))
     with pytest.raises(ValueError, match="believe the same"):
         together((SHARED[0], other))
-
-
-def test_several_noise_models_move_together():
-    _, noise = together(SHARED)
-    first, second = noise.records
-    noise = replace(noise, records=(first, replace(second, discrepancy=0.1)))
-    moved = noise.with_discrepancy(0.01).each(NoiseModel.noisier, 2.0).each(NoiseModel.with_force_scale, 3.0)
-    assert [level.discrepancy for level in moved.records] == pytest.approx([0.01, 0.05])
-    assert moved.spread == noise.spread
-    for before, after in zip(noise.records, moved.records, strict=True):
-        np.testing.assert_allclose(after.response["acceleration"], 2.0 * before.response["acceleration"])
-        np.testing.assert_allclose(after.force, 3.0 * before.force)
 
 
 def sensor(kind: str, index: int, name: str) -> Parameter:

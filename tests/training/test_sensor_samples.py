@@ -1,7 +1,5 @@
 """What a sensor's samples say of its noise before anything is estimated."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from independent_records import frame_record

@@ -1,14 +1,12 @@
 """Averages over knot intervals: how many there are, what they are of, and what they make of white noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
 
 from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.scheme.problem import RINGS, TurningPoints
-from pinn_cli.training.subdomains import INITIAL_CONDITIONS, MOST_PIECES, Subdomains
+from pinn_cli.training.subdomains import INITIAL_CONDITIONS, Subdomains
 
 DEGREE = 6
 
@@ -24,23 +22,6 @@ def averages(intervals: int = 40, points: int = 6, degree: int = DEGREE, step: f
 @pytest.mark.parametrize("intervals", [8, 9, 40])
 def test_there_are_as_many_as_features_without_initial_conditions(intervals, points, degree):
     assert averages(intervals, points, degree).count == intervals + degree - INITIAL_CONDITIONS
-
-
-def test_intervals_at_both_ends_are_divided_and_no_other():
-    found = averages(intervals=20)
-    pieces = np.bincount(found.interval.numpy())
-    # Four more: each end's first interval goes into three.
-    np.testing.assert_array_equal(pieces, [3, *[1] * 18, 3])
-    assert pieces.max() == MOST_PIECES
-
-
-def test_pieces_share_the_points_of_their_interval_evenly():
-    found = averages(intervals=20, points=7)
-    points = found.points.numpy()
-    assert points.sum() == 20 * 7
-    first, last = points[:3], points[-3:]
-    assert sorted(first) == sorted(last) == [2, 2, 3]
-    np.testing.assert_array_equal(points[3:-3], 7)
 
 
 def test_every_point_is_in_one_average():

@@ -1,7 +1,5 @@
 """State-parameter estimation from end to end by Gauss-Newton, on records of three DOFs: what was hidden is found."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -9,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from small_problems import NONLINEARITIES, QUANTITIES, measured, small_chain, sped_up
+from solved_records import by_spline
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Measurements
@@ -19,8 +18,7 @@ from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
-from pinn_cli.training.gauss_newton import GaussNewton
+from pinn_cli.training.estimate import Estimate, ParameterEstimate
 
 EVERY_SENSOR = {"unobserved": [], "sensors": dict.fromkeys(QUANTITIES, True)}
 SOFTENING = -30.0
@@ -47,7 +45,7 @@ def identified(measurements: Measurements, structure: Structure, **settings) -> 
 
 def solved(scheme: Scheme, measurements: Measurements, structure: Structure) -> Estimate:
     problem = scheme.pose(structure, [scheme.observe(measurements.record)])
-    return GaussNewton().solve(problem, Spline(), RunContext())
+    return by_spline(problem)
 
 
 @cache
@@ -74,8 +72,7 @@ def assert_found(estimate: Estimate, structure: Structure, relative: float, devi
 
 
 @pytest.mark.parametrize(
-    ("nonlinearity", "hold"),
-    [("duffing", "exact"), ("van_der_pol", "exact"), ("duffing", "zero_order")],
+    ("nonlinearity", "hold"), [("duffing", "exact"), ("van_der_pol", "exact"), ("duffing", "zero_order")]
 )
 def test_stiffness_and_nonlinearity_at_a_hidden_dof_are_found(nonlinearity, hold):
     estimate, structure = found(nonlinearity, hold), small_chain(nonlinearity)
@@ -91,7 +88,9 @@ def test_stiffness_and_nonlinearity_at_a_hidden_dof_are_found(nonlinearity, hold
         assert fitness[1] > 98.0, quantity
 
 
-@pytest.mark.parametrize(("nonlinearity", "factor"), [("duffing", 0.1), ("van_der_pol", 10.0)])
+@pytest.mark.parametrize(
+    ("nonlinearity", "factor"), [("duffing", 0.1), pytest.param("van_der_pol", 10.0, marks=pytest.mark.slow)]
+)
 def test_a_start_ten_times_off_ends_at_the_same_place(nonlinearity, factor):
     structure = small_chain(nonlinearity)
     start = {name: factor * truth_of(structure, name) for name in unknowns(found(nonlinearity))}
@@ -130,9 +129,8 @@ def test_a_softening_spring_is_found_where_it_may_be_one():
     assert kappa.upper_90 < 0.0
 
 
-@pytest.mark.parametrize("start", [None, 123.4])
-def test_a_softening_spring_that_may_be_none_is_held_at_zero_inside_its_interval(start):
-    estimate = identified(softening_example(), softening_chain(), initial={"kappa": start})
+def test_a_softening_spring_that_may_be_none_is_held_at_zero_inside_its_interval():
+    estimate = identified(softening_example(), softening_chain(), initial={"kappa": 123.4})
     k, kappa = unknowns(estimate).values()
     assert kappa.held
     assert 0.0 <= kappa.lower_90 < kappa.estimate < kappa.upper_90
@@ -174,13 +172,6 @@ def test_there_is_no_time_scale_anywhere():
             tolerance = 1e-3 * unit * expected.std
             assert getattr(given, value) == pytest.approx(unit * getattr(expected, value), rel=1e-3, abs=tolerance)
     np.testing.assert_allclose(fast.correlation, slow.correlation, atol=1e-3)
-
-
-def test_the_correlation_is_that_of_the_parameters_in_their_order():
-    estimate, count = found(), len(found().parameters)
-    assert estimate.correlation.shape == (count, count)
-    np.testing.assert_allclose(np.diag(estimate.correlation), 1.0)
-    assert np.linalg.eigvalsh(estimate.correlation).min() > 0
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """The score of a predicted channel: what it is for predictions whose quality is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from small_problems import measured as measured_record

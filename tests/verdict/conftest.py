@@ -1,7 +1,5 @@
 """A frame of three storeys under a force on its roof, with an accelerometer on every floor, and an estimate of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """What is wrong with a record or a structure is named by the structure that is right: prescribed, unknown, shaken."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One channel of a good record is ruined: the fault is named, with its size, and no other."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -20,24 +18,13 @@ def faults(structure, record, excused=()):
 
 
 def test_a_good_record_has_none(frame, frame_record):
-    assert faults(frame, frame_record) == []
-
-
-@pytest.mark.parametrize("snr_db", [10.0, 60.0])
-def test_nor_has_one_with_much_noise_or_little(frame, snr_db):
-    assert faults(frame, measure(frame, snr_db)) == []
-
-
-@pytest.mark.parametrize("quantity", ["displacement", "velocity"])
-def test_nor_one_of_other_sensors(frame, quantity):
-    assert faults(frame, measure(frame, quantity=quantity)) == []
-
-
-def test_nor_one_that_begins_in_motion(frame):
-    record = measure(frame)
-    later = replace(record, **{name: getattr(record, name)[500:] for name in ("time", "acceleration", "force",
-                                                                             "displacement", "velocity")})  # fmt: skip
-    assert faults(frame, later) == []
+    """Nor has one with much noise or little, of other sensors, or that begins in motion."""
+    noisy = [measure(frame, snr_db) for snr_db in (10.0, 60.0)]
+    others = [measure(frame, quantity=quantity) for quantity in ("displacement", "velocity")]
+    names = ("time", "acceleration", "force", "displacement", "velocity")
+    later = replace(frame_record, **{name: getattr(frame_record, name)[500:] for name in names})
+    for record in (frame_record, *noisy, *others, later):
+        assert faults(frame, record) == []
 
 
 RUINED = {

@@ -1,7 +1,5 @@
 """What a model lacks, in the verdict."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

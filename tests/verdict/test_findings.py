@@ -1,7 +1,5 @@
 """Each number of an estimate that tells of trouble, made bad in an estimate that is right otherwise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

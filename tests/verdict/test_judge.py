@@ -1,7 +1,5 @@
 """The verdict as a whole: the word, the cause first, and the truth nowhere."""
 
-from __future__ import annotations
-
 import inspect
 from dataclasses import replace
 

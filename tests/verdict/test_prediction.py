@@ -1,7 +1,5 @@
 """Predictions from the force alone: what is left of a channel once free decays are out, and what channels share."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,22 +9,12 @@ from small_problems import measured, small_chain
 
 from pinn_cli.record.channels import channels
 from pinn_cli.record.free_run import free_run
-from pinn_cli.system.modes import Modes
-from pinn_cli.verdict.prediction import decays, felt_modes, predicted
+from pinn_cli.verdict.prediction import predicted
 
 
 @pytest.fixture(scope="module")
 def record():
     return measured(small_chain(ndof=3), snr_db=30.0, duration=8.0, samples=161).record
-
-
-def test_channels_that_feel_the_same_modes_share_their_decays(record) -> None:
-    prediction = predicted(small_chain("linear", 3), record)
-    assert prediction is not None
-    one, other = channels(record, ("acceleration",))[:2]
-    felt = felt_modes(prediction.modes, one)
-    np.testing.assert_array_equal(prediction.decays(one), decays(prediction.modes, felt, record))
-    assert prediction.decays(one) is prediction.decays(other)
 
 
 def left_over(prediction, channel):
@@ -54,10 +42,3 @@ def test_a_held_force(frame):
 def test_a_structure_whose_free_motion_grows_has_no_prediction(frame):
     growing = frame.with_parameters(c=-0.1 * frame.parameters["c"])
     assert predicted(growing, measure(frame, None)) is None
-
-
-def test_natural_frequencies(frame):
-    modes = Modes.of(frame)
-    exact = 2 * np.sqrt(1.5) * np.sin(np.pi * np.array([1, 3, 5]) / 14) / (2 * np.pi)
-    assert modes.natural_frequencies == pytest.approx(exact)
-    assert modes.stable

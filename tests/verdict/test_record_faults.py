@@ -1,8 +1,5 @@
 """What a channel says against itself, and what it does not; first samples that are far off."""
 
-from __future__ import annotations
-
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -114,10 +111,9 @@ def test_a_record_that_begins_with_wrong_samples(pinn_run: PinnRun, tmp_path: Pa
         table.loc[:2, name] += np.array([8.0, 5.0, -4.0]) * table[name].std()
     table.to_csv(tmp_path / "rig.csv", index=False)
     command = *system(1.05 * K), *settings, "threads=1", "scheme=state_parameter", "scheme.unknown=[k_*]"
-    done = pinn_run(*command)
-    assert done.status == 0, done.err
-    run = json.loads((done.directory / "run.json").read_text())
+    done = pinn_run(*command).done()
+    run = done.record
     assert run["verdict"] != "sound"
     assert "samples are far off" in run["reasons"][0]
     again = pinn_run(*command, "data.start=" + run["reasons"][0].rpartition("data.start=")[2].rstrip(")"))
-    assert json.loads((again.directory / "run.json").read_text())["verdict"] == "sound"
+    assert again.record["verdict"] == "sound"

@@ -1,7 +1,5 @@
 """Resonances that the sensors show by themselves, against the natural frequencies of the estimated structure."""
 
-from __future__ import annotations
-
 import pytest
 from ambient_records import AmbientRecord, ambient_record
 from storeys import K, M, record

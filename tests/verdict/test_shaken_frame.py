@@ -1,7 +1,5 @@
 """A frame on moving ground: faults of the ground's sensor and of the others, and none where there is none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -29,6 +27,7 @@ from pinn_cli.verdict.sensor_findings import noise_found
 
 LINEAR = build_chain(3, Linear(), m=[2e3, 2e3, 1.5e3], c=6e3, k=[8e5, 7.2e5, 5.6e5])
 DUFFING = build_chain(3, Duffing(), m=[2e3, 2e3, 1.5e3], c=6e3, k=[8e5, 7.2e5, 5.6e5], kappa=2e8)
+REST = (LINEAR, "relative"), (DUFFING, "absolute")
 SPAN = {"duration": 30.0, "samples": 1501}
 
 
@@ -50,8 +49,10 @@ def faults(structure, record):
     return channel_faults(prediction)
 
 
-@pytest.mark.parametrize("structure", [LINEAR, DUFFING], ids=["linear", "duffing"])
-@pytest.mark.parametrize("frame", ["absolute", "relative"])
+@pytest.mark.parametrize(
+    ("structure", "frame"),
+    [(LINEAR, "absolute"), (DUFFING, "relative"), *(pytest.param(*x, marks=pytest.mark.slow) for x in REST)],
+)
 def test_a_good_record_has_no_fault_in_its_own_frame_and_one_in_the_other(structure, frame):
     record = measured(structure, frame).record
     assert faults(structure, record) == []
@@ -62,8 +63,9 @@ def test_a_good_record_has_no_fault_in_its_own_frame_and_one_in_the_other(struct
     assert np.mean(left**2) > 0.05 * np.mean(record.acceleration**2)
 
 
-@pytest.mark.parametrize("frame", ["absolute", "relative"])
-@pytest.mark.parametrize("influence", [None, np.array([1.0, 0.5, 0.0])], ids=["all", "in_part"])
+@pytest.mark.parametrize(
+    ("influence", "frame"), [(None, "absolute"), (np.array([1.0, 0.5, 0.0]), "relative")], ids=["all", "in_part"]
+)
 def test_the_prediction_of_a_linear_frame_is_its_response(influence, frame):
     structure = LINEAR if influence is None else replace(LINEAR, influence=influence)
     found = measured(structure, frame, snr_db=None)

@@ -1,7 +1,5 @@
 """What a tracker is told of a run, by a tracker that notes it; and that it can do the run no harm."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import signal
@@ -11,7 +9,6 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from calls import PinnRun
 from interrupted_runs import ADAM, Steps, assert_same_numbers, without_figures
 
 from pinn_cli.runs.resume import TRACKING as FILE
@@ -133,9 +130,7 @@ def test_a_damaged_file_or_that_of_another_tracker_is_no_run_to_go_on_with(job: 
     assert [before for _, before in tracking.keys] == [""]
 
 
-def test_a_tracker_that_breaks_is_complained_of_once_and_does_the_run_no_harm(
-    job: TrackedRun, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_tracker_that_breaks_is_complained_of_once_and_does_the_run_no_harm(job, caplog):
     notes = Notes(broken=True)
     tracked = Followed(notes, job.directory, TrackingState("noting", job.configuration, "a1"))
     for iteration in (1, 2, 3):
@@ -153,9 +148,7 @@ def test_nothing_is_tracked_by_none(job: TrackedRun) -> None:
     assert list(job.directory.iterdir()) == []
 
 
-def test_a_run_is_followed_from_start_to_end(
-    pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_run_is_followed_from_start_to_end(pinn_run, monkeypatch, tmp_path):
     """Interrupted and gone on with: one tracked run, every row of the history once, the numbers of an untracked run."""
     without_figures(monkeypatch)
     tracking, steps = Noting(), Steps(monkeypatch)

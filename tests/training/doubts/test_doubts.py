@@ -1,7 +1,5 @@
 """What a model lacks is named, sized and located; a right model lacks nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -11,16 +9,14 @@ from lacking_records import RATE, C, K, high_passed, moved, posed, recorded, wit
 from scipy.interpolate import make_interp_spline
 from small_problems import measured as small_record
 from small_problems import small_chain
+from solved_records import by_spline as solved
 
-from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.estimate import Doubt, Estimate, RunContext
-from pinn_cli.training.gauss_newton import GaussNewton
+from pinn_cli.training.estimate import Doubt
 
 TERMS = {"friction": 300.0, "cubic term": 1.5e8, "quadratic damping": 2e4, "one-sided spring": 1e5}
 KINDS = {
@@ -30,10 +26,6 @@ KINDS = {
     "one-sided spring": "one_sided",
     "backlash": "gap",
 }
-
-
-def solved(problem: Problem) -> Estimate:
-    return GaussNewton().solve(JointProblem.of(problem), Spline(), RunContext())
 
 
 @cache

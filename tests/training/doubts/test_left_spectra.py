@@ -1,7 +1,5 @@
 """What is left of a record, band by band: a column is as certain as the band in which it is least disturbed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

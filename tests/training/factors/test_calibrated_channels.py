@@ -1,7 +1,5 @@
 """Sensors with a calibration of their own: the loss of an unknown gain, and samples beyond the reach of a delay."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -75,5 +73,4 @@ def test_a_delay_beyond_the_record_s_reach_is_refused_and_takes_no_memory():
         far = point.parameters.clone()
         far[place] = by
         assert math.isfinite(equations.losses(Point(point.unknowns, far), noise)[GAUGE]) is finite
-        assert rows._moment is not None
         assert rows._moment.segments.mask.shape[1] <= held[1] + 2

@@ -1,7 +1,5 @@
 """Residuals in windows of time: a record that takes many is solved as one that takes a single one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

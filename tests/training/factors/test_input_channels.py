@@ -1,7 +1,5 @@
 """What the ground's sensor says of its motion is the same in however many intervals it is enforced."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

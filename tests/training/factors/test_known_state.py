@@ -1,7 +1,5 @@
 """A motion that is known to begin at rest: what it adds to every estimator, and what that is worth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -10,6 +8,7 @@ import pytest
 import torch
 from one_record import shown_noise
 from small_problems import accelerations, measured, small_chain
+from solved_records import by_spline
 
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
 from pinn_cli.network.fourier import Fourier
@@ -25,7 +24,6 @@ from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.function_space.training import FunctionSpaceGaussNewton
-from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.gradient.losses import Losses
 from pinn_cli.training.learned_parameters import LearnedParameters
 from pinn_cli.training.normal_equations import NormalEquations
@@ -48,7 +46,7 @@ def solved(estimator: str, problem: Problem) -> Estimate:
         found = KalmanSmoother().solve(JointProblem.of(problem), RunContext())
         assert found is not None
         return found
-    return GaussNewton().solve(JointProblem.of(problem), Spline(), RunContext())
+    return by_spline(problem)
 
 
 def fitness_of_the_far(estimate: Estimate, truth: Response) -> float:
@@ -133,7 +131,6 @@ def test_every_scheme_says_how_the_motion_begins(scheme):
     posing = scheme(initial_motion="rest", **({"unknown": "k_1"} if scheme is StateParameter else {}))
     problem = posing.pose(small_chain(), [record]).alone
     deviation = problem.initial_deviation
-    assert deviation is not None
     largest = np.sqrt(np.mean(record.displacement**2, axis=0)).max()
     assert deviation[0] == pytest.approx(RESIDUAL_MOTION * largest, rel=1e-6)
     with pytest.raises(InputError, match=r"scheme\.initial_motion=quiet: must be one of free, rest"):

@@ -1,7 +1,5 @@
 """A prior of one's own, as docs/develop.md says: a class with a loss and rows, and an entry of the list."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from one_record import evidence_of, levels_of, shown_noise
@@ -42,7 +40,6 @@ def test_it_counts_like_all_others(deviation: float) -> None:
     size = {}
     for own in (plain, believed):
         trained = evidence_of(own).train(noise, own.start())
-        assert trained is not None
         assert trained.solution.converged
         size[own] = float(np.abs(trained.solution.point.unknowns).max())
     lost = believed.losses(trained.solution.point, noise.records[0])["still"]

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import torch
 
 from pinn_cli.training.function_space.feature_system import conjugate_gradients

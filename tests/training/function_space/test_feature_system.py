@@ -1,7 +1,5 @@
 """Steps from the low-rank factor against those with the whole matrix."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -143,15 +141,6 @@ def test_both_ways_find_the_same_motion(monkeypatch):
         torch.testing.assert_close(bands[0], bands[1], rtol=0.02, atol=0.0)
     for one, other in zip(first.parameters, second.parameters, strict=True):
         assert one.std == pytest.approx(other.std, rel=0.01)
-
-
-def test_counted_operations_choose(monkeypatch):
-    small = Small(DESIGNS["sine"])
-    for dense, features, kind in ((1.0, 2.0, DenseSystem), (2.0, 1.0, FeatureSystem)):
-        monkeypatch.setattr(equations, "dense_operations", lambda blocks, value=dense: value)
-        monkeypatch.setattr(equations, "feature_operations", lambda blocks, value=features: value)
-        small.equations.dense = None
-        assert isinstance(small.equations.system(small.linear, PRECISION), kind)
 
 
 @pytest.mark.parametrize(

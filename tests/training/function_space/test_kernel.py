@@ -1,7 +1,5 @@
 """The linearisation without Jacobian against the Jacobian itself."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np
@@ -126,7 +124,6 @@ def test_a_step_solves_the_damped_least_squares():
     to_start, x = dense.equations.origin - dense.point.unknowns, dense.system.parameters
     damping = 7.0
     solved = dense.system.factor(damping / PRECISION * FIRST_DAMPING)
-    assert solved is not None
     # Least squares in (dw, x'), stacked: residuals, weights' prior, damping, parameters' prior.
     w, p = jacobian.shape[1], 4
     eye, none = torch.eye(w).double(), lambda *size: torch.zeros(*size).double()
@@ -151,7 +148,6 @@ def test_a_step_solves_the_damped_least_squares():
 def test_a_whole_step_promises_what_the_linearised_loss_loses():
     dense = Dense()
     solved = dense.system.factor(0.0)
-    assert solved is not None
     weights, parameters = solved.way
     jacobian, by_parameter = dense.jacobians
     moved = torch.as_tensor(parameters) / dense.system.unit

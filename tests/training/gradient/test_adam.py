@@ -1,20 +1,13 @@
 """First-order training, on records so small that a step takes a millisecond."""
 
-from __future__ import annotations
-
 import itertools
-import json
-import math
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 import torch
-from calls import SMALL, Compose, PinnRun
 from small_problems import QUANTITIES, accelerations, measured, relative_error, small_chain, sped_up
 
-from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
@@ -177,58 +170,3 @@ def test_points_are_judged_by_the_signal_and_not_by_its_noise(snr_db):
     short(collocation_points=40).solve(JointProblem.of(problem), DESIGNS["mlp"], RunContext())
     with pytest.raises(InputError):
         short(collocation_points=20).solve(JointProblem.of(problem), DESIGNS["mlp"], RunContext())
-
-
-@pytest.mark.parametrize(
-    ("settings", "named"),
-    [
-        ({"iterations": 0}, "training.iterations=0"),
-        ({"stages": 0}, "training.stages=0"),
-        ({"physics_growth": 0.0}, "training.physics_growth=0.0"),
-        ({"learning_rate": -1e-3}, "training.learning_rate=-0.001"),
-        ({"parameter_learning_rate": math.nan}, "training.parameter_learning_rate=nan"),
-        ({"betas": [0.9]}, "training.betas=[0.9]"),
-        ({"betas": [0.9, 1.0]}, "training.betas=[0.9, 1.0]"),
-        ({"weight_decay": -1.0}, "training.weight_decay=-1.0"),
-        ({"weights": "evidence"}, "training.weights=evidence: must be equalised, or numbers for observation"),
-        ({"weights": {"data": 1.0}}, "training.weights.data=1.0"),
-        ({"weights": {"physics": None}}, "training.weights.physics=None"),
-        ({"weights": {"unforced": -1.0}}, "training.weights.unforced=-1.0"),
-        ({"collocation_points": 1}, "training.collocation_points=1"),
-        ({"dtype": "float16"}, "training.dtype=float16"),
-        ({"history_every": 0}, "training.history_every=0"),
-    ],
-)
-def test_impossible_settings_are_named(settings, named):
-    with pytest.raises(InputError) as error:
-        Adam(**settings)
-    assert str(error.value).startswith(named)
-
-
-def test_the_configuration_has_the_papers_settings(composed: Compose):
-    config = RunConfig.read(composed("experiment=[paper/sr_6dof_snr50,paper_training]"))
-    training, network = config.training, config.network
-    assert isinstance(training, Adam)
-    assert isinstance(network, Mlp)
-    assert (training.iterations, training.stages, training.physics_growth) == (200_000, 2, 10.0)
-    assert (training.learning_rate, training.betas, training.weight_decay) == (1e-3, (0.99, 0.999), 1e-5)
-    assert training.weights == {"observation": 1.0, "continuity": 10.0, "physics": 100.0, "unforced": None}
-    assert (training.collocation_points, training.dtype) == (512, "float32")
-    assert (network.depth, network.width, network.activation, network.continuity) == (4, 256, "silu", "penalised")
-    assert config.case == "sr_6dof_snr50"
-
-
-def test_a_run_of_the_program(pinn_run: PinnRun):
-    training = ("network=mlp", "network.width=16", "training=adam", "training.iterations=5", "training.history_every=4")
-    outcome = pinn_run(*SMALL, *training, "figures=false")
-    assert outcome.status == 0, outcome.err
-    record = json.loads((outcome.directory / "run.json").read_text())
-    assert (record["training"]["iterations"], record["training"]["dtype"]) == (10, "float32")
-    assert pd.read_csv(outcome.directory / "history.csv")["iteration"].tolist() == [0, 4, 8, 10]
-
-
-def test_a_diverging_run_ends_with_status_3(pinn_run: PinnRun):
-    outcome = pinn_run(*SMALL, "network=mlp", "training=adam", "training.learning_rate=1e6")
-    assert outcome.status == 3
-    assert outcome.err.startswith("pinn-run: adam diverged: loss_")
-    assert outcome.err.count("\n") == 1

@@ -1,7 +1,5 @@
 """Parameters of the chain under first-order training: learned, bounded, believed and unknown."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -146,15 +144,3 @@ def test_the_configuration_has_the_papers_settings_of_state_parameter_estimation
     assert {p.name: p.prescribed for p in problem.uncertain} == starts
     assert all(p.unknown and p.positive for p in problem.uncertain)
     assert problem.record.observed.tolist() == [True, False, True, False, True]
-
-
-def test_the_papers_state_parameter_estimation_runs(composed: Compose):
-    few = ("network.width=16", "training.iterations=5", "training.history_every=5")
-    config = RunConfig.read(composed(STATE_PARAMETER, *SHRUNK, *few))
-    _, prescribed = config.model_error.structures(config.structure)
-    problem = config.scheme.pose(prescribed, [config.observe(config.source.measure(config.structure).record)]).alone
-    estimate = config.training.solve(JointProblem.of(problem), config.network, RunContext())
-    assert [p.name for p in estimate.parameters] == ["k_2", "k_4", "kappa_2", "kappa_4"]
-    assert all(p.unknown and p.estimate != p.prescribed for p in estimate.parameters)
-    assert estimate.history["iteration"].tolist() == [0, 5, 10]
-    assert estimate.history["weight_forced"].tolist() == [100.0, 1000.0, 1000.0]

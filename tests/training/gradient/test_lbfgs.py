@@ -1,7 +1,5 @@
 """L-BFGS on functions whose minimum is known."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Loss weights that are found rather than given."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

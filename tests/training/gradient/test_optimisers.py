@@ -1,11 +1,9 @@
 """Every optimiser on a small problem: it solves it, within bounds, and goes on from its state without a trace."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
-from calls import SMALL, Compose, PinnRun
+from calls import SMALL, Compose
 from small_problems import QUANTITIES, accelerations, measured, relative_error, small_chain
 
 from pinn_cli.cli.config import RunConfig
@@ -14,7 +12,6 @@ from pinn_cli.network.mlp import Mlp
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.state_parameter import StateParameter
-from pinn_cli.settings.errors import InputError
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
@@ -117,29 +114,8 @@ def test_an_unknown_parameter_moves_to_the_truth():
     assert estimate.summary["stop_reason"] in (GRADIENT_VANISHED, NOTHING_LOWER, "iteration limit")
 
 
-@pytest.mark.parametrize(
-    ("settings", "named"),
-    [
-        ({"memory": 0}, "training.memory=0"),
-        ({"warm_up": -1}, "training.warm_up=-1"),
-        ({"tolerance": -1.0}, "training.tolerance=-1.0"),
-    ],
-)
-def test_impossible_settings_are_named(settings, named):
-    with pytest.raises(InputError) as error:
-        Lbfgs(**settings)
-    assert str(error.value).startswith(named)
-
-
 @pytest.mark.parametrize("name", TRAININGS)
 def test_the_defaults_of_the_class_are_those_of_the_configuration(composed: Compose, name):
     configured = RunConfig.read(composed("network=mlp", f"training={name}", *SMALL))
     assert vars(configured.training) == vars(TRAININGS[name]())
     assert vars(configured.network) == vars(Mlp(1, None, "sine", "exact", "fourier"))
-
-
-def test_a_training_that_there_is_not_is_told_with_those_that_there_are(pinn_run: PinnRun):
-    outcome = pinn_run(*SMALL, "network=mlp", "training=ssbroyden")
-    assert outcome.status == 2
-    (line,) = outcome.err.splitlines()
-    assert all(name in line for name in ("training=ssbroyden", "adam", "gauss_newton", "lbfgs"))

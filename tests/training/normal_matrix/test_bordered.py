@@ -1,7 +1,5 @@
 """Systems with a border against dense linear algebra."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 
@@ -112,11 +110,7 @@ def coupled_system(border: int, seed: int, push: float) -> tuple[BorderedSystem,
     schur = (mixed @ mixed.T + 10.0 ** rng.uniform(-4.0, 0.0) * np.eye(border)) * scale * scale[:, None]
     slope = rng.normal(size=border) * 10.0 ** rng.uniform(-1.0, push, border) * np.sqrt(np.diag(schur))
     corner = schur + system.border.T @ eliminated[:, :-1]
-    return (
-        replace(system, corner=corner, corner_gradient=slope),
-        schur,
-        system.border.T @ eliminated[:, -1] - slope,
-    )
+    return (replace(system, corner=corner, corner_gradient=slope), schur, system.border.T @ eliminated[:, -1] - slope)
 
 
 def random_bounds(schur: np.ndarray, seed: int) -> np.ndarray:

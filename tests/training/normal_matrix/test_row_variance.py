@@ -1,7 +1,5 @@
 """Variances line by line are those of the dense inverse."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,17 +1,14 @@
 """Records of one structure agree within chance; one of another structure does not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
 import pytest
 from small_problems import measured, small_chain
+from solved_records import by_spline
 
-from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.state_parameter import StateParameter
-from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.gauss_newton import GaussNewton
+from pinn_cli.training.estimate import Estimate
 from pinn_cli.verdict.judge import APART, contradictions
 
 
@@ -23,7 +20,7 @@ def solved(second_k: float) -> Estimate:
         for seed, k in enumerate((15.0, second_k))
     ]
     scheme = StateParameter(unknown=["k_*"], parameter_uncertainty=0.0)
-    return GaussNewton().solve(scheme.pose(small_chain("linear", 2), every), Spline(), RunContext())
+    return by_spline(scheme.pose(small_chain("linear", 2), every))
 
 
 def test_records_of_one_structure_agree_within_chance():

@@ -1,7 +1,5 @@
 """What a record hands over to one that goes on before it ends: a window, and the next."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -33,10 +31,6 @@ def test_later_samples_are_not_in_it():
     early = cut(own.record, slice(0, 1 + int(np.searchsorted(own.record.time, HAND_OVER - 1e-6))))
     alone = solved(SparseRecovery().pose(STRUCTURE, [early]))
     handed = whole.handed_over
-    assert handed is not None
-    assert alone.end is not None
-    assert alone.known is not None
-    assert whole.known is not None
     assert handed.end.time == pytest.approx(HAND_OVER)
     std = np.sqrt(np.diag(alone.known.covariance))
     assert (np.abs(handed.known.mean - alone.known.mean) < 0.3 * std).all()

@@ -1,23 +1,19 @@
 """The force that a model leaves out: a free run under it is the estimate, and an input's own noise is no part of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from solved_records import by_spline
 from storeys import C, K, M, record
 
-from pinn_cli.network.spline import Spline
 from pinn_cli.record.free_run import free_run
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
-from pinn_cli.training.base import TrainedNetwork
-from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.estimated_structure import estimated_structure
-from pinn_cli.training.gauss_newton import GaussNewton
 
 # A mass that is wrong by a tenth, where the load cell is.
 HEAVIER = M * np.array([1.0, 1.0, 1.1])
@@ -26,7 +22,7 @@ HEAVIER = M * np.array([1.0, 1.0, 1.1])
 def estimated(seen: Record, m: np.ndarray = M) -> Estimate:
     structure = build_chain(3, Linear(), m=m.tolist(), c=C.tolist(), k=K.tolist())
     scheme = StateParameter(unknown=["k_*"], starts="given")
-    found = TrainedNetwork(GaussNewton(), Spline()).solve(scheme.pose(structure, [seen]), RunContext())
+    found = by_spline(scheme.pose(structure, [seen]))
     assert found.misfit is not None
     return replace(found, summary=found.summary | {"structure": estimated_structure(structure, found.parameters)})
 

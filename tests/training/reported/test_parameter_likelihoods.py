@@ -1,27 +1,22 @@
 """From a trained network to likelihoods: against sums over residuals, and against dense algebra of linear chains."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-import torch
 from bayesian_problems import Example, posed, solved, source
 from dense_model import DenseModel
 from small_problems import NONLINEARITIES, measured, small_chain
+from solved_records import by_spline
 
-from pinn_cli.network.spline import Spline
 from pinn_cli.physics import physics_residual
 from pinn_cli.record.gauge import Gauge, unknown_calibration
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulated import add_noise
 from pinn_cli.record.simulation import simulate
 from pinn_cli.scheme.bayesian import Bayesian
-from pinn_cli.training.estimate import RunContext
-from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.reported.parameter_likelihoods import (
     MarginalLikelihood,
     ParameterLikelihoods,
@@ -195,14 +190,6 @@ def test_what_the_motion_takes_and_how_that_changes_with_the_parameters(record):
         np.testing.assert_allclose(given, expected, atol=0.05 * np.abs(expected).max())
 
 
-def test_twice_is_the_same_to_the_last_bit():
-    trained = example()
-    again = parameter_likelihoods(trained.evidence, trained.trained)
-    np.testing.assert_array_equal(again.marginal.curvature, found().marginal.curvature)
-    np.testing.assert_array_equal(again.conditional.curvature, found().conditional.curvature)
-    assert torch.get_default_dtype() == torch.float32
-
-
 def test_numbers_of_a_load_cell_are_among_the_parameters_of_the_marginal():
     """As far as they are known with all else: the same solution's standard deviations are the yardstick."""
     structure = small_chain("linear", ndof=2)
@@ -212,7 +199,7 @@ def test_numbers_of_a_load_cell_are_among_the_parameters_of_the_marginal():
     cell = Gauge("f", "force", {0: 1.0}, record.time, shown, doubts)
     record = replace(record, force=record.force * [1.2, 0.0], gauges=(cell,))
     problem = Bayesian(unknown=["k_*"]).pose(structure, [record])
-    estimate = GaussNewton().solve(problem, Spline(), RunContext())
+    estimate = by_spline(problem)
     marginal = estimate.likelihoods.marginal
     assert marginal.names == ("k_1", "k_2", "gain_f", "offset_f")
     assert np.isnan(marginal.sigma_force).all()  # its noise is that of a sensor, and stays as it was found

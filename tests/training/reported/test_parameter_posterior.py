@@ -1,7 +1,5 @@
 """Estimates, standard deviations and intervals of parameters: against dense algebra, at bounds, and under misfit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -51,7 +49,6 @@ def solved(evidence: Evidence, discrepancy: float = 3e-4) -> Trained:
     (equations,) = evidence.equations.each
     noise = shown_noise(equations.problem.record, discrepancy, 1.0)
     trained = evidence.train(levels_of(noise), equations.start())
-    assert trained is not None
     assert trained.solution.converged
     return trained
 
@@ -212,14 +209,6 @@ def test_misfit_is_the_discrepancy_over_the_force_of_one_prior_deviation():
     # A discrepancy of few values has the same size as one of many.
     coloured = replace(trained, noise=trained.noise.each(lambda own: own.widened(0.2)))
     np.testing.assert_allclose(misfit_of(equations, coloured), found, rtol=1e-9)
-
-
-def test_without_uncertain_parameters_there_is_nothing():
-    evidence = posed(small_chain(), small_chain(), ())
-    trained = solved(evidence)
-    estimates, correlation = estimated(evidence.equations.each[0], trained)
-    assert (estimates, correlation.shape) == ([], (0, 0))
-    assert misfit_of(evidence.equations.each[0], trained).shape == (0,)
 
 
 @pytest.mark.parametrize(("duration", "names"), [(12.0, (1,)), (20.0, (1,)), (20.0, (0, 1, 2))])

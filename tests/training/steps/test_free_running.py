@@ -1,7 +1,5 @@
 """Parameters with which a structure runs free, under a model that is only nearly right."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -9,16 +7,14 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 from scipy.signal import lsim
+from solved_records import by_spline
 
-from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import visible_floor
-from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
-from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.gauss_newton import GaussNewton
+from pinn_cli.training.estimate import Estimate
 
 M, C, K = 50.0, 120.0, 2e4
 RATE, SAMPLES = 100.0, 2000
@@ -50,7 +46,7 @@ def dragged(drag: float, seed: int = 0) -> Record:
 def identified(drag: float) -> Estimate:
     structure = build_chain(1, Linear(), m=40.0, c=60.0, k=1.5e4)
     problem = StateParameter(unobserved=[], unknown=["m_1", "c_1", "k_1"]).pose(structure, [dragged(drag)]).alone
-    return GaussNewton().solve(JointProblem.of(problem), Spline(), RunContext())
+    return by_spline(problem)
 
 
 def output_error(record: Record) -> tuple[np.ndarray, float]:

@@ -1,20 +1,16 @@
 """Parameters with the motion integrated out: a mass under forces that the model leaves out."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from solved_records import by_spline
 
-from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.training import inference
-from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.gauss_newton import GaussNewton
+from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.steps.marginal_peak import move_to_marginal_peak
 
 M, C, K = 50.0, 120.0, 2e4
@@ -44,7 +40,7 @@ def pushed(seed: int) -> Record:
 def identified(record: Record) -> Estimate:
     structure = build_chain(1, Linear(), m=40.0, c=60.0, k=1.5e4)
     problem = StateParameter(unobserved=[], unknown=["m_1", "c_1", "k_1"]).pose(structure, [record]).alone
-    return GaussNewton().solve(JointProblem.of(problem), Spline(), RunContext())
+    return by_spline(problem)
 
 
 def off(estimate: Estimate) -> np.ndarray:

@@ -2,13 +2,10 @@
 
 import numpy as np
 from ambient_records import ambient_record, frame
+from solved_records import by_spline
 from storeys import chain_matrix
 
-from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
-from pinn_cli.training.base import TrainedNetwork
-from pinn_cli.training.estimate import RunContext
-from pinn_cli.training.gauss_newton import GaussNewton
 
 FIRST, RATE, DURATION, EDGE, CORNER = 8.0, 400.0, 10.0, 40.0, 4.0
 
@@ -30,6 +27,6 @@ def closed_form_deviation(noise: float) -> float:
 def test_bands_of_slow_motion_under_coloured_forces_are_as_wide_as_accelerometers_leave_it():
     made = ambient_record(FIRST, RATE, DURATION, EDGE, corner=CORNER, floors=2, sensors=(0, 1), seed=3)
     problem = SparseRecovery(parameter_uncertainty=0.0).pose(made.structure, [made.record])
-    estimate = TrainedNetwork(GaussNewton(), Spline()).solve(problem, RunContext())
+    estimate = by_spline(problem)
     found = float(np.sqrt(np.mean(estimate.std.displacement**2)))
     assert 0.7 < found / closed_form_deviation(made.noise) < 1.6

@@ -1,7 +1,5 @@
 """A search in a part of a long record ends where a search in all of it does."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -80,27 +78,18 @@ def shaken_later(record: Record) -> Record:
     return replace(record, force=record.force * np.where(np.arange(SAMPLES) < 400, 0.1, 1.0)[:, None])
 
 
-@pytest.mark.parametrize("changed", [shaken_later, lambda record: record.until(900)], ids=["later", "short"])
-def test_some_records_are_searched_whole(changed, problem, monkeypatch):
+def test_some_records_are_searched_whole(problem, monkeypatch):
+    """Of ordinary length, shaken later or too short, of other structures, or several of them."""
+
+    def part(*problems: Problem):
+        return part_of_record.part_of_record(JointProblem.of(*problems), Spline().build(problems[0].record))
+
+    assert part(problem) is None
     in_parts(monkeypatch)
-    other = replace(problem, record=changed(problem.record))
-    assert part_of_record.part_of_record(JointProblem.of(other), Spline().build(other.record)) is None
-
-
-def test_records_of_ordinary_length_are_searched_whole(problem):
-    assert part_of_record.part_of_record(JointProblem.of(problem), Spline().build(problem.record)) is None
-
-
-def test_structures_that_are_not_linear_are_searched_whole(problem, monkeypatch):
-    in_parts(monkeypatch)
-    other = replace(problem, structure=small_chain("duffing"))
-    assert part_of_record.part_of_record(JointProblem.of(other), Spline().build(other.record)) is None
-
-
-def test_several_records_are_searched_whole(problem, monkeypatch):
-    in_parts(monkeypatch)
-    several = JointProblem.of(problem, replace(problem))
-    assert part_of_record.part_of_record(several, Spline().build(problem.record)) is None
+    for changed in (shaken_later(problem.record), problem.record.until(900)):
+        assert part(replace(problem, record=changed)) is None
+    assert part(replace(problem, structure=small_chain("duffing"))) is None
+    assert part(problem, replace(problem)) is None
 
 
 def test_where_part_and_whole_have_little_in_common_all_of_it_is_searched(problem, monkeypatch):

@@ -1,7 +1,5 @@
 """What a spline cannot follow of a motion: what is said of it, against a fit of a sine."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

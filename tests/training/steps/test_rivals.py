@@ -4,21 +4,15 @@ Of the roof's motion u_2 = (1 - m_1 m_2 s^4 / D) u_g and D = k_1 k_2 + (...) s^2
 (k_1 + k_2) m_2 + k_2 m_1 are seen. With equal masses k_1 = 2 k_2' and k_2 = k_1' / 2 of the other one.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete
+from solved_records import by_spline
 
-from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
-from pinn_cli.training.base import TrainedNetwork
-from pinn_cli.training.estimate import RunContext
-from pinn_cli.training.gauss_newton import GaussNewton
 
 M, K, RATIO = 1000.0, np.array([3.0e6, 1.0e6]), 1e-3
 OTHER = np.array([2.0 * K[1], K[0] / 2.0])
@@ -56,7 +50,7 @@ def test_of_two_structures_that_do_the_same_the_one_nearer_to_what_is_said_is_re
     chain = build_chain(2, Linear(), m=M, k=said, **damping)
     unknown = ["k_*"] if as_whole else ["k_*", "c_*"]
     problem = StateParameter(unobserved=[], unknown=unknown).pose(chain, [shaken(0)]).alone
-    estimate = TrainedNetwork(GaussNewton(), Spline()).solve(JointProblem.of(problem), RunContext())
+    estimate = by_spline(problem)
     found = {p.name: p.estimate for p in estimate.parameters}
     assert [found["k_1"], found["k_2"]] == pytest.approx(near, rel=0.03)
     (rival,) = estimate.rivals

@@ -1,7 +1,5 @@
 """A motion to start from, for strongly nonlinear chains whose search from rest ends in the wrong valley."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +7,7 @@ import pytest
 import torch
 from one_record import evidence_of, levels_of, shown_noise
 from small_problems import QUANTITIES, measured, small_chain
+from solved_records import by_spline
 
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline
@@ -24,9 +23,8 @@ from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.evidence import Evidence
-from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.steps import first_solution
@@ -51,42 +49,24 @@ def test_it_is_the_motion_of_the_prescribed_chain_from_rest(hold, design):
         np.testing.assert_allclose(getattr(motion, quantity), truth, atol=0.01 * np.abs(truth).max())
 
 
-def test_parameters_stay_where_they_are_prescribed():
-    uncertain = (Parameter("k", 1, 15.0, 1.0),)
-    found = equations(measured(small_chain()).record, small_chain(), uncertain)
-    np.testing.assert_array_equal(simulated_start(found).parameters, [0.0])
-
-
-def test_there_is_none_where_a_force_is_unknown():
-    record = measured(small_chain()).record
+def test_there_is_none_where_the_motion_cannot_be_simulated():
+    """A force or a parameter is unknown, velocities are outputs of their own, springs push, or are too stiff."""
+    structure, record = small_chain(), measured(small_chain()).record
     force = record.force.copy()
     force[:, 1] = np.nan
-    unknown = replace(record, force=force, unforced=np.array([False, False, True]))
-    assert simulated_start(equations(unknown, small_chain())) is None
-
-
-def test_there_is_none_where_a_parameter_is_unknown():
-    unknown = (Parameter("k", 1, 3.0, 100.0, unknown=True),)
-    assert simulated_start(equations(measured(small_chain()).record, small_chain(), unknown)) is None
-
-
-def test_there_is_none_where_velocity_is_an_output_of_its_own():
-    design = Spline(continuity="penalised")
-    assert simulated_start(equations(measured(small_chain()).record, small_chain(), design=design)) is None
-
-
-def test_there_is_none_where_the_motion_does_not_stay_finite():
-    """A chain that the user prescribed wrongly: its springs push."""
-    structure = small_chain("linear")
-    unstable = structure.with_parameters(k=-5e3 * structure.parameters["k"])
-    record = measured(structure).record
+    pushing = small_chain("linear")
+    pushing = pushing.with_parameters(k=-5e3 * pushing.parameters["k"])
+    driven = measured(small_chain("linear")).record
     with pytest.raises(NoFreeRunError, match="unstable"):
-        free_run(unstable, record)
-    assert simulated_start(equations(record, unstable)) is None
-
-
-def test_there_is_none_where_the_chain_is_too_stiff():
-    assert simulated_start(equations(measured(small_chain()).record, small_chain(k=1e9))) is None
+        free_run(pushing, driven)
+    for none in (
+        equations(replace(record, force=force, unforced=np.array([False, False, True])), structure),
+        equations(record, structure, (Parameter("k", 1, 3.0, 100.0, unknown=True),)),
+        equations(record, structure, design=Spline(continuity="penalised")),
+        equations(driven, pushing),
+        equations(record, small_chain(k=1e9)),
+    ):
+        assert simulated_start(none) is None
 
 
 def searching(record: Record) -> tuple[Evidence, NoiseLevels]:
@@ -137,7 +117,7 @@ def strongly_nonlinear() -> Measurements:
 def recovered(measurements: Measurements) -> Estimate:
     scheme = SparseRecovery(unobserved=[2, 3, 4, 5, 6])
     problem = scheme.pose(STRONG, [scheme.observe(measurements.record)])
-    return GaussNewton().solve(problem, Spline(), RunContext())
+    return by_spline(problem)
 
 
 def worst_fitness(estimate: Estimate, measurements: Measurements) -> float:

@@ -1,18 +1,13 @@
 """A force that nobody measured on a structure with a cubic spring: its parameters, all unknown, and its history."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from solved_records import by_spline
 
-from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing
-from pinn_cli.training.estimate import RunContext
-from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.verdict.judge import judge
 
 M, C, K, KAPPA = np.array([1000.0, 800.0]), np.array([900.0, 700.0]), np.array([3e5, 2.5e5]), 1.5e9
@@ -57,7 +52,7 @@ def test_all_parameters_are_told_beside_a_force_that_nobody_measured(seed):
     structure = build_chain(2, Duffing(), m=M, c=2.0 * C, k=0.7 * K, kappa=np.array([0.5 * KAPPA, 0.0]))
     unknown = ["c_*", "k_*", "kappa_1"]
     problem = StateParameter(unobserved=[], unknown=unknown, parameter_uncertainty=0.0).pose(structure, [record]).alone
-    estimate = GaussNewton().solve(JointProblem.of(problem), Spline(), RunContext())
+    estimate = by_spline(problem)
     truth = {"c_1": C[0], "c_2": C[1], "k_1": K[0], "k_2": K[1], "kappa_1": KAPPA}
     for p in estimate.parameters:
         assert abs(p.estimate - truth[p.name]) < 4.0 * p.std

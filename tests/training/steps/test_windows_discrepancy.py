@@ -1,7 +1,5 @@
 """The discrepancy that windows say together, of records whose log evidence is given."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -90,7 +88,6 @@ def test_a_window_that_contradicts_those_before_keeps_its_own():
     told = None
     for _ in range(20):
         _, told = window(hidden(10, 0.7), own=0.3, before=told)
-    assert told is not None
     found, told = window(hidden(12, 2.2), own=1.9, before=told)
     assert found.noise.discrepancy == pytest.approx(1.9)
     assert not told.common

@@ -1,7 +1,5 @@
 """Parameters from the spectra of sensors: derivatives, priors, estimates and intervals."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
