@@ -7,7 +7,7 @@ import pytest
 
 from pinn_cli.inspection.inspection import peak_table
 from pinn_cli.inspection.modes import ModalRecord
-from pinn_cli.record.identification.modes import RecordMode
+from pinn_cli.record.identification.lines import RecordMode
 from pinn_cli.record.signal import Sampling, Signal, spectra_of
 
 # Of a chain of five equal masses and springs, fixed at one end, Hz.
