@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pinn_cli.record.clock import BY_NAME, Clock, MeasuredFiles, format_of
+from pinn_cli.record.clock import Clock, MeasuredFiles, format_of
 from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.csv import CsvFormat
-from pinn_cli.record.files.table import Table, column_of_times
+from pinn_cli.record.files.table import Table
 from pinn_cli.settings.errors import InputError
 
 SETTING = "data.path"
@@ -216,9 +216,8 @@ class Arriving:
         """(N,), s, as the file has them."""
         if self.files.sampling_rate is not None:
             return (self.samples + np.arange(len(table))) / self.files.sampling_rate
-        column = self.files.time_column(table.path)
-        column = column_of_times(table.columns) if column == BY_NAME else column
-        if column is not None and (table.time is None or column in table.columns):
+        column = self.files.column_in(table)
+        if column is not None:
             return Clock.by_column(table, column, self.files.time_unit).time
         if table.time is None:
             raise InputError("data.sampling_rate", None, "given, in Hz, or data.time, a column of times")
