@@ -13,13 +13,14 @@ from pinn_cli.report.figures import style
 from pinn_cli.report.figures.style import line_indices
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from pinn_cli.inspection.joined import JoinedMode, JoinedModes
     from pinn_cli.inspection.modes import ModalRecord
-    from pinn_cli.inspection.report import InspectionReport
-    from pinn_cli.record.signal import Signal
+    from pinn_cli.record.cross_spectra import CrossSpectra
+    from pinn_cli.record.signal import Sampling, Signal
 
 ROWS = 8  # more channels than these are left to inspect.csv
 FIRST = 300  # lines of a spectrum that are all drawn
@@ -53,22 +54,33 @@ _MARKS = ("x", "+", "1", "2", "3", "4")
 _COLOURS = (style.VERMILLION, style.GREEN, style.PURPLE, style.ORANGE, style.BLACK, style.SKY)
 
 
-def inspection_figure(found: InspectionReport) -> Figure:
-    """Histories and power spectra; shaded, the band; dashed, the noise. Peaks are grey, the structure's dotted."""
-    shown = [*found.cross_spectra.acting, *found.cross_spectra.sensors][:ROWS]
-    responses = bool(found.cross_spectra.acting) and bool(found.cross_spectra.sensors)
+def inspection_figure(
+    sampling: Sampling, channels: pd.DataFrame, spectra: CrossSpectra[Signal], peaks: pd.DataFrame
+) -> Figure:
+    """Histories and power spectra; shaded, the band; dashed, the noise. Peaks are grey, the structure's dotted.
+
+    Args:
+        sampling: Of the record.
+        channels: See :class:`pinn_cli.inspection.report.InspectionReport`.
+        spectra: Of the columns that vary.
+        peaks: See there.
+    """
+    shown = [*spectra.acting, *spectra.sensors][:ROWS]
+    responses = bool(spectra.acting) and bool(spectra.sensors)
     with style.look():
         figure, panels = style.panels(
             len(shown) + responses, 2, 0.95, margins=(0.66, 0.1, 0.56, 0.5), gaps=(0.6, 0.34), width_ratios=(1.2, 1.0)
         )
         for (left, right), signal in zip(panels, shown, strict=False):
-            _draw_history(left, found, signal)
-            _draw_spectrum(right, found, signal)
+            _draw_history(left, sampling, signal)
+            row = channels[channels["column"] == signal.column].iloc[0].to_dict()
+            row["floor"] = 2.0 * row["noise"] ** 2 / sampling.rate
+            _draw_spectrum(right, spectra, signal, row, peaks)
         rows = panels[: len(shown)]
         rows[-1, 0].set_xlabel("Time $t$ (s)", labelpad=2)
         rows[-1, 1].set_xlabel("Frequency (Hz)", labelpad=2)
         if responses:
-            _draw_responses(panels[-1, 0], panels[-1, 1], found)
+            _draw_responses(panels[-1, 0], panels[-1, 1], spectra, peaks)
             box = [axes.get_position() for axes in panels[-1]]
             lower = 0.55 * (panels[-2, 0].get_position().y0 - box[0].y1)  # room for the labels of the rows above
             for axes, place in zip(panels[-1], box, strict=True):
@@ -80,10 +92,10 @@ def inspection_figure(found: InspectionReport) -> Figure:
     return figure
 
 
-def _draw_history(axes: Axes, found: InspectionReport, signal: Signal) -> None:
+def _draw_history(axes: Axes, sampling: Sampling, signal: Signal) -> None:
     kept = line_indices(np.where(np.isfinite(signal.values), signal.values, np.nanmean(signal.values)))
-    axes.plot(found.sampling.time[kept], signal.values[kept], **_LINE)
-    axes.set_xlim(found.sampling.time[0], found.sampling.time[-1])
+    axes.plot(sampling.time[kept], signal.values[kept], **_LINE)
+    axes.set_xlim(sampling.time[0], sampling.time[-1])
     axes.yaxis.set_major_locator(MaxNLocator(4))
     axes.xaxis.set_major_locator(MaxNLocator(6))
     axes.ticklabel_format(axis="y", style="sci", scilimits=(-3, 4))
@@ -92,25 +104,24 @@ def _draw_history(axes: Axes, found: InspectionReport, signal: Signal) -> None:
         axes.set_title(f"({unit})", loc="left", fontsize=7, pad=2)
 
 
-def _draw_spectrum(axes: Axes, found: InspectionReport, signal: Signal) -> None:
-    spectra = found.cross_spectra
+def _draw_spectrum(
+    axes: Axes, spectra: CrossSpectra[Signal], signal: Signal, row: dict[str, Any], peaks: pd.DataFrame
+) -> None:
     i = next(i for i, other in enumerate([*spectra.sensors, *spectra.acting]) if other is signal)
     power = spectra.density[1:, i]
     kept = _spectral_indices(power)
     axes.plot(spectra.frequency[1:][kept], np.where(power > 0.0, power, np.nan)[kept], **_LINE)
-    row = found.channels.iloc[next(j for j, other in enumerate(found.signals) if other is signal)]
     if np.isfinite(row["band_high_hz"]):
         axes.axvspan(row["band_low_hz"], row["band_high_hz"], **_BAND)
     if row["noise"] > 0.0:
-        axes.axhline(2.0 * row["noise"] ** 2 / found.sampling.rate, **_FLOOR)
+        axes.axhline(row["floor"], **_FLOOR)
     if unit := _unit(signal):
         axes.set_title(f"({unit})\N{SUPERSCRIPT TWO}/Hz", loc="left", fontsize=7, pad=2)
-    _draw_peaks(axes, found)
+    _draw_peaks(axes, peaks)
     _logarithmic(axes, float(power.max()), (spectra.frequency[1], spectra.frequency[-1]))
 
 
-def _draw_responses(magnitude: Axes, coherence: Axes, found: InspectionReport) -> None:
-    spectra = found.cross_spectra
+def _draw_responses(magnitude: Axes, coherence: Axes, spectra: CrossSpectra[Signal], peaks: pd.DataFrame) -> None:
     size = np.sqrt(np.sum(np.abs(spectra.response[1:]) ** 2, axis=2))
     for k, sensor in enumerate(spectra.sensors[:ROWS]):
         look: dict[str, Any] = {"color": style.CYCLE[k % len(style.CYCLE)], "linewidth": 0.7, "label": _label(sensor)}
@@ -119,7 +130,7 @@ def _draw_responses(magnitude: Axes, coherence: Axes, found: InspectionReport) -
             axes.plot(spectra.frequency[1:][kept], np.where(values > 0.0, values, np.nan)[kept], **look)
     magnitude.legend(loc="best", fontsize=6, ncols=2, handlelength=1.2)  # peaks have their place above
     for axes in (magnitude, coherence):
-        _draw_peaks(axes, found)
+        _draw_peaks(axes, peaks)
         axes.set_xlabel("Frequency (Hz)", labelpad=2)
     _logarithmic(magnitude, float(np.nanmax(size)), (spectra.frequency[1], spectra.frequency[-1]))
     magnitude.set_ylabel("response")
@@ -137,10 +148,10 @@ def _spectral_indices(values: np.ndarray) -> np.ndarray:
     return np.concatenate([np.arange(min(FIRST, len(values))), FIRST + line_indices(values[FIRST:])])
 
 
-def _draw_peaks(axes: Axes, found: InspectionReport) -> None:
-    for frequency in found.peaks["frequency_hz"]:
+def _draw_peaks(axes: Axes, peaks: pd.DataFrame) -> None:
+    for frequency in peaks["frequency_hz"]:
         axes.axvline(frequency, **_PEAK)
-    for frequency in found.peaks["structure_hz"].dropna().unique():
+    for frequency in peaks["structure_hz"].dropna().unique():
         axes.axvline(frequency, **_OF_STRUCTURE)
 
 

@@ -130,7 +130,7 @@ class InspectionReport(LookReport):
         """``inspect``: channels over time and frequency."""
         from pinn_cli.inspection.figures import inspection_figure
 
-        return {"inspect": partial(inspection_figure, self)}
+        return {"inspect": partial(inspection_figure, self.sampling, self.channels, self.cross_spectra, self.peaks)}
 
     @property
     def words(self) -> list[str]:

@@ -89,26 +89,19 @@ class Clock:
     def regular(self, first: int, last: int) -> tuple[np.ndarray, bool]:
         """Times of rows first..last (``last`` excluded), s, and whether they are even.
 
-        Even ones are put onto the regular axis between their ends, uneven ones are as they are: off it by more than
-        their printed digits explain.
+        Even ones are put onto the regular axis between their ends, uneven ones are as they are.
 
         Raises:
             InputError: Uneven times that the file's own header tells: they are no readings of a clock; or a clock that
-                jumps, and leaves nearly nothing of the record. It names the line of the jump.
+                jumps, and leaves nearly nothing of the record.
         """
+        try:
+            return self.uniform(first, last), True
+        except InputError:
+            if not self.column and not self.several:
+                raise
         time = self.readings[first:last]
-        regular, steps = np.linspace(time[0], time[-1], len(time)), np.diff(time)
-        step = float(np.median(steps))
-        tolerance = min(LARGEST_TIME_TOLERANCE * step, max(TIME_TOLERANCE * step, _last_digit(time)))
-        if np.max(np.abs(time - regular)) <= tolerance:
-            return regular / TIME_UNITS[self.unit], True
-        if not self.column and not self.several:
-            deviation = np.abs(steps - step)
-            jumps = np.flatnonzero(deviation > 2.0 * tolerance)
-            row = int(jumps[0] if len(jumps) else np.argmax(deviation)) + 1
-            allowed = f"one step of {step:.6g} {self.unit} after the line before it, {time[row - 1]:.9g}"
-            hint = "rows are missing, or the file must be resampled to a uniform time axis"
-            raise InputError(self.table.place("its own times", first + row), time[row], allowed, hint)
+        steps = np.diff(time)
         row = int(np.argmax(steps)) + 1
         if self.column and steps[row - 1] > MOST_OF_RECORD * steps.sum():
             allowed = f"near the line before it, {time[row - 1]:.9g}"
@@ -119,6 +112,26 @@ class Clock:
     def step(self, first: int, last: int) -> float:
         """The usual one among rows first..last (``last`` excluded), s."""
         return float(np.median(np.diff(self.time[first:last])))
+
+    def uniform(self, first: int, last: int) -> np.ndarray:
+        """Times of rows first..last (``last`` excluded), put onto the regular axis between their ends, s.
+
+        Raises:
+            InputError: Times that are off it by more than their printed digits explain; names the line of the jump.
+        """
+        time = self.readings[first:last]
+        regular = np.linspace(time[0], time[-1], len(time))
+        step = float(np.median(np.diff(time)))
+        tolerance = min(LARGEST_TIME_TOLERANCE * step, max(TIME_TOLERANCE * step, _last_digit(time)))
+        if np.max(np.abs(time - regular)) <= tolerance:
+            return regular / TIME_UNITS[self.unit]
+        deviation = np.abs(np.diff(time) - step)
+        jumps = np.flatnonzero(deviation > 2.0 * tolerance)
+        row = int(jumps[0] if len(jumps) else np.argmax(deviation)) + 1
+        allowed = f"one step of {step:.6g} {self.unit} after the line before it, {time[row - 1]:.9g}"
+        hint = "rows are missing, or the file must be resampled to a uniform time axis"
+        place = self.table.place(self.column or "its own times", first + row)
+        raise InputError(place, time[row], allowed, hint)
 
 
 def _last_digit(time: np.ndarray) -> float:
