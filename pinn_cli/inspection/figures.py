@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -105,7 +105,7 @@ def _draw_history(axes: Axes, sampling: Sampling, signal: Signal) -> None:
 
 
 def _draw_spectrum(
-    axes: Axes, spectra: CrossSpectra[Signal], signal: Signal, row: dict[str, Any], peaks: pd.DataFrame
+    axes: Axes, spectra: CrossSpectra[Signal], signal: Signal, row: Mapping[Any, Any], peaks: pd.DataFrame
 ) -> None:
     i = next(i for i, other in enumerate([*spectra.sensors, *spectra.acting]) if other is signal)
     power = spectra.density[1:, i]

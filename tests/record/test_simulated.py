@@ -14,7 +14,7 @@ from refusals import refusal
 from pinn_cli.cli.records import OF_THE_RUN
 from pinn_cli.record.excitation import BandedNoise
 from pinn_cli.record.response import QUANTITIES, Response
-from pinn_cli.record.simulated import Noise, Simulated, add_noise, averaged
+from pinn_cli.record.simulated import Noise, Simulated, averaged
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.settings.instantiation import build
 from pinn_cli.system import build_chain
@@ -62,7 +62,7 @@ def test_unknown_channels_get_none_and_the_signal_is_left_alone():
     clean = response()
     clean.displacement[:, 1] = np.nan
     before = clean.displacement.copy()
-    noisy = add_noise(clean, 10.0)
+    noisy = Noise(10.0).added_to(clean)
     assert np.isnan(noisy.displacement[:, 1]).all()
     assert np.isfinite(noisy.displacement[:, [0, 2]]).all()
     np.testing.assert_array_equal(clean.displacement, before)
@@ -209,7 +209,7 @@ def test_every_array_is_reproduced(shared, case):
     ours = {"time": response.time, **{quantity: getattr(response, quantity) for quantity in QUANTITIES}}
     ours |= {name: value.numpy() for name, value in structure.parameters.items()}
     for snr_db in (50, 20, 10):
-        noisy = add_noise(response, snr_db, seeds=SEEDS)
+        noisy = Noise(snr_db, seeds=SEEDS).added_to(response)
         ours |= {f"{quantity}_snr{snr_db}": getattr(noisy, quantity) for quantity in QUANTITIES}
     for name, array in reference.items():
         if name in ("kappa", "mu") and name not in ours:
