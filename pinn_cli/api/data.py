@@ -145,8 +145,8 @@ def channels_of(table: Table) -> dict[str, dict[str, str]]:
     Raises:
         InputError: Two columns say the same.
     """
-    from pinn_cli.inspection.guesses import number_in
     from pinn_cli.record.files.table import SensorHint, bare, is_called_times
+    from pinn_cli.record.signal import number_in
 
     said: list[tuple[str, str, str]] = [(_GROUND, "", name) for name in table.columns if bare(name) == _GROUND][:1]
     matches = {name: _CHANNEL.fullmatch(bare(name)) for name in table.columns}

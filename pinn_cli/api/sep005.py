@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pinn_cli.inspection.guesses import quantity_of_unit
-from pinn_cli.record.files.table import TIMES, SensorHint, Table, check_names, joined
+from pinn_cli.record.files.table import TIMES, SensorHint, Table, check_names
+from pinn_cli.record.files.variables import joined
+from pinn_cli.record.signal import quantity_of_unit
 from pinn_cli.report.export import histories
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import positive_number

@@ -15,7 +15,7 @@ from pinn_cli.record.between_samples import INTERSAMPLE_OF_HOLD, BandLimited
 from pinn_cli.record.clock import Clock
 from pinn_cli.record.files.table import TIMES
 from pinn_cli.record.response import GROUND, QUANTITIES, Response
-from pinn_cli.record.simulated import Noise, add_noise
+from pinn_cli.record.simulated import Noise
 from pinn_cli.record.simulation import simulate
 from pinn_cli.record.steps import substeps_needed
 from pinn_cli.record.units import si_factor
@@ -59,9 +59,8 @@ class Record(record.Record):
         Raises:
             InputError: Naming ``noise.snr_db`` or ``seed``.
         """
-        Noise(snr_db, seed)  # refuses what is no ratio
         clean = Response(**{name: getattr(self, name) for name in ("time", *QUANTITIES, GROUND)})
-        return replace(self, **add_noise(clean, snr_db, seed).measurable)
+        return replace(self, **Noise(snr_db, seed).added_to(clean).measurable)
 
     @classmethod
     def from_sep005(cls, series: Any, dofs: Mapping[str, int] | None = None) -> Self:

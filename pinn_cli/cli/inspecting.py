@@ -127,10 +127,9 @@ def inspected_record(config: DictConfig, base: Path, said: Said) -> InspectionRe
         InputError: It has too few samples, or no column varies.
     """
     from pinn_cli.inspection.inspection import inspect_record
-    from pinn_cli.inspection.report import InspectionReport
 
     record = Inspected.read(config, base, said)
-    return InspectionReport(inspect_record(record.signals, record.time, record.said, record.frequencies))
+    return inspect_record(record.signals, record.time, record.said, record.frequencies)
 
 
 def modes_of_records(config: DictConfig, base: Path, said: Said) -> ModesReport:

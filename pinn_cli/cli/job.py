@@ -35,8 +35,8 @@ from pinn_cli.settings.yaml_file import SCHEME
 
 if TYPE_CHECKING:
     from pinn_cli.cli.prepare import PreparedProblem
-    from pinn_cli.inspection.look_report import LookReport
     from pinn_cli.inspection.proposal import Said
+    from pinn_cli.inspection.report import LookReport
     from pinn_cli.report.results import Results
     from pinn_cli.scheme.joint_problem import JointProblem
     from pinn_cli.sweep.windows.run import WindowedRun

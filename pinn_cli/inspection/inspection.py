@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
-from pinn_cli.inspection.guesses import guessed, number_of
 from pinn_cli.inspection.modes import ModalRecord
 from pinn_cli.inspection.proposal import Look, Said, proposed_settings
+from pinn_cli.inspection.report import InspectionReport
 from pinn_cli.record.channels import clipped_percent, constant_percent
 from pinn_cli.record.cross_spectra import CrossSpectra
-from pinn_cli.record.identification.modes import RecordMode
-from pinn_cli.record.record import MINIMUM_SAMPLES
+from pinn_cli.record.identification.lines import RecordMode
 from pinn_cli.record.response import GROUND
-from pinn_cli.record.signal import Sampling, Signal, spectra_of
+from pinn_cli.record.signal import Sampling, Signal, guessed, number_of, spectra_of
 from pinn_cli.record.spectrum import noise_level, signal_edges, visible_floor
 from pinn_cli.settings.errors import InputError
 
@@ -113,47 +111,9 @@ def longest_gap(values: np.ndarray, sampling: Sampling) -> float:
     return longest if longest > 1.5 * sampling.step else 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Inspection:
-    """What a look at a record found.
-
-    Attributes:
-        sampling: When its samples were taken.
-        signals: Its columns.
-        channels: See :func:`channel_table`.
-        spectra: Of the columns that vary.
-        peaks: Columns `PEAK_COLUMNS`; the last three compare with the structure, NaN without one.
-        notes: Sentences about what is odd.
-        said: By the command that looked.
-        settings: With which to run next.
-        remarks: Sentences beside them.
-    """
-
-    sampling: Sampling
-    signals: Sequence[Signal]
-    channels: pd.DataFrame
-    spectra: CrossSpectra[Signal]
-    peaks: pd.DataFrame
-    notes: Sequence[str]
-    said: Said
-    settings: Sequence[str]
-    remarks: Sequence[str] = ()
-
-    @property
-    def command(self) -> list[str]:
-        """What to type next, word by word; of a record in memory, a call of Python."""
-        if self.said.in_memory:
-            first, *others = self.settings
-            return [f"run({first!r},", *(f"{setting!r}," for setting in others), "data=...)"]
-        return [shlex.quote(word) for word in ("pinn-run", *self.said.options, *self.settings)]
-
-
 def inspect_record(
-    signals: Sequence[Signal],
-    time: np.ndarray,
-    said: Said,
-    frequencies: np.ndarray | None,
-) -> Inspection:
+    signals: Sequence[Signal], time: np.ndarray, said: Said, frequencies: np.ndarray | None
+) -> InspectionReport:
     """Look at a record.
 
     Args:
@@ -165,10 +125,7 @@ def inspect_record(
     Raises:
         InputError: There are too few samples, or no column varies.
     """
-    if len(time) < MINIMUM_SAMPLES:
-        allowed = f"a record of at least {MINIMUM_SAMPLES} samples"
-        raise InputError("data.start, data.stop", f"{len(time)} samples", allowed)
-    sampling = Sampling(time)
+    sampling = Sampling.of(time)
     guesses, notes = guessed(signals)
     forces = {signal.column for signal in guesses if signal.quantity == "force"}
     unplaced = [signal.column for signal in signals if signal.column in forces and number_of(signal) is None]
@@ -200,7 +157,7 @@ def inspect_record(
     )  # fmt: skip
     settings, remarks = proposed_settings(said, look)
     table = peak_table(peaks, frequencies)
-    return Inspection(sampling, signals, channels, spectra, table, notes, said, settings, remarks)
+    return InspectionReport(sampling, signals, channels, spectra, table, tuple(notes), said, tuple(settings), remarks)
 
 
 def peak_table(peaks: Sequence[RecordMode], frequencies: np.ndarray | None) -> pd.DataFrame:

@@ -20,9 +20,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
-from pinn_cli.inspection.modes import FEWEST_SENSORS, ModalRecord, names_of
-from pinn_cli.record.identification.modes import RecordMode
-from pinn_cli.record.identification.subspace import assurance
+from pinn_cli.inspection.modes import ModalRecord, alike, names_of
+from pinn_cli.record.identification.lines import RecordMode
 
 if TYPE_CHECKING:
     from pinn_cli.record.signal import Signal
@@ -147,10 +146,10 @@ class JoinedModes:
             one, other = self.joined[i], self.joined[j]
             apart = abs(np.log(one.mode.frequency / other.mode.frequency))
             common = np.isfinite(one.shape) & np.isfinite(other.shape)
-            alike = _alike(one.shape[common], other.shape[common])
+            mac = alike(one.shape[common], other.shape[common])
             twice = {part.record for part in one.parts} & {part.record for part in other.parts}
-            if apart < SAME_FREQUENCY and alike < SAME_SHAPE and not twice:
-                yield i, j, alike
+            if apart < SAME_FREQUENCY and mac < SAME_SHAPE and not twice:
+                yield i, j, mac
 
     def peak(self, number: int) -> tuple[float, float]:
         """The mean of the records' peaks near a mode, Hz, and the least MAC of their shapes; NaN: no peak."""
@@ -184,9 +183,9 @@ def _sort_in(groups: list[list[Part]], parts: Sequence[Part], records: Sequence[
             apart = abs(np.log(own.frequency / theirs.frequency))
             deviation = float(own.covariance[0, 0] + theirs.covariance[0, 0]) ** 0.5
             reach = max(SAME_FREQUENCY, SAME_DEVIATIONS * deviation)
-            alike = _alike(part.shape[there], so_far[part.places][there])
-            if there.any() and apart < reach and not alike < SAME_SHAPE:
-                cost[i, j] = apart / reach + 1.0 - np.nan_to_num(alike, nan=1.0)
+            mac = alike(part.shape[there], so_far[part.places][there])
+            if there.any() and apart < reach and not mac < SAME_SHAPE:
+                cost[i, j] = apart / reach + 1.0 - np.nan_to_num(mac, nan=1.0)
     pairs = {i: j for i, j in zip(*linear_sum_assignment(cost), strict=True) if cost[i, j] < far}
     for i, part in enumerate(parts):
         if i in pairs:
@@ -197,11 +196,6 @@ def _sort_in(groups: list[list[Part]], parts: Sequence[Part], records: Sequence[
 
 def _mode(part: Part, records: Sequence[ModalRecord]) -> RecordMode:
     return records[part.record].modes[part.mode]
-
-
-def _alike(one: np.ndarray, other: np.ndarray) -> float:
-    """MAC of two shapes (S,); NaN where fewer sensors say nothing."""
-    return float(assurance(one[None], other[None])[0, 0]) if len(one) >= FEWEST_SENSORS else np.nan
 
 
 def _joined(parts: Sequence[Part], records: Sequence[ModalRecord], places: int) -> JoinedMode:
@@ -222,7 +216,7 @@ def _joined(parts: Sequence[Part], records: Sequence[ModalRecord], places: int) 
     f, damping = np.exp(mean)
     explained = min(mode.explained for mode in modes)
     mode = RecordMode(float(f), float(damping), covariance * np.outer(wider, wider), shape, noise, explained)
-    mac = np.array([_alike(part.shape, shape[part.places]) for part in parts])
+    mac = np.array([alike(part.shape, shape[part.places]) for part in parts])
     return JoinedMode(parts, shape, shape_std, scales, scale_std, mac, mode, (float(agreement[0]), float(agreement[1])))
 
 

@@ -1,4 +1,4 @@
-"""What ``pinn-run modes`` prints and leaves behind."""
+"""What ``pinn-run modes`` prints and leaves behind: modes beside those of a structure, and how records agree."""
 
 from __future__ import annotations
 
@@ -10,18 +10,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
+from scipy.optimize import linear_sum_assignment
 
 from pinn_cli.inspection.joined import JoinedMode, JoinedModes
-from pinn_cli.inspection.look_report import LookReport
-from pinn_cli.inspection.modes import ModalRecord, ModesAtSensors, mac_table, mode_table
-from pinn_cli.inspection.spectra import spectra_table
+from pinn_cli.inspection.modes import FEWEST_SENSORS, ModalRecord, mac_table
+from pinn_cli.inspection.report import LookReport, spectra_table
+from pinn_cli.record.identification.lines import NORMAL_90
+from pinn_cli.record.identification.subspace import assurance
 from pinn_cli.report.text import Column, count, marked_lines, number, table_lines
+from pinn_cli.system.quantities import MOTION
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from pinn_cli.system.modes import NaturalModes
 
+MODE_COLUMNS = (
+    "mode", "frequency", "lower_90", "upper_90", "damping_ratio", "damping_ratio_lower_90", "damping_ratio_upper_90",
+    "mac", "prescribed_frequency", "prescribed_damping_ratio", "explained", "fdd_frequency", "fdd_mac",
+)  # fmt: skip
 # Sensors whose shapes are printed, and modes of all records whose assurance is.
 SENSORS_SHOWN, MODES_SHOWN = 10, 12
 # Records differ where chance makes that much of a difference so rarely, or where their shapes are less alike; relative
@@ -47,7 +54,7 @@ class ModesReport(LookReport):
         return JoinedModes.of(self.records) if len(self.records) > 1 else None
 
     @property
-    def shown(self) -> ModesAtSensors:
+    def shown(self) -> ModalRecord | JoinedModes:
         """The modes of all records."""
         return self.joined or self.records[0]
 
@@ -63,8 +70,7 @@ class ModesReport(LookReport):
     @property
     def drawings(self) -> Mapping[str, Callable[[], Figure]]:
         """``stabilisation``: poles by order over the singular values of the spectra; ``shapes``, of modes."""
-        from pinn_cli.inspection.shapes import shapes_figure
-        from pinn_cli.inspection.stabilisation import stabilisation_figure
+        from pinn_cli.inspection.figures import shapes_figure, stabilisation_figure
 
         found: dict[str, Callable[[], Figure]] = {"stabilisation": partial(stabilisation_figure, self.records)}
         if len(self.modes):
@@ -96,6 +102,52 @@ class ModesReport(LookReport):
             if 0 < len(self.mac) <= MODES_SHOWN:
                 lines += ["", "MAC between records", *_assurance(self.mac)]
         return "\n".join(lines)
+
+
+def mode_table(record: ModalRecord | JoinedModes, structure: NaturalModes | None) -> pd.DataFrame:
+    """A row for each mode, columns `MODE_COLUMNS`, then its displacement at every sensor with its 90 % interval.
+
+    Args:
+        record: With its modes.
+        structure: Whose modes stand beside; None: no parameters were given.
+    """
+    beside = _partners(record, structure)
+    rows = []
+    for i, mode in enumerate(record.modes):
+        row = dict.fromkeys(MODE_COLUMNS, np.nan) | {
+            "mode": i + 1, "frequency": mode.frequency, "damping_ratio": mode.damping, "explained": mode.explained,
+        }  # fmt: skip
+        row["lower_90"], row["upper_90"] = mode.frequency_interval
+        row["damping_ratio_lower_90"], row["damping_ratio_upper_90"] = mode.damping_interval
+        row["fdd_frequency"], row["fdd_mac"] = record.peak(i)
+        if structure is not None and i in beside:
+            other, row["mac"] = beside[i]
+            row["prescribed_frequency"] = float(structure.frequencies[other])
+            row["prescribed_damping_ratio"] = float(structure.damping_ratios[other])
+        for name, value, std in zip(record.names, record.shapes[i].real, record.shape_std(i), strict=True):
+            row |= {f"shape_{name}": value, f"shape_{name}_lower_90": value - NORMAL_90 * std,
+                    f"shape_{name}_upper_90": value + NORMAL_90 * std}  # fmt: skip
+        rows.append(row)
+    return pd.DataFrame(rows, columns=None if rows else list(MODE_COLUMNS))
+
+
+def _partners(record: ModalRecord | JoinedModes, structure: NaturalModes | None) -> dict[int, tuple[int, float]]:
+    """Of a mode's number the number of the structure's mode, and the MAC, NaN where too few sensors have a DOF."""
+    if structure is None or not record.modes:
+        return {}
+    usable = np.flatnonzero(np.isfinite(structure.frequencies) & (structure.frequencies > 0.0))
+    at = [(i, int(s.place) - 1) for i, s in enumerate(record.sensors) if s.quantity in MOTION and s.place.isdecimal()]
+    at = [(i, dof) for i, dof in at if dof < len(structure.of_dofs)]
+    f = np.array([mode.frequency for mode in record.modes])
+    apart = np.abs(np.log(f[:, None] / structure.frequencies[usable]))
+    alike = np.full(apart.shape, np.nan)
+    for i, shape in enumerate(record.shapes):
+        there = [(sensor, dof) for sensor, dof in at if np.isfinite(shape[sensor])]
+        if len(there) >= FEWEST_SENSORS:
+            sensors, dofs = map(list, zip(*there, strict=True))
+            alike[i] = assurance(shape[None, sensors], structure.of_dofs[dofs][:, usable].T)[0]
+    pairs = linear_sum_assignment(apart + 1.0 - np.nan_to_num(alike))
+    return {int(i): (int(usable[j]), float(alike[i, j])) for i, j in zip(*pairs, strict=True)}
 
 
 def _below(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
@@ -197,7 +249,7 @@ def _digits(table: pd.DataFrame, value: str, lower: str, upper: str, factor: flo
     return found
 
 
-def _shapes(record: ModesAtSensors) -> list[str]:
+def _shapes(record: ModalRecord | JoinedModes) -> list[str]:
     shown = list(record.names[:SENSORS_SHOWN])
     table = pd.DataFrame(record.shapes.real[:, : len(shown)], columns=shown)
     table.insert(0, "mode", range(1, len(table) + 1))

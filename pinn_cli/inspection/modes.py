@@ -1,62 +1,25 @@
-"""Modes of records, beside frequency-domain decomposition, each other and those of a structure (``pinn-run modes``)."""
+"""Modes of records, beside frequency-domain decomposition and each other (``pinn-run modes``)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import pandas as pd
 
-from pinn_cli.inspection.guesses import guessed, number_of
 from pinn_cli.record.cross_spectra import CrossSpectra
-from pinn_cli.record.identification.lines import deviations
-from pinn_cli.record.identification.modes import NORMAL_90, Identified, RecordMode, identify
+from pinn_cli.record.identification.lines import RecordMode, deviations
+from pinn_cli.record.identification.modes import Identified, identify
 from pinn_cli.record.identification.subspace import assurance
-from pinn_cli.record.record import MINIMUM_SAMPLES
-from pinn_cli.record.signal import Sampling, Signal, spectra_of
+from pinn_cli.record.signal import Sampling, Signal, guessed, number_of, spectra_of
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system.quantities import MOTION
 
-if TYPE_CHECKING:
-    from pinn_cli.system.modes import NaturalModes
-
-MODE_COLUMNS = (
-    "mode", "frequency", "lower_90", "upper_90", "damping_ratio", "damping_ratio_lower_90", "damping_ratio_upper_90",
-    "mac", "prescribed_frequency", "prescribed_damping_ratio", "explained", "fdd_frequency", "fdd_mac",
-)  # fmt: skip
 # A peak of the spectra belongs to a mode within so many half-power widths and lines.
 PEAK_WIDTHS, PEAK_LINES = 2.0, 2.0
 # Shapes at fewer common sensors say nothing of two modes.
 FEWEST_SENSORS = 2
-
-
-class ModesAtSensors(Protocol):
-    """Modes and their shapes, of a record or of several together; M modes, S sensors."""
-
-    @property
-    def sensors(self) -> Sequence[Signal]:
-        """Of the response, S of them."""
-
-    @property
-    def names(self) -> Sequence[str]:
-        """Of the sensors, as columns have them."""
-
-    @property
-    def modes(self) -> Sequence[RecordMode]:
-        """By frequency."""
-
-    @property
-    def shapes(self) -> np.ndarray:
-        """(M, S), displacements, complex; the largest is one. NaN where a mode was not measured."""
-
-    def shape_std(self, number: int) -> np.ndarray:
-        """(S,), of the real part of a shape."""
-
-    def peak(self, number: int) -> tuple[float, float]:
-        """Frequency of the largest singular value near a mode, Hz, and the MAC of both shapes; NaN: no peak."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,15 +47,13 @@ class ModalRecord:
         Raises:
             InputError: There are too few samples, or no sensor varies.
         """
-        if len(time) < MINIMUM_SAMPLES:
-            allowed = f"a record of at least {MINIMUM_SAMPLES} samples"
-            raise InputError("data.start, data.stop", f"{len(time)} samples", allowed)
+        sampling = Sampling.of(time)
         guesses = guessed(signals)[0]
         placed = all(str(number_of(a)) == b.place for a, b in zip(signals, guesses, strict=False) if not b.is_input)
         alive = [signal.in_si()[0] for signal in guesses or signals if signal.varies]
         if not any(not signal.is_input for signal in alive):
             raise InputError("data.path", f"{len(signals)} columns", "a record with a sensor of the motion that varies")
-        return replace(cls.of_alive(alive, Sampling(time)), placed=placed)
+        return replace(cls.of_alive(alive, sampling), placed=placed)
 
     @classmethod
     def of_alive(cls, signals: Sequence[Signal], sampling: Sampling) -> ModalRecord:
@@ -184,56 +145,12 @@ class ModalRecord:
         top = int(near[np.argmax(values[near, 0])])
         if values[top, 0] < max(values[top - 1, 0], values[top + 1, 0]):
             return np.nan, np.nan
-        alike = assurance(vectors[top, :, 0][None], mode.shape[None])[0, 0]
-        return float(f[top]), float(alike) if len(self.sensors) >= FEWEST_SENSORS else np.nan
+        return float(f[top]), alike(vectors[top, :, 0], mode.shape)
 
 
-def mode_table(record: ModesAtSensors, structure: NaturalModes | None) -> pd.DataFrame:
-    """A row for each mode, columns `MODE_COLUMNS`, then its displacement at every sensor with its 90 % interval.
-
-    Args:
-        record: With its modes.
-        structure: Whose modes stand beside; None: no parameters were given.
-    """
-    beside = _partners(record, structure)
-    rows = []
-    for i, mode in enumerate(record.modes):
-        row = dict.fromkeys(MODE_COLUMNS, np.nan) | {
-            "mode": i + 1, "frequency": mode.frequency, "damping_ratio": mode.damping, "explained": mode.explained,
-        }  # fmt: skip
-        row["lower_90"], row["upper_90"] = mode.frequency_interval
-        row["damping_ratio_lower_90"], row["damping_ratio_upper_90"] = mode.damping_interval
-        row["fdd_frequency"], row["fdd_mac"] = record.peak(i)
-        if structure is not None and i in beside:
-            other, row["mac"] = beside[i]
-            row["prescribed_frequency"] = float(structure.frequencies[other])
-            row["prescribed_damping_ratio"] = float(structure.damping_ratios[other])
-        for name, value, std in zip(record.names, record.shapes[i].real, record.shape_std(i), strict=True):
-            row |= {f"shape_{name}": value, f"shape_{name}_lower_90": value - NORMAL_90 * std,
-                    f"shape_{name}_upper_90": value + NORMAL_90 * std}  # fmt: skip
-        rows.append(row)
-    return pd.DataFrame(rows, columns=None if rows else list(MODE_COLUMNS))
-
-
-def _partners(record: ModesAtSensors, structure: NaturalModes | None) -> dict[int, tuple[int, float]]:
-    """Of a mode's number the number of the structure's mode, and the MAC, NaN where too few sensors have a DOF."""
-    from scipy.optimize import linear_sum_assignment
-
-    if structure is None or not record.modes:
-        return {}
-    usable = np.flatnonzero(np.isfinite(structure.frequencies) & (structure.frequencies > 0.0))
-    at = [(i, int(s.place) - 1) for i, s in enumerate(record.sensors) if s.quantity in MOTION and s.place.isdecimal()]
-    at = [(i, dof) for i, dof in at if dof < len(structure.of_dofs)]
-    f = np.array([mode.frequency for mode in record.modes])
-    apart = np.abs(np.log(f[:, None] / structure.frequencies[usable]))
-    alike = np.full(apart.shape, np.nan)
-    for i, shape in enumerate(record.shapes):
-        there = [(sensor, dof) for sensor, dof in at if np.isfinite(shape[sensor])]
-        if len(there) >= FEWEST_SENSORS:
-            sensors, dofs = map(list, zip(*there, strict=True))
-            alike[i] = assurance(shape[None, sensors], structure.of_dofs[dofs][:, usable].T)[0]
-    pairs = linear_sum_assignment(apart + 1.0 - np.nan_to_num(alike))
-    return {int(i): (int(usable[j]), float(alike[i, j])) for i, j in zip(*pairs, strict=True)}
+def alike(one: np.ndarray, other: np.ndarray) -> float:
+    """MAC of two shapes (S,); NaN where fewer sensors say nothing."""
+    return float(assurance(one[None], other[None])[0, 0]) if len(one) >= FEWEST_SENSORS else np.nan
 
 
 def names_of(records: Sequence[ModalRecord]) -> list[list[str]]:
@@ -252,11 +169,8 @@ def mac_table(records: Sequence[ModalRecord]) -> pd.DataFrame:
     for a, (r, i) in enumerate(every):
         for b, (q, j) in enumerate(every):
             common = [name for name in names[r] if name in names[q]]
-            if len(common) >= FEWEST_SENSORS:
-                one, other = (
-                    records[n].shapes[m][[names[n].index(name) for name in common]] for n, m in ((r, i), (q, j))
-                )
-                values[a, b] = assurance(one[None], other[None])[0, 0]
+            at = ([names[n].index(name) for name in common] for n in (r, q))
+            values[a, b] = alike(*(records[n].shapes[m][own] for n, m, own in zip((r, q), (i, j), at, strict=True)))
     found = pd.DataFrame(values, columns=[f"record_{r + 1}_mode_{i + 1}" for r, i in every])
     found.insert(0, "record", [r + 1 for r, _ in every])
     found.insert(1, "mode", [i + 1 for _, i in every])

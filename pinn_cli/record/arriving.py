@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pinn_cli.record.clock import BY_NAME, Clock, MeasuredFiles, format_of
+from pinn_cli.record.clock import Clock, MeasuredFiles, format_of
 from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.csv import CsvFormat
-from pinn_cli.record.files.table import Table, column_of_times
+from pinn_cli.record.files.table import Table
 from pinn_cli.settings.errors import InputError
 
 SETTING = "data.path"
@@ -115,7 +115,7 @@ class WholeReader(Reader):
             self._error = error
             return None
         first, self.rows = self.rows, len(table)
-        return _rows(table, slice(first, None)) if len(table) > first else None
+        return _rows_from(table, first) if len(table) > first else None
 
 
 class Arriving:
@@ -170,7 +170,7 @@ class Arriving:
     def forget_before(self, time: float) -> None:
         """No sample before a time, s, is needed any more."""
         first = int(np.searchsorted(self.time, time))
-        self.table, self.time = _rows(self.table, slice(first, None)), self.time[first:]
+        self.table, self.time = _rows_from(self.table, first), self.time[first:]
 
     def _paths(self) -> list[Path]:
         if not self.path.is_dir():
@@ -216,23 +216,21 @@ class Arriving:
         """(N,), s, as the file has them."""
         if self.files.sampling_rate is not None:
             return (self.samples + np.arange(len(table))) / self.files.sampling_rate
-        column = self.files.time_column(table.path)
-        column = column_of_times(table.columns) if column == BY_NAME else column
-        if column is not None and (table.time is None or column in table.columns):
+        column = self.files.column_in(table)
+        if column is not None:
             return Clock.by_column(table, column, self.files.time_unit).time
         if table.time is None:
             raise InputError("data.sampling_rate", None, "given, in Hz, or data.time, a column of times")
         return table.time
 
 
-def _rows(table: Table, part: slice) -> Table:
-    """Some rows of a table, from one on."""
-    first = part.start
-    columns = {name: values[part] for name, values in table.columns.items()}
+def _rows_from(table: Table, first: int) -> Table:
+    """The rows of a table from one on."""
     odd = {
         name: {row - first: text for row, text in cells.items() if row >= first}
         for name, cells in table.odd_cells.items()
     }
     line = None if table.first_line is None else table.first_line + first
-    time = None if table.time is None else table.time[part]
+    time = None if table.time is None else table.time[first:]
+    columns = {name: values[first:] for name, values in table.columns.items()}
     return replace(table, columns=columns, odd_cells=odd, time=time, first_line=line)

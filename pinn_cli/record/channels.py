@@ -103,32 +103,26 @@ def sensor_name(gauge: Gauge) -> str:
 
 def channel_name(record: Record, quantity: str, number: int) -> str:
     """The same of a column of a record; its number is counted from 0."""
-    return named(quantity, record.support_names[number] if quantity in SUPPORT else record.dof_name(number))
+    return named(quantity, _label(record, quantity, number))
+
+
+def _label(record: Record, quantity: str, number: int) -> str:
+    return record.support_names[number] if quantity in SUPPORT else record.dof_name(number)
 
 
 def channels(
     record: Record, quantities: Sequence[str] = RESPONSE_QUANTITIES, excused: Sequence[str] = ()
 ) -> list[Channel]:
     """Every sensor of a record, quantity by quantity, the ground's last; a force that is known to be zero is none."""
+    asked = [quantity for quantity in quantities if quantity in QUANTITIES]
+    asked += [quantity for quantity in (*record.supports, GROUND) if quantity in quantities]
     every = [
-        Channel(
-            quantity,
-            int(dof),
-            getattr(record, quantity)[:, dof],
-            record.dof_name(int(dof)),
-            record.there(quantity, int(dof)),
-        )
-        for quantity in quantities
-        if quantity in QUANTITIES
-        for dof in np.flatnonzero(record.sensors(quantity))
+        Channel(quantity, i, record.histories(quantity)[:, i], _label(record, quantity, i), record.there(quantity, i))
+        for quantity in asked
+        if quantity != GROUND
+        for i in np.flatnonzero(record.sensors(quantity)).tolist()
     ]
-    every += [
-        Channel(quantity, int(i), record.supports[quantity][:, i], record.support_names[int(i)])
-        for quantity in record.supports
-        if quantity in quantities
-        for i in np.flatnonzero(record.sensors(quantity))
-    ]
-    if GROUND in quantities and record.ground_acceleration is not None:
+    if GROUND in asked and record.ground_acceleration is not None:
         every.append(Channel(GROUND, GROUND_DOF, record.ground_acceleration, there=record.there(GROUND, 0)))
     return [channel for channel in every if channel.name not in excused]
 

@@ -16,9 +16,10 @@ from pinn_cli.record.files.mat import MatFormat
 from pinn_cli.record.files.netcdf import NetcdfFormat
 from pinn_cli.record.files.on_disk import looks_like_text, read_bytes
 from pinn_cli.record.files.parquet import ParquetFormat
-from pinn_cli.record.files.table import SensorHint, Table, check_names, column_of_times, is_called_times, joined
+from pinn_cli.record.files.table import SensorHint, Table, check_names, column_of_times, is_called_times
 from pinn_cli.record.files.tdms import TdmsFormat
 from pinn_cli.record.files.uff import UffFormat
+from pinn_cli.record.files.variables import joined
 from pinn_cli.settings.errors import InputError
 
 FORMATS: tuple[type[FileFormat], ...] = (
@@ -80,11 +81,6 @@ class Clock:
             raise InputError(table.place(column, row), readings[row], allowed)
         return cls(table, column, readings, unit if unit in TIME_UNITS else "s")
 
-    @classmethod
-    def by_rate(cls, table: Table, sampling_rate: float) -> Clock:
-        """Times from 0 on at a sampling rate, Hz."""
-        return cls(table, "", np.arange(len(table)) / sampling_rate)
-
     @property
     def time(self) -> np.ndarray:
         """(N,), s."""
@@ -104,17 +100,14 @@ class Clock:
         except InputError:
             if not self.column and not self.several:
                 raise
-            self._check_jump(first, last)
-            return self.time[first:last], False
-
-    def _check_jump(self, first: int, last: int) -> None:
-        steps = np.diff(self.readings[first:last])
+        time = self.readings[first:last]
+        steps = np.diff(time)
         row = int(np.argmax(steps)) + 1
         if self.column and steps[row - 1] > MOST_OF_RECORD * steps.sum():
-            time = self.readings[first:last]
             allowed = f"near the line before it, {time[row - 1]:.9g}"
             hint = "was the clock set there? Cut the record by data.start or data.stop, or make it two (data.records)"
             raise InputError(self.table.place(self.column, first + row), time[row], allowed, hint)
+        return self.time[first:last], False
 
     def step(self, first: int, last: int) -> float:
         """The usual one among rows first..last (``last`` excluded), s."""
@@ -187,7 +180,10 @@ class MeasuredFiles:
             names = [name for clock in clocks for name in clock.table.columns if name not in times]
             shown, kept = Path(", ".join(path.name for path in self.paths)), set(wanted.values())
             check_names(shown, wanted, names)
-            clocks = [replace(clock, table=clock.table.only(kept)) for clock in clocks]
+            clocks = [
+                replace(c, table=replace(c.table, columns={n: v for n, v in c.table.columns.items() if n in kept}))
+                for c in clocks
+            ]
         table = joined([clock.table for clock in clocks], [clock.time for clock in clocks], sorted(times))
         assert table.time is not None
         return Clock(table, "", table.time, several=True)
@@ -217,11 +213,8 @@ class MeasuredFiles:
             InputError: Nothing tells it, or a column of times cannot be used.
         """
         if self.sampling_rate is not None:
-            return Clock.by_rate(table, self.sampling_rate)
-        column = self.time_column(table.path)
-        if column == BY_NAME:
-            column = column_of_times(table.columns)
-            column = None if table.time is not None and column not in table.columns else column
+            return Clock(table, "", np.arange(len(table)) / self.sampling_rate)
+        column = self.column_in(table)
         if column is not None:
             check_names(table.path, {"data.time": column}, table.columns, "or give data.sampling_rate, in Hz")
             return Clock.by_column(table.with_dates(column), column, self.time_unit)
@@ -229,6 +222,14 @@ class MeasuredFiles:
             hint = f"{table.path.name} does not say when its samples were taken"
             raise InputError("data.sampling_rate", None, "given, in Hz, or data.time, a column of times", hint)
         return Clock(table, "", table.time)
+
+    def column_in(self, table: Table) -> str | None:
+        """Column of the times of a table; None: its header tells them, or nothing does."""
+        column = self.time_column(table.path)
+        if column != BY_NAME:
+            return column
+        column = column_of_times(table.columns)
+        return None if table.time is not None and column not in table.columns else column
 
     def unsaid_times(self, table: Table) -> str | None:
         """The first column of one of the files, where it rises and nobody has said what the times are; else None."""

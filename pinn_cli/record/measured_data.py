@@ -155,7 +155,7 @@ class MeasuredData:
                 getattr(truth if hidden else seen, quantity)[:, dof - 1] = column
         for gauge in found.gauges:
             if gauge.quantity in RESPONSE_QUANTITIES and gauge.dof is not None and gauge.dof + 1 in self.holdout:
-                getattr(truth, gauge.quantity)[:, gauge.dof] = scored_by(gauge, time, self.holdout)
+                getattr(truth, gauge.quantity)[:, gauge.dof] = _scored_by(gauge, time, self.holdout)
         seen = replace(seen, ground_acceleration=found.columns.get((GROUND, 0)))
         record = Record(
             **seen.measurable,
@@ -163,7 +163,7 @@ class MeasuredData:
             intersample=found.intersample,
             assumed=found.assumed,
             frame=self.frame,
-            gauges=not_held_out(found.gauges, self.holdout),
+            gauges=_not_held_out(found.gauges, self.holdout),
             responds=self.responds,
             band=found.band,
             supports=supports,
@@ -340,16 +340,8 @@ def _checked_holdout(holdout: Any) -> tuple[int, ...]:
     return tuple(dict.fromkeys(int(dof) for dof in dofs))
 
 
-def not_held_out(gauges: Sequence[Gauge], holdout: Sequence[int]) -> tuple[Gauge, ...]:
-    """The gauges that an estimator may see.
-
-    Args:
-        gauges: Of the record.
-        holdout: DOFs, counted from 1.
-
-    Raises:
-        InputError: One that feels a DOF which is held out, and another one too.
-    """
+def _not_held_out(gauges: Sequence[Gauge], holdout: Sequence[int]) -> tuple[Gauge, ...]:
+    """The gauges that an estimator may see, without any that feels a DOF which is held out and no other."""
     dofs = {dof - 1 for dof in holdout}
     held = [gauge for gauge in gauges if gauge.quantity in RESPONSE_QUANTITIES and dofs & set(gauge.weights)]
     for gauge in held:
@@ -359,17 +351,8 @@ def not_held_out(gauges: Sequence[Gauge], holdout: Sequence[int]) -> tuple[Gauge
     return tuple(gauge for gauge in gauges if gauge not in held)
 
 
-def scored_by(gauge: Gauge, time: np.ndarray, holdout: Sequence[int]) -> np.ndarray:
-    """What a sensor that is held out knows of the truth (N,), NaN where it has no sample.
-
-    Args:
-        gauge: Of a DOF that is held out.
-        time: (N,), s, of the record.
-        holdout: DOFs, counted from 1.
-
-    Raises:
-        InputError: One whose calibration nobody knows, or that has no samples at the record's times.
-    """
+def _scored_by(gauge: Gauge, time: np.ndarray, holdout: Sequence[int]) -> np.ndarray:
+    """What a sensor that is held out knows of the truth (N,), by a known calibration; NaN where it has no sample."""
     at, felt = gauge.calibrated()
     step = (time[-1] - time[0]) / (len(time) - 1)
     place = np.rint((at - time[0]) / step).astype(np.int64)

@@ -125,18 +125,14 @@ class Record:
             raise ValueError("the force on an unforced DOF must be 0")
 
     def _check_ground(self) -> None:
-        if self.supports and self.intersample == "zero_order_hold":
-            allowed = "band_limited where a support moves"
+        if self.ground_acceleration is not None:
+            values = np.asarray(self.ground_acceleration, dtype=np.float64)
+            object.__setattr__(self, GROUND, values)
+            if values.shape != self.time.shape or not np.isfinite(values).all():
+                raise ValueError(f"{GROUND} must be {self.time.shape} finite numbers; its shape is {values.shape}")
+        if self.intersample == "zero_order_hold" and (self.supports or self.ground_acceleration is not None):
+            allowed = f"band_limited where {'a support' if self.supports else 'the ground'} moves"
             raise InputError("data.intersample", self.intersample, allowed, "nothing holds it between samples")
-        if self.ground_acceleration is None:
-            return
-        values = np.asarray(self.ground_acceleration, dtype=np.float64)
-        object.__setattr__(self, GROUND, values)
-        if values.shape != self.time.shape or not np.isfinite(values).all():
-            raise ValueError(f"{GROUND} must be {self.time.shape} finite numbers; its shape is {values.shape}")
-        if self.intersample == "zero_order_hold":
-            allowed = "band_limited where the ground moves"
-            raise InputError("data.intersample", self.intersample, allowed, "nothing holds the ground between samples")
 
     @property
     def ndof(self) -> int:

@@ -77,49 +77,40 @@ class Noise:
             raise InputError("noise.repeats", self.repeats, "1 where there is no noise (noise.snr_db=null)")
 
     def added_to(self, response: Response, repeat: int = 0) -> Response:
-        """The response as sensors would show it at one of the repeats, counted from 0; see :func:`add_noise`."""
-        stride = 1 if self.repeat_streams == "shared" else REPEAT_STRIDE
-        seeds = None if self.seeds is None else {q: seed + stride * repeat for q, seed in self.seeds.items()}
-        return add_noise(response, self.snr_db, self.seed, seeds, repeat)
+        """The response, which is not changed, as sensors would show it at one of the repeats, counted from 0.
+
+        Every channel that is not identically zero has noise, so of the forces those of forced DOFs.
+
+        Raises:
+            InputError: ``seeds`` have none for the ground that moves.
+        """
+        if self.snr_db is None:
+            return response
+        noisy = {}
+        for quantity, clean in _histories(response).items():
+            values = clean.copy()
+            if self.seeds is not None and quantity not in self.seeds:
+                raise InputError("noise.seeds", dict(self.seeds), f"with a seed for {quantity}")
+            for i in np.flatnonzero(np.any(values != 0.0, axis=0)):
+                deviation = math.sqrt(np.mean(values[:, i] ** 2) / 10.0 ** (self.snr_db / 10.0))
+                values[:, i] += deviation * self._drawn(quantity, int(i), len(values), repeat)
+            noisy[quantity] = values
+        return _with_histories(response, noisy)
+
+    def _drawn(self, quantity: str, i: int, samples: int, repeat: int) -> np.ndarray:
+        """(samples,), standard normal, of channel i of a quantity."""
+        if self.seeds is not None:
+            stride = 1 if self.repeat_streams == "shared" else REPEAT_STRIDE
+            return np.random.RandomState(self.seeds[quantity] + stride * repeat + i).standard_normal(samples)
+        # The first repeat is what a single measurement with this seed is.
+        entropy = [self.seed, MEASURED_QUANTITIES.index(quantity), i, *([repeat] if repeat else [])]
+        return np.random.default_rng(entropy).standard_normal(samples)
 
     def measured(self, response: Response) -> tuple[Response, Repeats | None]:
         """The mean of all repeats, and their scatter; of a single one itself, and None."""
         if self.repeats == 1:
             return self.added_to(response), None
         return averaged([self.added_to(response, repeat) for repeat in range(self.repeats)])
-
-
-def add_noise(
-    response: Response,
-    snr_db: float | None,
-    seed: int = 0,
-    seeds: Mapping[str, int] | None = None,
-    repeat: int = 0,
-) -> Response:
-    """The response with noise on every channel that is not identically zero, so on forces of forced DOFs only.
-
-    Args:
-        response: (N, n) each, and the ground's acceleration if there is one; not changed.
-        snr_db: See :class:`Noise`.
-        seed: See :class:`Noise`.
-        seeds: See :class:`Noise`.
-        repeat: Which measurement of the same response; each has streams of its own.
-
-    Raises:
-        InputError: ``seeds`` have none for the ground that moves.
-    """
-    if snr_db is None:
-        return response
-    noisy = {}
-    for quantity, clean in _histories(response).items():
-        values = clean.copy()
-        if seeds is not None and quantity not in seeds:
-            raise InputError("noise.seeds", dict(seeds), f"with a seed for {quantity}")
-        for i in np.flatnonzero(np.any(values != 0.0, axis=0)):
-            deviation = math.sqrt(np.mean(values[:, i] ** 2) / 10.0 ** (snr_db / 10.0))
-            values[:, i] += deviation * _standard_normal(quantity, int(i), len(values), (seed, repeat), seeds)
-        noisy[quantity] = values
-    return _with_histories(response, noisy)
 
 
 def _histories(response: Response) -> dict[str, np.ndarray]:
@@ -133,17 +124,6 @@ def _with_histories(response: Response, histories: Mapping[str, np.ndarray]) -> 
     """The reverse of :func:`_histories`."""
     given = {name: values[:, 0] if name == GROUND else values for name, values in histories.items()}
     return replace(response, **given)
-
-
-def _standard_normal(
-    quantity: str, i: int, samples: int, stream: tuple[int, int], seeds: Mapping[str, int] | None
-) -> np.ndarray:
-    if seeds is not None:
-        return np.random.RandomState(seeds[quantity] + i).standard_normal(samples)
-    seed, repeat = stream
-    # The first repeat is what a single measurement with this seed is.
-    entropy = [seed, MEASURED_QUANTITIES.index(quantity), i, *([repeat] if repeat else [])]
-    return np.random.default_rng(entropy).standard_normal(samples)
 
 
 def averaged(measured: Sequence[Response]) -> tuple[Response, Repeats]:

@@ -10,7 +10,6 @@ import pytest
 
 from pinn_cli.inspection.inspection import inspect_record
 from pinn_cli.inspection.proposal import Said
-from pinn_cli.inspection.report import inspection_text
 from pinn_cli.record.signal import Signal
 from pinn_cli.settings.errors import InputError
 
@@ -38,7 +37,7 @@ def notes(*arguments, **columns) -> str:
 
 def test_a_sound_record_is_told_without_a_note(record):
     found = look(record)
-    assert found.notes == []
+    assert found.notes == ()
     row = found.channels.set_index("column").loc["a1"]
     _, _, _, a = record
     assert row["rms"] == pytest.approx(a[:, 0].std())
@@ -46,8 +45,8 @@ def test_a_sound_record_is_told_without_a_note(record):
     assert row["snr_db"] == pytest.approx(30.0, abs=1.5)
     assert 6.0 < row["band_high_hz"] < 9.0
     assert (row["missing_percent"], row["clipped_percent"]) == (0.0, 0.0)
-    assert "acceleration of DOF 1" in inspection_text(found)
-    assert max(len(line) for line in inspection_text(found).splitlines()) <= 100
+    assert "acceleration of DOF 1" in found.text()
+    assert max(len(line) for line in found.text().splitlines()) <= 100
 
 
 def test_gaps(record):
@@ -161,7 +160,7 @@ def test_units_of_the_header(record):
     found = look(
         record, a1=Signal("a1", a / 9.80665, "acceleration", "1", "g"), f=Signal("f", record[1], "force", "5", "N")
     )
-    assert found.notes == []
+    assert found.notes == ()
     row = found.channels.set_index("column").loc["a1"]
     assert (row["unit"], row["rms"]) == ("m/s^2", pytest.approx(a.std()))
     said = notes(record, a1=Signal("a1", a, "acceleration", "1", "V"))
@@ -173,7 +172,7 @@ def test_a_force_without_a_number_acts_where_it_is_seen_to(record):
     found = inspect_record(
         [Signal("hammer", f), Signal("a1", a[:, 0]), Signal("a5", a[:, 4])], time, Said(("data=csv",)), None
     )
-    assert "data.force={5: hammer}" in shlex.split(" ".join(found.command))
+    assert "data.force={5: hammer}" in shlex.split(found.command)
     assert "which DOF 'hammer' acts on is not in its name: DOF 5 is taken" in " / ".join(found.notes)
     assert not any("moves against" in note for note in found.notes)
 
@@ -185,7 +184,7 @@ def test_what_columns_are_is_guessed_by_their_names(record):
     found = look(record, **plain)
     assert found.notes[0].startswith("what columns are is guessed by their names")
     assert len(found.peaks) >= 4
-    words = shlex.split(" ".join(found.command))
+    words = shlex.split(found.command)
     assert 'data.force={5: "Force 5 (N)"}' in words
     assert "data.acceleration={1: a1, 5: acc_5}" in words
     assert words[-4:] == [
@@ -196,7 +195,7 @@ def test_what_columns_are_is_guessed_by_their_names(record):
 def test_what_is_given_is_not_proposed_again(record):
     given = ("data=csv", "++data.force={5: f}", "data.acceleration={1: a1}", "system=duffing", "system.m=2",
              "scheme=bayesian")  # fmt: skip
-    words = shlex.split(" ".join(look(record, given).command))
+    words = shlex.split(look(record, given).command)
     assert words == ["pinn-run", "data=csv", "data.force={5: f}", "data.acceleration={1: a1}", "system=duffing",
                      "system.m=2", "scheme=bayesian", "system.ndof=5"]  # fmt: skip
 
@@ -208,7 +207,7 @@ def test_many_samples_of_a_low_band_are_decimated():
     slow = np.fft.irfft(spectrum, 20_000)
     noisy = [slow + 0.01 * slow.std() * random.normal(size=20_000) for _ in range(2)]
     every = [Signal("f", noisy[0], "force", "1"), Signal("a", noisy[1], "acceleration", "1")]
-    (word,) = [w for w in inspect_record(every, time, Said(), None).command if w.startswith("data.decimate=")]
+    (word,) = [w for w in inspect_record(every, time, Said(), None).settings if w.startswith("data.decimate=")]
     assert 15 <= int(word.partition("=")[2]) <= 20
 
 

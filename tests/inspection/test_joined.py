@@ -13,8 +13,8 @@ from vibrating_records import Vibrating, ambient
 from pinn_cli.inspection.joined import JoinedModes
 from pinn_cli.inspection.mode_report import ModesReport
 from pinn_cli.inspection.modes import ModalRecord
-from pinn_cli.record.identification.lines import normalised
-from pinn_cli.record.identification.modes import NORMAL_90, Identified, RecordMode
+from pinn_cli.record.identification.lines import NORMAL_90, RecordMode, normalised
+from pinn_cli.record.identification.modes import Identified
 from pinn_cli.record.identification.subspace import assurance, stabilisation
 from pinn_cli.record.signal import Sampling, Signal
 

@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 from vibrating_records import BUILDING, Measured, of_building, of_building_with_machines, of_hammer, of_multisine
 
-from pinn_cli.inspection.mode_report import ModesReport
-from pinn_cli.inspection.modes import ModalRecord, mac_table, mode_table
+from pinn_cli.inspection.mode_report import ModesReport, mode_table
+from pinn_cli.inspection.modes import ModalRecord, mac_table
 from pinn_cli.record.signal import Signal
 
 

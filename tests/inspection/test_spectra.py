@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import csd, welch
 
-from pinn_cli.inspection.spectra import spectra_table
+from pinn_cli.inspection.report import spectra_table
 from pinn_cli.record.cross_spectra import CrossSpectra, piece_length
 from pinn_cli.record.signal import Signal
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pinn_cli.record.gauge import WIDEST_DELAY, WIDEST_GAIN, WIDEST_OFFSET, Calibration, Gauge, unknown_calibration
+from pinn_cli.record.gauge import Calibration, Gauge, unknown_calibration
 from pinn_cli.record.record import Record
 
 TIME = 2.0 + 0.01 * np.arange(400)
@@ -47,20 +47,6 @@ def test_what_is_known_is_taken_out():
 def test_what_it_feels(quantity, weights, fills, dof, feels_one):
     gauge = Gauge("x", quantity, weights, TIME, motion(TIME), fills=fills)
     assert (gauge.dof, gauge.feels_one) == (dof, feels_one)
-
-
-def test_priors_of_what_is_unknown_have_the_size_of_the_channel():
-    values = 5.0 + 2.0 * motion(TIME) + 3.0 * (TIME - TIME[0])
-    rms, duration = np.std(values), TIME[-1] - TIME[0]
-    gain = unknown_calibration("gain", TIME, values)
-    assert (gain.value, gain.std, gain.unknown) == (1.0, WIDEST_GAIN, True)
-    offset, drift = (unknown_calibration(kind, TIME, values) for kind in ("offset", "drift"))
-    assert (offset.value, drift.value) == (pytest.approx(values.mean()), 0.0)
-    assert (offset.std, drift.std) == (
-        pytest.approx(WIDEST_OFFSET * rms),
-        pytest.approx(WIDEST_OFFSET * rms / duration),
-    )
-    assert unknown_calibration("delay", TIME, values).std == pytest.approx(WIDEST_DELAY * 0.01)
 
 
 def test_where_offset_and_drift_are_unknown_a_straight_line_says_where_they_start():

@@ -1,4 +1,4 @@
-"""Simulated records: the noise of their sensors and its seeds, repeated measurements, and what the record says."""
+"""Simulated records: noise and its seeds, repeated measurements, what the record says; and the paper's own signals."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from refusals import refusal
 from pinn_cli.cli.records import OF_THE_RUN
 from pinn_cli.record.excitation import BandedNoise
 from pinn_cli.record.response import QUANTITIES, Response
-from pinn_cli.record.simulated import Noise, Simulated, add_noise, averaged
+from pinn_cli.record.simulated import Noise, Simulated, averaged
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.settings.instantiation import build
 from pinn_cli.system import build_chain
-from pinn_cli.system.connection import Duffing
+from pinn_cli.system.connection import Duffing, VanDerPol
+from pinn_cli.system.model_error import NoModelError, PerturbedModelError
 
 CONF = Path(__file__).parents[2] / "conf" / "data" / "simulated.yaml"
 SAMPLES = 2048
@@ -61,7 +62,7 @@ def test_unknown_channels_get_none_and_the_signal_is_left_alone():
     clean = response()
     clean.displacement[:, 1] = np.nan
     before = clean.displacement.copy()
-    noisy = add_noise(clean, 10.0)
+    noisy = Noise(10.0).added_to(clean)
     assert np.isnan(noisy.displacement[:, 1]).all()
     assert np.isfinite(noisy.displacement[:, [0, 2]]).all()
     np.testing.assert_array_equal(clean.displacement, before)
@@ -98,16 +99,10 @@ def test_shared_streams_are_shared_by_neighbours():
         np.testing.assert_allclose(unit[1, :, 2], drawn, atol=1e-9)
 
 
-def test_mean_and_sum_of_squares():
-    assert Noise(20.0).measured(response())[1] is None
-    repeats = [Noise(20.0, seed=3, repeats=4).added_to(response(), repeat) for repeat in range(4)]
-    mean, scatter = averaged(repeats)
-    assert (scatter.count, scatter.samples, scatter.freedom) == (4, SAMPLES, 3 * SAMPLES)
-    for quantity in QUANTITIES:
-        every = np.stack([getattr(repeat, quantity) for repeat in repeats])
-        np.testing.assert_allclose(getattr(mean, quantity), every.mean(axis=0), atol=1e-14)
-        np.testing.assert_allclose(scatter.square[quantity], 4.0 * every.var(axis=0).sum(axis=0), rtol=1e-9)
-    blind = replace(repeats[0], velocity=np.where([False, True, False], np.nan, repeats[0].velocity))
+def test_one_repeat_and_a_sensor_that_is_not_there_scatter_nothing():
+    seen, scatter = Noise(20.0).measured(response())
+    assert scatter is None
+    blind = replace(seen, velocity=np.where([False, True, False], np.nan, seen.velocity))
     np.testing.assert_array_equal(np.isnan(averaged([blind, blind])[1].noise_of_mean("velocity")), [0, 1, 0])
 
 
@@ -181,3 +176,43 @@ def test_a_record_of_repeats_is_their_mean_and_knows_their_scatter():
 )
 def test_illegal_settings_are_named(setting, settings):
     assert refusal(Noise, **settings).startswith(f"{setting}=")
+
+
+NO_ERROR = NoModelError()
+CASES = {
+    "sr_6dof": (6, 60.0, Duffing(), NO_ERROR),
+    "sr_20dof": (20, 60.0, Duffing(), NO_ERROR),
+    "sr_6dof_perturbed": (6, 60.0, Duffing(), PerturbedModelError(seed=43810, draws="authors")),
+    "sp_5dof": (5, 60.0, Duffing(), NO_ERROR),
+    "sp_5dof_van_der_pol": (5, 60.0, VanDerPol(), NO_ERROR),
+    "sp_5dof_perturbed": (5, 60.0, Duffing(), PerturbedModelError(seed=43810, draws="authors", seed_stride=100)),
+    "pe_2dof": (2, 240.0, Duffing(), NO_ERROR),
+    "pe_2dof_van_der_pol": (2, 240.0, VanDerPol(), NO_ERROR),
+}
+COEFFICIENT = {"duffing": {"kappa": 100.0}, "van_der_pol": {"mu": 0.75}}
+
+
+def largest_relative_error(x: np.ndarray, reference: np.ndarray) -> float:
+    return float(np.max(np.abs(x - reference)) / np.max(np.abs(reference)))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_array_is_reproduced(shared, case):
+    ndof, duration, nonlinearity, model_error = CASES[case]
+    nominal = build_chain(ndof, nonlinearity, m=10.0, c=1.0, k=15.0, **COEFFICIENT[nonlinearity.name])
+    structure, _ = model_error.structures(nominal)
+    simulation = Simulation(duration, 4096, hold="zero_order")
+    excitation = BandedNoise(ndof, duration, 4096, band=[0.05, 1.0], rms=None, dofs=[1], seed=43810, phases="authors")
+    response = simulation.run(structure, excitation.force)
+
+    reference = dict(np.load(shared / "data" / "reference_signals" / f"{case}.npz"))
+    ours = {"time": response.time, **{quantity: getattr(response, quantity) for quantity in QUANTITIES}}
+    ours |= {name: value.numpy() for name, value in structure.parameters.items()}
+    for snr_db in (50, 20, 10):
+        noisy = Noise(snr_db, seeds=SEEDS).added_to(response)
+        ours |= {f"{quantity}_snr{snr_db}": getattr(noisy, quantity) for quantity in QUANTITIES}
+    for name, array in reference.items():
+        if name in ("kappa", "mu") and name not in ours:
+            assert not array.any()
+        else:
+            assert largest_relative_error(ours[name], array) < 1e-9, name

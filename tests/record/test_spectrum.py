@@ -1,4 +1,4 @@
-"""A channel's band and white noise, read off its periodogram."""
+"""A channel's band and white noise, read off its periodogram; and filters for all channels alike."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.excitation import BandedNoise
+from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.record.spectrum import (
+    BandPass,
     band_share,
+    decimate,
     lowest_level,
     occupied_band,
     periodogram,
@@ -19,6 +22,7 @@ from pinn_cli.record.spectrum import (
     visible_floor,
     white_level,
 )
+from pinn_cli.settings.errors import InputError
 
 DURATION, SAMPLES = 40.0, 2049
 STEP = DURATION / (SAMPLES - 1)
@@ -78,16 +82,9 @@ def test_a_signal_that_reaches_where_the_floor_is_read_is_kept(noise):
     assert signal_band(x, STEP) == pytest.approx(0.55 * band, rel=0.03)
 
 
-@pytest.fixture(scope="module")
-def record():
-    return measured(small_chain(), snr_db=40.0, duration=24.0, samples=769).record
-
-
-def test_the_band_of_a_record_is_that_of_its_widest_channel(record):
-    seen = accelerations(record)
-    channels = [seen.force[:, 0], seen.acceleration[:, 0], seen.acceleration[:, 1]]
-    assert record_band(seen) == max(signal_band(x, seen.step) for x in channels)
-    assert record_band(seen) >= 0.9 * 15.0 / 24.0  # what the excitation reaches
+def test_the_band_of_a_record_is_what_the_excitation_reaches():
+    seen = accelerations(measured(small_chain(), snr_db=40.0, duration=24.0, samples=769).record)
+    assert record_band(seen) >= 0.9 * 15.0 / 24.0
 
 
 def test_white_level_looks_only_above_the_signal():
@@ -172,3 +169,82 @@ def test_content_that_ends_below_the_nyquist_frequency_leaves_noise_in_the_upper
         assert not reaches_nyquist(ended + level * rng.standard_normal(3000), 0.01, level)
     falling = np.convolve(rng.standard_normal(3000), [0.5, 0.5], "valid")
     assert reaches_nyquist(falling + 0.01 * rng.standard_normal(2999), 0.01, 0.01)
+
+
+FAST = 1000.0
+
+
+def waves(frequency: float, samples: int = 4001) -> tuple[np.ndarray, np.ndarray]:
+    time = np.arange(samples) / FAST
+    return time, np.stack([np.sin(2 * np.pi * frequency * time + phase) for phase in (0.0, 1.0)], axis=1)
+
+
+@pytest.mark.parametrize("factor", [2, 3, 4, 7])
+def test_slow_content_stays_where_it_is(factor):
+    # 0.8 of the new Nyquist frequency; a filter with a phase would shift it.
+    time, values = waves(0.4 * FAST / factor)
+    kept = decimate(values, factor)
+    assert len(kept) == len(time[::factor])
+    middle = slice(10, -10)
+    np.testing.assert_allclose(kept[middle], values[::factor][middle], atol=0.04)
+    time, values = waves(0.2 * FAST / factor)
+    np.testing.assert_allclose(decimate(values, factor)[middle], values[::factor][middle], atol=0.005)
+
+
+@pytest.mark.parametrize("factor", [2, 4])
+def test_fast_content_goes_instead_of_folding_down(factor):
+    _, values = waves(0.62 * FAST / factor if factor > 2 else 0.31 * FAST)
+    assert np.max(np.abs(decimate(values, factor)[10:-10])) < 0.01
+
+
+def test_the_ends_are_as_good_as_a_longer_record():
+    time, values = waves(7.3)
+    values = values + 0.5 * np.sin(2 * np.pi * 17.0 * time + 0.3)[:, None]
+    whole = decimate(values, 4)
+    cut = decimate(values[400:3601], 4)
+    np.testing.assert_allclose(cut, whole[100:901], atol=0.02)
+    np.testing.assert_allclose(cut[10:-10], whole[110:891], atol=1e-12)
+
+
+def test_a_constant_and_a_ramp_pass_to_the_very_ends():
+    ramp = np.stack([np.full(200, 3.0), np.linspace(-1.0, 1.0, 200)], axis=1)
+    np.testing.assert_allclose(decimate(ramp, 5), ramp[::5], atol=5e-3)
+
+
+SLOW, SECONDS = 100.0, 40.0
+AT = np.arange(round(SLOW * SECONDS)) / SLOW
+
+
+def test_what_lies_in_the_band_stays_at_every_time_and_the_rest_is_gone() -> None:
+    band = BandPass.of((4.0, 12.0), len(AT), 1.0 / SLOW)
+    inside = np.sin(2 * np.pi * np.outer(AT, [4.0, 7.3, 12.0]) + 0.3)
+    outside = np.sin(2 * np.pi * np.outer(AT, [1.0, 15.0, 30.0]))
+    kept = slice(band.half, len(AT) - band.half, band.factor)
+    np.testing.assert_allclose(band.filtered(inside), inside[kept], atol=3e-3)
+    assert np.abs(band.filtered(outside)).max() < 3e-3
+    assert 0.5 * SLOW / band.factor > 1.2 * 12.0
+    assert band.factor > 1
+
+
+def test_a_file_is_filtered_with_the_samples_beyond_the_window(tmp_path) -> None:
+    values = np.column_stack((AT, np.sin(2 * np.pi * 6.0 * AT), 9.81 + np.cos(2 * np.pi * 6.0 * AT)))
+    path = tmp_path / "record.csv"
+    np.savetxt(path, values, delimiter=",", header="t,f,a", comments="")
+    given = {"force": {1: "f"}, "acceleration": {1: "a"}, "band": [4, 12]}
+    part = MeasuredData(str(path), "t", start=10.0, stop=30.0, **given).measure(1).record
+    assert part.band.edges == (4.0, 12.0)
+    assert part.time[0] == pytest.approx(10.0)
+    assert 29.9 < part.time[-1] <= 30.0 + 1e-9
+    np.testing.assert_allclose(part.acceleration[:, 0], np.cos(2 * np.pi * 6.0 * part.time), atol=3e-3)
+    whole = MeasuredData(str(path), "t", **given).measure(1).record
+    assert 0.2 < whole.time[0] < 4.0
+    assert AT[-1] - 4.0 < whole.time[-1] < AT[-1] - 0.2
+
+
+@pytest.mark.parametrize(("band", "told"), [([12, 4], "grow"), (7, "two frequencies"), ([4, 60], "50 Hz")])
+def test_a_band_that_is_none(tmp_path, band, told) -> None:
+    path = tmp_path / "record.csv"
+    np.savetxt(path, np.column_stack((AT, AT**2, AT**3)), delimiter=",", header="t,f,a", comments="")
+    with pytest.raises(InputError, match=r"data\.band") as refused:
+        MeasuredData(str(path), "t", {1: "f"}, acceleration={1: "a"}, band=band).measure(1)
+    assert told in str(refused.value)

@@ -13,7 +13,7 @@ from small_problems import accelerations, excitation, measured, small_chain
 
 from pinn_cli.record.record import Measurements, Record, Truth
 from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, Response
-from pinn_cli.record.simulated import add_noise
+from pinn_cli.record.simulated import Noise
 from pinn_cli.record.simulation import simulate
 from pinn_cli.report.fitness import FORMULAS, fitness_table
 from pinn_cli.report.free_run import REFERENCES, free_run, free_run_table
@@ -104,7 +104,7 @@ def test_wrong_stiffness_is_found_out(hold):
 
 
 def with_noisy_force(measurements: Measurements, snr_db: float) -> Record:
-    return replace(measurements.record, force=add_noise(measurements.truth.response, snr_db, seed=3).force)
+    return replace(measurements.record, force=Noise(snr_db, seed=3).added_to(measurements.truth.response).force)
 
 
 def test_the_noise_of_the_force_is_no_fault_of_the_parameters():

@@ -287,11 +287,6 @@ class RecordedMotion:
         """Time from the first sample to the last, s."""
         return self.step * (len(self.samples) - 1)
 
-    @property
-    def nyquist(self) -> float:
-        """Half the sampling rate, Hz."""
-        return 0.5 / self.step
-
     def power_above(self, frequency: float) -> float:
         """Share of the power above a frequency (Hz), 0 to 1."""
         power = np.abs(np.fft.rfft(self.samples)) ** 2
@@ -340,9 +335,11 @@ def _rows(path: Path) -> tuple[list[list[float]], int]:
     rows: list[list[float]] = []
     first = 0
     for number, line in enumerate(lines, start=1):
-        cells = [cell for cell in _SEPARATOR.split(line.strip()) if cell]
-        row = _numbers(cells)
-        if row is None or not np.isfinite(row).all():
+        try:
+            row = [float(cell) for cell in _SEPARATOR.split(line.strip()) if cell]
+        except ValueError:
+            row = [np.nan]
+        if not np.isfinite(row).all():
             if rows:
                 shown = f"{path.name}, line {number}"
                 raise InputError(SETTING, path, "a file of finite numbers", f"{shown} reads {line.strip()[:SHOWN]!r}")
@@ -352,13 +349,6 @@ def _rows(path: Path) -> tuple[list[list[float]], int]:
     if not rows:
         raise InputError(SETTING, path, "a file of numbers", f"{path.name} has none")
     return rows, first
-
-
-def _numbers(cells: list[str]) -> list[float] | None:
-    try:
-        return [float(cell) for cell in cells]
-    except ValueError:
-        return None
 
 
 def _uniform_step(path: Path, time: np.ndarray, first: int) -> float:

@@ -27,8 +27,8 @@ from zipfile import BadZipFile
 import numpy as np
 
 from pinn_cli.record.files.on_disk import check_size, damaged, other_format, read_bytes
-from pinn_cli.record.files.table import TIMES, SensorHint, Table, joined
-from pinn_cli.record.files.variables import Variable, tables_of
+from pinn_cli.record.files.table import TIMES, SensorHint, Table
+from pinn_cli.record.files.variables import Variable, joined, tables_of
 from pinn_cli.runs.machine import of_this_machine
 from pinn_cli.settings.errors import InputError
 

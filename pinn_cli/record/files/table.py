@@ -1,4 +1,7 @@
-"""Columns of files as numbers, whatever their format, on one clock; and errors that name file, column and line."""
+"""Columns of files as numbers, whatever their format, dates as seconds; and errors that name file, column and line.
+
+Dates and times of day are read as ISO 8601 has them, and as people and loggers write them.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +9,12 @@ import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
-from pinn_cli.record.files.dates import first_other, seconds_of
 from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.legal_values import LARGEST, SMALLEST, USABLE
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 # What an error says of the names of columns at most.
 _NAMES, _NAME_LENGTH = 20, 60
@@ -26,8 +25,6 @@ TIMES, _ALSO_TIMES = "t", (
 )  # fmt: skip
 # A unit in brackets at the end of a column's name.
 IN_BRACKETS = re.compile(r"(?P<name>.*\S)\s*[\[(]\s*(?P<unit>[^\[\]()]+?)\s*[\])]\s*$")
-# Times that differ by less than this part of the shortest step are the same.
-SAME_TIME = 0.01
 # Cells that are no numbers, and how to write them as such.
 _WRITTEN_AS = (
     (
@@ -41,6 +38,14 @@ _WRITTEN_AS = (
 # m/s² is m/s^2, and both letters that are written for micro are u.
 _PLAIN = str.maketrans({"\N{SUPERSCRIPT TWO}": "2", "\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"})
 _LEFT_OUT = "leave gaps out with data.start and data.stop"
+# Dates and times of day.
+_DAY = r"(\d{1,4})[-./](\d{1,2})[-./](\d{1,4})"
+_CLOCK = r"(\d{1,3}):(\d{2})(?::(\d{2}(?:[.,]\d*)?))?"
+_ZONE = r"(?:Z|[A-Z]{2,5}|(?:UTC|GMT)?\s*([+-])(\d{1,2}):?(\d{2})?)"
+_WRITTEN = re.compile(rf"\s*(?:{_DAY}[,T]?\s*)?(?:{_CLOCK})?\s*([AaPp]\.?[Mm]\.?)?\s*({_ZONE})?\s*")
+# Which of the three numbers is the year, the month and the day, in the order in which they are tried.
+_ORDERS = ((2, 1, 0), (2, 0, 1), (0, 1, 2))
+_DAY_S = 86400.0
 
 
 @dataclass(frozen=True)
@@ -134,10 +139,6 @@ class Table:
             hint = "another unit? pinn-run takes SI units"
             raise InputError(self.place(column, first + largest), shown, USABLE, hint)
         return values
-
-    def only(self, names: Collection[str]) -> Table:
-        """The same with some of its columns."""
-        return replace(self, columns={name: values for name, values in self.columns.items() if name in names})
 
     def with_dates(self, column: str) -> Table:
         """The same with a column whose every cell is a date or a time of day, in s from the first of them.
@@ -274,8 +275,6 @@ def shortened(text: str) -> str:
 
 def _numbers(cells: pd.Series, decimal: str) -> tuple[np.ndarray, dict[int, str]]:
     """Cells (N,) as numbers and odd cells: see :meth:`Table.of_cells`."""
-    import pandas as pd
-
     kind = cells.dtype.kind
     if kind in "mM":
         since = cells - cells.iloc[0] if kind == "M" else cells
@@ -293,60 +292,61 @@ def _numbers(cells: pd.Series, decimal: str) -> tuple[np.ndarray, dict[int, str]
     return numbers, {int(row): str(cells.iloc[row]) for row in np.flatnonzero(is_odd)}
 
 
-def joined(tables: Sequence[Table], times: Sequence[np.ndarray], without: Sequence[str] = ()) -> Table:
-    """One table over all the times that there are; a column is NaN at times that it has no sample of.
+def seconds_of(texts: Sequence[str]) -> np.ndarray | None:
+    """Seconds (N,) from the first of some dates or times of day; None: one of them is none.
 
-    Args:
-        tables: Their columns have different names.
-        times: Of each table's samples, (N,), s, increasing, on the same clock.
-        without: Columns that are left out: those of the times.
-
-    Returns:
-        With ``time``, and ``sources``.
-
-    Raises:
-        InputError: The clocks do not overlap, or two tables have a column of the same name.
+    Of numbers such as 3/4/2026 the one is the day by which the record takes least time. Times of day without a date go
+    on after midnight.
     """
-    _check_overlap(tables, times)
-    time, places = _union(times)
-    columns: dict[str, np.ndarray] = {}
-    sources: dict[str, tuple[Table, np.ndarray]] = {}
-    odd: dict[str, dict[int, str]] = {}
-    for table, here in zip(tables, places, strict=True):
-        rows = np.full(len(time), -1)
-        rows[here] = np.arange(len(here))
-        for name in (name for name in table.columns if name not in without):
-            if name in columns:
-                shown = f"{sources[name][0].path.name}, {table.path.name}"
-                raise InputError("data.path", shown, "files whose columns have different names", f"{name!r} is in both")
-            columns[name] = np.where(rows >= 0, table.columns[name][rows], np.nan)
-            odd[name] = {int(here[row]): text for row, text in table.odd_cells.get(name, {}).items()}
-            sources[name] = table, rows
-    hints = {name: hint for table in tables for name, hint in table.hints.items()}
-    return Table(tables[0].path, columns, odd, hints, time, sources=sources)
+    dates = pd.to_datetime(pd.Series(texts), format="ISO8601", errors="coerce", utc=True)
+    if not dates.isna().any():
+        return np.asarray((dates - dates.iloc[0]).dt.total_seconds(), dtype=np.float64)
+    found = [_WRITTEN.fullmatch(text) for text in texts]
+    parts = [match.groups() for match in found if match is not None and any(match.groups()[:5])]
+    if len(parts) < len(texts):
+        return None
+    zones = {part[7] for part in parts if part[8] is None}
+    if len(zones) > 1 or (zones and len(zones) < len({part[7] for part in parts})):  # names of zones, which change
+        return None
+    clock = np.array([_of_the_day(part) for part in parts])
+    if all(part[0] is None for part in parts):
+        turns = np.concatenate(([0], np.cumsum(np.diff(clock) < -0.5 * _DAY_S)))
+        return np.asarray(clock + _DAY_S * turns - clock[0])
+    days = _days([part[:3] for part in parts])
+    return None if days is None else np.asarray(clock - clock[0] + _DAY_S * (days - days[0]))
 
 
-def _union(times: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
-    """All times, those that are the same once; and of each sequence the place of every time in it."""
-    every = np.concatenate(times)
-    order = np.argsort(every, kind="stable")
-    shortest = min(float(np.median(np.diff(time))) for time in times if len(time) > 1)
-    new = np.concatenate(([True], np.diff(every[order]) > SAME_TIME * shortest))
-    place = np.empty(len(every), dtype=int)
-    place[order] = np.cumsum(new) - 1
-    ends = np.cumsum([len(time) for time in times])[:-1]
-    return every[order][new], np.split(place, ends)
+def first_other(texts: Sequence[str]) -> int | None:
+    """Place of the first text that is no date or time of day, where the first one of all is; else None."""
+    others = (i for i, text in enumerate(texts) if _WRITTEN.fullmatch(text) is None)
+    return next(others, None) or None
 
 
-def _check_overlap(tables: Sequence[Table], times: Sequence[np.ndarray]) -> None:
-    for table, time in zip(tables, times, strict=True):
-        if len(time) < 2:
-            raise InputError("data.path", table.path, "a file of at least 2 samples", f"it has {len(time)}")
-    late = max(range(len(times)), key=lambda i: times[i][0])
-    early = min(range(len(times)), key=lambda i: times[i][-1])
-    if times[late][0] > times[early][-1]:
-        extents = (
-            f"{tables[i].path.name} from {times[i][0]:.9g} to {times[i][-1]:.9g} s" for i in sorted((early, late))
-        )
-        hint = "data.time_unit, or clocks that were not set together?"
-        raise InputError("data.path", ", ".join(extents), "records whose clocks overlap", hint)
+def _of_the_day(part: Sequence[str | None]) -> float:
+    """Seconds since midnight, of UTC where the zone is a number."""
+    hours, minutes, seconds, half, _, sign, zone_hours, zone_minutes = part[3:]
+    hour = int(hours or 0)
+    if half:
+        hour = hour % 12 + (12 if half[0] in "Pp" else 0)
+    shift = 0 if sign is None else 3600 * int(zone_hours or 0) + 60 * int(zone_minutes or 0)
+    shift = -shift if sign == "-" else shift
+    return 3600.0 * hour + 60.0 * int(minutes or 0) + float((seconds or "0").replace(",", ".")) - shift
+
+
+def _days(parts: Sequence[Sequence[str | None]]) -> np.ndarray | None:
+    """Days (N,) since some day; None: there is no order of day, month and year in which all are dates."""
+    if any(part[0] is None for part in parts):
+        return None
+    different = list(dict.fromkeys(tuple(part) for part in parts))
+    tried = []
+    for year, month, day in _ORDERS:
+        columns = {"year": year, "month": month, "day": day}
+        frame = pd.DataFrame({name: [int(part[i] or 0) for part in different] for name, i in columns.items()})
+        frame["year"] += np.where(frame["year"] < 100, 2000, 0)
+        days = (pd.to_datetime(frame, errors="coerce") - pd.Timestamp(2000, 1, 1)).dt.days
+        if not days.isna().any():
+            tried.append(dict(zip(different, days, strict=True)))
+    if not tried:
+        return None
+    best = min(tried, key=lambda days: max(days.values()) - min(days.values()))
+    return np.array([best[tuple(part)] for part in parts], dtype=np.float64)

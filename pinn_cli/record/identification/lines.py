@@ -10,6 +10,8 @@ import numpy as np
 HALF_WIDTHS, WIDEST = 10.0, 0.3
 # What is added to the factor on a variance where a half-power width has one line: measured, see `widened`.
 FEW = 2.0
+# Two-sided 90 % of a normal distribution.
+NORMAL_90 = 1.6448536
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,22 +86,49 @@ class Pole:
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
-    """A mode and those beside it, as the lines of a band have them.
+class RecordMode:
+    """A mode, as the lines of a band have it.
 
     Attributes:
-        poles: The mode first.
-        covariance: (2, 2), of the logarithms of its frequency and damping ratio.
+        frequency: Undamped, Hz.
+        damping: Ratio, 0 to 1.
+        covariance: (2, 2), of the logarithms of both.
         shape: (S,), complex, in the sensors' units; the largest is one.
-        noise: (S, S), covariance of the errors of the shape's entries, complex.
-        explained: Part of the power of the sensor that shows it best, at its peak, that is the mode's.
+        noise: (S, S), covariance of the errors of its entries, complex.
+        explained: Part of the power at its peak, of the sensor that shows it best, that is its own.
     """
 
-    poles: tuple[Pole, ...]
+    frequency: float
+    damping: float
     covariance: np.ndarray
     shape: np.ndarray
     noise: np.ndarray
     explained: float
+
+    @property
+    def frequency_std(self) -> float:
+        """Hz."""
+        return float(self.frequency * self.covariance[0, 0] ** 0.5)
+
+    @property
+    def damping_std(self) -> float:
+        """Of the ratio, to first order."""
+        return float(self.damping * self.covariance[1, 1] ** 0.5)
+
+    @property
+    def frequency_interval(self) -> tuple[float, float]:
+        """Central 90 %, Hz."""
+        return _interval(self.frequency, self.covariance[0, 0])
+
+    @property
+    def damping_interval(self) -> tuple[float, float]:
+        """Central 90 %; of the logarithm, so that it stays positive."""
+        return _interval(self.damping, self.covariance[1, 1])
+
+
+def _interval(value: float, variance: float) -> tuple[float, float]:
+    factor = float(np.exp(NORMAL_90 * variance**0.5))
+    return value / factor, value * factor
 
 
 def widened(covariance: np.ndarray, pole: Pole, duration: float, factors: tuple[float, float]) -> np.ndarray:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pinn_cli.record.identification.lines import Fitted, Lines, Pole, deviations
+from pinn_cli.record.identification.lines import Lines, Pole, RecordMode
 from pinn_cli.record.identification.power_fit import PowerFit
 from pinn_cli.record.identification.response_fit import ResponseFit
 from pinn_cli.record.identification.subspace import MOST_DAMPED, Stabilisation, assurance, stabilisation
@@ -25,59 +25,6 @@ MOST_UNCERTAIN, MOST_UNCERTAIN_DAMPING, NARROWEST = 0.02, 0.7, 0.5
 ONE, OTHER_SHAPE = 1.0, 0.5
 # So many poles are tried, and periods of the record are needed.
 MOST_TRIED, FEWEST_PERIODS = 60, 8.0
-# Two-sided 90 % of a normal distribution.
-NORMAL_90 = 1.6448536
-
-
-@dataclass(frozen=True, eq=False)
-class RecordMode:
-    """A mode that a record shows.
-
-    Attributes:
-        frequency: Undamped, Hz.
-        damping: Ratio, 0 to 1.
-        covariance: (2, 2), of the logarithms of both.
-        shape: (S,), complex, in the sensors' units; the largest is one.
-        noise: (S, S), covariance of the errors of its entries, complex.
-        explained: Part of the power at its peak, of the sensor that shows it best, that is its own.
-    """
-
-    frequency: float
-    damping: float
-    covariance: np.ndarray
-    shape: np.ndarray
-    noise: np.ndarray
-    explained: float
-
-    @property
-    def shape_std(self) -> np.ndarray:
-        """(S,), of the real part of the shape."""
-        return deviations(self.shape, self.noise)
-
-    @property
-    def frequency_std(self) -> float:
-        """Hz."""
-        return float(self.frequency * self.covariance[0, 0] ** 0.5)
-
-    @property
-    def damping_std(self) -> float:
-        """Of the ratio, to first order."""
-        return float(self.damping * self.covariance[1, 1] ** 0.5)
-
-    @property
-    def frequency_interval(self) -> tuple[float, float]:
-        """Central 90 %, Hz."""
-        return _interval(self.frequency, self.covariance[0, 0])
-
-    @property
-    def damping_interval(self) -> tuple[float, float]:
-        """Central 90 %; of the logarithm, so that it stays positive."""
-        return _interval(self.damping, self.covariance[1, 1])
-
-
-def _interval(value: float, variance: float) -> tuple[float, float]:
-    factor = float(np.exp(NORMAL_90 * variance**0.5))
-    return value / factor, value * factor
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +70,7 @@ def identify(outputs: np.ndarray, inputs: np.ndarray, step: float) -> Identified
         fitted = fit.solve()
         if fitted is None:
             continue
-        pole = fitted.poles[0]
+        pole = Pole(fitted.frequency, fitted.damping)
         if _is_line(fit, pole, lines):
             lone.append(pole)
         elif _holds(fitted, candidate, lines) and not any(_same(pole, fitted.shape, *other) for other in found):
@@ -133,9 +80,7 @@ def identify(outputs: np.ndarray, inputs: np.ndarray, step: float) -> Identified
         beside = [*(other for other, _ in found if other is not pole), *lone]
         fitted = _fit(lines, pole, beside, shape).solve()
         if fitted is not None and _holds(fitted, pole, lines):
-            own = fitted.poles[0]
-            modes.append(RecordMode(own.frequency, own.damping, fitted.covariance, fitted.shape, fitted.noise,
-                                    fitted.explained))  # fmt: skip
+            modes.append(fitted)
     modes.sort(key=lambda mode: mode.frequency)
     return Identified(modes, sorted(pole.frequency for pole in lone), poles)
 
@@ -166,16 +111,16 @@ def _is_line(fit: ResponseFit | PowerFit, pole: Pole, lines: Lines) -> bool:
     return 2.0 * pole.damping * pole.frequency * lines.duration < NARROWEST or fit.is_steady
 
 
-def _holds(fitted: Fitted, start: Pole, lines: Lines) -> bool:
+def _holds(mode: RecordMode, start: Pole, lines: Lines) -> bool:
     """Whether it is a vibration, determined, and has not run away from where it was looked for."""
-    pole, (variance, of_damping) = fitted.poles[0], np.diag(fitted.covariance)
-    width = max(start.damping, pole.damping) * start.frequency + 2.0 / lines.duration
+    variance, of_damping = np.diag(mode.covariance)
+    width = max(start.damping, mode.damping) * start.frequency + 2.0 / lines.duration
     return bool(
-        np.isfinite(fitted.covariance).all()
-        and abs(pole.frequency - start.frequency) < 2.0 * width
+        np.isfinite(mode.covariance).all()
+        and abs(mode.frequency - start.frequency) < 2.0 * width
         and 0.0 < variance**0.5 < MOST_UNCERTAIN
         and 0.0 < of_damping**0.5 < MOST_UNCERTAIN_DAMPING
-        and pole.damping < MOST_DAMPED
-        and 2.0 * pole.damping * pole.frequency * lines.duration > NARROWEST
-        and fitted.explained > LEAST_EXPLAINED
+        and mode.damping < MOST_DAMPED
+        and 2.0 * mode.damping * mode.frequency * lines.duration > NARROWEST
+        and mode.explained > LEAST_EXPLAINED
     )

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pinn_cli.record.identification.lines import Fitted, Lines, Pole, normalised, widened
+from pinn_cli.record.identification.lines import Lines, Pole, RecordMode, normalised, widened
 
 # Lines of a band at least; the sensors' other motion is taken to be even in this part; lines that tell of it.
 FEWEST_LINES, SHRUNK, FEWEST_OUTSIDE = 40, 0.05, 4
@@ -147,7 +147,7 @@ class PowerFit:
                 break
         return poles, values, now, expected
 
-    def solve(self) -> Fitted | None:
+    def solve(self) -> RecordMode | None:
         """None where an edge of the spectrum says as much."""
         poles, values, cost, expected = self._scored([self.pole, *self.free], moving=1 + len(self.free))
         if not values[:2].any() or _edge(self.power) < cost + LIKELIER:
@@ -169,7 +169,7 @@ class PowerFit:
         own = np.clip(peak / expected, 0.0, 1.0)
         top = int(np.argmax(peak))
         shape, noise = self._shape(own, expected)
-        return Fitted(tuple(poles), covariance, shape, noise, float(own[top]))
+        return RecordMode(poles[0].frequency, poles[0].damping, covariance, shape, noise, float(own[top]))
 
     @property
     def is_steady(self) -> bool:

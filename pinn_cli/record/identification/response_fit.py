@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pinn_cli.record.identification.lines import Fitted, Lines, Pole, normalised, widened
+from pinn_cli.record.identification.lines import Lines, Pole, RecordMode, normalised, widened
 
 # Degree of the polynomials; lines for every column; and inputs have so many more lines of power than columns.
 DEGREE, LINES_OF_COLUMN, MORE_LINES = 3, 3.0, 3.0
@@ -86,7 +86,7 @@ class ResponseFit:
         ratio = (before - after) / added / np.maximum(after / free, 1e-300)
         return float(distribution.logsf(ratio.max(), 2 * added, 2 * free) + np.log(len(ratio)))
 
-    def solve(self) -> Fitted | None:
+    def solve(self) -> RecordMode | None:
         """By Gauss-Newton; None where it does not settle."""
         poles: list[Pole] = [self.pole, *self.free]
         weights = np.ones(self.y.shape[1])
@@ -135,7 +135,7 @@ class ResponseFit:
             slopes += [by_pole * slope for slope in pole.slopes]
         return np.stack(slopes, axis=2), left, coefficients, directions
 
-    def _fitted(self, poles: Sequence[Pole], weights: np.ndarray) -> Fitted | None:
+    def _fitted(self, poles: Sequence[Pole], weights: np.ndarray) -> RecordMode | None:
         jacobian, left, coefficients, directions = self._linearised(poles)
         lines, columns = directions.shape
         inputs, w = self.u.shape[1], jacobian * weights[:, None]
@@ -166,7 +166,7 @@ class ResponseFit:
         own, other = (np.sum(np.abs(x[near]) ** 2, axis=0) for x in (mode, self.y - mode))
         part = float(np.max(own / np.maximum(own + other, 1e-300)))
         covariance = widened(covariance[:2, :2], poles[0], self.band.duration, WIDENED)
-        return Fitted(tuple(poles), covariance, shape, noise, part)
+        return RecordMode(poles[0].frequency, poles[0].damping, covariance, shape, noise, part)
 
 
 def _lines_of_power(inputs: np.ndarray) -> float:

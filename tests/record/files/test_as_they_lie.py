@@ -9,8 +9,8 @@ from refusals import refusal
 
 from pinn_cli.record.clock import MeasuredFiles, recognised
 from pinn_cli.record.files.csv import CsvFormat
-from pinn_cli.record.files.dates import first_other, seconds_of
 from pinn_cli.record.files.excel import ExcelFormat
+from pinn_cli.record.files.table import first_other, seconds_of
 
 pytestmark = pytest.mark.usefixtures("in_this_process")
 

@@ -11,7 +11,8 @@ from refusals import refusal
 
 from pinn_cli.record.clock import MeasuredFiles
 from pinn_cli.record.files.csv import CsvFormat
-from pinn_cli.record.files.table import Table, joined
+from pinn_cli.record.files.table import Table
+from pinn_cli.record.files.variables import joined
 from pinn_cli.record.measured_data import MeasuredData
 
 TIME = np.arange(64) / 128.0

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from vibrating_records import (
     BUILDING,
+    RIG,
     Measured,
     ambient,
     coloured,
@@ -19,8 +20,10 @@ from vibrating_records import (
     of_short_shaker,
 )
 
+from pinn_cli.record.identification.lines import Lines, Pole, deviations
 from pinn_cli.record.identification.modes import Identified, identify
-from pinn_cli.record.identification.subspace import assurance
+from pinn_cli.record.identification.power_fit import PowerFit
+from pinn_cli.record.identification.subspace import assurance, stabilisation
 
 
 def look(record: Measured) -> Identified:
@@ -55,7 +58,7 @@ def test_every_plain_mode_is_found_and_no_other(make, seed):
         there = shape[: record.outputs.shape[1]]
         assert assurance(mode.shape[None], there[None])[0, 0] > 0.97
         ratio = there / there[np.argmax(np.abs(mode.shape))]
-        assert (np.abs(mode.shape.real - ratio) < 5.0 * mode.shape_std + 0.02).all()
+        assert (np.abs(mode.shape.real - ratio) < 5.0 * deviations(mode.shape, mode.noise) + 0.02).all()
 
 
 def test_machines_are_named_as_what_they_are():
@@ -132,3 +135,43 @@ def test_intervals_hold_the_true_modes(make):
     held = np.mean(np.abs(np.concatenate(off)) < 1.6449, axis=0)
     assert (held > 0.8).all()
     assert (held <= 0.99).all()
+
+
+@pytest.mark.parametrize(("make", "structure"), [(of_building, BUILDING), (of_hammer, RIG)])
+def test_stable_poles_are_those_of_the_structure(make, structure):
+    record = make(0)
+    clusters = stabilisation(record.outputs, record.inputs, 1.0 / record.rate).clusters()
+    found = np.array([[f, damping] for f, damping, _ in clusters])
+    for f, shape in zip(structure.frequency, structure.shapes.T, strict=True):
+        nearest = int(np.argmin(np.abs(found[:, 0] - f)))
+        assert found[nearest, 0] == pytest.approx(f, rel=5e-3)
+        assert assurance(clusters[nearest][2][None], shape[None])[0, 0] > 0.95
+
+
+def test_a_channel_that_does_not_move_has_no_poles():
+    still = np.zeros((1000, 2))
+    assert stabilisation(still, still[:, :0], 0.01).clusters() == []
+
+
+def test_assurance():
+    one, other = np.array([[1.0, 2.0], [1.0, 0.0]]), np.array([[-2.0, -4.0], [0.0, 1j]])
+    np.testing.assert_allclose(assurance(one, other), [[1.0, 0.8], [0.2, 0.0]])
+
+
+def test_power_of_a_mode_is_the_sum_over_lags():
+    record = of_building(0)
+    lines = Lines.of(record.outputs[:600], record.inputs[:600], 0.02)
+    pole = Pole(3.43, 0.01)
+    fit = PowerFit(lines, pole, (), np.ones(3))
+    lag = np.arange(600)[:, None]
+    omega = 2.0 * np.pi * fit.band.frequency * 0.02
+    correlation = np.exp(pole.at * 0.02 * lag) * (1.0 - lag / 600)
+    both = 2.0 * correlation * np.cos(omega * lag) * np.where(lag == 0, 0.5, 1.0)
+    expected = both.sum(axis=0) * abs(pole.at.real * 0.02)
+    np.testing.assert_allclose(fit._shown(pole), np.stack((expected.real, -expected.imag), axis=1), atol=1e-9)
+
+
+def test_slopes_of_a_pole():
+    pole = Pole(2.0, 0.05)
+    by = 1e-6 * np.eye(2)
+    np.testing.assert_allclose([(pole.moved(x).at - pole.moved(-x).at) / 2e-6 for x in by], pole.slopes, rtol=1e-6)

@@ -14,7 +14,7 @@ from solved_records import by_spline
 from pinn_cli.physics import physics_residual
 from pinn_cli.record.gauge import Gauge, unknown_calibration
 from pinn_cli.record.record import Record
-from pinn_cli.record.simulated import add_noise
+from pinn_cli.record.simulated import Noise
 from pinn_cli.record.simulation import simulate
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.training.reported.parameter_likelihoods import (
@@ -166,7 +166,7 @@ def test_the_marginal_is_wider_than_the_conditional_which_takes_the_motion_for_k
 def test_a_free_decay_tells_parameters_and_no_noise_of_a_force():
     structure, time = small_chain("linear", ndof=2), np.linspace(0.0, 20.0, 257)
     motion = simulate(structure, lambda t: np.zeros((len(t), 2)), time, initial=([0.5, 1.0], [0.0, 0.3]))
-    record = Record(**add_noise(motion, 30.0).measurable, unforced=np.array([True, True]))
+    record = Record(**Noise(30.0).added_to(motion).measurable, unforced=np.array([True, True]))
     scheme = Bayesian()
     trained = solved(scheme.pose(structure, [scheme.observe(record)]).alone)
     marginal = parameter_likelihoods(trained.evidence, trained.trained).marginal
