@@ -11,7 +11,7 @@ from small_problems import QUANTITIES, accelerations, measured, relative_error, 
 from small_problems import sped_up as faster
 from structures import hysteretic, modal
 
-from pinn_cli.baseline.comparison import baseline_estimate
+from pinn_cli.baseline import baseline_estimate
 from pinn_cli.baseline.iterated_smoother import IteratedSmoother
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
 from pinn_cli.baseline.noise_levels import most_probable

@@ -18,7 +18,6 @@ from pinn_cli.report.netcdf import (
     posterior_groups,
     response_dataset,
     write_dataset,
-    write_posterior_data,
 )
 from pinn_cli.system.parameters import Parameter
 
@@ -78,7 +77,7 @@ def test_unknown_truth_is_left_out(make_case):
 
 def read_back(result, record, path, labels=LABELS):
     groups = posterior_groups(result, record, parameters_of(result.samples), labels)
-    return arviz.from_netcdf(write_posterior_data(groups, path / "posterior.nc"))
+    return arviz.from_netcdf(write_dataset(xr.DataTree.from_dict(groups), path / "posterior.nc"))
 
 
 def test_arviz_reads_every_group(tmp_path):
