@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import block_diag
 
-from pinn_cli.baseline.channels import channels_of, gauges_of
+from pinn_cli.baseline.channels import Channel, gauges_of
 from pinn_cli.baseline.equations import Equations
 from pinn_cli.baseline.linear_gaussian import LinearGaussian
 from pinn_cli.record.between_samples import between_samples
@@ -32,6 +32,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.system.quantities import FORCE
+from pinn_cli.training.factors.feels import felt_by
 from pinn_cli.training.record_scales import force_and_velocity_scale
 from pinn_cli.training.sensor_samples import SensorSamples
 
@@ -126,7 +127,10 @@ class StateSpace:
         numbers = {kind: values.numpy() for kind, values in calibrations([gauge for gauge, _ in gauges]).items()}
         self.prescribed = problem.structure.parameters_like(np.empty(0)) | numbers
         self.vector = ParameterVector(self.prescribed, problem.uncertain)
-        self.sensors = channels_of(gauges, self.dynamics, self.vector, record.time)
+        self.sensors = [
+            Channel.of(gauge, number, samples, felt_by(gauge, number, self.dynamics, self.vector), record.time)
+            for number, (gauge, samples) in enumerate(gauges)
+        ]
         self.there = np.stack([sensor.there for sensor in self.sensors], axis=1)
         self.force_scale, self.velocity_scale = force_and_velocity_scale(problem)
         self.corner = 2.0 * np.pi * record_band(record)
