@@ -54,25 +54,16 @@ class RecordReport:
     exports: Sequence[Export] = ()
 
     @cached_property
-    def free(self) -> FreeRun:
-        """The estimated structure's response, left to itself."""
-        return free_run(self.results.prescribed, self.results.estimate, self.results.record)
-
-    @cached_property
-    def free_table(self) -> pd.DataFrame:
-        """How far that is from the estimate, without labels."""
+    def free_run(self) -> tuple[FreeRun, pd.DataFrame]:
+        """The estimated structure's response, left to itself, and how far that is from the estimate, without labels."""
         results = self.results
-        return free_run_table(self.free, results.estimate, results.record, results.truth.response)
-
-    def run_free(self, wanted: bool) -> tuple[FreeRun, pd.DataFrame] | None:
-        """Both of these, found now, if anybody wants to see them."""
-        found = self.free, self.free_table
-        return found if wanted else None
+        found = free_run(results.prescribed, results.estimate, results.record)
+        return found, free_run_table(found, results.estimate, results.record, results.truth.response)
 
     @cached_property
     def verdict(self) -> Verdict | None:
         """None without a problem."""
-        results, free = self.results, self.free
+        results, (free, _) = self.results, self.free_run
         if results.problem is None:
             return None
         return judge(results.problem, results.estimate, results.baseline, free.response, free.agreement)
@@ -80,8 +71,9 @@ class RecordReport:
     @cached_property
     def estimators(self) -> list[tuple[str, Estimate, Response | None]]:
         """The network and, where there is one, the baseline: name, estimate, and the free run of what it found."""
-        other, name = self.results.baseline, self.results.run.baseline
-        return [("pinn", self.results.estimate, self.free.response), *([] if other is None else [(name, other, None)])]
+        results = self.results
+        others = [] if results.baseline is None else [(results.run.baseline, results.baseline, None)]
+        return [("pinn", results.estimate, self.free_run[0].response), *others]
 
     @cached_property
     def tables(self) -> list[tuple[pd.DataFrame, pd.DataFrame]]:
@@ -106,7 +98,7 @@ class RecordReport:
         results, labels = self.results, self.results.run.labels_of(estimator="pinn")
         stretched = drifts(results.prescribed, results.estimate, results.truth.response)
         tables = {
-            "free_run": with_labels(self.free_table, labels | {"estimator": "free_run"}),
+            "free_run": with_labels(self.free_run[1], labels | {"estimator": "free_run"}),
             "drift": with_labels(drift_table(stretched), labels),
             "energy": with_labels(energy_table(dissipated_energy(results)), labels),
             "fitness": below(*[fitness for fitness, _ in self.tables]),
@@ -114,7 +106,7 @@ class RecordReport:
         }
         for name, table in tables.items():
             write_table(table, self.directory / f"{name}.csv")
-        dataset = response_dataset(results, self.free.response)
+        dataset = response_dataset(results, self.free_run[0].response)
         write_dataset(dataset, self.directory / "response.nc")
         for export in self.exports:
             export.write(dataset, self.directory / f"response.{export.name}")
@@ -177,11 +169,8 @@ class RunReport:
     @cached_property
     def free_run(self) -> tuple[FreeRun, pd.DataFrame]:
         """Of the first record, and its table."""
-        wanted = [True, *[False] * len(self.results.further)]
         with self.stages("free_run"):
-            found = self.records.each(RecordReport.run_free, wanted)[0]
-        assert found is not None
-        return found
+            return self.records.each(attrgetter("free_run"))[0]
 
     @cached_property
     def tables(self) -> list[tuple[pd.DataFrame, pd.DataFrame]]:
