@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
-from pinn_cli.api.command import ONE_AT_A_TIME, check_overrides, performed
 from pinn_cli.api.data import settings_of
+from pinn_cli.api.run import ONE_AT_A_TIME, check_overrides, performed
 from pinn_cli.cli.inspecting import inspected_record, modes_of_records
 from pinn_cli.cli.job import Found, leave, look
 from pinn_cli.cli.options import settings_of_files

@@ -168,17 +168,15 @@ def _parameters(tables: Mapping[str, pd.DataFrame], prescribed: Structure) -> li
     prior_std = {}
     if "identifiability" in tables:
         prior_std = dict(tables["identifiability"].set_index("parameter")["prior_std"])
-    rows = tables["parameters"].query("estimator == 'pinn'")
-    return [_parameter(row, known, float(prior_std.get(row["parameter"], math.nan))) for _, row in rows.iterrows()]
-
-
-def _parameter(row: pd.Series[Any], known: Mapping[str, Parameter], prior_std: float) -> ParameterEstimate:
-    name, unknown = str(row["parameter"]), math.isfinite(row["start"])
-    kind = next((kind for kind in CALIBRATION_UNITS if name.startswith(f"{kind}_")), "")
-    found = known.get(name) or Parameter(kind, 0, label=name.removeprefix(f"{kind}_"))
-    given = float(row["start"] if unknown else row["prescribed"])
-    believed = replace(found, prescribed=given, prior_std=prior_std, unknown=unknown)
-    return ParameterEstimate(believed, row["estimate"], row["std"], row["lower_90"], row["upper_90"])
+    out = []
+    for _, row in tables["parameters"].query("estimator == 'pinn'").iterrows():
+        name, unknown = str(row["parameter"]), math.isfinite(row["start"])
+        kind = next((kind for kind in CALIBRATION_UNITS if name.startswith(f"{kind}_")), "")
+        found = known.get(name) or Parameter(kind, 0, label=name.removeprefix(f"{kind}_"))
+        given, std = float(row["start"] if unknown else row["prescribed"]), float(prior_std.get(name, math.nan))
+        believed = replace(found, prescribed=given, prior_std=std, unknown=unknown)
+        out.append(ParameterEstimate(believed, row["estimate"], row["std"], row["lower_90"], row["upper_90"]))
+    return out
 
 
 def _response(data: xr.Dataset, suffix: str) -> Response:

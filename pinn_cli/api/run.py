@@ -4,20 +4,33 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import tempfile
+import threading
 import weakref
+from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, overload
 
-from pinn_cli.api.command import ONE_AT_A_TIME, check_overrides, performed
 from pinn_cli.api.data import settings_of
 from pinn_cli.api.results import Result, SweepResult, load
-from pinn_cli.cli.command_line import Silence
+from pinn_cli.cli.command_line import REPORTED, WITHOUT_LOGS, Jobs, Silence, Task, perform
 from pinn_cli.main import run as run_job
+from pinn_cli.runs.interruption import watched
+from pinn_cli.runs.process import borrowed
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.override_syntax import quoted
+from pinn_cli.settings.override_syntax import quoted, setting_of
+
+# A run sets what belongs to the process (:mod:`pinn_cli.runs.process`): a second thread waits.
+ONE_AT_A_TIME = threading.Lock()
+# The process has logs of its own, which Hydra would replace.
+_ELSEWHERE = {
+    "collect": "pinn_cli.load(DIRECTORY) puts a sweep together",
+    "hydra.run.dir": "directory=... is an argument",
+    "hydra.sweep.dir": "directory=... is an argument",
+}
 
 
 @overload
@@ -106,3 +119,40 @@ def run(
     if temporary is not None:
         weakref.finalize(result, shutil.rmtree, temporary, ignore_errors=True)
     return result
+
+
+def check_overrides(overrides: Sequence[str], function: str) -> None:
+    """See that what a function was given are settings, and none that are arguments in Python.
+
+    Raises:
+        InputError: At the first that is not.
+    """
+    for override in overrides:
+        if not isinstance(override, str):
+            raise InputError("override", override, "a string such as 'system.ndof=3'")
+        name = setting_of(override)
+        if name in _ELSEWHERE:
+            raise InputError(name, override.partition("=")[2], f"left out of {function}(...)", _ELSEWHERE[name])
+        if override.startswith("-"):
+            hint = "multirun=True and config_dir=... are arguments"
+            raise InputError("override", override, "of the form setting=value", hint)
+
+
+def performed(task: Task, arguments: Sequence[str]) -> Path:
+    """The directory in which the command leaves its results. Its errors are raised; the process is as it was.
+
+    Args:
+        task: Called with the composed configuration.
+        arguments: As `sys.argv` has them.
+    """
+    jobs = Jobs(task, Silence(), of_hydra=WITHOUT_LOGS)
+    try:
+        with borrowed(arguments):
+            here = Path.cwd()
+            perform(jobs, watched((signal.SIGINT,), ends=False))
+    except REPORTED as error:
+        raise error.with_traceback(None) from None  # of use to nobody: it leads through Hydra
+    if jobs.refused and jobs.reasons:
+        raise InputError.read(jobs.reasons[0])
+    assert jobs.directory is not None
+    return here / jobs.directory

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -15,8 +14,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Jet
-from pinn_cli.system.parameters import ParameterVector
-from pinn_cli.training.factors.feels import Feels, felt_by
+from pinn_cli.training.factors.feels import Feels
 from pinn_cli.training.sensor_samples import SensorSamples
 
 # Part of a step by which a sample may be off the record's times.
@@ -96,26 +94,12 @@ class Channel:
 
 def gauges_of(record: Record, dynamics: Dynamics) -> list[tuple[Gauge, SensorSamples]]:
     """Its gauges, and behind them its other columns: gauges about which nothing is in doubt."""
-    gauges = [(gauge, SensorSamples.of_gauge(gauge, record)) for gauge in record.gauges]
-    return gauges + list(_columns(record, dynamics))
-
-
-def _columns(record: Record, dynamics: Dynamics) -> Iterator[tuple[Gauge, SensorSamples]]:
+    out = [(gauge, SensorSamples.of_gauge(gauge, record)) for gauge in record.gauges]
     for quantity in dynamics.observed:
         for channel in np.flatnonzero(record.sensors(quantity) & ~record.gauged(quantity)).tolist():
-            column = record.histories(quantity)[:, channel]
-            samples = SensorSamples.of_column(record, quantity, channel)
-            yield Gauge("", quantity, {channel: 1.0}, record.time, column), samples
-
-
-def channels_of(
-    gauges: list[tuple[Gauge, SensorSamples]], dynamics: Dynamics, vector: ParameterVector[Any], time: np.ndarray
-) -> list[Channel]:
-    """Of all gauges, at the record's times (N,), s."""
-    return [
-        Channel.of(gauge, number, samples, felt_by(gauge, number, dynamics, vector), time)
-        for number, (gauge, samples) in enumerate(gauges)
-    ]
+            column = Gauge("", quantity, {channel: 1.0}, record.time, record.histories(quantity)[:, channel])
+            out.append((column, SensorSamples.of_column(record, quantity, channel)))
+    return out
 
 
 def _places(gauge: Gauge, time: np.ndarray) -> tuple[np.ndarray, float]:

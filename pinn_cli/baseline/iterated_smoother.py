@@ -154,7 +154,9 @@ class IteratedSmoother:
         length = self._length(trajectory, move)
         share = 1.0 if length < SHORT_STEP else self._share(trajectory, move, found, filtered)
         moved = Trajectory(trajectory.states + share * move, trajectory.parameters + share * found.change[:p])
-        self._note(levels, found, length)
+        row = {"iteration": len(self.history) + 1, "seconds": time.perf_counter() - self.started}
+        told = {"discrepancy": levels.discrepancy, "log_evidence": found.log_evidence, "step": length}
+        self.history.append(row | told)
         return Pass(levels, linearised, filtered, found, disturbances, moved, length)
 
     def pull_of_gains(self, trajectory: Trajectory, filtered: Filtered) -> np.ndarray:
@@ -178,11 +180,6 @@ class IteratedSmoother:
             parameter = space.problem.uncertain[place]
             out[place] = taken * parameter.prior_std / parameters["gain"][parameter.index]
         return out
-
-    def _note(self, levels: NoiseLevels, found: Regression, step: float) -> None:
-        row = {"iteration": len(self.history) + 1, "seconds": time.perf_counter() - self.started}
-        found_row = {"discrepancy": levels.discrepancy, "log_evidence": found.log_evidence, "step": step}
-        self.history.append({**row, **found_row})
 
     def _length(self, trajectory: Trajectory, move: np.ndarray) -> float:
         kinds = zip(*map(self.space.kinds, (trajectory.states + move, move)), strict=True)

@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 from pinn_cli.baseline.channels import check_gauges
 from pinn_cli.baseline.iterated_smoother import IteratedSmoother, Pass
 from pinn_cli.baseline.noise_levels import most_probable, stiffened, widened
-from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
+from pinn_cli.baseline.state_space import StateSpace
 from pinn_cli.model.truncated_gaussian import TruncatedGaussian
 from pinn_cli.network.base import States
 from pinn_cli.physics import estimated_response
@@ -148,7 +148,12 @@ class KalmanSmoother(Estimator):
         """See :meth:`Estimator.solve`."""
         smoother = IteratedSmoother(StateSpace(problem.alone), self.iterations, self.learn_spread)
         try:
-            last = self._last_pass(smoother, smoother.space.first_levels())
+            levels = smoother.space.first_levels()
+            if self.process_noise is None:
+                best = widened(smoother, most_probable(smoother, levels))
+            else:
+                best = stiffened(smoother, levels, self.process_noise)
+            last = smoother.settle(best.trajectory, best.levels, self.tolerance)
             summary = {
                 "iterations": len(smoother.history),
                 "stop_reason": "converged" if last.step < self.tolerance else "iteration limit",
@@ -157,11 +162,3 @@ class KalmanSmoother(Estimator):
             return smoothed_estimate(smoother.space, last, pd.DataFrame(smoother.history), summary)
         except (FloatingPointError, np.linalg.LinAlgError) as error:
             raise DivergenceError(str(error)) from error
-
-    def _last_pass(self, smoother: IteratedSmoother, levels: NoiseLevels) -> Pass:
-        """The solution under the given process noise, or under the one that is found."""
-        if self.process_noise is None:
-            best = widened(smoother, most_probable(smoother, levels))
-        else:
-            best = stiffened(smoother, levels, self.process_noise)
-        return smoother.settle(best.trajectory, best.levels, self.tolerance)

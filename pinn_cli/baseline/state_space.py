@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import block_diag
 
-from pinn_cli.baseline.channels import channels_of, gauges_of
+from pinn_cli.baseline.channels import Channel, gauges_of
 from pinn_cli.baseline.equations import Equations
 from pinn_cli.baseline.linear_gaussian import LinearGaussian
 from pinn_cli.record.between_samples import between_samples
@@ -30,9 +30,9 @@ from pinn_cli.scheme.calibration import calibrations
 from pinn_cli.scheme.inputs import inputs_of
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.dynamics import Dynamics
-from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.system.quantities import FORCE
+from pinn_cli.training.factors.feels import felt_by
 from pinn_cli.training.record_scales import force_and_velocity_scale
 from pinn_cli.training.sensor_samples import SensorSamples
 
@@ -127,7 +127,10 @@ class StateSpace:
         numbers = {kind: values.numpy() for kind, values in calibrations([gauge for gauge, _ in gauges]).items()}
         self.prescribed = problem.structure.parameters_like(np.empty(0)) | numbers
         self.vector = ParameterVector(self.prescribed, problem.uncertain)
-        self.sensors = channels_of(gauges, self.dynamics, self.vector, record.time)
+        self.sensors = [
+            Channel.of(gauge, number, samples, felt_by(gauge, number, self.dynamics, self.vector), record.time)
+            for number, (gauge, samples) in enumerate(gauges)
+        ]
         self.there = np.stack([sensor.there for sensor in self.sensors], axis=1)
         self.force_scale, self.velocity_scale = force_and_velocity_scale(problem)
         self.corner = 2.0 * np.pi * record_band(record)
@@ -223,20 +226,11 @@ class StateSpace:
         self.problem = self.problem.present(self.parameters(trajectory))
         self.dynamics = replace(self.dynamics, structure=self.problem.structure)
 
-    def jet(self, trajectory: Trajectory) -> Jet:
-        """All functions (N, F) at the samples, without disturbance."""
-        return self.equations(self.parameters(trajectory)).jet(trajectory.states, self.force)
-
     def kinds(self, states: np.ndarray) -> list[np.ndarray]:
         """Displacements, velocities, and every other function and its rate, each by itself, of states (N, s)."""
         n, functions = self.dynamics.ndof, self.dynamics.size
         motion = [states[:, :n], states[:, functions : functions + n]]
         return [*motion, *states[:, n:functions].T, *states[:, functions + n :].T]
-
-    def predicted(self, trajectory: Trajectory) -> np.ndarray:
-        """(N - 1, s), where the model takes each state of the trajectory, without disturbance."""
-        equations = self.equations(self.parameters(trajectory))
-        return equations.moved(trajectory.states[:-1], self.between, self.step)
 
     def residuals(self, trajectory: Trajectory) -> np.ndarray:
         """(N, m + s): observations minus predictions, and each next state minus where the model takes the last."""
@@ -245,7 +239,7 @@ class StateSpace:
         residuals = np.zeros((len(trajectory.states), m + self.size))
         for row, sensor in enumerate(self.sensors):
             residuals[:, row] = sensor.residual(jet, equations.parameters)
-        residuals[:-1, m:] = trajectory.states[1:] - self.predicted(trajectory)
+        residuals[:-1, m:] = trajectory.states[1:] - equations.moved(trajectory.states[:-1], self.between, self.step)
         return residuals
 
     def linearise(self, trajectory: Trajectory) -> Linearised:

@@ -7,11 +7,10 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from pinn_cli.paper.nonlinearity import NonlinearityScores, nonlinearity_realisations
 from pinn_cli.paper.realisations import ScoredRealisations, Solver, solve
 from pinn_cli.paper.report import copy_figures, paper_figures, write_report
 from pinn_cli.paper.runs import TABLES, FinishedRun, PlannedRun, Runner, make_runs, planned_runs, read_runs, run_case
-from pinn_cli.paper.seeds import SeedScores, seed_realisations
+from pinn_cli.paper.studies import NonlinearityScores, SeedScores, nonlinearity_realisations, seed_realisations
 from pinn_cli.paper.tables import paper_tables
 from pinn_cli.runs.machine import usable_cores
 

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pinn_cli.baseline.comparison import baseline_estimate
+from pinn_cli.baseline import baseline_estimate
 from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.prepare import PreparedProblem, prepare_problem
 from pinn_cli.paper.runs import digest_of, kept, make_missing, run_digest
-from pinn_cli.report.estimator_tables import EstimatorTables
+from pinn_cli.report.run_report import below, estimator_tables
 from pinn_cli.runs.stages import Stages
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.estimate import RunContext
@@ -91,10 +91,11 @@ def solve(realisation: Realisation) -> dict[str, Any]:
     except DivergenceError as error:
         return found | {"seconds": stages.seconds, "failure": str(error).partition("\n")[0]}
     run = config.description
-    theirs = EstimatorTables.of(run.baseline, run, smoothed, record, truth) if smoothed else None
-    tables = EstimatorTables.of(PINN, run, estimate, record, truth).above(theirs)
-    fitness = tables.fitness[~tables.fitness["group"].str.startswith("dof_")]
-    rows = {"fitness": fitness.to_dict("records"), "parameters": tables.parameters.to_dict("records")}
+    estimates = {PINN: estimate} | ({run.baseline: smoothed} if smoothed else {})
+    tables = [estimator_tables(name, run, each, record, truth) for name, each in estimates.items()]
+    fitness, parameters = (below(*every) for every in zip(*tables, strict=True))
+    fitness = fitness[~fitness["group"].str.startswith("dof_")]
+    rows = {"fitness": fitness.to_dict("records"), "parameters": parameters.to_dict("records")}
     return found | rows | {"seconds": stages.seconds}
 
 

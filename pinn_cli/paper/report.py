@@ -14,10 +14,9 @@ from typing import Any
 import pandas as pd
 from omegaconf import OmegaConf
 
-from pinn_cli.paper.nonlinearity import NonlinearityScores, nonlinearity_realisations
 from pinn_cli.paper.realisations import PINN, ScoredRealisations
 from pinn_cli.paper.runs import BESIDE, SMOOTHER, FinishedRun
-from pinn_cli.paper.seeds import SeedScores, seed_realisations
+from pinn_cli.paper.studies import NonlinearityScores, SeedScores, nonlinearity_realisations, seed_realisations
 from pinn_cli.paper.tables import GROUP_TITLES, PaperTable, paper_tables
 from pinn_cli.report.run_record import package_versions
 from pinn_cli.report.sheet import render

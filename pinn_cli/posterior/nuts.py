@@ -49,13 +49,7 @@ class Density(Protocol):
 
 @dataclass(frozen=True)
 class NutsSettings:
-    """How long, and how carefully.
-
-    Attributes:
-        warmup: Iterations in which the step size is learned; none of them is kept.
-        draws: Iterations kept.
-        target_accept: Acceptance rate that the step size is learned for.
-    """
+    """How long, and how carefully: those of :class:`pinn_cli.posterior.marginal.Marginal`."""
 
     warmup: int
     draws: int

@@ -37,19 +37,11 @@ class ForcePredictive:
         samples: (T,), which samples of the record, counted from 0, in equal steps.
         force: (chains, D, T, F), N, with the noise that the record has (that of the mean of repeated measurements); the
             DOFs are the posterior's ``force_dofs``.
-
-    Raises:
-        ValueError: The shape of ``force`` does not fit.
     """
 
     draws: np.ndarray
     samples: np.ndarray
     force: np.ndarray
-
-    def __post_init__(self) -> None:
-        if self.force.ndim != 4 or self.force.shape[1:3] != (len(self.draws), len(self.samples)):
-            expected = f"(chains, {len(self.draws)}, {len(self.samples)}, dofs)"
-            raise ValueError(f"the predicted force has shape {self.force.shape}; it must be {expected}")
 
 
 @dataclass(frozen=True, eq=False)

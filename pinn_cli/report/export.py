@@ -123,27 +123,18 @@ EXPORTS = {export.name: export for export in _EVERY}
 def report_settings(
     export: Sequence[Annotated[str, tuple(EXPORTS)]], between: Sequence[float] | None = None
 ) -> tuple[tuple[Export, ...], Sequence[float] | None]:
-    """What ``report`` says: formats, and from when to when figures show histories, s, to be compared with the record.
+    """What ``report`` says: formats, each once, and from when to when figures show histories, s, not yet checked.
 
     Raises:
-        InputError: See :func:`exports_of`.
+        InputError: ``export`` is no list of names that there are, or one needs a package that is not installed.
     """
-    return exports_of(export), between
-
-
-def exports_of(names: Any) -> tuple[Export, ...]:
-    """Those that ``report.export`` names, in its order, each once.
-
-    Raises:
-        InputError: It is no list of names that there are, or one needs a package that is not installed.
-    """
-    if not isinstance(names, Sequence) or isinstance(names, str) or not all(name in EXPORTS for name in names):
-        raise InputError("report.export", names, f"a list of any of {', '.join(EXPORTS)}")
-    found = tuple(EXPORTS[name] for name in dict.fromkeys(names))
-    for export in (export for export in found if export.package):
+    if not isinstance(export, Sequence) or isinstance(export, str) or not all(name in EXPORTS for name in export):
+        raise InputError("report.export", export, f"a list of any of {', '.join(EXPORTS)}")
+    found = tuple(EXPORTS[name] for name in dict.fromkeys(export))
+    for one in (one for one in found if one.package):
         try:
-            import_module(export.package)
+            import_module(one.package)
         except ModuleNotFoundError:
-            allowed = f"a format whose package is installed; {export.name} needs {export.package}"
-            raise InputError("report.export", export.name, allowed, f"pip install 'pinn-cli[{export.extra}]'") from None
-    return found
+            allowed = f"a format whose package is installed; {one.name} needs {one.package}"
+            raise InputError("report.export", one.name, allowed, f"pip install 'pinn-cli[{one.extra}]'") from None
+    return found, between

@@ -62,8 +62,6 @@ def both_formulas(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
         Percent, (2, dof). 100 is perfect; by the first, 0 is no better than the mean, below 0 is worse. NaN where the
         truth is constant or unknown, or where the estimate is NaN at a known sample.
     """
-    if estimate.shape != truth.shape or truth.ndim != 2:
-        raise ValueError(f"estimate {estimate.shape} and truth {truth.shape} must both be (time, dof)")
     known = np.isfinite(truth)
     residual = np.where(known, estimate - truth, 0.0)
     samples = np.maximum(known.sum(axis=0), 1)
@@ -90,8 +88,8 @@ def fitness_table(estimate: Response, truth: Response, observed: np.ndarray) -> 
         observed: (dof,) bool: DOFs with any response sensor.
 
     Raises:
-        ValueError: If shapes disagree, or an estimated column is finite in one place and not in another: an average
-            over what is left would hide it.
+        ValueError: An estimated column is finite in one place and not in another: an average over what is left would
+            hide it.
     """
     for quantity in QUANTITIES:
         estimated = np.isfinite(getattr(estimate, quantity))

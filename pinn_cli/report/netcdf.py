@@ -172,11 +172,6 @@ def posterior_groups(
     return {"/": xr.Dataset(attrs=about), **groups}
 
 
-def write_posterior_data(groups: Mapping[str, xr.Dataset], path: Path | str) -> Path:
-    """Write the groups of a posterior."""
-    return write_dataset(xr.DataTree.from_dict(dict(groups)), path)
-
-
 def _parameters(draws: np.ndarray, parameters: Sequence[Parameter]) -> xr.Dataset:
     """(chains, draws, p) as a variable per parameter."""
     variables = {}

@@ -9,11 +9,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 from markupsafe import Markup
 
-from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report import text
 from pinn_cli.report.estimates import ModeEstimates, mode_table
 from pinn_cli.report.fitness import FORMULAS
@@ -149,14 +147,10 @@ def parameter_sheets(parameters: pd.DataFrame) -> list[Sheet]:
 
 def fitness_sheets(fitness: pd.DataFrame) -> list[Sheet]:
     """By group of DOFs and quantity, by both formulas; none where there is nothing to compare with."""
-    known = fitness[np.isfinite(fitness[list(FORMULAS)]).any(axis=1)]
-    quantities = [quantity for quantity in QUANTITIES if quantity in set(known["quantity"])]
-    groups = list(dict.fromkeys(known["group"]))
-    single = [name for name in groups if name.startswith("dof_")]
-    shown = groups if len(single) <= PAGE_DOFS else [name for name in groups if name not in single]
+    quantities, shown, _ = text.fitness_shown(fitness, PAGE_DOFS)
     rows = []
     for name in shown:
-        own = known[known["group"] == name].set_index("quantity").reindex(quantities)
+        own = fitness[fitness["group"] == name].set_index("quantity").reindex(quantities)
         rows.append(Row((name,), tuple(Cell(text.percent(x)) for formula in FORMULAS for x in own[formula])))
     note = "100 is perfect; error: root mean square of the difference. DOF by DOF, then the mean over the DOFs."
     formulas = [(f"1 - error / {what} of the truth (%)", quantities) for what in ("deviation", "range")]

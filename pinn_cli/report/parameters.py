@@ -82,19 +82,6 @@ def true_value(parameter: Parameter, true: Mapping[str, np.ndarray] | None) -> f
     return float("nan") if values is None else float(values[parameter.index])
 
 
-def any_unknown(parameters: Sequence[ParameterEstimate]) -> bool:
-    """Whether there is a parameter that was to be identified from the record alone."""
-    return any(p.unknown for p in parameters)
-
-
-def correlation_table(parameters: Sequence[ParameterEstimate], correlation: np.ndarray) -> pd.DataFrame:
-    """The posterior correlation (p, p) with a column of the parameters' names (the content of ``correlation.csv``)."""
-    names = [p.name for p in parameters]
-    table = pd.DataFrame(correlation, columns=names)
-    table.insert(0, "parameter", names)
-    return table
-
-
 def parameter_estimates(samples: PosteriorSamples, parameters: Sequence[Parameter]) -> list[ParameterEstimate]:
     """Mean, standard deviation and central 90 % interval of every parameter in all chains, all of them unknown."""
     draws = samples.pooled

@@ -28,14 +28,7 @@ LABELS = ("case", "estimator", "scheme", "ndof", "nonlinearity", "model_error", 
 
 
 def with_labels(table: pd.DataFrame, labels: Mapping[str, object]) -> pd.DataFrame:
-    """Return ``table`` with the columns of `LABELS` put before its own; a label that is None leaves its column empty.
-
-    Raises:
-        ValueError: If a label is missing or is none of `LABELS`: tables of different runs are concatenated, so all have
-            the same columns.
-    """
-    if set(labels) != set(LABELS):
-        raise ValueError(f"labels must be {', '.join(LABELS)}; given {', '.join(map(str, labels))}")
+    """The table with the columns of `LABELS` before its own; a label that is None leaves its column empty."""
     labelled = table.copy()
     for position, name in enumerate(LABELS):
         labelled.insert(position, name, pd.Series([labels[name]] * len(table), index=table.index))

@@ -14,17 +14,16 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.record.channels import channels
+from pinn_cli.record.record import Record, Truth
 from pinn_cli.record.response import MEASURED_QUANTITIES, Response
 from pinn_cli.report import parameters, text
 from pinn_cli.report.estimates import ModeEstimates, dissipated_energy, drift_table, drifts, energy_table, mode_table
-from pinn_cli.report.estimator_tables import EstimatorTables, below
 from pinn_cli.report.export import Export
-from pinn_cli.report.fitness import FORMULAS, residual_table
+from pinn_cli.report.fitness import FORMULAS, fitness_table, residual_table
 from pinn_cli.report.free_run import FreeRun, ValidationRun, free_run, free_run_table, validation_table, with_noise_of
-from pinn_cli.report.model import write_run_model
 from pinn_cli.report.published import fitness_of
-from pinn_cli.report.results import Results, record_folder, with_labels
-from pinn_cli.report.run_record import run_record
+from pinn_cli.report.results import Results, RunDescription, record_folder, with_labels
+from pinn_cli.report.run_record import run_record, write_run_model
 from pinn_cli.runs.side_by_side import beside, side_by_side
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import tidy, write_json, write_table
@@ -55,25 +54,16 @@ class RecordReport:
     exports: Sequence[Export] = ()
 
     @cached_property
-    def free(self) -> FreeRun:
-        """The estimated structure's response, left to itself."""
-        return free_run(self.results.prescribed, self.results.estimate, self.results.record)
-
-    @cached_property
-    def free_table(self) -> pd.DataFrame:
-        """How far that is from the estimate, without labels."""
+    def free_run(self) -> tuple[FreeRun, pd.DataFrame]:
+        """The estimated structure's response, left to itself, and how far that is from the estimate, without labels."""
         results = self.results
-        return free_run_table(self.free, results.estimate, results.record, results.truth.response)
-
-    def run_free(self, wanted: bool) -> tuple[FreeRun, pd.DataFrame] | None:
-        """Both of these, found now, if anybody wants to see them."""
-        found = self.free, self.free_table
-        return found if wanted else None
+        found = free_run(results.prescribed, results.estimate, results.record)
+        return found, free_run_table(found, results.estimate, results.record, results.truth.response)
 
     @cached_property
     def verdict(self) -> Verdict | None:
         """None without a problem."""
-        results, free = self.results, self.free
+        results, (free, _) = self.results, self.free_run
         if results.problem is None:
             return None
         return judge(results.problem, results.estimate, results.baseline, free.response, free.agreement)
@@ -81,14 +71,15 @@ class RecordReport:
     @cached_property
     def estimators(self) -> list[tuple[str, Estimate, Response | None]]:
         """The network and, where there is one, the baseline: name, estimate, and the free run of what it found."""
-        other, name = self.results.baseline, self.results.run.baseline
-        return [("pinn", self.results.estimate, self.free.response), *([] if other is None else [(name, other, None)])]
+        results = self.results
+        others = [] if results.baseline is None else [(results.run.baseline, results.baseline, None)]
+        return [("pinn", results.estimate, self.free_run[0].response), *others]
 
     @cached_property
-    def tables(self) -> list[EstimatorTables]:
-        """Of every estimator."""
+    def tables(self) -> list[tuple[pd.DataFrame, pd.DataFrame]]:
+        """The rows of every estimator, see :func:`estimator_tables`."""
         run, record, truth = self.results.run, self.results.record, self.results.truth
-        return [EstimatorTables.of(name, run, estimate, record, truth) for name, estimate, _ in self.estimators]
+        return [estimator_tables(name, run, estimate, record, truth) for name, estimate, _ in self.estimators]
 
     @cached_property
     def residuals(self) -> list[pd.DataFrame]:
@@ -107,15 +98,15 @@ class RecordReport:
         results, labels = self.results, self.results.run.labels_of(estimator="pinn")
         stretched = drifts(results.prescribed, results.estimate, results.truth.response)
         tables = {
-            "free_run": with_labels(self.free_table, labels | {"estimator": "free_run"}),
+            "free_run": with_labels(self.free_run[1], labels | {"estimator": "free_run"}),
             "drift": with_labels(drift_table(stretched), labels),
             "energy": with_labels(energy_table(dissipated_energy(results)), labels),
-            "fitness": below(*[each.fitness for each in self.tables]),
+            "fitness": below(*[fitness for fitness, _ in self.tables]),
             "residuals": below(*self.residuals),
         }
         for name, table in tables.items():
             write_table(table, self.directory / f"{name}.csv")
-        dataset = response_dataset(results, self.free.response)
+        dataset = response_dataset(results, self.free_run[0].response)
         write_dataset(dataset, self.directory / "response.nc")
         for export in self.exports:
             export.write(dataset, self.directory / f"response.{export.name}")
@@ -178,19 +169,16 @@ class RunReport:
     @cached_property
     def free_run(self) -> tuple[FreeRun, pd.DataFrame]:
         """Of the first record, and its table."""
-        wanted = [True, *[False] * len(self.results.further)]
         with self.stages("free_run"):
-            found = self.records.each(RecordReport.run_free, wanted)[0]
-        assert found is not None
-        return found
+            return self.records.each(attrgetter("free_run"))[0]
 
     @cached_property
-    def tables(self) -> list[EstimatorTables]:
+    def tables(self) -> list[tuple[pd.DataFrame, pd.DataFrame]]:
         """Of the first record: the network's, whose parameters are those of all records, and the baseline's."""
         with self.stages("report"):
-            ours, *baseline = self.records.each(attrgetter("tables"))[0]
+            (fitness, _), *baseline = self.records.each(attrgetter("tables"))[0]
             every = parameters.parameter_table(self.results.estimate.parameters, self.results.truth.parameters)
-            return [replace(ours, parameters=with_labels(every, self.labels)), *baseline]
+            return [(fitness, with_labels(every, self.labels)), *baseline]
 
     @cached_property
     def residuals(self) -> list[list[pd.DataFrame]]:
@@ -230,20 +218,20 @@ class RunReport:
         and figures.
         """
         results, estimate, posterior = self.results, self.results.estimate, self.results.posterior
-        verdict, free, (ours, *others) = self.verdict, self.free_run, self.tables
-        baseline = next(iter(others), None)
-        scored = bool(np.isfinite(ours.fitness[list(FORMULAS)].to_numpy()).any())
+        verdict, free, ((fitness, found), *others) = self.verdict, self.free_run, self.tables
+        their_fitness, theirs = next(iter(others), (None, None))
+        scored = bool(np.isfinite(fitness[list(FORMULAS)].to_numpy()).any())
         paragraphs = [
             "" if results.run.simulated else text.sensors_text(self.residuals, results.run.baseline),
-            text.parameters_text(ours.parameters, self._warnings, baseline),
-            text.fitness_text(ours.fitness, results.record.observed, fitness_of(self.labels)),
+            text.parameters_text(found, self._warnings, theirs),
+            text.fitness_text(fitness, results.record.observed, fitness_of(self.labels)),
             text.free_run_text(*free, results.run.truth_label) if scored else text.free_run_line(*free),
             text.stories_text(estimate.stories),
             "" if posterior is None else text.diagnostics_text(posterior.diagnostics, posterior.verdict),
             "" if self.validation is None else text.validation_text(*self.validation),
             text.changes_text(estimate.changes),
             text.peaks_text(estimate.peaks),
-            "" if baseline is None else text.comparison_text(ours, baseline, self.stages.seconds),
+            "" if their_fitness is None else text.comparison_text(fitness, their_fitness, self.stages.seconds),
             text.score_text(results.run.validation, results.score),
             "" if verdict is None else text.verdict_text(verdict),
         ]
@@ -270,10 +258,10 @@ class RunReport:
         Figures are those of :meth:`drawing`.
         """
         results, directory, drawn, verdict = self.results, self.directory, self._drawn, self.verdict
-        ours, *baseline = self.tables
+        found = below(*[each for _, each in self.tables])
         with self.stages("report"):
             self.records.each(RecordReport.write)
-            write_tables(results, ours.above(next(iter(baseline), None)), directory)
+            write_tables(results, found, directory)
             for name, table in self._further_tables().items():
                 write_table(table, directory / name)
             if not results.estimate.peaks:
@@ -299,8 +287,8 @@ class RunReport:
         # Not above: who draws nothing has no need of templates.
         from pinn_cli.report.page import run_page
 
-        results, ours = self.results, self.tables[0]
-        return run_page(results, self.verdict, ours.parameters, ours.fitness, self.residuals, self._warnings)
+        fitness, found = self.tables[0]
+        return run_page(self.results, self.verdict, found, fitness, self.residuals, self._warnings)
 
     @property
     def _warnings(self) -> list[str]:
@@ -334,6 +322,20 @@ class RunReport:
             write_over_time_figure(self.over_time, place)
 
 
+def estimator_tables(
+    name: str, run: RunDescription, estimate: Estimate, record: Record, truth: Truth
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The rows of an estimator in ``fitness.csv`` and in ``parameters.csv``, labelled; the network's name is pinn."""
+    fitness = fitness_table(estimate.response, truth.response, record.observed)
+    found = parameters.parameter_table(estimate.parameters, truth.parameters)
+    return with_labels(fitness, run.labels_of(name)), with_labels(found, run.labels_of(name))
+
+
+def below(*tables: pd.DataFrame) -> pd.DataFrame:
+    """Tables one below the other; columns that are empty in one of them stay as they are."""
+    return pd.concat([table for table in tables if len(table)] or [tables[0]], ignore_index=True)
+
+
 def _with_posterior(results: Results) -> Results:
     """The parameters' means and intervals from their posterior, where there is one."""
     if results.posterior is None:
@@ -364,20 +366,22 @@ def records_table(each: Sequence[tuple[Results, pd.DataFrame, Verdict | None]]) 
     return pd.DataFrame(rows, columns=list(RECORD_COLUMNS))
 
 
-def write_tables(results: Results, ours: EstimatorTables, directory: Path) -> None:
-    """Write the tables of a run that all its records have in common: parameters, modes, history."""
+def write_tables(results: Results, found: pd.DataFrame, directory: Path) -> None:
+    """Write the tables of a run that all its records have in common: parameters as they are given, modes, history."""
     estimate, labels = results.estimate, results.run.labels_of(estimator="pinn")
-    files = {"parameters": ours.parameters, "history": estimate.history}
+    files = {"parameters": found, "history": estimate.history}
     modes = ModeEstimates.of(results.prescribed, estimate, results.true)
     if modes is not None:
         files["modes"] = with_labels(mode_table(modes), labels)
     if results.score is not None:
         files["score"] = results.score.table
-    if parameters.any_unknown(estimate.parameters):
+    if any(p.unknown for p in estimate.parameters):
         judged = parameters.identifiability_table(estimate.before_any_record, estimate.correlation)
         files["identifiability"] = with_labels(judged, labels)
         if estimate.correlation is not None:
-            files["correlation"] = parameters.correlation_table(estimate.parameters, estimate.correlation)
+            names = [p.name for p in estimate.parameters]
+            matrix = pd.DataFrame(estimate.correlation, index=names, columns=names)
+            files["correlation"] = matrix.rename_axis("parameter").reset_index()
     if estimate.stories:
         files["stories"] = with_labels(parameters.story_table(estimate.stories), labels)
     for name, table in files.items():
@@ -389,12 +393,14 @@ def write_posterior(results: Results, directory: Path) -> dict[str, xr.Dataset]:
     if results.posterior is None:
         return {}
     # Not above: xarray would be read before anything is printed.
-    from pinn_cli.report.netcdf import posterior_groups, write_posterior_data
+    import xarray as xr
+
+    from pinn_cli.report.netcdf import posterior_groups, write_dataset
 
     posterior, labels = results.posterior, results.run.labels_of(estimator="pinn")
     drawn = [found.parameter for found in results.estimate.parameters]
     groups = posterior_groups(posterior, results.record, drawn, labels)
-    write_posterior_data(groups, directory / "posterior.nc")
+    write_dataset(xr.DataTree.from_dict(groups), directory / "posterior.nc")
     diagnostics = posterior.diagnostics[list(parameters.DIAGNOSTICS)]
     write_table(with_labels(diagnostics, labels), directory / "diagnostics.csv")
     return groups

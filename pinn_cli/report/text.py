@@ -17,7 +17,6 @@ from pinn_cli.report.fitness import FORMULAS
 from pinn_cli.system.quantities import SUPPORT
 
 if TYPE_CHECKING:
-    from pinn_cli.report.estimator_tables import EstimatorTables
     from pinn_cli.report.free_run import FreeRun, ValidationRun
     from pinn_cli.training.estimate import Changes, Peak, Story
     from pinn_cli.validation.base import Score
@@ -189,13 +188,13 @@ def _sensor_lines(columns: dict[str, Column], sensors: pd.DataFrame, file: str) 
     return table_lines(told, shown), notes
 
 
-def parameters_text(table: pd.DataFrame, warnings: Sequence[str] = (), baseline: EstimatorTables | None = None) -> str:
+def parameters_text(table: pd.DataFrame, warnings: Sequence[str] = (), baseline: pd.DataFrame | None = None) -> str:
     """The parameter table: every unknown parameter, then the prescribed ones, or those of them that moved furthest.
 
     Args:
         table: From `pinn_cli.report.parameters.parameter_table`, of one run: what has a ``start`` was unknown.
         warnings: From `pinn_cli.report.parameters.identifiability_warnings`, of the same run.
-        baseline: Of another estimator. Where the truth is known it leaves no room for its parameters.
+        baseline: Rows of another estimator, with its name. Where the truth is known it leaves no room for them.
 
     Returns:
         Text, or "" if there are no parameters.
@@ -216,16 +215,16 @@ def parameters_text(table: pd.DataFrame, warnings: Sequence[str] = (), baseline:
 
 
 def parameter_tables(
-    table: pd.DataFrame, baseline: EstimatorTables | None = None
+    table: pd.DataFrame, baseline: pd.DataFrame | None = None
 ) -> tuple[list[tuple[dict[str, Column], pd.DataFrame]], list[str]]:
     """Columns and rows of the unknown parameters and of the prescribed ones, and what is left out; see above."""
     table, columns = _with_interval(table), {"estimate": Column("estimate", 12, number), **_INTERVAL}
     if table["true"].notna().any():
         columns |= _TRUTH
-    elif baseline is not None and len(baseline.parameters):
-        theirs = table[["parameter"]].merge(baseline.parameters, on="parameter", how="left").set_index(table.index)
+    elif baseline is not None and len(baseline):
+        theirs = table[["parameter"]].merge(baseline, on="parameter", how="left").set_index(table.index)
         table = table.assign(baseline_estimate=theirs["estimate"], baseline_std=theirs["std"])
-        columns["baseline_estimate"] = Column(baseline.name, max(12, len(baseline.name) + 1), number)
+        columns["baseline_estimate"] = Column(baseline["estimator"].iloc[0], 12, number)
         columns["baseline_std"] = Column("std", 10, _TWO)
     sought = table["start"].notna()
     found = table[sought].assign(parameter=table.loc[sought, "parameter"] + " *")
@@ -281,13 +280,9 @@ def fitness_text(table: pd.DataFrame, observed: np.ndarray | None = None, publis
     Returns:
         Text, or "" if there is no number at all.
     """
-    known = table[np.isfinite(table[list(FORMULAS)]).any(axis=1)]
-    if known.empty:
+    quantities, shown, left_out = fitness_shown(table, DOFS_SHOWN)
+    if not shown:
         return ""
-    quantities = [quantity for quantity in QUANTITIES if quantity in set(known["quantity"])]
-    names = list(dict.fromkeys(known["group"]))
-    single = [name for name in names if name.startswith("dof_")]
-    shown = names if len(single) <= DOFS_SHOWN else [name for name in names if name not in single]
     unobserved = [] if observed is None else [f"dof_{i}" for i in np.flatnonzero(~np.asarray(observed)) + 1]
     rows: list[tuple[str, Iterable[Any]]] = []
     for name in shown:
@@ -296,10 +291,20 @@ def fitness_text(table: pd.DataFrame, observed: np.ndarray | None = None, publis
         paper = None if published is None else published[published["group"] == name]
         if paper is not None and len(paper):
             rows.append(("  published", ([], paper.groupby("quantity")[FORMULAS[0]].mean().reindex(quantities))))
-    notes = [] if shown == names else [f"{single[0]} to {single[-1]}: fitness.csv"]
+    notes = [f"{left_out[0]} to {left_out[-1]}: fitness.csv"] if left_out else []
     if any(name in unobserved for name in shown):
         notes.append("* no response sensor on this DOF")
     return "\n".join([*_score_lines("DOFs", quantities, rows), *notes])
+
+
+def fitness_shown(table: pd.DataFrame, most: int) -> tuple[list[str], list[str], list[str]]:
+    """Quantities and groups of which anything is known; of more than ``most`` single DOFs none, which are the last."""
+    known = table[np.isfinite(table[list(FORMULAS)]).any(axis=1)]
+    groups = list(dict.fromkeys(known["group"]))
+    single = [name for name in groups if name.startswith("dof_")]
+    left_out = single if len(single) > most else []
+    quantities = [quantity for quantity in QUANTITIES if quantity in set(known["quantity"])]
+    return quantities, [name for name in groups if name not in left_out], left_out
 
 
 def free_run_line(run: FreeRun, table: pd.DataFrame) -> str:
@@ -332,14 +337,16 @@ def free_run_text(run: FreeRun, table: pd.DataFrame, truth: str = "truth") -> st
     return "\n".join([title, *lines, *([finding] if finding else [])])
 
 
-def comparison_text(ours: EstimatorTables, theirs: EstimatorTables, seconds: Mapping[str, float]) -> str:
+def comparison_text(ours: pd.DataFrame, theirs: pd.DataFrame, seconds: Mapping[str, float]) -> str:
     """Both estimators' fitness over all DOFs and their seconds, ``estimate`` and ``baseline``, in 100 columns.
 
     Quantities that nobody can score are left out; of a record without any truth the seconds are left.
     """
-    both = ((ours, "estimate"), (theirs, "baseline"))
-    used = {each.name: f"{seconds[stage]:.1f}" if stage in seconds else "-" for each, stage in both}
-    every = {each.name: each.fitness[each.fitness["group"] == "all"].set_index("quantity") for each, _ in both}
+    names = [str(each["estimator"].iloc[0]) for each in (ours, theirs)]
+    taken = [f"{seconds[stage]:.1f}" if stage in seconds else "-" for stage in ("estimate", "baseline")]
+    used = dict(zip(names, taken, strict=True))
+    of_all = [each[each["group"] == "all"].set_index("quantity") for each in (ours, theirs)]
+    every = dict(zip(names, of_all, strict=True))
     known = [q for q in QUANTITIES if any(table.loc[q, list(FORMULAS)].notna().any() for table in every.values())]
     if not known:
         return "seconds: " + ", ".join(f"{each} {taken}" for each, taken in used.items())

@@ -2,16 +2,18 @@
 
 import logging
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import norm, truncnorm
 from small_problems import QUANTITIES, accelerations, measured, relative_error, small_chain
 from small_problems import sped_up as faster
 from structures import hysteretic, modal
 
-from pinn_cli.baseline.comparison import baseline_estimate
+from pinn_cli.baseline import baseline_estimate
 from pinn_cli.baseline.iterated_smoother import IteratedSmoother
-from pinn_cli.baseline.kalman_smoother import KalmanSmoother
+from pinn_cli.baseline.kalman_smoother import KalmanSmoother, _parameters
 from pinn_cli.baseline.noise_levels import most_probable
 from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
 from pinn_cli.record.excitation import BandedNoise
@@ -198,3 +200,19 @@ def test_a_smoother_that_breaks_says_so_and_gives_no_estimate(monkeypatch, caplo
     with caplog.at_level(logging.WARNING):
         assert baseline_estimate(KalmanSmoother(), JointProblem.of(problem), RunContext()) is None
     assert "overflow at sample 3" in caplog.text
+
+
+def test_a_stiffness_below_zero_becomes_what_is_left_above() -> None:
+    """Gaussians that peak at these distances from what was believed, independent, of one prior deviation."""
+    uncertain = (
+        Parameter("k", 0, 10.0, 20.0, unknown=True, positive=True), Parameter("kappa", 0, 5.0, 3.0, unknown=True),
+    )  # fmt: skip
+    regression = SimpleNamespace(covariance=np.diag([1.0, 1.0, 7.0]))
+    last = SimpleNamespace(trajectory=SimpleNamespace(parameters=np.array([-1.0, 0.0])), regression=regression)
+    k, kappa = _parameters(SimpleNamespace(problem=SimpleNamespace(uncertain=uncertain)), last)
+    expected = truncnorm(0.5, np.inf, -10.0, 20.0)
+    assert k.held
+    assert (k.estimate, k.std) == pytest.approx((expected.mean(), expected.std()))
+    assert (k.lower_90, k.upper_90) == pytest.approx(tuple(expected.ppf([0.05, 0.95])))
+    assert (kappa.estimate, kappa.held) == (5.0, False)
+    assert (kappa.lower_90, kappa.upper_90) == pytest.approx(tuple(norm.ppf([0.05, 0.95], 5.0, 3.0)))

@@ -147,9 +147,9 @@ def make_quick(patch: pytest.MonkeyPatch) -> None:
     """Small studies, and no true digests, which have tests of their own."""
     patch.setattr("pinn_cli.paper.runs.run_digest", ",".join)
     patch.setattr("pinn_cli.paper.realisations._settings_digest", "".join)
-    patch.setattr("pinn_cli.paper.seeds.SEEDS", 3)
-    patch.setattr("pinn_cli.paper.nonlinearity.KAPPAS", (0.0, 10000.0))
-    patch.setattr("pinn_cli.paper.nonlinearity.FORCES", (1.0, 10.0))
+    patch.setattr("pinn_cli.paper.studies.SEEDS", 3)
+    patch.setattr("pinn_cli.paper.studies.KAPPAS", (0.0, 10000.0))
+    patch.setattr("pinn_cli.paper.studies.FORCES", (1.0, 10.0))
 
 
 @pytest.fixture

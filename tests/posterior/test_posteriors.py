@@ -1,22 +1,18 @@
 """The variants behind one interface: which likelihood they take, what they hand over, which settings they refuse."""
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from omegaconf import OmegaConf
 from toy_likelihoods import GaussianLikelihood, correlated
 
 from pinn_cli.posterior.conditional import Conditional
 from pinn_cli.posterior.laplace import Laplace
 from pinn_cli.posterior.marginal import Marginal
 from pinn_cli.posterior.nuts import STATISTICS
-from pinn_cli.settings.instantiation import build
 from pinn_cli.system.priors import Gamma, HalfNormal
 from pinn_cli.training.estimate import RunContext
 
-CONF = Path(__file__).parents[2] / "conf" / "posterior"
 NAMES = ("c_2", "k_1")
 SIGMA = (0.1, np.nan, 0.3)
 WIDE = GaussianLikelihood([1.0, 15.0], correlated([0.1, 0.3], 0.5), NAMES, SIGMA)
@@ -47,6 +43,9 @@ def test_shapes_of_what_is_sampled():
     assert samples.prior.shape == (10, 2)
     assert {name: values.shape for name, values in samples.statistics.items()} == dict.fromkeys(STATISTICS, (3, 10))
     assert (samples.warmup, samples.seconds.shape) == (20, (3,))
+    samples = Laplace(50).sample(WIDE, PRIORS, RunContext())
+    assert (samples.draws.shape, samples.sigma_force.shape, samples.prior.shape) == ((1, 50, 2), (1, 50, 2), (50, 2))
+    assert (samples.statistics, samples.warmup, samples.seconds.shape) == ({}, 0, (1,))
 
 
 def test_draws_from_the_prior_are_in_the_likelihoods_order():
@@ -71,11 +70,3 @@ def test_thirty_parameters():
     samples = Marginal(2, 100, 100).sample(likelihood, priors, RunContext())
     np.testing.assert_allclose(samples.draws.mean((0, 1)), peak, atol=0.04 * peak.max())
     assert not samples.statistics["diverging"].any()
-
-
-@pytest.mark.parametrize(("name", "cls"), [("marginal", Marginal), ("conditional", Conditional), ("laplace", Laplace)])
-def test_the_config_builds_it_with_the_classs_own_defaults(name, cls):
-    posterior = build(OmegaConf.load(CONF / f"{name}.yaml"), "posterior")
-    assert type(posterior) is cls
-    assert vars(posterior) == vars(cls())
-    assert posterior.name == name

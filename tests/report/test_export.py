@@ -13,7 +13,7 @@ from pinn_cli.record.files.excel import ExcelFormat
 from pinn_cli.record.files.mat import MatFormat
 from pinn_cli.record.files.uff import UffFormat
 from pinn_cli.record.response import QUANTITIES, UNITS
-from pinn_cli.report.export import EXPORTS, exports_of
+from pinn_cli.report.export import EXPORTS, report_settings
 from pinn_cli.report.netcdf import response_dataset
 from pinn_cli.settings.errors import InputError
 
@@ -32,7 +32,7 @@ def dataset(case):
 def test_every_format_has_every_quantity_of_every_dof(case, dataset, tmp_path):
     pytest.importorskip("pyuff")
     pytest.importorskip("openpyxl")
-    for export in exports_of(list(EXPORTS)):
+    for export in EXPORTS.values():
         export.write(dataset, tmp_path / f"response.{export.name}")
     assert sorted(file.suffix for file in tmp_path.iterdir()) == [".csv", ".mat", ".uff", ".xlsx"]
     names = {"csv": "{quantity}_{dof}{_std}", "mat": "{quantity}{_std}.{dof}", "uff": "{quantity} {dof}{ std}"}
@@ -56,14 +56,13 @@ def test_every_format_has_every_quantity_of_every_dof(case, dataset, tmp_path):
 def test_a_mat_file_says_what_is_in_it_and_dofs_go_by_their_names(case, dataset, tmp_path):
     from scipy.io import loadmat
 
-    (export,) = exports_of(["mat"])
-    export.write(dataset, tmp_path / "response.mat")
+    EXPORTS["mat"].write(dataset, tmp_path / "response.mat")
     content = loadmat(tmp_path / "response.mat", simplify_cells=True)
     np.testing.assert_array_equal(content["t"], case.record.time)
     np.testing.assert_array_equal(content["displacement"], case.estimate.response.displacement)
     assert content["dof"].tolist() == ["1", "2", "3"]
     named = dataset.assign_coords(dof_name=("dof", np.array(["roof", "floor", "base"], dtype=object)))
-    exports_of(["csv"])[0].write(named, tmp_path / "response.csv")
+    EXPORTS["csv"].write(named, tmp_path / "response.csv")
     columns = CsvFormat().read(tmp_path / "response.csv").columns
     np.testing.assert_allclose(columns["velocity_floor"], case.estimate.response.velocity[:, 1], rtol=1e-9)
     assert content["units"] == {**{quantity: UNITS[quantity] for quantity in QUANTITIES}, "t": "s"}
@@ -72,7 +71,7 @@ def test_a_mat_file_says_what_is_in_it_and_dofs_go_by_their_names(case, dataset,
 @pytest.mark.parametrize("names", ["csv", ["xls"], [1], {"csv": 1}, None])
 def test_what_is_no_list_of_formats(names):
     with pytest.raises(InputError, match=r"^report.export=.*: must be a list of any of csv, mat, uff, xlsx$"):
-        exports_of(names)
+        report_settings(names)
 
 
 def test_a_format_whose_package_is_missing_is_told_before_anything_is_estimated(monkeypatch):
@@ -82,5 +81,5 @@ def test_a_format_whose_package_is_missing_is_told_before_anything_is_estimated(
     monkeypatch.setattr("pinn_cli.report.export.import_module", missing)
     for name, extra in (("uff", "uff"), ("xlsx", "excel")):
         with pytest.raises(InputError, match=rf"^report.export={name}: must be .*; pip install 'pinn-cli\[{extra}\]'$"):
-            exports_of([name])
-    assert [export.name for export in exports_of(["mat", "csv", "mat"])] == ["mat", "csv"]
+            report_settings([name])
+    assert [export.name for export in report_settings(["mat", "csv", "mat"])[0]] == ["mat", "csv"]

@@ -10,7 +10,6 @@ import xarray as xr
 from fake_posteriors import DUFFING, LABELS, make_record, make_result, make_samples, parameters_of
 from small_estimates import results_of
 
-from pinn_cli.posterior.result import ForcePredictive
 from pinn_cli.record.record import Truth
 from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, UNITS, Response
 from pinn_cli.report.netcdf import (
@@ -18,7 +17,6 @@ from pinn_cli.report.netcdf import (
     posterior_groups,
     response_dataset,
     write_dataset,
-    write_posterior_data,
 )
 from pinn_cli.system.parameters import Parameter
 
@@ -78,7 +76,7 @@ def test_unknown_truth_is_left_out(make_case):
 
 def read_back(result, record, path, labels=LABELS):
     groups = posterior_groups(result, record, parameters_of(result.samples), labels)
-    return arviz.from_netcdf(write_posterior_data(groups, path / "posterior.nc"))
+    return arviz.from_netcdf(write_dataset(xr.DataTree.from_dict(groups), path / "posterior.nc"))
 
 
 def test_arviz_reads_every_group(tmp_path):
@@ -118,8 +116,3 @@ def test_units_attributes_and_what_there_is_not(tmp_path):
     assert data.posterior.attrs["tuning_steps"] == 100
     groups = posterior_groups(make_result(make_samples(("k_1",))), make_record(), [Parameter("k", 0)], LABELS)
     assert "units" not in groups["posterior"]["k_1"].attrs
-
-
-def test_a_predicted_force_of_another_shape_is_refused():
-    with pytest.raises(ValueError, match=r"\(4, 20, 100, 1\); it must be \(chains, 20, 200, dofs\)"):
-        ForcePredictive(np.arange(20), np.arange(200), np.zeros((4, 20, 100, 1)))

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from html.parser import HTMLParser
 
 import numpy as np
 import pandas as pd
 import pytest
+from html_pages import Checked
 from small_estimates import results_of
 
 from pinn_cli.report import figures
@@ -19,30 +19,6 @@ from pinn_cli.report.run_report import RunReport
 from pinn_cli.report.text import Column
 from pinn_cli.runs.stages import Stages
 from pinn_cli.verdict.finding import Finding, Verdict
-
-VOID = {"meta", "img", "br"}
-
-
-class Elements(HTMLParser):
-    """Every element is closed, in its order; what the page loads."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.loaded = [], []
-        self.feed(text)
-        self.close()
-        assert not self.open
-
-    def handle_starttag(self, tag, attrs):
-        if tag not in VOID:
-            self.open.append(tag)
-        self.loaded += [value for name, value in attrs if name in ("src", "srcset", "data", "href")]
-
-    def handle_startendtag(self, tag, attrs):
-        pass
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
 
 
 def draw_one(results, directory, *_):
@@ -57,7 +33,7 @@ def test_a_run_that_draws_leaves_a_page_that_loads_nothing(make_case, tmp_path, 
     with report.drawing():
         report.write()
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    loaded = [place for place in Elements(text).loaded if not place.startswith("#")]
+    loaded = [place for place in Checked(text).loaded if not place.startswith("#")]
     assert len(loaded) == len(list((tmp_path / "figures").glob("*.png"))) == 1
     assert all(place.startswith("data:image/png;base64,") for place in loaded)
     assert "<script" not in text
@@ -80,7 +56,7 @@ def test_names_of_anybody_are_text(make_case, tmp_path):
     reason = Finding("gain", "x", "the channel <script>alert(1)</script> is late")
     Page("my_rig", Verdict("failed", (reason,)), [sheet]).write(tmp_path)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    Elements(text)
+    Checked(text)
     assert "<script" not in text
     assert "&lt;script&gt;" in text
     assert "\x1b" not in text

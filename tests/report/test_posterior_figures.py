@@ -163,32 +163,20 @@ def test_force_predictive(dofs):
     assert set(_texts(figure)) == {"observed", "predictive median", "90 % band"}
 
 
-@pytest.fixture
-def reported(tmp_path):
-    """The posterior's files in a folder."""
-
-    def report(posterior, record):
-        case = make_estimate(ndof=2)
-        parameters = [ParameterEstimate(parameter, 1.0) for parameter in parameters_of(posterior.samples)]
-        estimate = replace(case.estimate, parameters=parameters)
-        results = results_of(case, record=record, estimate=estimate, posterior=posterior)
-        write_posterior_figures(results, write_posterior(results, tmp_path), tmp_path / "figures")
-        return tmp_path
-
-    return report
-
-
-def test_every_file_is_written(reported):
-    record = make_record()
-    directory = reported(make_result(make_samples(), record, "12 divergences"), record)
-    drawn = {path.name for path in (directory / "figures").iterdir()}
-    assert drawn == {
-        f"{name}.{kind}" for name in ("posterior_pairs", "trace", "ranks", "fitted_force") for kind in ("png", "pdf")
-    }
-    assert {path.name for path in directory.iterdir()} == {"posterior.nc", "diagnostics.csv", "figures"}
-    assert list(pd.read_csv(directory / "diagnostics.csv")) == [*LABELS, *DIAGNOSTICS]
-
-
-def test_a_posterior_in_closed_form_has_neither_traces_nor_ranks(reported):
-    directory = reported(make_result(make_samples(statistics={}, method="laplace")), make_record())
-    assert {path.stem for path in (directory / "figures").iterdir()} == {"posterior_pairs"}
+@pytest.mark.parametrize(
+    ("posterior", "drawn"),
+    [
+        (make_result(make_samples(), make_record(), "12 divergences"), {"trace", "ranks", "fitted_force"}),
+        (make_result(make_samples(statistics={}, method="laplace")), set()),
+    ],
+    ids=["sampled", "closed form"],
+)
+def test_every_file_is_written(posterior, drawn, tmp_path):
+    case = make_estimate(ndof=2)
+    estimate = replace(case.estimate, parameters=[ParameterEstimate(p, 1.0) for p in parameters_of(posterior.samples)])
+    results = results_of(case, record=make_record(), estimate=estimate, posterior=posterior)
+    write_posterior_figures(results, write_posterior(results, tmp_path), tmp_path / "figures")
+    names = {f"{name}.{kind}" for name in {"posterior_pairs", *drawn} for kind in ("png", "pdf")}
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == names
+    assert {path.name for path in tmp_path.iterdir()} == {"posterior.nc", "diagnostics.csv", "figures"}
+    assert list(pd.read_csv(tmp_path / "diagnostics.csv")) == [*LABELS, *DIAGNOSTICS]

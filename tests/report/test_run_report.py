@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import time
@@ -12,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from fake_posteriors import DUFFING, make_result, make_samples
-from small_estimates import parameter_estimate, results_of
+from small_estimates import results_of
 
 from pinn_cli.report import figures, run_report
 from pinn_cli.report.results import LABELS
@@ -85,21 +83,6 @@ def test_unknown_parameters_bring_their_tables_and_verdict(results, tmp_path):
 def test_what_there_is_not_brings_no_table(results, tmp_path, unknown, found):
     report_of(results(*unknown, correlation=None), tmp_path)
     assert [path.name for name in ("correlation", "identifiability") for path in tmp_path.glob(f"{name}*")] == found
-
-
-@pytest.mark.slow
-def test_a_posterior_brings_its_files_parameters_and_verdict(results, tmp_path):
-    start = [parameter_estimate(name, 1.0, 1.0, 0.1, 0.9, 1.1) for name in DUFFING]
-    samples = make_samples()
-    found = results(parameters=start, correlation=None)
-    text = report_of(replace(found, posterior=make_result(samples, None, "3 divergences")), tmp_path)
-    table = pd.read_csv(tmp_path / "parameters.csv").set_index("parameter")
-    assert table["estimate"].to_numpy() == pytest.approx(samples.draws.mean(axis=(0, 1)))
-    assert (tmp_path / "posterior.nc").is_file()
-    assert (tmp_path / "figures" / "posterior_pairs.png").is_file()
-    assert "FAILED: 3 divergences" in text
-    record = json.loads((tmp_path / "run.json").read_text())["posterior"]
-    assert (record["method"], record["chains"], record["quality_check"]) == ("marginal", 4, ["3 divergences"])
 
 
 def test_an_error_of_a_figure_reaches_the_user_and_leaves_no_run_record(results, tmp_path, monkeypatch):

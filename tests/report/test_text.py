@@ -12,11 +12,11 @@ from small_estimates import parameter_estimate, results_of
 
 from pinn_cli.record.response import Response
 from pinn_cli.report import published
-from pinn_cli.report.estimator_tables import EstimatorTables
 from pinn_cli.report.fitness import fitness_table, residual_table
 from pinn_cli.report.free_run import FreeRun, free_run_table
 from pinn_cli.report.parameters import parameter_table
 from pinn_cli.report.results import with_labels
+from pinn_cli.report.run_report import estimator_tables
 from pinn_cli.report.text import (
     PARAMETERS_SHOWN,
     WIDTH,
@@ -34,8 +34,9 @@ from pinn_cli.training.estimate import ParameterEstimate
 MANY = [f"{symbol}_{i}" for symbol in ("c", "k", "kappa") for i in range(1, 11)]
 
 
-def tables(case, name="pinn", estimate=None) -> EstimatorTables:
-    return EstimatorTables.of(name, results_of(case).run, estimate or case.estimate, case.record, case.truth)
+def tables(case, name="pinn", estimate=None) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Fitness and parameters."""
+    return estimator_tables(name, results_of(case).run, estimate or case.estimate, case.record, case.truth)
 
 
 def residuals(case, name="pinn", estimate=None):
@@ -46,24 +47,12 @@ def fits(text: str) -> bool:
     return max(map(len, text.splitlines())) <= WIDTH
 
 
-def test_rows_of_a_baseline_lie_below_those_of_the_network(make_case):
-    case = make_case(ndof=3)
-    ours = tables(case)
-    both = ours.above(tables(case, "kalman_smoother"))
-    for name in ("fitness", "parameters"):
-        table, rows = getattr(both, name), len(getattr(ours, name))
-        assert list(table.columns) == list(getattr(ours, name).columns)
-        assert table["estimator"].tolist() == ["pinn"] * rows + ["kalman_smoother"] * rows
-    none = tables(case, estimate=replace(case.estimate, parameters=[]))
-    assert list(none.above(none).parameters.columns) == list(ours.parameters.columns)
-
-
 @pytest.mark.parametrize("worse", [1.0, -1e6])
 def test_the_text_compares_both(make_case, worse):
     case = make_case(ndof=6)
     response = replace(case.estimate.response, displacement=worse * case.estimate.response.displacement)
     theirs = tables(case, "kalman_smoother", replace(case.estimate, response=response))
-    text = comparison_text(tables(case), theirs, {"estimate": 1.26, "baseline": 12.0})
+    text = comparison_text(tables(case)[0], theirs[0], {"estimate": 1.26, "baseline": 12.0})
     assert fits(text)
     rows = [line.split() for line in text.splitlines()[-2:]]
     assert [(row[0], row[-1]) for row in rows] == [("pinn", "1.3"), ("kalman_smoother", "12.0")]
@@ -72,10 +61,10 @@ def test_the_text_compares_both(make_case, worse):
 @pytest.mark.parametrize("ndof", [1, 6, 20])
 def test_fitness_and_parameters_fit(ndof, make_case):
     case = make_case(ndof=ndof, observed=1)
-    text = fitness_text(tables(case).fitness, case.record.observed, published.fitness())
+    text = fitness_text(tables(case)[0], case.record.observed, published.fitness())
     assert fits(text)
     assert ("fitness.csv" in text) == (ndof > 10)
-    text = parameters_text(tables(case).parameters)
+    text = parameters_text(tables(case)[1])
     assert fits(text)
     assert ("the 24 of 60" in text) == (ndof == 20)
 
@@ -83,7 +72,7 @@ def test_fitness_and_parameters_fit(ndof, make_case):
 def test_published_rows_of_this_case_only(make_case):
     case = make_case()
     labels = case.labels | {"case": "sr_6dof_snr50"}
-    assert fitness_text(tables(case).fitness, published=published.fitness_of(labels)).count("published") == 3
+    assert fitness_text(tables(case)[0], published=published.fitness_of(labels)).count("published") == 3
     for other in ({"case": "small"}, {"ndof": 7}, {"snr_db": 20.0}):
         assert published.fitness_of(labels | other).empty
 
@@ -133,9 +122,9 @@ def test_warnings_are_counted_and_fit():
     assert fits(text)
 
 
-def test_a_baselines_parameters_stand_beside_ours_where_there_is_no_truth(make_case):
+def test_a_baselines_parameters_stand_beside_ours_where_there_is_no_truth():
     theirs = parameter_table([replace(p, estimate=77.0, std=0.5) for p in identified()])
-    other = replace(tables(make_case(), "kalman_smoother"), parameters=theirs)
+    other = theirs.assign(estimator="kalman_smoother")
     text = parameters_text(parameter_table(identified()), baseline=other)
     assert text.splitlines()[2].split()[-2:] == ["77.000", "0.50"]
     assert fits(text)

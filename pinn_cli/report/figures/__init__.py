@@ -32,7 +32,7 @@ from pinn_cli.report.figures.sensors import (
 )
 from pinn_cli.report.figures.structure import structure_figure
 from pinn_cli.report.figures.style import save
-from pinn_cli.report.parameters import any_unknown, worst_sampled
+from pinn_cli.report.parameters import worst_sampled
 from pinn_cli.report.results import Results, record_folder
 from pinn_cli.runs.side_by_side import shared_out
 from pinn_cli.training.estimated_structure import estimated_structure
@@ -83,7 +83,7 @@ def run_drawings(results: Results, directory: Path) -> list[Drawing]:
         found["history"] = 5, partial(history_figure, estimate.history)
     if any(given.prescribed or given.unknown for given in every):
         found["parameters"] = 4, partial(parameters_figure, every, true)
-    if estimate.correlation is not None and len(every) > 1 and any_unknown(every):
+    if estimate.correlation is not None and len(every) > 1 and any(p.unknown for p in every):
         found["correlation"] = 2, partial(correlation_figure, every, estimate.correlation)
     return [Drawing(directory, name, *how) for name, how in found.items()]
 

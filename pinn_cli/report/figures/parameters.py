@@ -49,16 +49,11 @@ def parameters_figure(estimates: Sequence[ParameterEstimate], true: Truth) -> Fi
 
     Unknown parameters are drawn as they are, in their unit, with the values from which the search for them started: a
     triangle at the edge points to one that is far away, and says its value. Prescribed ones are drawn as relative
-    changes from what was prescribed; where that is zero they are left out.
-
-    Raises:
-        ValueError: If there is nothing to draw.
+    changes from what was prescribed; where that is zero they are left out. There is one to draw.
     """
     rows = [[p for p in estimates if p.unknown], [p for p in estimates if p.prescribed and not p.unknown]]
     kinds = [{kind: [p for p in row if p.kind == kind] for kind in dict.fromkeys(p.kind for p in row)} for row in rows]
     kinds = [row for row in kinds if row]
-    if not kinds:
-        raise ValueError("there is no estimated parameter that is unknown or has a prescribed value other than zero")
     longest = max(len(p.parameter.label) for row in rows for p in row)
     with style.look():
         width = float(np.clip(1.2 + 2.0 * max(map(len, kinds)), LEGEND, style.PAGE_WIDTH))
@@ -147,14 +142,8 @@ def _draw_group(axes: Axes, group: Sequence[ParameterEstimate], values: np.ndarr
 
 
 def correlation_figure(estimates: Sequence[ParameterEstimate], correlation: np.ndarray) -> Figure:
-    """The posterior correlation (p, p) of p parameters, unknown ones first; a line parts them from the prescribed ones.
-
-    Raises:
-        ValueError: If there are fewer than two parameters.
-    """
+    """The posterior correlation (p, p) of two parameters or more, unknown ones first; a line parts them from others."""
     count = len(estimates)
-    if count < 2:
-        raise ValueError("a correlation takes two parameters")
     order = sorted(range(count), key=lambda i: not estimates[i].unknown)
     unknown, parameters = sum(p.unknown for p in estimates), [estimates[i].parameter for i in order]
     matrix, few = np.asarray(correlation)[np.ix_(order, order)], count <= ANNOTATED

@@ -244,15 +244,10 @@ def history_figure(history: pd.DataFrame) -> Figure:
 
     A panel whose columns are missing is left out; values that are not positive have no place on the scale and are left
     out. A term keeps its colour and its dashes in both panels, so that one legend is that of both.
-
-    Raises:
-        ValueError: If there is no such column.
     """
     titles = {"loss_": "Loss term", "weight_": r"Loss weight $\lambda$"}
     columns = {start: [str(name) for name in history if str(name).startswith(start)] for start in titles}
     shown = [start for start in titles if columns[start]]
-    if not shown:
-        raise ValueError(f"the history has no loss_* or weight_* column, only {', '.join(map(str, history))}")
     terms = list(dict.fromkeys(name.removeprefix(start) for start in shown for name in columns[start]))
     iterations, margins = history["iteration"].to_numpy(), (0.08 * style.PAGE_WIDTH, 0.3 * style.PAGE_WIDTH, 0.1, 0.38)
     with style.look():

@@ -9,10 +9,9 @@ from typing import Any
 from pinn_cli.model.knowledge import Model
 from pinn_cli.record.record import Measurements, Record
 from pinn_cli.record.windows import Window
-from pinn_cli.report.model import model_of, write_run_model
 from pinn_cli.report.parameters import OVER_TIME, identifiability_warnings, window_rows
 from pinn_cli.report.results import Results, RunDescription
-from pinn_cli.report.run_record import observed_digest
+from pinn_cli.report.run_record import model_of, observed_digest, write_run_model
 from pinn_cli.report.run_report import RecordReport, write_tables
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import write_table
@@ -126,8 +125,8 @@ class WindowSolver:
             verdict = report.verdict
         with stages("report"):
             report.write()
-            ours, *_ = RecordReport(believed, folder).tables
-            write_tables(believed, ours, folder)
+            (_, found), *_ = RecordReport(believed, folder).tables
+            write_tables(believed, found, folder)
             rows = window_rows(number + self.earlier, f"window_{number}", estimate)
             write_table(rows, folder / OVER_TIME)
             write_run_model(results, verdict, folder)
