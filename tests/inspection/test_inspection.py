@@ -1,7 +1,5 @@
 """What a look at a record says: gaps, clipping, offsets, signs, units, and a command that can be typed."""
 
-from __future__ import annotations
-
 import shlex
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Modes of several records, put together over the places of sensors that rove."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Tables of modes of records, beside each other and a structure's; and the command ``modes``."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """Natural frequencies and damping of a chain whose equations are written out here, from its noisy record."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

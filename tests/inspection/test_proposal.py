@@ -1,7 +1,5 @@
 """From a file as it lies on the disk to a command that runs as it is."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Spectra as a table: against SciPy's, and with their units."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import csd, welch

@@ -1,7 +1,5 @@
 """The figures and the report that `make paper` leaves behind, from made-up runs and scores."""
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -1,7 +1,5 @@
 """What is made, of runs and of realisations, and when it is made again."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import threading

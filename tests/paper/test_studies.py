@@ -1,7 +1,5 @@
 """Noise seeds and nonlinearity: realisations, tables and figure."""
 
-from __future__ import annotations
-
 import pandas as pd
 import pytest
 

@@ -1,7 +1,5 @@
 """Published values beside ours, with stand-ins for the runs."""
 
-from __future__ import annotations
-
 import math
 import re
 

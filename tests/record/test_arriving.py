@@ -1,7 +1,5 @@
 """What has come of a record that is still being measured."""
 
-from __future__ import annotations
-
 import os
 from itertools import pairwise
 from pathlib import Path

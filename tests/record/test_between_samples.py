@@ -1,7 +1,5 @@
 """Histories between their samples: what is told in the middle, what is left open at the ends, holds, straight lines."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """When samples were taken: a column in another unit, a sampling rate, or the file's own header."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Cross spectra against scipy's, and of channels that miss samples against exact values."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """What a file or a setting that cannot be used says: one line with file, column and line, or with the setting."""
 
-from __future__ import annotations
-
 import gzip
 import math
 import os

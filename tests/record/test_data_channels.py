@@ -1,7 +1,5 @@
 """``data.channels``: what every key means, and what a value that cannot be meant says in one line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

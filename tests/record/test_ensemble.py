@@ -1,7 +1,5 @@
 """Many members side by side against one simulation each, and white forces against the textbook's variance."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

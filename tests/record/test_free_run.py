@@ -1,7 +1,5 @@
 """What structures do under the force of a record, between whose samples the record says what happens."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

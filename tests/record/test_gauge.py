@@ -1,7 +1,5 @@
 """Sensors with a gain, an offset, a drift and a delay: what they show, and what of it is unknown."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The ground's acceleration as a channel of a record: kept with it, read from a CSV file, refused where it is none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

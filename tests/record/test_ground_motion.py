@@ -1,7 +1,5 @@
 """The motion of the ground: its spectrum, its size, its files, and what it cannot be."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

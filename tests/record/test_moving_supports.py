@@ -1,7 +1,5 @@
 """Structures on supports that move, against equations of motion that are written out here."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

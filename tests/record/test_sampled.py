@@ -1,7 +1,5 @@
 """Records with gaps, several rates and jitter: what becomes a column, what a gauge, and what is told."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

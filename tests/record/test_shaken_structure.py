@@ -1,7 +1,5 @@
 """Structures on moving ground against equations of motion that are written out here, and what of it is measured."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

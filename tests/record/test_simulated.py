@@ -1,7 +1,5 @@
 """Simulated records: noise and its seeds, repeated measurements, what the record says; and the paper's own signals."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A channel's band and white noise, read off its periodogram; and filters for all channels alike."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from small_problems import accelerations, measured, small_chain

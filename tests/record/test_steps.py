@@ -1,7 +1,5 @@
 """Laws that turn round with the motion, and those too stiff for explicit steps, against equations written out here."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which data the identified system is tried on, what is left for the estimator, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where the windows of a record begin and end, what is in them, and those of a record that is still being measured."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What connections do: drifts, energy, forces that are left out, against numbers counted by hand and closed forms."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

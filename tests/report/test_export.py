@@ -1,7 +1,5 @@
 """The response in files of other programs: written, and read back as a record of somebody's."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Both fitness formulas, the table of what is left of every sensor and its figure, against numbers counted by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The estimated system left to itself: right parameters reproduce the truth, wrong ones are found out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a run leaves of the motion of the ground, estimated or not: histories, residuals, figures, a free run."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

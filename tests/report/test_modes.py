@@ -1,7 +1,5 @@
 """``modes.csv`` and its figure: intervals against draws of the parameters, and modes of other structures beside."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """response.nc written and read back, and posterior.nc as ArviZ reads it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a run on a measured record leaves and prints: its sensors, and no numbers that nobody can know."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page of a run: it is whole, loads nothing, and says what was found; modes move as their shapes are."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The tables of parameters: estimates of a training and of draws, and how well they are determined."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Figures of a sampled posterior: what they show, for few and many parameters and chains."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import matplotlib as mpl

@@ -1,7 +1,5 @@
 """Figures: what they show, and that they are written."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

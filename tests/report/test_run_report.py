@@ -1,7 +1,5 @@
 """Which files a report writes, and what it prints, with and without unknown parameters."""
 
-from __future__ import annotations
-
 import os
 import sys
 import time

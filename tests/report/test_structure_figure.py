@@ -1,7 +1,5 @@
 """The drawing of a structure that a user wrote down."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

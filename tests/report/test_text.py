@@ -1,7 +1,5 @@
 """The tables of both estimators, and what a run prints: it fits 100 columns and says what it leaves out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

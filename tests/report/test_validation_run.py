@@ -1,7 +1,5 @@
 """The identified system on other data: its error, its band, its table, text and figure."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files as programs of measurement leave them: names, units and times are found wherever they stand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from files_as_they_lie import FILES, GRAVITY, RATE, SAMPLES, rig

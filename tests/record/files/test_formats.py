@@ -1,7 +1,5 @@
 """The same record in every format gives the same numbers; and what a file that cannot be used says."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What headers tell: units, places, times, scales; and channels of different rates on one clock."""
 
-from __future__ import annotations
-
 import pickle
 from pathlib import Path
 

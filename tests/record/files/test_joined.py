@@ -1,7 +1,5 @@
 """Several files on one clock."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

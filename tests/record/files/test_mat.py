@@ -1,7 +1,5 @@
 """MAT files that other programs wrote: MATLAB's own, kept with SciPy's tests, and hdf5storage's of version 7.3."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import h5py

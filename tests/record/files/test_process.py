@@ -1,7 +1,5 @@
 """What a file does to the library that reads it, it does in a process of its own; it is told in one line."""
 
-from __future__ import annotations
-
 import importlib
 import math
 from pathlib import Path

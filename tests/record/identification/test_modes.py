@@ -1,7 +1,5 @@
 """Modes of simulated records whose modes are known: plain ones are found, nothing else is, and intervals hold."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from vibrating_records import (
