@@ -52,7 +52,11 @@ def test_unknown_noise_makes_students_t():
 
 @pytest.mark.parametrize(
     ("prior", "peak"),
-    [(Gamma(2.0, 1.0), 0.3), (HalfNormal(1.0), -0.5), (LogNormal(1.0, 1.0), 0.3)],
+    [
+        pytest.param(Gamma(2.0, 1.0), 0.3, marks=pytest.mark.slow),
+        (HalfNormal(1.0), -0.5),
+        pytest.param(LogNormal(1.0, 1.0), 0.3, marks=pytest.mark.slow),
+    ],
     ids=lambda x: getattr(x, "name", x),
 )
 def test_positive_parameters_against_quadrature(prior, peak):

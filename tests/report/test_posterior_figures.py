@@ -81,7 +81,8 @@ def check_pairs(figure: Figure, size: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "chains"), [(("k_1",), 1), (DUFFING, 4), pytest.param(TWELVE, 2, marks=pytest.mark.slow)]
+    ("names", "chains"),
+    [(("k_1",), 1), pytest.param(DUFFING, 4, marks=pytest.mark.slow), pytest.param(TWELVE, 2, marks=pytest.mark.slow)],
 )
 def test_every_figure_is_drawn(names, chains):
     before = dict(mpl.rcParams)

@@ -207,7 +207,8 @@ def test_what_is_missing_is_told_as_it_would_be_given():
     check_given(structure, list(structure.every_parameter()))
 
 
-@pytest.mark.parametrize("factor", [pytest.param(0.1, marks=pytest.mark.slow), 10.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [0.1, 10.0])
 def test_where_no_linear_chain_comes_near_the_free_run_says_how_stiff_it_is(factor):
     s = replace(frame(), kappa=np.array([0.0, 2e12, 2e12]))
     time = np.arange(600) / 100.0

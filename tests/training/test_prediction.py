@@ -99,7 +99,7 @@ def test_discrepancy_and_noise_of_a_measured_force_widen_the_bands():
     assert spread(known, exact) == pytest.approx(spread(known, exact, measured_input=False), rel=1e-3)
 
 
-@pytest.mark.parametrize("most", [9.0, 22.0])
+@pytest.mark.parametrize("most", [9.0, pytest.param(22.0, marks=pytest.mark.slow)])
 def test_bands_of_a_measured_force_hold_what_its_noise_does(most):
     """By default: whether the spectrum shows the noise, or content up to 22 of 25 Hz hides it and the run tells it."""
     inside = []

@@ -29,7 +29,7 @@ def test_it_never_sees_the_truth():
     assert set(inspect.signature(judge).parameters) == names
 
 
-@pytest.mark.parametrize("kind", ["gain", "sign", "clip"])
+@pytest.mark.parametrize("kind", ["gain", pytest.param("sign", marks=pytest.mark.slow), "clip"])
 def test_a_ruined_channel_makes_it_questionable_and_comes_first(right_estimate, kind):
     problem, estimate = right_estimate
     change = {"gain": lambda x: 1.15 * x, "sign": lambda x: -x, "clip": lambda x: np.clip(x, -x.std(), x.std())}[kind]

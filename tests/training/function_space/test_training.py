@@ -72,6 +72,7 @@ def test_other_networks(design):
     assert relative_error(solved(problem(), design).response.displacement, truth().displacement) < 0.05
 
 
+@pytest.mark.slow
 def test_another_seed_finds_the_same_motion():
     first, second = (solved(problem(), seed=seed).response for seed in (0, 1))
     assert relative_error(first.displacement, second.displacement) < 0.01

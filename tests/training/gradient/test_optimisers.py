@@ -55,7 +55,7 @@ def test_going_on_from_a_state_changes_no_bit(name, weights, tmp_path):
     ("training", "hold"),
     [
         (Adam(400, learning_rate=1e-2, collocation_points=None), "exact"),
-        (Adam(400, learning_rate=1e-2, collocation_points=None), "zero_order"),
+        pytest.param(Adam(400, learning_rate=1e-2, collocation_points=None), "zero_order", marks=pytest.mark.slow),
         (Lbfgs(150, warm_up=0, collocation_points=None), "exact"),
     ],
     ids=["adam", "adam, zero order", "lbfgs"],
