@@ -10,7 +10,7 @@ RAY := $(VENV)/.installed-ray
 # Overrides for the run, as pinn-run takes them: make run ARGS="system.ndof=20 noise.snr_db=20"
 ARGS ?=
 
-.PHONY: help venv run test test-all trust kills lint format fuzz stored audit bench bench-epochs bench-models bench-nearly-right bench-sweeps calibration table1 table2 table3 table4 table5 table6 paper figures tables seeds nonlinearity paper-all \
+.PHONY: help venv run test quick-tests test-all trust kills lint format fuzz stored audit bench bench-epochs bench-models bench-nearly-right bench-sweeps calibration table1 table2 table3 table4 table5 table6 paper figures tables seeds nonlinearity paper-all \
 	against-smoother bench-peers docs gallery clean
 
 help: ## list the targets
@@ -43,8 +43,11 @@ format: venv ## let ruff sort imports, mend and format
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-test: lint ## lint, then every test that is not slow
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n logical --maxprocesses 8 --dist loadscope -m "not slow"
+test: venv ## lint, and every test that is not slow
+	$(MAKE) --no-print-directory -j2 lint quick-tests
+
+quick-tests: venv ## every test that is not slow
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n logical --maxprocesses 8 --dist loadscope -m "not slow" </dev/null
 
 test-all: lint $(RAY) ## lint, then every test
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n logical --maxprocesses 8 --dist loadscope

@@ -39,6 +39,7 @@ def test_a_gaussian_under_flat_priors():
     np.testing.assert_allclose(found[:3, :3], correlated(np.ones(3), correlation), atol=atol)
 
 
+@pytest.mark.slow
 def test_unknown_noise_makes_students_t():
     """p(theta) with s integrated out under its flat prior: t with N degrees of freedom."""
     likelihood = RegressionLikelihood([3.0], [[0.04]])
@@ -74,6 +75,7 @@ def test_positive_parameters_against_quadrature(prior, peak):
     assert_moments(draws, np.array([mean]), np.array([np.sqrt(moment(2) / moment(0) - mean**2)]))
 
 
+@pytest.mark.slow
 def test_a_parameter_at_zero_does_not_hold_its_neighbour_up():
     """A truncated Gaussian of correlation 0.95, against independent draws of it: chains used to stick in its tail."""
     likelihood = GaussianLikelihood([0.7, 15.0], correlated([1.0, 1.0], 0.95))

@@ -166,7 +166,7 @@ def test_force_predictive(dofs):
     ("posterior", "drawn"),
     [
         (make_result(make_samples(), make_record(), "12 divergences"), {"trace", "ranks", "fitted_force"}),
-        (make_result(make_samples(statistics={}, method="laplace")), set()),
+        pytest.param(make_result(make_samples(statistics={}, method="laplace")), set(), marks=pytest.mark.slow),
     ],
     ids=["sampled", "closed form"],
 )

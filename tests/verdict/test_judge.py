@@ -62,6 +62,7 @@ def test_where_an_unknown_parameter_starts_is_no_cause(right_estimate):
     assert [reason.kind for reason in verdict.reasons] == ["not_converged"]
 
 
+@pytest.mark.slow
 def test_a_wrong_mass_is_the_cause(right_estimate):
     problem, estimate = right_estimate
     m = problem.structure.parameters["m"].clone()
@@ -70,6 +71,7 @@ def test_a_wrong_mass_is_the_cause(right_estimate):
     assert (verdict.word, verdict.reasons[0].kind, verdict.reasons[0].suspect) == ("failed", "mass", "m_2")
 
 
+@pytest.mark.slow
 def test_a_wrong_unit_of_time_is_the_cause(right_estimate):
     problem, estimate = right_estimate
     record = replace(problem.record, time=1000.0 * problem.record.time)

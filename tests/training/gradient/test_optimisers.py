@@ -69,6 +69,7 @@ def test_it_finds_the_motion_where_all_is_measured(training, hold):
         assert relative_error(getattr(estimate.response, quantity), truth) < 0.03, quantity
 
 
+@pytest.mark.slow
 def test_curvature_gets_lower_than_adam_in_as_many_iterations():
     common = {"iterations": 300, "stages": 1, "collocation_points": 128}
     adam, lbfgs = (
