@@ -187,6 +187,6 @@ def _distinct(found: list[tuple[float, np.ndarray]]) -> list[tuple[float, np.nda
     """Without those that ended where a better one did."""
     kept: list[tuple[float, np.ndarray]] = []
     for misfit, x in found:
-        if all(np.abs(x - other).max(initial=0.0) > SAME_START for _, other in kept):
+        if all(np.abs(x - other).max() > SAME_START for _, other in kept):
             kept.append((misfit, x))
     return kept

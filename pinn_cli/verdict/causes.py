@@ -92,7 +92,9 @@ def causes(problem: Problem, believed: Structure, estimated: Structure, excused:
     if record is None or believed.is_modal or believed.coordinates > MOST_INVERTED:
         return []
     unknown = [p for p in problem.uncertain if p.unknown]
-    fits = _Fits(believed, linear_parts(believed, unknown), (estimated, problem.structure))
+    searched = any(p.kind in (MASS, "k") for p in unknown)
+    begun = (estimated, problem.structure) if searched else (estimated,)
+    fits = _Fits(believed, linear_parts(believed, unknown), begun)
     without, _ = fits.fitted(Cause(record, lambda _: None))
     if without.misfit < NEEDS_NO_CAUSE:
         return []
@@ -145,6 +147,7 @@ class _Fits:
 
     Attributes:
         structure: As it was told.
+        known: ``m``, ``c``, ``k``, ``loss``, NaN where unknown.
         begun: Where the unknown ones start; a fault may have led each of them astray.
     """
 
