@@ -160,9 +160,7 @@ def level_at_end(x: np.ndarray, step: float) -> float | None:
 
     None unless that is far less than what lies before: a filter lets no more through, or content ends only there.
     """
-    frequency, power = periodogram(x, step)
-    share = frequency / frequency[-1]
-    before, last = power[(share > 0.6) & (share <= USABLE_NYQUIST_FRACTION)], power[share > 0.9]
+    before, _, last = _upper_parts(x, step)
     if len(last) < FEWEST_BINS or not last.mean() < FAR_BELOW * before.mean():
         return None
     return float(np.sqrt(last.mean()))
@@ -179,15 +177,20 @@ def reaches_nyquist(x: np.ndarray, step: float, noise: float = 0.0) -> bool:
         step: From sample to sample, s.
         noise: Standard deviation of its noise, where somebody knows it.
     """
-    frequency, power = periodogram(x, step)
-    lower, upper, last = (
-        power[(frequency > low * frequency[-1]) & (frequency <= high * frequency[-1])]
-        for low, high in ((0.6, 0.8), (0.8, 1.0), (0.9, 1.0))
-    )
+    lower, upper, last = _upper_parts(x, step)
     if min(len(lower), len(last)) < FEWEST_BINS or not upper.any():
         return False
     falls = np.log(lower.mean() / upper.mean()) > _by_chance(lower, upper)
     return bool(falls and np.median(last) / np.log(2.0) > noise**2 * (1.0 + 3.0 / np.sqrt(len(last))))
+
+
+def _upper_parts(x: np.ndarray, step: float) -> list[np.ndarray]:
+    """Power of a channel (N,) from 0.6 to 0.8, from 0.8 to 1 and from 0.9 to 1 of its Nyquist frequency."""
+    frequency, power = periodogram(x, step)
+    return [
+        power[(frequency > low * frequency[-1]) & (frequency <= high * frequency[-1])]
+        for low, high in ((0.6, USABLE_NYQUIST_FRACTION), (USABLE_NYQUIST_FRACTION, 1.0), (0.9, 1.0))
+    ]
 
 
 def _by_chance(lower: np.ndarray, upper: np.ndarray) -> float:

@@ -18,7 +18,6 @@ from pinn_cli.record.free_run import NoFreeRunError, free_run
 from pinn_cli.record.inputs import SupportErrors, input_force
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES, UNITS, Response
-from pinn_cli.record.spectrum import lowest_level, visible_floor
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
@@ -29,6 +28,7 @@ from pinn_cli.training.base import TrainedNetwork
 from pinn_cli.training.bounded_estimates import HALF_WIDTH_90
 from pinn_cli.training.estimate import ConnectionHistories, Estimate, ParameterEstimate, Peak, RunContext
 from pinn_cli.training.record_scales import force_and_velocity_scale
+from pinn_cli.training.sensor_samples import SensorSamples
 
 if TYPE_CHECKING:
     from pinn_cli.scheme.predict import Predict
@@ -227,23 +227,18 @@ def _left_out(problem: Problem, model: Model, response: Response, count: int, se
 
 
 def _input_noise(problem: Problem, model: Model) -> list[np.ndarray]:
-    """A row (n,) for the noise of every measured input."""
+    """A row (n,) for the noise of every measured input: what its spectrum shows, else what the run found."""
     structure, record, levels = problem.structure, problem.record, model.levels
     felt = structure.shapes.matrix
     nothing = np.full(record.ndof, np.nan)
     loaded = np.flatnonzero(~record.unforced)
-    inputs = [(felt[dof], record.force[:, dof], levels.sensors.get(FORCE, nothing)[dof]) for dof in loaded]
+    inputs = [(felt[dof], FORCE, int(dof)) for dof in loaded]
     if record.ground_acceleration is not None:
-        pushed = structure.parameters_like(np.empty(0))[MASS] * structure.with_ground
-        inputs.append((pushed, record.ground_acceleration, levels.sensors.get(GROUND, nothing)[0]))
-    levels_of = [(column, _noise_of_input(samples, record.step, found)) for column, samples, found in inputs]
-    return [sigma * column for column, sigma in levels_of if np.isfinite(sigma)]
-
-
-def _noise_of_input(samples: np.ndarray, step: float, found: float) -> float:
-    """Standard deviation of a channel's noise: what its spectrum shows, else what the run found of its sensor.
-
-    White noise is nowhere less than in the emptiest part of a spectrum: an input that was computed has none.
-    """
-    floor = visible_floor(samples, step)
-    return float(found if np.isnan(found) else min(found, lowest_level(samples, step))) if floor is None else floor
+        inputs.append((structure.parameters_like(np.empty(0))[MASS] * structure.with_ground, GROUND, 0))
+    noise = []
+    for column, quantity, channel in inputs:
+        sensor, found = SensorSamples.of_column(record, quantity, channel), levels.sensors.get(quantity, nothing)
+        # White noise is nowhere less than in the emptiest part of a spectrum: an input that was computed has none.
+        sigma = sensor.shown or np.minimum(found[channel], sensor.most)
+        noise += [sigma * column] if np.isfinite(sigma) else []
+    return noise

@@ -28,7 +28,7 @@ class SensorSamples:
         dof: The channel of its quantity that it fills, counted from 0; None: it fills none.
         values: (J,), SI units.
         run: Samples in a row (R,) whose times are even, and the step, s; None: none are many enough to show its noise.
-        is_filtered: Whether anti-alias filters may leave less at the end of its spectrum than its noise is.
+        record: That it belongs to.
         scatter: Its noise as repeated measurements tell it; None: they do not.
     """
 
@@ -36,7 +36,7 @@ class SensorSamples:
     dof: int | None
     values: np.ndarray
     run: tuple[np.ndarray, float] | None
-    is_filtered: bool
+    record: Record
     scatter: float | None = None
 
     @classmethod
@@ -44,12 +44,12 @@ class SensorSamples:
         """Of a column of the record."""
         values, repeats = record.histories(quantity)[:, dof], record.repeats
         scatter = None if repeats is None else float(repeats.noise_of_mean(quantity)[dof])
-        return cls(quantity, dof, values, (values, record.step), record.is_filtered, scatter)
+        return cls(quantity, dof, values, (values, record.step), record, scatter)
 
     @classmethod
     def of_gauge(cls, gauge: Gauge, record: Record) -> SensorSamples:
         """Of a channel with samples of its own."""
-        return cls(gauge.quantity, gauge.dof, gauge.values, gauge.even_run, record.is_filtered)
+        return cls(gauge.quantity, gauge.dof, gauge.values, gauge.even_run, record)
 
     @cached_property
     def rms(self) -> float:
@@ -70,13 +70,15 @@ class SensorSamples:
     def shown(self) -> float:
         """Noise that its spectrum shows above its band; 0 where it shows none.
 
-        Content that is even up to 0.8 of the Nyquist frequency and ends above it passes for noise there, unless nothing
-        else can have emptied what lies beyond.
+        Content that is even up to 0.8 of the Nyquist frequency and ends above it passes for noise there, unless no
+        filter of the record can have emptied what lies beyond.
         """
         if self.run is None:
             return 0.0
-        visible, at_end = visible_floor(*self.run) or 0.0, None if self.is_filtered else level_at_end(*self.run)
-        return visible if at_end is None or at_end**2 > FAR_BELOW * visible**2 else at_end
+        visible, at_end = visible_floor(*self.run) or 0.0, level_at_end(*self.run)
+        if at_end is None or at_end**2 > FAR_BELOW * visible**2 or self.record.is_filtered:
+            return visible
+        return at_end
 
     @cached_property
     def most(self) -> float:
