@@ -115,14 +115,13 @@ def channels(
 ) -> list[Channel]:
     """Every sensor of a record, quantity by quantity, the ground's last; a force that is known to be zero is none."""
     asked = [quantity for quantity in quantities if quantity in QUANTITIES]
-    asked += [quantity for quantity in (*record.supports, GROUND) if quantity in quantities]
+    asked += [quantity for quantity in record.supports if quantity in quantities]
     every = [
         Channel(quantity, i, record.histories(quantity)[:, i], _label(record, quantity, i), record.there(quantity, i))
         for quantity in asked
-        if quantity != GROUND
         for i in np.flatnonzero(record.sensors(quantity)).tolist()
     ]
-    if GROUND in asked and record.ground_acceleration is not None:
+    if GROUND in quantities and record.ground_acceleration is not None:
         every.append(Channel(GROUND, GROUND_DOF, record.ground_acceleration, there=record.there(GROUND, 0)))
     return [channel for channel in every if channel.name not in excused]
 

@@ -15,7 +15,7 @@ from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import periodogram, reaches_nyquist
 from pinn_cli.system.connection.base import Hysteresis
 from pinn_cli.system.modes import modes_of
-from pinn_cli.system.parameters import MASS
+from pinn_cli.system.parameters import MASS, Parameter
 from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 from pinn_cli.verdict.finding import Finding, failed_if
 from pinn_cli.verdict.prediction import predicted
@@ -24,7 +24,6 @@ from pinn_cli.verdict.sensor_findings import noise_found
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record
     from pinn_cli.scheme.problem import Problem, SpectralEstimate
-    from pinn_cli.system.parameters import Parameter
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate
 
@@ -167,12 +166,13 @@ def _under_forces(problem: Problem, estimate: Estimate) -> list[Finding]:
     if not problem.uncertain or not problem.inputs.forces or "spectral_misfit" in estimate.summary:
         return []
     found, unheld = [], _unheld(problem)
-    if 0 < len(unheld) < len(problem.uncertain):
+    some_are_held = len(unheld) < len(problem.uncertain)
+    if unheld and some_are_held:
         names = ", ".join(unheld)
         text = f"of {names} nothing is known but through the spectrum of a force that was not measured"
         remedy = "do not trust them and their intervals; measure the force, or prescribe them"
         found.append(Finding("output_only_parameters", names, f"{text}: {remedy}"))
-    if estimate.summary.get("at_marginal_peak") and len(unheld) < len(problem.uncertain):
+    if some_are_held and estimate.summary.get("at_marginal_peak"):
         return found
     text = (
         "some forces were not measured, parameters were uncertain, and the record was explained with the most probable"

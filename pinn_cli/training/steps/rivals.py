@@ -20,7 +20,6 @@ from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Rival
-from pinn_cli.training.evidence import Trained
 from pinn_cli.training.point import Point
 from pinn_cli.training.solver import Inference
 from pinn_cli.training.steps.updated_problem import problem_in_own_modes
@@ -105,17 +104,14 @@ def _solved(found: Inference, values: dict[Parameter, float]) -> Inference | Non
         if p in values:
             moved[i] = (values[p] - p.prescribed) / equations.scale[i]
     there = Point(point.unknowns, moved)
-    begun = _damped_in_own_modes(replace(found, trained=_at(found.trained, there)))
+    solution = replace(found.trained.solution, point=there)
+    begun = _damped_in_own_modes(replace(found, trained=replace(found.trained, solution=solution)))
     try:
         followed = begun.evidence.equations.followed(there, found.trained.noise)
         again = begun.evidence.train(found.trained.noise, followed)
     except DivergenceError:
         return None
     return replace(begun, trained=again) if again is not None and again.solution.converged else None
-
-
-def _at(trained: Trained, point: Point) -> Trained:
-    return replace(trained, solution=replace(trained.solution, point=point))
 
 
 def _damped_in_own_modes(found: Inference) -> Inference:
