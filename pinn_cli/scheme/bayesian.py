@@ -22,7 +22,7 @@ from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import FREE, Problem
 from pinn_cli.scheme.sensors import Sensors
-from pinn_cli.scheme.starts import Start, parameter_starts
+from pinn_cli.scheme.starts import Start, Starts
 from pinn_cli.scheme.unknowns import (
     POSITIVE,
     at_starts,
@@ -176,7 +176,7 @@ class Bayesian(EstimationScheme):
         check_given(prescribed, chosen)
         check_used(prescribed, chosen, None, self.positive)
         given = _given(record, chosen)
-        starts = parameter_starts(prescribed, record, chosen, given, 1, further)[0]
+        (starts,) = Starts(prescribed, (record, *further), chosen, given, 1)
         values = {p: start.value for p, start in starts.items()}
         records = [calibrated_starts(each, values) for each in records]
         scales = {parameter: starts[parameter].scale for parameter in chosen}

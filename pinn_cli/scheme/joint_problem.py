@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,10 +25,12 @@ class JointProblem:
     Attributes:
         each: Of every record. Each has its own sensors, length, noise, initial motion and inputs.
         other_starts: The same from other starts of the unknown parameters, for a training that can compare solutions.
+        elsewhere: Makes the same from further starts, for where none of those leads to a model that holds.
     """
 
     each: tuple[Problem, ...]
     other_starts: tuple[JointProblem, ...] = ()
+    elsewhere: Callable[[], tuple[JointProblem, ...]] = tuple
 
     @classmethod
     def of(cls, *each: Problem) -> JointProblem:
@@ -112,8 +114,16 @@ class JointProblem:
 
     def in_coordinates_of(self, structure: Structure) -> JointProblem:
         """The same with its structure in the coordinates that a reduction of its finite-element model has."""
-        each = tuple(own.in_coordinates_of(structure) for own in self.each)
-        return JointProblem(each, tuple(other.in_coordinates_of(structure) for other in self.other_starts))
+        return self.changed(lambda own: own.in_coordinates_of(structure))
+
+    def changed(self, how: Callable[[Problem], Problem]) -> JointProblem:
+        """The same with the problem of every record changed, from every start."""
+
+        def all_of(problems: tuple[JointProblem, ...]) -> tuple[JointProblem, ...]:
+            return tuple(one.changed(how) for one in problems)
+
+        each = tuple(how(own) for own in self.each)
+        return JointProblem(each, all_of(self.other_starts), lambda: all_of(self.elsewhere()))
 
     @property
     def priors(self) -> tuple[Prior, ...]:

@@ -25,6 +25,10 @@ from pinn_cli.system.modes import RIGID
 
 # Starts that go on to each width of the smoothing.
 SURVIVORS = (6, 4, 3)
+# The same of starts that are scattered about a structure, which are smoothed less: each mass and spring by a factor
+# either way, and so many times all of them at random, with this standard deviation of their logarithms.
+SCATTERED = (60, 8)
+ONE_OFF, ALL_OFF, AT_RANDOM = np.log(2.5), 0.7, 12
 # Common factors on the stiffnesses that are tried per decade.
 PER_DECADE = 8
 # Starts whose masses and springs differ by less, as logarithms, are one.
@@ -86,11 +90,13 @@ class Candidate:
         parameters: ``m`` to (n,); ``c``, ``k`` to (C,); ``loss``, of all springs, to (1,).
         misfit: Part of what forces and sensors have in common that it leaves unexplained, 0 to 1 and more.
         calibration: Name of a gauge to its gain and its delay, s, where those are in doubt.
+        unknowns: Of the fit that found it.
     """
 
     parameters: dict[str, np.ndarray]
     misfit: float
     calibration: dict[str, dict[str, float]] = field(default_factory=dict)
+    unknowns: np.ndarray = field(default_factory=lambda: np.empty(0))
 
 
 def screened(
@@ -100,6 +106,7 @@ def screened(
     guess: Mapping[str, np.ndarray],
     influence: np.ndarray | None = None,
     further: Sequence[Record] = (),
+    about: Candidate | None = None,
 ) -> list[Candidate]:
     """Candidates, the best first; none where nothing is unknown.
 
@@ -111,6 +118,8 @@ def screened(
         influence: (n,), how far each coordinate moves with the ground; None: by one.
         further: Other records of the same structure, which a candidate must fit as well; those whose forces are unknown
             are left out, unless all are.
+        about: Where to scatter starts; None: they have the ratios of the guess. Of few sensors many structures make
+            what these saw, and which of them is found is chance.
     """
     every = [each for each in (record, *further) if each.observed.any()]
     records = [each for each in every if what_acts(each)]
@@ -121,21 +130,37 @@ def screened(
     fits = [LinearFit(each, structure, doubts) for each in records]
     # Where nobody measured what acts, resonances show in the sensors alone.
     model = JointFit(fits or [PowerFit(each, structure) for each in every])
-    return nearest(model, grid_of_starts(model, records or every, guess))
+    if about is None:
+        return nearest(model, grid_of_starts(model, records or every, guess))
+    return nearest(model, scattered_starts(structure, about), SCATTERED, WIDTHS[1:])
 
 
-def nearest(model: JointFit, starts: Sequence[np.ndarray], survivors: Sequence[int] = SURVIVORS) -> list[Candidate]:
-    """The structures at which starts end, the best first; so many go on to each of the first widths."""
+def nearest(
+    model: JointFit,
+    starts: Sequence[np.ndarray],
+    survivors: Sequence[int] = SURVIVORS,
+    widths: Sequence[float] = WIDTHS,
+) -> list[Candidate]:
+    """The structures at which starts end, the best first; so many go on to each width of the smoothing."""
     found: list[tuple[float, np.ndarray]] = []
-    for width, most in zip(WIDTHS, survivors, strict=False):
+    for width, most in zip(widths, survivors, strict=False):
         model.smooth(width)
         starts = [model.aligned(x) for x in starts] if width == WIDTHS[0] else starts
         ranked = sorted((model.misfit(x), i) for i, x in enumerate(starts))
-        starts = [starts[i] for _, i in ranked[: 2 * most]]
-        found = sorted((model.fitted(x) for x in starts[:most]), key=lambda pair: pair[0])
+        starts = [starts[i] for _, i in ranked[:most]]
+        found = sorted((model.fitted(x) for x in starts), key=lambda pair: pair[0])
         found = _distinct(found)
         starts = [x for _, x in found]
-    return [Candidate(model.structure.parameters(x), misfit, model.calibration(x)) for misfit, x in found]
+    return [Candidate(model.structure.parameters(x), misfit, model.calibration(x), x) for misfit, x in found]
+
+
+def scattered_starts(structure: LinearStructure, about: Candidate) -> list[np.ndarray]:
+    """Each mass and spring of a candidate larger or smaller by itself, and all of them at random; sensors stay."""
+    x, springs = about.unknowns, sum(len(structure.free[kind]) for kind in ("m", "k"))
+    one_by_one = [sign * ONE_OFF * row for row in np.eye(len(x))[:springs] for sign in (1.0, -1.0)]
+    together = np.zeros((AT_RANDOM, len(x)))
+    together[:, :springs] = ALL_OFF * np.random.default_rng(0).standard_normal((AT_RANDOM, springs))
+    return [x + by for by in (*one_by_one, *together)]
 
 
 def grid_of_starts(model: JointFit, records: Sequence[Record], guess: Mapping[str, np.ndarray]) -> list[np.ndarray]:

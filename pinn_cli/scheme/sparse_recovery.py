@@ -13,7 +13,7 @@ from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import FREE
 from pinn_cli.scheme.sensors import Sensors
-from pinn_cli.scheme.starts import parameter_starts
+from pinn_cli.scheme.starts import Starts
 from pinn_cli.scheme.unknowns import believed_parameters, checked_uncertainty
 from pinn_cli.system.structure import Structure
 
@@ -69,6 +69,6 @@ def _calibrated(prescribed: Structure, records: Sequence[Record]) -> list[Record
     record, *further = records
     if not any(parameter.unknown for each in records for parameter in sensor_parameters(each)):
         return list(records)
-    (starts,) = parameter_starts(prescribed, record, (), {}, most=1, further=further)
+    (starts,) = Starts(prescribed, (record, *further), (), {}, most=1)
     values = {parameter: start.value for parameter, start in starts.items()}
     return [calibrated_starts(each, values) for each in records]

@@ -8,8 +8,9 @@ said of the springs keeps its ratios, and the structure's own free run tells how
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -107,72 +108,159 @@ def checked_starts(starts: Any) -> int | None:
     return int(starts)
 
 
-def parameter_starts(
-    prescribed: Structure,
-    record: Record,
-    unknown: Collection[Parameter],
-    given: Mapping[Parameter, float],
-    most: int | None,
-    further: Sequence[Record] = (),
-) -> list[dict[Parameter, Start]]:
-    """Starts of the unknown parameters, the most promising first.
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """Starts of the unknown parameters.
 
     Args:
         prescribed: The model; NaN where a measured structure has no value.
-        record: What was measured.
+        records: What was measured, of one structure.
         unknown: The unknown parameters.
         given: What the user says of them. Of masses and springs their ratios count, and one start is what was given; a
             damper or a nonlinear parameter starts there.
         most: Starts at most; None: those that compete, and what was given; 0: that alone, whatever the record says.
-        further: Other records of the same structure.
     """
-    records = (record, *further)
-    if prescribed.is_modal:
-        return [_starts(prescribed, records, unknown, given, _of_modes(prescribed, unknown, given))]
-    known, guess = linear_parts(prescribed, unknown), _guess(prescribed, records, unknown, given)
-    stretch, moved = prescribed.stretch.matrix[prescribed.added].toarray(), prescribed.with_ground
-    every = [] if most == 0 else screened(record, stretch, known, guess, moved, further)
-    scattered = any(misses_samples(gauge, each) for each in records for gauge in each.gauges)
-    candidates = [c for c in every if c.misfit < (NEARLY_NOTHING if scattered else HOPELESS)]
-    if most is None:
-        candidates = [c for c in candidates[:MOST_RIVALS] if c.misfit <= RIVAL * candidates[0].misfit]
-    own = Candidate(_unscreened(known, guess), np.inf, calibration=candidates[0].calibration if candidates else {})
-    if not candidates[:most]:
-        candidates = [own if most == 0 else _by_own_motion(own, prescribed, records, unknown, given)]
-    elif most != 1 and _is_said(unknown, given) and all(_apart(own, one, unknown) for one in candidates[:most]):
-        candidates = [*candidates[: None if most is None else most - 1], own]
-    return [
-        _starts(prescribed, records, unknown, given, one.parameters) | _of_sensors(one.calibration)
-        for one in candidates[: most or None]
-    ]
 
+    prescribed: Structure
+    records: Sequence[Record]
+    unknown: Collection[Parameter]
+    given: Mapping[Parameter, float]
+    most: int | None
 
-def _by_own_motion(
-    own: Candidate,
-    prescribed: Structure,
-    records: Sequence[Record],
-    unknown: Collection[Parameter],
-    given: Mapping[Parameter, float],
-) -> Candidate:
-    """Of a structure that is no linear one, with the common factor on its unknown springs that its free run speaks for.
+    def __iter__(self) -> Iterator[dict[Parameter, Start]]:
+        """The most promising first."""
+        if self.prescribed.is_modal:
+            return iter([self._at(_of_modes(self.prescribed, self.unknown, self.given))])
+        return iter([self._at(one.parameters) | _of_sensors(one.calibration) for one in self.promising])
 
-    See :mod:`pinn_cli.scheme.own_motion`. Where parameters of a law are unknown, the free run says nothing of springs.
-    """
-    free = [] if any(p.kind not in LINEAR_UNITS for p in unknown) else [p.index for p in unknown if p.kind == "k"]
-    stretch = prescribed.stretch.matrix[prescribed.added].toarray()[:, : prescribed.coordinates]
-    factors = common_factors(stretch, own.parameters["m"], own.parameters["k"], records, FREE_RUNS)
-    best, least = own, np.inf
-    for factor in factors[np.abs(np.log10(factors)) <= DECADES_OFF] if free else ():
-        k = own.parameters["k"].copy()
-        k[free] *= factor
-        starts = _starts(prescribed, records, unknown, given, own.parameters | {"k": k})
-        structure = prescribed.with_values({parameter: start.value for parameter, start in starts.items()})
-        if is_linear(structure):
-            break  # it has been compared
-        apart = distance(structure, records)
-        if apart < least:
-            best, least = replace(own, parameters=own.parameters | {"k": k}), apart
-    return best
+    def elsewhere(self) -> list[dict[Parameter, Start]]:
+        """Starts for where those led to no model that holds: linear structures that fit as well, about the best."""
+        searched = any(p.kind in (MASS, "k") for p in self.unknown) and not self.prescribed.is_modal
+        if self.most is not None or not searched or not self._linear:
+            return []
+        others: list[Candidate] = []
+        for one in self._screened(about=self._linear[0]):
+            near = one.misfit <= RIVAL * self._linear[0].misfit and len(others) < MOST_RIVALS
+            if near and all(_apart(one, other, self.unknown) for other in (*self.promising, *others)):
+                others.append(one)
+        return [self._at(one.parameters) | _of_sensors(one.calibration) for one in others]
+
+    @cached_property
+    def promising(self) -> list[Candidate]:
+        """Linear structures, or what was given, to begin with."""
+        most, candidates, own = self.most, self._linear, Candidate(_unscreened(self._known, self._guess), np.inf)
+        if most is None:
+            candidates = [c for c in candidates[:MOST_RIVALS] if c.misfit <= RIVAL * candidates[0].misfit]
+        own = replace(own, calibration=candidates[0].calibration if candidates else {})
+        if not candidates[:most]:
+            return [own if most == 0 else self._by_own_motion(own)]
+        said = most != 1 and _is_said(self.unknown, self.given)
+        if said and all(_apart(own, one, self.unknown) for one in candidates[:most]):
+            candidates = [*candidates[: None if most is None else most - 1], own]
+        return candidates[: most or None]
+
+    @cached_property
+    def _known(self) -> dict[str, np.ndarray]:
+        return linear_parts(self.prescribed, self.unknown)
+
+    @cached_property
+    def _guess(self) -> dict[str, np.ndarray]:
+        """Masses (n,) and stiffnesses (C,) with the right ratios, as far as anybody has said something about them."""
+        scales = parameter_scales(self.prescribed, self.records)
+        out = {}
+        for kind in ("m", "k"):
+            values = self.prescribed.parameters[kind].detach().cpu().double().numpy().copy()
+            for parameter in self.unknown:
+                if parameter.kind == kind:
+                    said = self.given.get(parameter, np.nan)
+                    values[parameter.index] = said if said > 0 else np.nan
+            positive = values[np.isfinite(values) & (values > 0)]
+            out[kind] = np.where(values > 0, values, np.median(positive) if positive.size else scales[kind])
+        return out
+
+    @cached_property
+    def _linear(self) -> list[Candidate]:
+        """Linear structures that come near to the record."""
+        scattered = any(misses_samples(gauge, each) for each in self.records for gauge in each.gauges)
+        every = [] if self.most == 0 else self._screened()
+        return [c for c in every if c.misfit < (NEARLY_NOTHING if scattered else HOPELESS)]
+
+    def _screened(self, about: Candidate | None = None) -> list[Candidate]:
+        stretch = self.prescribed.stretch.matrix[self.prescribed.added].toarray()
+        record, *further = self.records
+        return screened(record, stretch, self._known, self._guess, self.prescribed.with_ground, further, about)
+
+    def _by_own_motion(self, own: Candidate) -> Candidate:
+        """Of a structure that is no linear one, with the common factor on its unknown springs that its free run tells.
+
+        See :mod:`pinn_cli.scheme.own_motion`. Where parameters of a law are unknown, the free run says nothing of
+        springs.
+        """
+        prescribed, unknown = self.prescribed, self.unknown
+        free = [] if any(p.kind not in LINEAR_UNITS for p in unknown) else [p.index for p in unknown if p.kind == "k"]
+        stretch = prescribed.stretch.matrix[prescribed.added].toarray()[:, : prescribed.coordinates]
+        factors = common_factors(stretch, own.parameters["m"], own.parameters["k"], self.records, FREE_RUNS)
+        best, least = own, np.inf
+        for factor in factors[np.abs(np.log10(factors)) <= DECADES_OFF] if free else ():
+            k = own.parameters["k"].copy()
+            k[free] *= factor
+            starts = self._at(own.parameters | {"k": k})
+            structure = prescribed.with_values({parameter: start.value for parameter, start in starts.items()})
+            if is_linear(structure):
+                break  # it has been compared
+            apart = distance(structure, self.records)
+            if apart < least:
+                best, least = replace(own, parameters=own.parameters | {"k": k}), apart
+        return best
+
+    def _at(self, linear: Mapping[str, np.ndarray]) -> dict[Parameter, Start]:
+        """Of every unknown parameter of a structure whose linear part is this."""
+        prescribed, records, unknown, given = self.prescribed, self.records, self.unknown, self.given
+        scales = parameter_scales(prescribed, records)
+        size = float(np.median([motion_amplitudes(record)["displacement"] for record in records]))
+        out, springs = {}, unit_forces(prescribed, size, 0.0)
+        # A start that is decades below the others is poorly told: its own value would be a prior that shuts the truth
+        # out. Where there is no spring at all the force tells what one would be like.
+        typical = {kind: _median_size(linear[kind], scales[kind]) for kind in (MASS, "k")}
+        usual = np.full(len(linear["k"]), typical["k"])
+        if prescribed.is_modal:
+            usual = _stiffness_felt(prescribed)
+            usual = usual[: len(linear["k"])]  # behind them are parts, which have no spring of their own
+        stretch = prescribed.incidence.matrix[: len(usual)]
+        mass = linear["m"][last_ends(stretch.toarray())]
+        damping = STARTING_RATIO * 2.0 * np.sqrt(mass * np.maximum(np.abs(linear["k"]), usual))
+        # A damper is compared with the spring beside it, and one without a spring with the force.
+        damping = np.where(linear["k"] == 0, np.maximum(damping, scales["c"]), damping)
+        ratio = float(np.clip(linear.get("loss", np.array([2.0 * STARTING_RATIO]))[0] / 2.0, *RATIOS))
+        of_whole = of_ratio(ratio, linear["m"], stretch, linear["k"]) if prescribed.is_damped_as_whole else {}
+        for parameter in unknown:
+            kind, index = parameter.kind, parameter.index
+            if kind in of_whole:
+                value = given.get(parameter, of_whole[kind])
+                out[parameter] = Start(value, max(value, of_whole[kind] * max(STARTING_RATIO / ratio, 1.0)))
+                continue
+            if kind == FACTOR:  # the matrix is the start: nobody updates a model that is wrong by orders of magnitude
+                out[parameter] = Start(given.get(parameter, 1.0), 1.0)
+                continue
+            remembered = {} if kind == MASS else _of_memory(prescribed, parameter, linear["k"], typical["k"], size)
+            if kind in remembered:
+                value, scale = remembered[kind]
+                out[parameter] = Start(given.get(parameter, value), scale)
+            elif kind in (MASS, "k"):
+                value = float(linear[kind][index])
+                out[parameter] = Start(value, max(abs(value), float(usual[index]) if kind == "k" else typical[MASS]))
+            elif kind == "c":
+                value = given.get(parameter, float(linear["c"][index]))
+                out[parameter] = Start(value, max(abs(value), float(damping[index])))
+            else:
+                value = given.get(parameter, 0.0)  # without it the connection is one like any other
+                # A spring as strong as the linear one beside it, at the motion that there is.
+                connection = prescribed.members[kind][index]
+                stiffness = max(float(abs(linear["k"][connection])), float(usual[connection]))
+                per_unit = springs[kind][index]
+                scale = stiffness * size / per_unit if per_unit > 0 else scales[kind]
+                out[parameter] = Start(value, max(abs(value), scale))
+        return out
 
 
 def _is_said(unknown: Collection[Parameter], given: Mapping[Parameter, float]) -> bool:
@@ -205,23 +293,6 @@ def linear_parts(prescribed: Structure, unknown: Collection[Parameter]) -> dict[
     return known | {"loss": np.array([np.nan if prescribed.is_damped_as_whole else 0.0])}
 
 
-def _guess(
-    prescribed: Structure, records: Sequence[Record], unknown: Collection[Parameter], given: Mapping[Parameter, float]
-) -> dict[str, np.ndarray]:
-    """Masses (n,) and stiffnesses (C,) with the right ratios, as far as anybody has said something about them."""
-    scales = parameter_scales(prescribed, records)
-    out = {}
-    for kind in ("m", "k"):
-        values = prescribed.parameters[kind].detach().cpu().double().numpy().copy()
-        for parameter in unknown:
-            if parameter.kind == kind:
-                said = given.get(parameter, np.nan)
-                values[parameter.index] = said if said > 0 else np.nan
-        positive = values[np.isfinite(values) & (values > 0)]
-        out[kind] = np.where(values > 0, values, np.median(positive) if positive.size else scales[kind])
-    return out
-
-
 def _unscreened(known: Mapping[str, np.ndarray], guess: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     m, k = (np.where(np.isnan(known[kind]), guess[kind], known[kind]) for kind in ("m", "k"))
     return {"m": m, "k": k, "c": np.where(np.isnan(known["c"]), 0.0, known["c"])}
@@ -248,60 +319,6 @@ def _stiffness_felt(prescribed: Structure) -> np.ndarray:
     held = np.where(k > 0, k, np.median(k[k > 0]) if (k > 0).any() else 1.0)
     felt: np.ndarray = 1.0 / (stretch**2 @ (1.0 / held))
     return felt
-
-
-def _starts(
-    prescribed: Structure,
-    records: Sequence[Record],
-    unknown: Collection[Parameter],
-    given: Mapping[Parameter, float],
-    linear: Mapping[str, np.ndarray],
-) -> dict[Parameter, Start]:
-    scales = parameter_scales(prescribed, records)
-    size = float(np.median([motion_amplitudes(record)["displacement"] for record in records]))
-    out, springs = {}, unit_forces(prescribed, size, 0.0)
-    # A start that is decades below the others is poorly told: its own value would be a prior that shuts the truth out.
-    # Where there is no spring at all the force tells what one would be like.
-    typical = {kind: _median_size(linear[kind], scales[kind]) for kind in (MASS, "k")}
-    usual = np.full(len(linear["k"]), typical["k"])
-    if prescribed.is_modal:
-        usual = _stiffness_felt(prescribed)
-        usual = usual[: len(linear["k"])]  # behind them are parts, which have no spring of their own
-    stretch = prescribed.incidence.matrix[: len(usual)]
-    mass = linear["m"][last_ends(stretch.toarray())]
-    damping = STARTING_RATIO * 2.0 * np.sqrt(mass * np.maximum(np.abs(linear["k"]), usual))
-    # A damper is compared with the spring beside it, and one without a spring with the force.
-    damping = np.where(linear["k"] == 0, np.maximum(damping, scales["c"]), damping)
-    ratio = float(np.clip(linear.get("loss", np.array([2.0 * STARTING_RATIO]))[0] / 2.0, *RATIOS))
-    of_whole = of_ratio(ratio, linear["m"], stretch, linear["k"]) if prescribed.is_damped_as_whole else {}
-    for parameter in unknown:
-        kind, index = parameter.kind, parameter.index
-        if kind in of_whole:
-            value = given.get(parameter, of_whole[kind])
-            out[parameter] = Start(value, max(value, of_whole[kind] * max(STARTING_RATIO / ratio, 1.0)))
-            continue
-        if kind == FACTOR:  # the matrix is the start: nobody updates a model that is wrong by orders of magnitude
-            out[parameter] = Start(given.get(parameter, 1.0), 1.0)
-            continue
-        remembered = {} if kind == MASS else _of_memory(prescribed, parameter, linear["k"], typical["k"], size)
-        if kind in remembered:
-            value, scale = remembered[kind]
-            out[parameter] = Start(given.get(parameter, value), scale)
-        elif kind in (MASS, "k"):
-            value = float(linear[kind][index])
-            out[parameter] = Start(value, max(abs(value), float(usual[index]) if kind == "k" else typical[MASS]))
-        elif kind == "c":
-            value = given.get(parameter, float(linear["c"][index]))
-            out[parameter] = Start(value, max(abs(value), float(damping[index])))
-        else:
-            value = given.get(parameter, 0.0)  # without it the connection is one like any other
-            # A spring as strong as the linear one beside it, at the motion that there is.
-            connection = prescribed.members[kind][index]
-            stiffness = max(float(abs(linear["k"][connection])), float(usual[connection]))
-            per_unit = springs[kind][index]
-            scale = stiffness * size / per_unit if per_unit > 0 else scales[kind]
-            out[parameter] = Start(value, max(abs(value), scale))
-    return out
 
 
 def _median_size(values: np.ndarray, otherwise: float) -> float:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import torch
@@ -21,7 +22,7 @@ from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import FREE
 from pinn_cli.scheme.sensors import Sensors
-from pinn_cli.scheme.starts import AUTO, Start, checked_starts, parameter_starts
+from pinn_cli.scheme.starts import AUTO, Start, Starts, checked_starts
 from pinn_cli.scheme.unknowns import (
     POSITIVE,
     at_starts,
@@ -123,21 +124,25 @@ class StateParameter(EstimationScheme):
 
     def pose(self, prescribed: Structure, records: Sequence[Record]) -> JointProblem:
         """See :meth:`Scheme.pose`."""
-        record, *further = records
+        record = records[0]
         chosen = self._chosen(prescribed, records)
         check_given(prescribed, chosen)
         check_used(prescribed, chosen, self.initial, self.positive)
         believed = believed_parameters(prescribed, self.parameter_uncertainty, but=chosen)
         order = {kind: i for i, kind in enumerate(prescribed.parameters)}
-        problems: list[JointProblem] = []
         given = self._given(prescribed, record, chosen)
-        for start in parameter_starts(prescribed, record, chosen, given, self.starts, further):
+
+        def posed(start: Mapping[Parameter, Start]) -> JointProblem:
             unknown = [self._unknown(p, start[p], given.get(p, math.nan)) for p in chosen]
             uncertain = tuple(sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.index)))
             values = {parameter: one.value for parameter, one in start.items()}
             own = [calibrated_starts(each, values) for each in records]
-            problems.append(self.joint_problem(at_starts(prescribed, unknown), own, uncertain))
-        return replace(problems[0], other_starts=tuple(problems[1:]))
+            return self.joint_problem(at_starts(prescribed, unknown), own, uncertain)
+
+        starts = Starts(prescribed, records, chosen, given, self.starts)
+        first, *others = map(posed, starts)
+        elsewhere = cache(lambda: tuple(map(posed, starts.elsewhere())))
+        return replace(first, other_starts=tuple(others), elsewhere=elsewhere)
 
     def _chosen(self, prescribed: Structure, records: Sequence[Record]) -> list[Parameter]:
         record, *further = records

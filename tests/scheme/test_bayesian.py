@@ -11,7 +11,7 @@ from pinn_cli.record.record import Measurements
 from pinn_cli.scheme.bayesian import GAUSSIAN_WIDTH, Bayesian
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
-from pinn_cli.scheme.starts import parameter_starts
+from pinn_cli.scheme.starts import Starts
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.parameters import PRIOR_WIDTH
@@ -77,7 +77,7 @@ def test_a_prior_that_was_chosen_says_where_a_parameter_starts(measurements):
 def test_priors_that_nobody_chose_are_wide_on_the_scale_of_their_start(measurements):
     problem = posed(measurements, positive=["m", "c", "k"])
     record = Bayesian().observe(measurements.record)
-    (starts,) = parameter_starts(small_chain(), record, problem.uncertain, {}, most=1)
+    (starts,) = Starts(small_chain(), [record], problem.uncertain, {}, most=1)
     for parameter in problem.uncertain:
         width = PRIOR_WIDTH * starts[parameter].scale
         assert parameter.prior == (Normal(0.0, width) if parameter.kind == "kappa" else HalfNormal(width))

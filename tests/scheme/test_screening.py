@@ -18,7 +18,7 @@ from pinn_cli.record.simulated import Noise
 from pinn_cli.record.simulation import simulate
 from pinn_cli.scheme.calibration import doubts_about
 from pinn_cli.scheme.linear_fit import JointFit, LinearFit, LinearStructure, spectra_under, what_acts
-from pinn_cli.scheme.screening import screened
+from pinn_cli.scheme.screening import Candidate, screened
 from pinn_cli.system.building import chain_of
 from pinn_cli.system.connection import Linear
 
@@ -69,6 +69,17 @@ def test_what_is_unknown_comes_out_from_a_guess_a_decade_off(unknown, factors, s
         for kind in set(unknown) - {"c"}:
             apart = [np.abs(np.log(one.parameters[kind] / other.parameters[kind])).max() for other in found[:i]]
             assert unknown != kind or min(apart, default=1.0) > 0.02
+
+
+def test_starts_about_a_structure_that_fits_by_chance_find_the_right_one():
+    """The wrong one makes almost what a single sensor saw; the right one lies beyond a hill."""
+    record, unknown = storeys("acceleration", (1,)), known("k")
+    wrong = Candidate({}, 1.0, unknowns=np.log(K * np.array([2.0, 0.4, 1.5])))
+    found = screened(record, STRETCH, unknown, guess(), about=wrong)
+    assert found[0].misfit < 0.1
+    np.testing.assert_allclose(found[0].parameters["k"], K, rtol=0.05)
+    again = screened(record, STRETCH, unknown, guess(), about=wrong)
+    assert [one.misfit for one in again] == [one.misfit for one in found]
 
 
 def test_nothing_is_screened_without_anything_unknown():

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 import torch
 from independent_records import IndependentRecord, frame, frame_record, measured, random_force
+from small_problems import accelerations, small_chain
+from small_problems import measured as simulated
 
 from pinn_cli.record.channels import motion_amplitudes
 from pinn_cli.record.excitation import BandedNoise
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
+from pinn_cli.scheme import starts as starting
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.starts import checked_starts
@@ -48,7 +51,11 @@ def posed(made: IndependentRecord, factor: float, **settings):
 
 
 def starts(problem) -> list[np.ndarray]:
-    return [np.array([q.prescribed for q in p.alone.uncertain if q.unknown]) for p in problem.starts]
+    return [start_of(one) for one in problem.starts]
+
+
+def start_of(problem) -> np.ndarray:
+    return np.array([p.prescribed for p in problem.alone.uncertain if p.unknown])
 
 
 @pytest.mark.parametrize(("value", "most"), [("auto", None), ("given", 0), (1, 1), (5, 5)])
@@ -80,6 +87,20 @@ def test_there_are_no_more_starts_than_asked_for_all_of_the_same_problem(made):
         assert other.alone.record is problem.alone.record
         assert [p.name for p in other.alone.uncertain] == [p.name for p in problem.alone.uncertain]
         assert not other.other_starts
+
+
+@pytest.mark.parametrize(("starts", "are_any"), [("auto", True), (2, False), ("given", False)])
+def test_starts_elsewhere_are_others_and_only_where_nobody_says_how_many(starts, are_any, monkeypatch):
+    twin = small_chain("linear")
+    monkeypatch.setattr(starting, "RIVAL", 1e6)  # whatever fits worse, too
+    record = accelerations(simulated(twin, snr_db=40.0).record, (1,))
+    problem = StateParameter(unobserved=[], unknown="k_*", starts=starts).pose(twin, [record])
+    others = problem.elsewhere()
+    assert bool(others) is are_any
+    every = [start_of(one) for one in (*problem.starts, *others)]
+    assert all(np.abs(np.log(a / b)).max() > 0.1 for i, a in enumerate(every) for b in every[:i])
+    shorter = problem.changed(lambda own: replace(own, record=own.record.until(50)))
+    assert all(len(one.alone.record.time) == 50 for one in (*shorter.starts, *shorter.elsewhere()))
 
 
 @pytest.mark.parametrize("factor", [0.01, 100.0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from pinn_cli.model.knowledge import Model
@@ -81,8 +82,7 @@ class WindowSolver:
             if not _goes_on(problem.alone):
                 problem = JointProblem.of(replace(problem.alone, initial_state=None))
         _check_sensors(problem.alone)
-        first, *others = (JointProblem.of(replace(start.alone, hand_over=window.hand_over)) for start in problem.starts)
-        return replace(first, other_starts=tuple(others)), measured
+        return problem.changed(partial(replace, hand_over=window.hand_over)), measured
 
     def solve(self, window: Window, before: Model | None, store: WindowStore, stages: Stages) -> None:
         """Solve a window and leave all that is known of it in its folder.

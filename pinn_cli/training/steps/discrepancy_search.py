@@ -50,7 +50,7 @@ def searched(evidence: Evidence, noise: NoiseLevels, force: float, second_start:
         DivergenceError: Even the softest physics cannot be solved.
     """
     found = scanned(evidence, noise, force, evidence.equations.start())
-    if found.solution.converged and found.noise.discrepancy < SUSPICIOUS_DISCREPANCY * force:
+    if holds(found, force):
         return found
     start = second_start()
     if start is None:
@@ -60,6 +60,11 @@ def searched(evidence: Evidence, noise: NoiseLevels, force: float, second_start:
     except DivergenceError:
         return found
     return max(found, other, key=lambda trained: trained.log_evidence)
+
+
+def holds(trained: Trained, force: float) -> bool:
+    """Whether a solution is a good model of its record, under the force that acts, N."""
+    return trained.solution.converged and trained.noise.discrepancy < SUSPICIOUS_DISCREPANCY * force
 
 
 def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point) -> Trained:

@@ -12,7 +12,6 @@ import torch
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.free_run import NoFreeRunError, free_run
-from pinn_cli.record.record import Record
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
@@ -24,9 +23,9 @@ from pinn_cli.training.noise_model import FeatureProjection, NoiseLevels, NoiseM
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
 from pinn_cli.training.solver import Inference, Solver
-from pinn_cli.training.steps.discrepancy_search import searched
+from pinn_cli.training.steps.discrepancy_search import holds, searched
 from pinn_cli.training.steps.known_levels import solve_under_known_levels
-from pinn_cli.training.steps.part_of_record import is_trustworthy, part_of_record, whole_from
+from pinn_cli.training.steps.part_of_record import part_of_record, whole_from
 from pinn_cli.training.whittle.whittle_estimate import known_parameters
 
 
@@ -80,23 +79,28 @@ def first_solution(problem: JointProblem, solver: Solver) -> Inference:
     Raises:
         DivergenceError: None could be solved.
     """
-    found = _through_a_part(problem, solver) or _from_every_start(problem, solver)
+    (network, *_), (start, *_) = solver.networks(problem), problem.starts
+    part = None if solver.known is not None else part_of_record(start, network)
+    found = None
+    if part is not None:
+        found = _through_a_part(problem, solver, network, part)
+        problem = replace(problem, elsewhere=tuple)  # what lies there has been looked for
+    found = found or _from_every_start(problem, solver)
     return replace(found, trained=solver.settled(found.evidence, found.trained))
 
 
-def _through_a_part(problem: JointProblem, solver: Solver) -> Inference | None:
-    """The solution next to that of a part of the record; None where no part is a picture of the whole."""
-    (network, *_), (start, *_) = solver.networks(problem), problem.starts
-    part = None if solver.known is not None else part_of_record(start, network)
-    if part is None:
-        return None
+def _through_a_part(
+    problem: JointProblem, solver: Solver, network: LinearReadout, part: tuple[Problem, LinearReadout]
+) -> Inference | None:
+    """The solution next to that of a part of the record; None where it is not a good model."""
     own, shorter = part
     try:
-        of_part = _from_every_start(_of_record(problem, own.record), solver, [shorter])
+        of_part = _from_every_start(problem.changed(partial(replace, record=own.record)), solver, [shorter])
         largest = solver.starting_noise(of_part.evidence).discrepancy
-        if not is_trustworthy(of_part.trained, largest):
+        if not holds(of_part.trained, largest):
             return None
-        evidence = solver.evidence(_of_record(of_part.problem, start.alone.record), [network])
+        of_whole = of_part.problem.changed(partial(replace, record=problem.alone.record))
+        evidence = solver.evidence(of_whole, [network])
         noise = solver.starting_noise(evidence)
         whole = whole_from(of_part.trained, of_part.evidence, largest, evidence, noise)
     except DivergenceError:
@@ -104,23 +108,27 @@ def _through_a_part(problem: JointProblem, solver: Solver) -> Inference | None:
     return None if whole is None else Inference(evidence, whole, solver)
 
 
-def _of_record(problem: JointProblem, record: Record) -> JointProblem:
-    """The same from every start, of another record in place of the only one."""
-    first, *others = (JointProblem.of(replace(start.alone, record=record)) for start in problem.starts)
-    return replace(first, other_starts=tuple(others))
-
-
 def _from_every_start(
     problem: JointProblem, solver: Solver, networks: Sequence[LinearReadout] | None = None
 ) -> Inference:
-    """Of the solutions from every start the most probable one.
+    """Of the solutions from every start the most probable one; from starts elsewhere, too, where its model is off.
 
     Raises:
         DivergenceError: None could be solved.
     """
-    solutions: list[Inference] = []
-    failure = DivergenceError("there is no start")
-    for start in problem.starts:
+    best, force = max(_solutions(problem.starts, solver, networks), key=_log_evidence)
+    if not holds(best.trained, force):
+        best, _ = max([(best, force), *_solutions(problem.elsewhere(), solver, networks)], key=_log_evidence)
+    return best
+
+
+def _solutions(
+    starts: Sequence[JointProblem], solver: Solver, networks: Sequence[LinearReadout] | None
+) -> list[tuple[Inference, float]]:
+    """Those that there are, and the force that acts, N."""
+    found = []
+    failure = None
+    for start in starts:
         evidence = solver.evidence(start, networks)
         noise = solver.starting_noise(evidence)
         try:
@@ -128,10 +136,14 @@ def _from_every_start(
         except DivergenceError as error:
             failure = error
             continue
-        solutions.append(Inference(evidence, trained, solver))
-    if not solutions:
+        found.append((Inference(evidence, trained, solver), noise.discrepancy))
+    if failure and not found:
         raise failure
-    return max(solutions, key=lambda found: found.trained.log_evidence)
+    return found
+
+
+def _log_evidence(found: tuple[Inference, float]) -> float:
+    return found[0].trained.log_evidence
 
 
 def soft_to_stiff(evidence: Evidence, noise: NoiseLevels) -> Trained:

@@ -20,7 +20,7 @@ from pinn_cli.training.factors.frame import collocation_refinement
 from pinn_cli.training.factors.ridge import carried_ridge
 from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.point import Point
-from pinn_cli.training.steps.discrepancy_search import SCAN_FACTOR, SUSPICIOUS_DISCREPANCY, negligible, scanned
+from pinn_cli.training.steps.discrepancy_search import SCAN_FACTOR, negligible, scanned
 
 # Samples of a part, at least; a share of the record, at least. Levels of 20 000 samples are right to half a percent.
 FEWEST_SAMPLES, SHARE = 20_000, 1 / 16
@@ -73,11 +73,6 @@ def _is_stationary(record: Record, samples: int) -> bool:
         if np.any(part > STATIONARY * whole) or np.any(whole > STATIONARY * part):
             return False
     return True
-
-
-def is_trustworthy(part: Trained, force: float) -> bool:
-    """Whether the solution of a part is a good model of it, under the force that acts, N."""
-    return part.solution.converged and part.noise.discrepancy < SUSPICIOUS_DISCREPANCY * force
 
 
 def whole_from(

@@ -1,0 +1,67 @@
+"""The first solution is looked for elsewhere where its model does not hold, and only there."""
+
+from dataclasses import replace
+
+import pytest
+from small_problems import accelerations, measured, small_chain
+
+from pinn_cli.network.spline import Spline
+from pinn_cli.scheme.joint_problem import JointProblem
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.system.parameters import Parameter
+from pinn_cli.training.history import History
+from pinn_cli.training.solver import Inference, Solver
+from pinn_cli.training.steps import first_solution as module
+
+UNKNOWN = Parameter("k", 0, 12.0, 120.0, unknown=True)
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    made = small_chain("linear")
+    record = accelerations(measured(made, snr_db=40.0, duration=20.0, samples=400).record, (1, 2, 3))
+    return Problem(made.with_values({UNKNOWN: 12.0}), record, (UNKNOWN,))
+
+
+def solved(problem: JointProblem) -> Inference:
+    return module.first_solution(problem, Solver((Spline(),), History(False)))
+
+
+def heavier(problem: Problem) -> Problem:
+    """One whose model is wrong, wherever it starts."""
+    structure = problem.structure.with_parameters(m=4.0 * problem.structure.parameters["m"])
+    return replace(problem, structure=structure, uncertain=(replace(UNKNOWN, prior_std=1e-3),))
+
+
+def test_a_model_that_holds_is_looked_for_nowhere_else(problem):
+    asked = []
+    found = solved(JointProblem((problem,), elsewhere=lambda: asked.append(1) or ()))
+    assert not asked
+    (moved,) = found.trained.solution.point.parameters.numpy() * found.evidence.equations.scale
+    assert moved == pytest.approx(3.0, rel=0.02)
+
+
+def test_one_that_does_not_is_looked_for_elsewhere_and_the_more_probable_one_kept(problem):
+    wrong, right = JointProblem.of(heavier(problem)), JointProblem.of(problem)
+    alone, found = solved(wrong), solved(replace(wrong, elsewhere=lambda: (right,)))
+    assert found.trained.log_evidence > alone.trained.log_evidence + 100.0
+    assert found.problem.alone.structure is problem.structure
+    kept = solved(replace(wrong, elsewhere=lambda: (JointProblem.of(heavier(heavier(problem))),)))
+    assert kept.trained.log_evidence >= alone.trained.log_evidence
+
+
+def test_a_start_that_cannot_be_solved_costs_none_of_the_others(problem, monkeypatch):
+    broken = JointProblem.of(replace(problem, record=problem.record.until(60)))
+    searched = module.soft_to_stiff
+
+    def refused(evidence, noise):
+        if evidence.problem.alone.record is broken.alone.record:
+            raise DivergenceError("singular")
+        return searched(evidence, noise)
+
+    monkeypatch.setattr(module, "soft_to_stiff", refused)
+    found = solved(replace(broken, other_starts=(JointProblem.of(problem),)))
+    assert found.problem.alone is problem
+    with pytest.raises(DivergenceError, match="singular"):
+        solved(broken)
