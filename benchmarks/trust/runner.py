@@ -19,6 +19,7 @@ from benchmarks.trust.families import drawn
 from benchmarks.trust.peers import compared
 from benchmarks.trust.score import Scored, scored
 
+ENDED_BY_SIGNAL = 128  # and the signal: what a shell makes of it
 WAVE = 32  # cases whose files lie on the disk at once
 ROWS, PARAMETERS, PEERS = "trust.csv", "parameters.csv", "peers.csv"
 ALONE = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -102,6 +103,8 @@ class Referee:
             command, cwd=self.folder, env=os.environ | ALONE | {"PYTHONPATH": path}, stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE, text=True, check=False,
         )  # fmt: skip
+        if done.returncode < 0 or done.returncode > ENDED_BY_SIGNAL:  # what is left of it says nothing of the cases
+            sys.exit("the sweep was ended from outside; the same command goes on where it was")
         told = runs / "jobs.csv"
         if not told.is_file():
             # Not one job had usable input, or the sweep itself could not begin.

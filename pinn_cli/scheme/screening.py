@@ -23,6 +23,8 @@ from pinn_cli.scheme.linear_fit import ABOVE_FLOOR, WIDTHS, JointFit, LinearFit,
 from pinn_cli.system.frequency_response import Acting
 from pinn_cli.system.modes import RIGID
 
+# Misfit of a linear structure that explains next to nothing.
+NEARLY_NOTHING = 0.98
 # Starts that go on to each width of the smoothing.
 SURVIVORS = (6, 4, 3)
 # The same of starts that are scattered about a structure, which are smoothed less: each mass and spring by a factor
@@ -148,9 +150,10 @@ def nearest(
         starts = [model.aligned(x) for x in starts] if width == WIDTHS[0] else starts
         ranked = sorted((model.misfit(x), i) for i, x in enumerate(starts))
         starts = [starts[i] for _, i in ranked[:most]]
-        found = sorted((model.fitted(x) for x in starts), key=lambda pair: pair[0])
-        found = _distinct(found)
-        starts = [x for _, x in found]
+        nearer = _distinct(sorted((model.fitted(x) for x in starts), key=lambda pair: pair[0]))
+        if found and nearer[0][0] > NEARLY_NOTHING:  # resonances that move with the amplitude have no such sharp picture
+            break
+        found, starts = nearer, [x for _, x in nearer]
     return [Candidate(model.structure.parameters(x), misfit, model.calibration(x), x) for misfit, x in found]
 
 

@@ -21,7 +21,7 @@ from pinn_cli.record.free_run import is_linear
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.linear_fit import STARTING_RATIO, last_ends
 from pinn_cli.scheme.own_motion import distance
-from pinn_cli.scheme.screening import SAME_START, Candidate, common_factors, screened
+from pinn_cli.scheme.screening import NEARLY_NOTHING, SAME_START, Candidate, common_factors, screened
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.system.connection.base import Hysteresis
@@ -35,10 +35,9 @@ RATIOS = 1e-3, 0.3
 # Where no linear chain comes near, free runs take so many common factors on the springs in a decade, in so many decades
 # either way.
 FREE_RUNS, DECADES_OFF = 4, 2.0
-# A linear chain that explains nothing has a misfit of one, and with one above the first of these nothing can be said;
-# where missing samples scatter everything, the right one explains a little only. Those with so many times the least
-# misfit are worth a start of their own, so many at most.
-HOPELESS, NEARLY_NOTHING, RIVAL, MOST_RIVALS = 0.9, 0.98, 2.0, 3
+# With a misfit above the first of these nothing can be said, but where missing samples scatter everything: there the
+# right one explains a little only. Those with so many times the least misfit are worth a start, so many at most.
+HOPELESS, RIVAL, MOST_RIVALS = 0.9, 2.0, 3
 
 
 def parameter_scales(structure: Structure, records: Sequence[Record]) -> dict[str, float]:
