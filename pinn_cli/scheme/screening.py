@@ -23,14 +23,16 @@ from pinn_cli.scheme.linear_fit import ABOVE_FLOOR, WIDTHS, JointFit, LinearFit,
 from pinn_cli.system.frequency_response import Acting
 from pinn_cli.system.modes import RIGID
 
-# Misfit of a linear structure that explains next to nothing.
-NEARLY_NOTHING = 0.98
+# Misfits of linear structures that explain much, and next to nothing.
+MUCH, NEARLY_NOTHING = 0.5, 0.98
 # Starts that go on to each width of the smoothing.
 SURVIVORS = (6, 4, 3)
 # The same of starts that are scattered about a structure, which are smoothed less: each mass and spring by a factor
 # either way, and so many times all of them at random, with this standard deviation of their logarithms.
 SCATTERED = (60, 8)
 ONE_OFF, ALL_OFF, AT_RANDOM = np.log(2.5), 0.7, 12
+# Times as large must a misfit be with a mass or a spring off by that factor that the record tells.
+TOLD = 1.1
 # Common factors on the stiffnesses that are tried per decade.
 PER_DECADE = 8
 # Starts whose masses and springs differ by less, as logarithms, are one.
@@ -101,16 +103,8 @@ class Candidate:
     unknowns: np.ndarray = field(default_factory=lambda: np.empty(0))
 
 
-def screened(
-    record: Record,
-    stretch: np.ndarray,
-    known: Mapping[str, np.ndarray],
-    guess: Mapping[str, np.ndarray],
-    influence: np.ndarray | None = None,
-    further: Sequence[Record] = (),
-    about: Candidate | None = None,
-) -> list[Candidate]:
-    """Candidates, the best first; none where nothing is unknown.
+class Screening:
+    """Linear structures that make of what acts what the sensors saw.
 
     Args:
         record: What was measured.
@@ -120,21 +114,41 @@ def screened(
         influence: (n,), how far each coordinate moves with the ground; None: by one.
         further: Other records of the same structure, which a candidate must fit as well; those whose forces are unknown
             are left out, unless all are.
-        about: Where to scatter starts; None: they have the ratios of the guess. Of few sensors many structures make
-            what these saw, and which of them is found is chance.
     """
-    every = [each for each in (record, *further) if each.observed.any()]
-    records = [each for each in every if what_acts(each)]
-    doubts = doubts_of(records)
-    if not every or not (doubts or any(np.isnan(known[kind]).any() for kind in ("m", "k"))):
-        return []
-    structure = LinearStructure(stretch, known, guess["k"], influence)
-    fits = [LinearFit(each, structure, doubts) for each in records]
-    # Where nobody measured what acts, resonances show in the sensors alone.
-    model = JointFit(fits or [PowerFit(each, structure) for each in every])
-    if about is None:
-        return nearest(model, grid_of_starts(model, records or every, guess))
-    return nearest(model, scattered_starts(structure, about), SCATTERED, WIDTHS[1:])
+
+    def __init__(
+        self,
+        record: Record,
+        stretch: np.ndarray,
+        known: Mapping[str, np.ndarray],
+        guess: Mapping[str, np.ndarray],
+        influence: np.ndarray | None = None,
+        further: Sequence[Record] = (),
+    ) -> None:
+        every = [each for each in (record, *further) if each.observed.any()]
+        records = [each for each in every if what_acts(each)]
+        doubts = doubts_of(records)
+        self.guess, self.records, self.model = guess, records or every, None
+        if every and (doubts or any(np.isnan(known[kind]).any() for kind in ("m", "k"))):
+            structure = LinearStructure(stretch, known, guess["k"], influence)
+            fits = [LinearFit(each, structure, doubts) for each in records]
+            # Where nobody measured what acts, resonances show in the sensors alone.
+            self.model = JointFit(fits or [PowerFit(each, structure) for each in every])
+
+    def candidates(self) -> list[Candidate]:
+        """The best first; none where nothing is unknown."""
+        return [] if self.model is None else nearest(self.model, grid_of_starts(self.model, self.records, self.guess))
+
+    def others(self, best: Candidate) -> list[Candidate]:
+        """What else the record may come from: of few sensors many structures make what these saw.
+
+        First the best one with all that the spectra do not tell of it where the rest is, in the ratios of the guess;
+        then those at which starts end that are scattered about the best, the best of these first.
+        """
+        if self.model is None:
+            return []
+        alike, scattered = _alike(self.model, best, self.guess), _scattered(self.model.structure, best)
+        return [alike, *nearest(self.model, scattered, SCATTERED, WIDTHS[1:])]
 
 
 def nearest(
@@ -151,19 +165,10 @@ def nearest(
         ranked = sorted((model.misfit(x), i) for i, x in enumerate(starts))
         starts = [starts[i] for _, i in ranked[:most]]
         nearer = _distinct(sorted((model.fitted(x) for x in starts), key=lambda pair: pair[0]))
-        if found and nearer[0][0] > NEARLY_NOTHING:  # resonances that move with the amplitude have no such sharp picture
-            break
+        if found and found[0][0] < MUCH and nearer[0][0] > NEARLY_NOTHING:
+            break  # resonances that move with the amplitude have no such sharp picture
         found, starts = nearer, [x for _, x in nearer]
     return [Candidate(model.structure.parameters(x), misfit, model.calibration(x), x) for misfit, x in found]
-
-
-def scattered_starts(structure: LinearStructure, about: Candidate) -> list[np.ndarray]:
-    """Each mass and spring of a candidate larger or smaller by itself, and all of them at random; sensors stay."""
-    x, springs = about.unknowns, sum(len(structure.free[kind]) for kind in ("m", "k"))
-    one_by_one = [sign * ONE_OFF * row for row in np.eye(len(x))[:springs] for sign in (1.0, -1.0)]
-    together = np.zeros((AT_RANDOM, len(x)))
-    together[:, :springs] = ALL_OFF * np.random.default_rng(0).standard_normal((AT_RANDOM, springs))
-    return [x + by for by in (*one_by_one, *together)]
 
 
 def grid_of_starts(model: JointFit, records: Sequence[Record], guess: Mapping[str, np.ndarray]) -> list[np.ndarray]:
@@ -218,3 +223,25 @@ def _distinct(found: list[tuple[float, np.ndarray]]) -> list[tuple[float, np.nda
         if all(np.abs(x - other).max() > SAME_START for _, other in kept):
             kept.append((misfit, x))
     return kept
+
+
+def _alike(model: JointFit, best: Candidate, guess: Mapping[str, np.ndarray]) -> Candidate:
+    x, said = best.unknowns.copy(), model.start(guess["m"], guess["k"])
+    model.smooth(WIDTHS[-1])
+    most = TOLD * model.misfit(x)
+    told = np.array([max(model.misfit(x - step), model.misfit(x + step)) > most for step in ONE_OFF * np.eye(len(x))])
+    masses, springs = (len(model.structure.free[kind]) for kind in ("m", "k"))
+    for kind in (slice(0, masses), slice(masses, masses + springs)):
+        if told[kind].any():
+            off = np.median((x - said)[kind][told[kind]])
+            x[kind] = np.where(told[kind], x[kind], said[kind] + off)
+    return Candidate(model.structure.parameters(x), model.misfit(x), best.calibration, x)
+
+
+def _scattered(structure: LinearStructure, best: Candidate) -> list[np.ndarray]:
+    """Each mass and spring larger or smaller by itself, and all of them at random; sensors stay."""
+    x, springs = best.unknowns, len(structure.free["m"]) + len(structure.free["k"])
+    one_by_one = [sign * ONE_OFF * row for row in np.eye(len(x))[:springs] for sign in (1.0, -1.0)]
+    together = np.zeros((AT_RANDOM, len(x)))
+    together[:, :springs] = ALL_OFF * np.random.default_rng(0).standard_normal((AT_RANDOM, springs))
+    return [x + by for by in (*one_by_one, *together)]

@@ -21,7 +21,7 @@ from pinn_cli.record.free_run import is_linear
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.linear_fit import STARTING_RATIO, last_ends
 from pinn_cli.scheme.own_motion import distance
-from pinn_cli.scheme.screening import NEARLY_NOTHING, SAME_START, Candidate, common_factors, screened
+from pinn_cli.scheme.screening import NEARLY_NOTHING, SAME_START, Candidate, Screening, common_factors
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.system.connection.base import Hysteresis
@@ -137,12 +137,12 @@ class Starts:
         searched = any(p.kind in (MASS, "k") for p in self.unknown) and not self.prescribed.is_modal
         if self.most is not None or not searched or not self._linear:
             return []
-        others: list[Candidate] = []
-        for one in self._screened(about=self._linear[0]):
-            near = one.misfit <= RIVAL * self._linear[0].misfit and len(others) < MOST_RIVALS
-            if near and all(_apart(one, other, self.unknown) for other in (*self.promising, *others)):
-                others.append(one)
-        return [self._at(one.parameters) | _of_sensors(one.calibration) for one in others]
+        alike, *others = self._screening.others(self._linear[0])
+        found: list[Candidate] = []
+        for one in (alike, *(one for one in others if one.misfit <= RIVAL * self._linear[0].misfit)):
+            if all(_apart(one, other, self.unknown) for other in (*self.promising, *found)):
+                found.append(one)
+        return [self._at(one.parameters) | _of_sensors(one.calibration) for one in found[:MOST_RIVALS]]
 
     @cached_property
     def promising(self) -> list[Candidate]:
@@ -181,13 +181,14 @@ class Starts:
     def _linear(self) -> list[Candidate]:
         """Linear structures that come near to the record."""
         scattered = any(misses_samples(gauge, each) for each in self.records for gauge in each.gauges)
-        every = [] if self.most == 0 else self._screened()
+        every = [] if self.most == 0 else self._screening.candidates()
         return [c for c in every if c.misfit < (NEARLY_NOTHING if scattered else HOPELESS)]
 
-    def _screened(self, about: Candidate | None = None) -> list[Candidate]:
+    @cached_property
+    def _screening(self) -> Screening:
         stretch = self.prescribed.stretch.matrix[self.prescribed.added].toarray()
         record, *further = self.records
-        return screened(record, stretch, self._known, self._guess, self.prescribed.with_ground, further, about)
+        return Screening(record, stretch, self._known, self._guess, self.prescribed.with_ground, further)
 
     def _by_own_motion(self, own: Candidate) -> Candidate:
         """Of a structure that is no linear one, with the common factor on its unknown springs that its free run tells.
