@@ -78,7 +78,7 @@ class CheckedLoader(ConfigLoader):
         """
         for override in overrides:
             group, _, chosen = override.lstrip("+").partition("=")
-            if group.replace("/", ".") in shipped() and re.match(r"\s*\[", chosen):
+            if group != SEVERAL and group.replace("/", ".") in shipped() and re.match(r"\s*\[", chosen):
                 raise _several(group, chosen, chosen.strip(" []").replace(" ", ""))
         overrides = in_folders(overrides)
         return _checked(

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from calls import SMALL, Compose
+from calls import SMALL, Compose, PinnRun
 from omegaconf import OmegaConf, open_dict
 
 from pinn_cli.cli.config import RunConfig
@@ -46,6 +46,14 @@ def test_every_option_of_every_group_builds(composed: Compose, choice: str) -> N
 def test_every_config_file_opens_with_a_comment() -> None:
     for file in (Path(__file__).parents[2] / "conf").rglob("*.yaml"):
         assert file.read_text(encoding="utf-8").startswith("#"), file
+
+
+def test_experiments_of_a_list_lie_over_each_other(pinn_run: PinnRun) -> None:
+    both = "experiment=[paper/sr_6dof_snr20,paper/sr_6dof_perturbed]"
+    config = OmegaConf.create(pinn_run("--cfg", "job", both).done().out)
+    assert (config.model_error._target_.split(".")[-1], config.noise.snr_db) == ("PerturbedModelError", 50.0)
+    config = OmegaConf.create(pinn_run("--cfg", "job", "experiment=[paper/sr_6dof_snr20]").done().out)
+    assert config.noise.snr_db == 20.0
 
 
 @pytest.mark.parametrize("case", PAPER)
