@@ -43,6 +43,7 @@ def test_the_motion_of_a_known_frame(pinn_run: PinnRun, made: IndependentRecord,
     assert done.record["verdict"] == "sound", done.record["reasons"]
 
 
+@pytest.mark.slow
 def test_unknown_springs_from_the_default_start(pinn_run: PinnRun, made: IndependentRecord, tmp_path: Path) -> None:
     nothing = ("system.k=null", "system.kappa=[null,0,0]")
     done = pinn_run(*written(made, tmp_path), *UNKNOWN, *nothing).done()

@@ -29,7 +29,7 @@ def written_chain(law: str, **parameters: float) -> list[str]:
     "settings",
     [
         ["scheme=sparse_recovery"],
-        ["scheme=state_parameter", "scheme.unobserved=[2]"],
+        pytest.param(["scheme=state_parameter", "scheme.unobserved=[2]"], marks=pytest.mark.slow),
         pytest.param(["scheme=sparse_recovery", "model_error=perturbed"], marks=pytest.mark.slow),
         pytest.param(["scheme=sparse_recovery", "model_error=linear"], marks=pytest.mark.slow),
     ],

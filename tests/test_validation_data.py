@@ -9,7 +9,7 @@ OWN = ("parameters.csv", "fitness.csv", "residuals.csv", "modes.csv", "free_run.
 RIG = (
     "system=linear", "system.ndof=3", "system.m=10", "system.c=1", "data=csv", "data.path=rig.csv", "data.time=t",
     "data.force={1: f}", "data.acceleration={1: a1, 3: a3}", "scheme=state_parameter", "scheme.unknown=[k_*]",
-    "threads=1", "figures=false",
+    "scheme.starts=1", "threads=1", "figures=false",
 )  # fmt: skip
 
 

@@ -45,7 +45,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run_in_a_child(tmp_path_factory.mktemp("undisturbed") / "whole", *ADAM)
 
 
-@pytest.mark.parametrize("size", [SMALLEST, LARGER])
+@pytest.mark.parametrize("size", [SMALLEST, pytest.param(LARGER, marks=pytest.mark.slow)])
 def test_a_full_disk_in_mid_run(pinn_run: PinnRun, whole: Path, tmp_path: Path, monkeypatch, size: int) -> None:
     """In a checkpoint, and in response.nc."""
     monkeypatch.chdir(tmp_path)

@@ -93,5 +93,6 @@ def test_times_come_back_clock_by_clock(read):
 def test_what_a_file_does_is_told_in_one_line(read, deed, told, monkeypatch, capfd):
     if deed == "loop":
         monkeypatch.setattr(process, "_SECONDS", 2.0)
+        monkeypatch.setattr(process, "_BUSY", 1)
     assert "must be " + told in refusal(read, deed)
     assert capfd.readouterr() == ("", "")

@@ -136,7 +136,8 @@ def test_a_wrong_mass_is_named(ground: bool):
     assert doubt.value == pytest.approx(500.0, rel=0.2)
 
 
-@pytest.mark.parametrize(("kind", "place", "off"), [("k", 1, 0.1), pytest.param("c", 0, 0.5, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "place", "off"), [("k", 1, 0.1), ("c", 0, 0.5)])
 def test_a_spring_and_a_damper_that_are_held_are_named(kind: str, place: int, off: float):
     """The other ones are unknown; `off` is the part of the value that the model lacks."""
     values = {"k": K, "c": C}

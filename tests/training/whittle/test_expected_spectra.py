@@ -36,7 +36,10 @@ def test_a_line_is_a_mean_over_its_neighbours():
     assert found[46:56].sum() > 1.5 * resonance(np.arange(46, 56) / SAMPLES).sum()  # it matters here
 
 
-@pytest.mark.parametrize("measured", [(), (0,)], ids=["no force measured", "one of two"])
+@pytest.mark.parametrize(
+    "measured",
+    [pytest.param((), id="no force measured"), pytest.param((0,), id="one of two", marks=pytest.mark.slow)],
+)
 def test_spectra_are_as_expected_on_average(measured):
     parts = ((1.0, 1.7), (2.3, 4.0), (4.0, 6.0), (6.0, 10.0), (10.0, 30.0))
     sums = np.zeros((3, len(parts), 2))
