@@ -97,6 +97,10 @@ class LeastSquares:
             self._placed = point, self.members.keep(_point, self.members.held, *zip(*arrays, strict=True))
         return self._placed[1]
 
+    def share_ridges(self, other: LeastSquares) -> None:
+        """Have the prior of other equations of the same functions, which hangs on their first weights."""
+        self.members.each(_share_ridge, other.members.each(_ridge))
+
     def room_below(self, point: Point) -> np.ndarray:
         """(p,), the most negative step of every parameter that respects its bound; -inf without one."""
         room: np.ndarray = self.lower - point.parameters.cpu().numpy()
@@ -191,6 +195,14 @@ def joined_parameters(each: Sequence[Sequence[Parameter]]) -> tuple[tuple[Parame
 def _point(record: RecordEvidence, unknowns: np.ndarray, parameters: np.ndarray) -> Point:
     like = record.equations.target.force
     return Point(*(torch.as_tensor(x).to(like) for x in (unknowns, parameters)))
+
+
+def _ridge(own: RecordEvidence) -> float | np.ndarray | None:
+    return own.equations.ridge.value
+
+
+def _share_ridge(own: RecordEvidence, ridge: float | np.ndarray | None) -> None:
+    own.equations.ridge.value = ridge
 
 
 def _losses(record: RecordEvidence, point: Point, noise: NoiseModel, prior: np.ndarray) -> dict[str, float]:

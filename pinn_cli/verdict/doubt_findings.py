@@ -18,6 +18,7 @@ from pinn_cli.system.left_out import (
     QUADRATIC,
     SPRING,
 )
+from pinn_cli.training.doubts.other_damping import DECISIVE_DAMPING
 from pinn_cli.verdict.finding import Finding
 
 if TYPE_CHECKING:
@@ -25,9 +26,8 @@ if TYPE_CHECKING:
 
 # Standard deviations by which something that is reported moves once a doubt is freed: below it intervals still hold.
 MATTERS = 1.0
-# Another model of damping counts from these odds on, as a logarithm: one of many doubts has to be more probable, this
-# one is asked alone. And a damping ratio in the band must differ by so much: what is less needs no other model.
-OTHER_DAMPING, RATIOS_APART = 6.0, 0.1
+# By so much a damping ratio in the band must differ with another model of damping: what is less needs none.
+RATIOS_APART = 0.1
 # Share of what is left that is worth a word.
 LEAST_SHARE = 0.05
 # Numbers that are held.
@@ -71,7 +71,7 @@ def doubt_findings(estimate: Estimate) -> list[Finding]:
 def _other_damping(estimate: Estimate) -> list[Finding]:
     """Another model of damping with which the record is far more probable, and the ratios are others."""
     doubt = estimate.damping_doubt
-    if doubt is None or not len(doubt.ratios) or doubt.log_odds < OTHER_DAMPING:
+    if doubt is None or not len(doubt.ratios) or doubt.log_odds < DECISIVE_DAMPING:
         return []
     apart = np.abs(doubt.others - doubt.ratios) / np.maximum(np.abs(doubt.ratios), np.abs(doubt.others))
     worst = int(np.argmax(apart))

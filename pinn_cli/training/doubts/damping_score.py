@@ -30,14 +30,17 @@ def scored_damping(found: Inference) -> DampingDoubt | None:
         distances = [known.get(p, at.parameters.new_zeros(())) for p in more.uncertain]
         points.append(Point(more.layout.unknowns(own.layout.weights(at.unknowns)), torch.stack(distances)))
     joint = evidence.equations
+    joint.share_ridges(found.evidence.equations)
     start = joint.joined(points)
     system = joint.assemble(start, trained.noise)
     factor = system.factor()
     if factor is None:
         return None
-    step = factor.step(system)
-    volume, before = (np.linalg.slogdet(one.corner_covariance)[1] for one in (factor, trained.factor))
-    log_odds = 0.5 * (system.decrease(step) + float(volume - before))
+    _, step = factor.step(system)
+    # What the others gain by themselves is not theirs: at the marginal peak these stand beside the likeliest place.
+    added = np.flatnonzero([p not in found.evidence.equations.uncertain for p in joint.uncertain])
+    by, covariance = step[added], factor.corner_covariance[np.ix_(added, added)]
+    log_odds = 0.5 * float(by @ np.linalg.solve(covariance, by) + np.linalg.slogdet(covariance)[1])
     scale, first = joint.scale, start.parameters.cpu().numpy()
-    moved = scale * first, scale * (first + np.asarray(step[1]))
+    moved = scale * first, scale * (first + step)
     return damping_doubt(problem, extended, joint.uncertain, moved, log_odds)

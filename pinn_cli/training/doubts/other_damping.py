@@ -22,6 +22,9 @@ from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
 
 # Prior standard deviation of a damping ratio that nobody has thought of, and of a damper as a part of its critical one.
 USUAL = 0.05
+# Logarithm of how many times as probable a record must be with another model of damping: one of many doubts has to be
+# more probable, this one is asked alone.
+DECISIVE_DAMPING = 6.0
 # A ratio for each mode couples all coordinates; beyond so many a look at it would take longer than the solution.
 MOST_COORDINATES = 20
 

@@ -8,7 +8,6 @@ import torch
 from pinn_cli.training.factors.factor import Factor
 from pinn_cli.training.factors.frame import Frame
 from pinn_cli.training.noise_model import NoiseModel
-from pinn_cli.training.normal_matrix.layout import BandLayout
 from pinn_cli.training.normal_matrix.row_sums import RowSums
 from pinn_cli.training.point import Point
 
@@ -27,7 +26,7 @@ class Ridge(Factor):
         frame: Of the record.
 
     Attributes:
-        value: A number, or (size,); None until the first normal matrix, on which it hangs, has been added up.
+        value: A number, or (functions,); None until the first normal matrix, on which it hangs, has been added up.
     """
 
     name = "ridge"
@@ -40,12 +39,20 @@ class Ridge(Factor):
         """See :meth:`Factor.loss`."""
         if self.value is None:
             return 0.0
-        return float((torch.as_tensor(self.value).to(point.unknowns) * point.unknowns.square()).sum())
+        return float((torch.as_tensor(self.of_unknowns).to(point.unknowns) * point.unknowns.square()).sum())
 
     def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
         """See :meth:`Factor.add_to`."""
         self.value = self._of(sums.main) if self.value is None else self.value
-        sums.add_diagonal(self.value, point.unknowns.cpu().numpy())
+        sums.add_diagonal(self.of_unknowns, point.unknowns.cpu().numpy())
+
+    @property
+    def of_unknowns(self) -> float | np.ndarray:
+        """A number, or (size,)."""
+        if not isinstance(self.value, np.ndarray):
+            return self.value or 0.0
+        layout = self.frame.layout
+        return layout.unknowns(torch.from_numpy(self.value).expand(layout.count, layout.ndof)).numpy()
 
     def _of(self, diagonal: np.ndarray) -> float | np.ndarray:
         dynamics, layout = self.frame.dynamics, self.frame.layout
@@ -55,12 +62,5 @@ class Ridge(Factor):
         largest = by_function.amax(0)
         if not dynamics.structure.is_modal:
             largest[: dynamics.ndof] = largest[: dynamics.ndof].max()
-        return RELATIVE_RIDGE * layout.unknowns(largest.expand_as(by_function)).numpy()
-
-
-def carried_ridge(ridge: float | np.ndarray | None, part: BandLayout, whole: BandLayout) -> float | np.ndarray | None:
-    """The ridge of a part of a record on all of it: it hangs on the first weights, and should not on the way taken."""
-    if not isinstance(ridge, np.ndarray):
-        return ridge
-    by_function = part.weights(torch.from_numpy(ridge))[0]
-    return whole.unknowns(by_function.expand(whole.count, whole.ndof)).numpy()
+        found: np.ndarray = RELATIVE_RIDGE * largest.numpy()
+        return found

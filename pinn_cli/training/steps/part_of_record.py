@@ -17,7 +17,6 @@ from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.factors.frame import collocation_refinement
-from pinn_cli.training.factors.ridge import carried_ridge
 from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.point import Point
 from pinn_cli.training.steps.discrepancy_search import SCAN_FACTOR, negligible, scanned
@@ -89,8 +88,8 @@ def whole_from(
         evidence: Of the whole.
         noise: Where a search of the whole would begin.
     """
-    equations, own, before = evidence.equations, evidence.equations.each[0], of_part.equations.each[0]
-    own.ridge.value = carried_ridge(before.ridge.value, before.layout, own.layout)
+    equations, own = evidence.equations, evidence.equations.each[0]
+    equations.share_ridges(of_part.equations)
     noise, largest_of_whole = replace(noise, spread=part.noise.spread), noise.discrepancy
     steps = min(
         _steps(largest, part.noise.discrepancy), _steps_to_indifference(noise, negligible(own, noise.records[0]))

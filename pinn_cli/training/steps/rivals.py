@@ -120,8 +120,7 @@ def _damped_in_own_modes(found: Inference) -> Inference:
     if problem is None:
         return found
     evidence = found.solver.evidence(problem)
-    for own, before in zip(evidence.equations.each, found.evidence.equations.each, strict=True):
-        own.ridge.value = before.ridge.value  # what is compared has one prior
+    evidence.equations.share_ridges(found.evidence.equations)
     return replace(found, evidence=evidence)
 
 

@@ -72,7 +72,7 @@ class Linearised:
         elif isinstance(factor, KnownState):
             yield factor.residuals(at)
         elif isinstance(factor, Ridge):
-            yield torch.as_tensor(factor.value).sqrt() * at.unknowns
+            yield torch.as_tensor(factor.of_unknowns).sqrt() * at.unknowns
         else:
             assert isinstance(factor, Gains)
 
