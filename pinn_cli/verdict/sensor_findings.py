@@ -144,7 +144,7 @@ def noise_findings(problem: Problem, estimate: Estimate) -> list[Finding]:
     # Where a force that nobody measured acts on every DOF, or as many act as there are sensors, any motion is rightly
     # followed.
     free = len(problem.inputs.forces) >= min(problem.record.ndof, len(seen))
-    copied = [] if free else _copied(problem.record, estimate)
+    copied = [] if free or _holds_within_noise(problem, estimate) else _copied(problem.record, estimate)
     return found + _discrepancy(problem, estimate) + copied + _unfinished(estimate)
 
 
@@ -218,6 +218,16 @@ def _discrepancy(problem: Problem, estimate: Estimate) -> list[Finding]:
     predicts = bool(estimate.stories) and estimate.stories[0].free_run < 100.0 * NEARLY_PREDICTED
     word = failed_if(ratio >= AS_LARGE_AS_FORCE and not predicts)
     return [Finding("discrepancy", "model", f"{text}: {remedy}", word)]
+
+
+def _holds_within_noise(problem: Problem, estimate: Estimate) -> bool:
+    """Whether the model is off by less than any measured input: then it is their noise that leaves the motion open."""
+    noise = _numbers(estimate.summary.get("sigma_force"))
+    if problem.record.ground_acceleration is not None:
+        moved = problem.structure.parameters["m"].detach().cpu().numpy() * problem.structure.with_ground
+        noise += [float(x * level) for x in abs(moved) for level in _numbers(estimate.summary.get(f"sigma_{GROUND}"))]
+    levels, noise = _numbers(estimate.summary.get("sigma_discrepancy")), [x for x in noise if x > 0.0]
+    return bool(levels) and bool(noise) and max(levels) < min(noise)
 
 
 def _numbers(levels: Any) -> list[float]:

@@ -85,8 +85,12 @@ def test_a_discrepancy_of_the_size_of_the_force(right_estimate, share, word, sha
 def test_a_channel_that_was_copied(right_estimate):
     problem, estimate = right_estimate
     counts = {"acceleration": [0.95 * len(problem.record.time), 0.92 * len(problem.record.time), None]}
-    found = noise_findings(problem, with_summary(estimate, effective_parameters=counts))
+    force = problem.record.force[:, 2].std()
+    open_to = {"effective_parameters": counts, "sigma_discrepancy": 0.1 * force}
+    found = noise_findings(problem, with_summary(estimate, **open_to))
     assert kinds(found) == [("copied", "sensors")]
+    # A lone accelerometer beside a poor load cell is rightly followed.
+    assert noise_findings(problem, with_summary(estimate, **open_to, sigma_force=[None, None, 0.2 * force])) == []
 
 
 def test_a_training_that_did_not_converge(right_estimate):
