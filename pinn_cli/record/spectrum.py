@@ -169,8 +169,9 @@ def level_at_end(x: np.ndarray, step: float) -> float | None:
 def reaches_nyquist(x: np.ndarray, step: float, noise: float = 0.0) -> bool:
     """Whether a channel (N,) has content up to its Nyquist frequency, with power that falls off in the last parts.
 
-    White noise has as much between 0.8 and 1 of the Nyquist frequency as between 0.6 and 0.8, but for chance; and in
-    most of the uppermost tenth of a channel whose content ends below it there is nothing else.
+    White noise has as much between 0.8 and 1 of the Nyquist frequency as between 0.6 and 0.8, but for chance; in most
+    of the uppermost tenth of a channel whose content ends below it there is nothing else; and what stops to fall is
+    noise, whatever its level.
 
     Args:
         x: The channel.
@@ -180,7 +181,11 @@ def reaches_nyquist(x: np.ndarray, step: float, noise: float = 0.0) -> bool:
     lower, upper, last = _upper_parts(x, step)
     if min(len(lower), len(last)) < FEWEST_BINS or not upper.any():
         return False
-    falls = np.log(lower.mean() / upper.mean()) > _by_chance(lower, upper)
+    fall, first = np.log(lower.mean() / upper.mean()), upper[: len(upper) - len(last)]
+    falls = fall > _by_chance(lower, upper)
+    # By a power of the frequency from the middle of one part to that of the other, and then within the upper one.
+    steady = fall * np.log(0.95 / 0.85) / np.log(0.9 / 0.7)
+    falls &= np.log(first.mean() / last.mean()) > steady - _by_chance(first, last)
     return bool(falls and np.median(last) / np.log(2.0) > noise**2 * (1.0 + 3.0 / np.sqrt(len(last))))
 
 
