@@ -116,18 +116,21 @@ def _from_every_start(
     Raises:
         DivergenceError: None could be solved.
     """
-    best, force = max(_solutions(problem.starts, solver, networks), key=_log_evidence)
+    found, failure = _solutions(problem.starts, solver, networks)
+    if not found:
+        raise failure or DivergenceError("there is no start")
+    best, force = max(found, key=_log_evidence)
     if not holds(best.trained, force):
-        best, _ = max([(best, force), *_solutions(problem.elsewhere(), solver, networks)], key=_log_evidence)
+        best, _ = max([*found, *_solutions(problem.elsewhere(), solver, networks)[0]], key=_log_evidence)
     return best
 
 
 def _solutions(
     starts: Sequence[JointProblem], solver: Solver, networks: Sequence[LinearReadout] | None
-) -> list[tuple[Inference, float]]:
-    """Those that there are, and the force that acts, N."""
-    found = []
-    failure = None
+) -> tuple[list[tuple[Inference, float]], DivergenceError | None]:
+    """Those that there are, each with the force that acts, N; and why the last one failed that did."""
+    found: list[tuple[Inference, float]] = []
+    failure: DivergenceError | None = None
     for start in starts:
         evidence = solver.evidence(start, networks)
         noise = solver.starting_noise(evidence)
@@ -137,9 +140,7 @@ def _solutions(
             failure = error
             continue
         found.append((Inference(evidence, trained, solver), noise.discrepancy))
-    if failure and not found:
-        raise failure
-    return found
+    return found, failure
 
 
 def _log_evidence(found: tuple[Inference, float]) -> float:

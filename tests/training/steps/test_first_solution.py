@@ -63,5 +63,7 @@ def test_a_start_that_cannot_be_solved_costs_none_of_the_others(problem, monkeyp
     monkeypatch.setattr(module, "soft_to_stiff", refused)
     found = solved(replace(broken, other_starts=(JointProblem.of(problem),)))
     assert found.problem.alone is problem
+    wrong = JointProblem.of(heavier(problem))
+    assert solved(replace(wrong, elsewhere=lambda: (broken,))).problem.alone is wrong.alone
     with pytest.raises(DivergenceError, match="singular"):
         solved(broken)
