@@ -111,7 +111,9 @@ def _through_a_part(
 def _from_every_start(
     problem: JointProblem, solver: Solver, networks: Sequence[LinearReadout] | None = None
 ) -> Inference:
-    """Of the solutions from every start the most probable one; from starts elsewhere, too, where its model is off.
+    """Of the solutions from every start the most probable one.
+
+    Where its model does not hold, one from starts elsewhere whose model does, if there is one that is more probable.
 
     Raises:
         DivergenceError: None could be solved.
@@ -119,10 +121,12 @@ def _from_every_start(
     found, failure = _solutions(problem.starts, solver, networks)
     if not found:
         raise failure or DivergenceError("there is no start")
-    best, force = max(found, key=_log_evidence)
-    if not holds(best.trained, force):
-        best, _ = max([*found, *_solutions(problem.elsewhere(), solver, networks)[0]], key=_log_evidence)
-    return best
+    best = max(found, key=_log_evidence)
+    if not _holds(best):
+        # Of models that do not hold the one that follows the sensors most would be taken.
+        others, _ = _solutions(problem.elsewhere(), solver, networks)
+        best = max([best, *filter(_holds, others)], key=_log_evidence)
+    return best[0]
 
 
 def _solutions(
@@ -141,6 +145,10 @@ def _solutions(
             continue
         found.append((Inference(evidence, trained, solver), noise.discrepancy))
     return found, failure
+
+
+def _holds(found: tuple[Inference, float]) -> bool:
+    return holds(found[0].trained, found[1])
 
 
 def _log_evidence(found: tuple[Inference, float]) -> float:
