@@ -32,6 +32,7 @@ def written(made: IndependentRecord, folder: Path) -> tuple[str, ...]:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_motion_of_a_known_frame(pinn_run: PinnRun, made: IndependentRecord, tmp_path: Path) -> None:
     done = pinn_run(*written(made, tmp_path)).done()
     with xr.open_dataset(done.directory / "response.nc") as response:

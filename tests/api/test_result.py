@@ -47,6 +47,7 @@ def test_the_response_is_labelled(result: Result) -> None:
     assert error < 0.1 * np.abs(of_dof["displacement_true"]).max()
 
 
+@pytest.mark.slow
 def test_figures_are_those_that_the_run_drew(result: Result) -> None:
     drawn = {file.stem for file in (result.directory / "figures").glob("*.png")}
     (result.directory / "own.csv").write_bytes(b"a user's;\n1,2\n3,4,\xff\n")

@@ -48,7 +48,7 @@ def of_modes() -> Structure:
     return damped(small_chain("linear").with_parameters(c=torch.zeros(3, dtype=torch.float64)), {"ratio": [RATIO] * 3})
 
 
-@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_ratio_for_each_mode_is_told_beside_dampers(count):
     records = [recorded(of_modes(), seed) for seed in range(count)]
     found = doubt(records, small_chain("linear"), "c")
@@ -63,6 +63,7 @@ def test_a_right_model_of_damping_is_left_alone(count):
     assert doubt(records, small_chain("linear"), "c").log_odds < 0.0
 
 
+@pytest.mark.slow
 def test_both_models_have_one_prior_of_the_motion():
     """In another order of the unknowns one ridge was another: a right model was e^40 times less probable."""
     model = build_chain(3, Linear(), m=M.tolist(), c=C.tolist(), k=K.tolist())

@@ -93,6 +93,7 @@ def test_without_a_second_start_the_first_one_stands(monkeypatch):
     assert first.log_evidence == scanned(evidence, noise, 1.0, evidence.equations.start()).log_evidence
 
 
+@pytest.mark.slow
 def test_of_two_the_more_probable_one_is_taken(monkeypatch):
     """A second start of nonsense does no harm."""
     record = measured(small_chain(), snr_db=40.0).record
