@@ -176,7 +176,7 @@ class Bayesian(EstimationScheme):
         check_given(prescribed, chosen)
         check_used(prescribed, chosen, None, self.positive)
         given = _given(record, chosen)
-        (starts,) = Starts(prescribed, (record, *further), chosen, given, 1)
+        (starts,) = Starts(prescribed, records, chosen, given, 1)
         values = {p: start.value for p, start in starts.items()}
         records = [calibrated_starts(each, values) for each in records]
         scales = {parameter: starts[parameter].scale for parameter in chosen}

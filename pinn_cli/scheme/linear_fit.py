@@ -58,7 +58,7 @@ class LinearStructure:
     A damping ratio of the whole structure is half a loss factor of its springs: at every resonance they do the same.
 
     Args:
-        stretch, known, influence: See :func:`pinn_cli.scheme.screening.Screening`.
+        stretch, known, influence: See :class:`pinn_cli.scheme.screening.Screening`.
         typical: (C,), stiffnesses, of which the median stands for that of a connection without a spring.
     """
 

@@ -85,7 +85,7 @@ def first_solution(problem: JointProblem, solver: Solver) -> Inference:
     if part is not None:
         found = _through_a_part(problem, solver, network, part)
         problem = replace(problem, elsewhere=tuple)  # what lies there has been looked for
-    found = found or _from_every_start(problem, solver)
+    found = found or _from_every_start(problem, solver)[0]
     return replace(found, trained=solver.settled(found.evidence, found.trained))
 
 
@@ -95,8 +95,7 @@ def _through_a_part(
     """The solution next to that of a part of the record; None where it is not a good model."""
     own, shorter = part
     try:
-        of_part = _from_every_start(problem.changed(partial(replace, record=own.record)), solver, [shorter])
-        largest = solver.starting_noise(of_part.evidence).discrepancy
+        of_part, largest = _from_every_start(problem.changed(partial(replace, record=own.record)), solver, [shorter])
         if not holds(of_part.trained, largest):
             return None
         of_whole = of_part.problem.changed(partial(replace, record=problem.alone.record))
@@ -110,8 +109,8 @@ def _through_a_part(
 
 def _from_every_start(
     problem: JointProblem, solver: Solver, networks: Sequence[LinearReadout] | None = None
-) -> Inference:
-    """Of the solutions from every start the most probable one.
+) -> tuple[Inference, float]:
+    """Of the solutions from every start the most probable one, and the force that acts, N.
 
     Where its model does not hold, one from starts elsewhere whose model does, if there is one that is more probable.
 
@@ -126,7 +125,7 @@ def _from_every_start(
         # Of models that do not hold the one that follows the sensors most would be taken.
         others, _ = _solutions(problem.elsewhere(), solver, networks)
         best = max([best, *filter(_holds, others)], key=_log_evidence)
-    return best[0]
+    return best
 
 
 def _solutions(
