@@ -7,7 +7,6 @@ from calls import SMALL, PinnRun
 from small_problems import QUANTITIES, accelerations, measured, relative_error, small_chain
 
 from pinn_cli.network.base import NetworkDesign
-from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.joint_problem import JointProblem
@@ -18,8 +17,6 @@ from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.gradient.adam import Adam
 from pinn_cli.training.gradient.lbfgs import Lbfgs
-from pinn_cli.training.noise_model import NoiseModel
-from pinn_cli.training.normal_equations import NormalEquations
 
 pytestmark = [pytest.mark.cuda, pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")]
 EMBEDDED = Mlp(1, 12, "sine", "exact", "fourier")
@@ -51,15 +48,8 @@ def test_function_space(design):
     assert_the_same(GaussNewton(), design, 1e-4, 0.01)
 
 
-@pytest.mark.parametrize("design", [Spline(), Spline(continuity="penalised"), Fourier()], ids=str)
-def test_linear_readouts(design):
-    """Noise levels are searched for until nothing changes by a part in a hundred, from sums of another order."""
-    assert_the_same(GaussNewton(), design, 1e-4, 0.01)
-
-
-@pytest.mark.parametrize("design", [EMBEDDED, Mlp(2, 24, "sine", "exact"), Spline()], ids=["mlp", "dense", "spline"])
+@pytest.mark.parametrize("design", [EMBEDDED, Mlp(2, 24, "sine", "exact")], ids=["mlp", "dense"])
 def test_the_same_device_gives_the_same_numbers(design):
-    """All but a Fourier readout, whose blocks are summed on the device in any order (docs/performance.md)."""
     first, second = (on("cuda", GaussNewton(), design) for _ in range(2))
     np.testing.assert_array_equal(first.response.displacement, second.response.displacement)
     np.testing.assert_array_equal(first.std.acceleration, second.std.acceleration)
@@ -75,22 +65,10 @@ def test_gradients(training, design):
     assert_the_same(training, design, 1e-3, None)
 
 
-@pytest.mark.parametrize("design", [Spline(), Fourier()], ids=["spline", "fourier"])
-def test_blocks_of_the_normal_equations(design):
-    """Summed on the device, factored by the processor."""
-    given, bands = problem(), []
-    for device in ("cpu", "cuda"):
-        equations = NormalEquations(design.build(given.record), given, device)
-        levels = {name: np.where(given.record.sensors(name), 0.1, np.nan) for name in QUANTITIES}
-        noise = NoiseModel(levels, np.where(given.record.sensors("force"), 0.1, np.nan), 0.1, 0.1)
-        bands.append(equations.assemble(equations.start(), noise).band.values)
-    np.testing.assert_allclose(bands[1], bands[0], rtol=1e-9, atol=1e-9 * np.abs(bands[0]).max())
-
-
-@pytest.mark.parametrize("network", ["spline", "mlp"])
-def test_a_run_says_which_device_it_used_and_can_be_taken_up(pinn_run: PinnRun, network: str):
+@pytest.mark.parametrize(("network", "there"), [("spline", False), ("mlp", True)])
+def test_a_run_says_which_device_it_used_and_can_be_taken_up(pinn_run: PinnRun, network: str, there: bool):
     outcome = pinn_run(*SMALL, f"network={network}", "device=cuda", "figures=false", "hydra.run.dir=run").done()
     told = outcome.record
-    assert told["device"].startswith("cuda (")
-    assert told["peak_memory_mib"]["cuda"] > 0
+    assert told["device"].startswith("cuda (") == there
+    assert told["peak_memory_mib"]["cuda"] > 0 or not there
     assert pinn_run("resume=run").status == 0

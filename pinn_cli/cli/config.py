@@ -59,7 +59,7 @@ class RunConfig:
     Attributes:
         case: Name of the case, a folder's name.
         seed: Of everything random that has no seed of its own.
-        device: Where networks and residuals live: cpu, cuda, cuda:1.
+        device: Where networks whose weights are all trained live: cpu, cuda, cuda:1.
         threads: Of torch and of the linear algebra.
         structure: The structure as configured, before model error; NaN where a measured one has no value.
         model_error: What differs between the true and the prescribed chain.

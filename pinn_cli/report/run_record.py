@@ -65,14 +65,15 @@ def run_facts(
     run: RunDescription, summary: Mapping[str, Any], observed: str, seconds: Mapping[str, float]
 ) -> dict[str, Any]:
     """What is said of every run: its training's summary, the digest of what it observed, seconds by stage."""
+    trained = {"dtype": "float64", "device": "cpu", **summary}  # fixed features are solved by the processor
     return {
         **stamp(FORMAT),
         "case": run.case,
         "seconds": {name: round(value, 4) for name, value in seconds.items()},
-        "training": {"dtype": "float64", **summary},
+        "training": {name: value for name, value in trained.items() if name != "device"},
         "peak_memory_mib": peak_memory_mib(),
         "seed": run.seed,
-        "device": device_name(run.device),
+        "device": device_name(trained["device"]),
         "threads": run.threads,
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
         "configuration": run.configuration,

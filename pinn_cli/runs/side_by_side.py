@@ -167,16 +167,15 @@ class SharedOutItems(Items[T]):
             raise
 
 
-def side_by_side(items: Sequence[T], sizes: Sequence[int] | None = None, copied: bool = True) -> Items[T]:
+def side_by_side(items: Sequence[T], sizes: Sequence[int] | None = None) -> Items[T]:
     """Items on as many cores as there are.
 
     Args:
         items: Which.
         sizes: Of the work on each; None: all alike.
-        copied: False: in this process all the same, as where a GPU holds them.
     """
     copies = min(len(items), len(usable_cores()))
-    return SharedOutItems(items, copies, sizes) if copies > 1 and copied and _can_copy() else Items(items)
+    return SharedOutItems(items, copies, sizes) if copies > 1 and _can_copy() else Items(items)
 
 
 def beside(item: T) -> Items[T]:

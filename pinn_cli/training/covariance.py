@@ -139,7 +139,7 @@ class ReadoutPosterior:
         The covariance of all functions is then taken from the band once for all channels.
         """
         local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))  # (I, functions, B)
-        kinds = [phi.cpu() for phi in (segments.displacement, segments.velocity, segments.acceleration)]
+        kinds = segments.displacement, segments.velocity, segments.acceleration
         weights = [[(order, torch.as_tensor(w.toarray())) for order, w in parts] for parts in sensing]
         found: list[list[Tensor]] = [[] for _ in sensing]
         for start in range(0, len(local), INTERVALS_AT_ONCE):
@@ -151,7 +151,7 @@ class ReadoutPosterior:
                 assert isinstance(rows, Tensor)
                 rows = rows.flatten(3).flatten(1, 2)  # (intervals, channels S, functions B)
                 out.append(_deviation(rows, covariance).unflatten(1, (len(parts[0][1]), -1)).mT)
-        return [segments.scatter(torch.cat(out).to(segments.mask.device)).cpu() for out in found]
+        return [segments.scatter(torch.cat(out)) for out in found]
 
     def combined(self, segments: Segments, sensing: Sequence[tuple[int, csr_matrix]]) -> Tensor:
         """Standard deviation of weighted sums of functions and of their derivatives, (N, channels).
@@ -163,13 +163,13 @@ class ReadoutPosterior:
         out = segments.mask.new_zeros((segments.samples, sensing[0][1].shape[0]))
         for part in self._windows(segments):
             group = segments.part(part)
-            group.place(self._combined(group, sensing).to(out.device), out)
-        return out.cpu()
+            group.place(self._combined(group, sensing), out)
+        return out
 
     def _combined(self, segments: Segments, sensing: Sequence[tuple[int, csr_matrix]]) -> Tensor:
         """The same in some groups, (I, S, channels)."""
         local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))
-        kinds = [phi.cpu() for phi in (segments.displacement, segments.velocity, segments.acceleration)]
+        kinds = segments.displacement, segments.velocity, segments.acceleration
         every = []
         for channel in range(sensing[0][1].shape[0]):
             parts = [
@@ -188,13 +188,13 @@ class ReadoutPosterior:
         for part in self.equations.windows(segments):
             group = segments.part(part)
             for out, values in zip((u, v, a), self._functions(group), strict=True):
-                group.place(values.to(out.device), out)
-        return u.cpu(), v.cpu(), a.cpu()
+                group.place(values, out)
+        return u, v, a
 
     def _functions(self, segments: Segments) -> list[Tensor]:
         """The same in some groups, each (I, S, functions)."""
         local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))
-        kinds = [phi.cpu() for phi in (segments.displacement, segments.velocity, segments.acceleration)]
+        kinds = segments.displacement, segments.velocity, segments.acceleration
         results: list[list[Tensor]] = [[] for _ in kinds]
         for dof in range(self.equations.layout.ndof):
             spread = self._spread(local[:, dof], torch.cat(kinds, 1))
@@ -209,7 +209,7 @@ class ReadoutPosterior:
             rows = LocalRows(self.equations, segments, self.point, part)
             each = [self.deviation(*rows.of_dof(dof)) for dof in range(self.equations.dynamics.ndof)]
             every.append(torch.stack(each, -1))
-        return segments.scatter(torch.cat(every).to(segments.mask.device)).cpu()
+        return segments.scatter(torch.cat(every))
 
     def force_by_parameter(self, segments: Segments) -> Tensor:
         """Change of that force with each parameter, in prior standard deviations, the motion following: (N, n, p)."""
@@ -218,7 +218,7 @@ class ReadoutPosterior:
             rows = LocalRows(self.equations, segments, self.point, part)
             each = [self._by_parameter(*rows.of_dof(dof)) for dof in range(self.equations.dynamics.ndof)]
             every.append(torch.stack(each, 2))
-        return segments.scatter(torch.cat(every).to(segments.mask.device)).cpu()
+        return segments.scatter(torch.cat(every))
 
     def _windows(self, segments: Segments) -> list[slice]:
         """Groups whose rows and whose covariances of all coupled functions are held at once."""
@@ -303,8 +303,6 @@ class LocalRows:
         """
         inside = self.local[:, dof] >= 0
         own = self.own[:, dof].tile(1, len(self.equations.pattern.offsets))
-        jacobian = (
-            self.rows.jacobian(self.segments, slice(dof, dof + 1))[:, 0].cpu() * inside.to(torch.float64)[:, None]
-        )
-        held = self.equations.pattern.uncertain_columns(self.rows.parameter[:, :, dof].cpu(), dof)
+        jacobian = self.rows.jacobian(self.segments, slice(dof, dof + 1))[:, 0] * inside.to(torch.float64)[:, None]
+        held = self.equations.pattern.uncertain_columns(self.rows.parameter[:, :, dof], dof)
         return torch.where(inside, self.local[:, dof], own), jacobian, held

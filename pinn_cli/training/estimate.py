@@ -332,7 +332,7 @@ class RunContext:
     """What a training may know about the run that it is part of.
 
     Attributes:
-        device: Where networks and residuals live, ``cpu`` or ``cuda``.
+        device: Where networks whose weights are all trained live, ``cpu`` or ``cuda``; fixed features stay on the CPU.
         seed: Seeds the weights of networks that start from random ones.
         directory: The run's directory, for what a stage keeps; None in a library call that keeps nothing.
         progress: Whether to draw a progress bar (never when the output is no terminal).

@@ -107,7 +107,7 @@ class Evidence:
 
     def parameter_term(self, point: Point, noise: NoiseLevels, factor: SharedFactor) -> float:
         """The parameters' part: their prior, and their Hessian with the readout eliminated."""
-        believed, x = int((~self.equations.unknown).sum()), point.parameters.cpu()
+        believed, x = int((~self.equations.unknown).sum()), point.parameters
         loss = float(np.sum((self.equations.prior_precision(noise) @ x).numpy() * x.numpy()))
         return -0.5 * (loss + factor.parameter_log_determinant + 2.0 * believed * np.log(noise.spread))
 
@@ -128,7 +128,7 @@ class Evidence:
     def learned_spread(self, trained: Trained) -> float:
         """How far the prescribed parameters are off, in common; see :func:`updated_spread`."""
         believed = ~self.equations.unknown
-        x = trained.solution.point.parameters.cpu().numpy()[believed]
+        x = trained.solution.point.parameters.numpy()[believed]
         if not self.learn_spread or len(x) == 0:
             return trained.noise.spread
         variance = np.diag(trained.factor.corner_covariance)[believed]

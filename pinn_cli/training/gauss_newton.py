@@ -95,7 +95,7 @@ class GaussNewton(Training):
         history = History(run.progress, run.watch)
         limits = self.iterations or ITERATIONS, self.tolerance or TOLERANCE
         designs = (design,) * len(problem)
-        solver = Solver(designs, history, *limits, self.learn_spread, self.pooled, run.device)
+        solver = Solver(designs, history, *limits, self.learn_spread, self.pooled)
         with history:
             found = self._weighed(problem, solver) if self.weights else infer(problem, solver)
             handed = None if first.hand_over is None else handed_over(found)

@@ -48,16 +48,15 @@ class LeastSquares:
         self.is_plain = all(own.is_plain for own in self.each)
         self.is_linear = all(own.is_linear for own in self.each)
         self.lower = self._gathered([own.lower for own in self.each])
-        self.scale = self._gathered([own.scale.cpu().numpy() for own in self.each])
-        self.unknown = self._gathered([own.unknown.cpu().numpy() for own in self.each]).astype(bool)
+        self.scale = self._gathered([own.scale.numpy() for own in self.each])
+        self.unknown = self._gathered([own.unknown.numpy() for own in self.each]).astype(bool)
         joint = self.each[0].joint_precision
         self._precision = torch.as_tensor(np.eye(len(self.uncertain)) if joint is None else joint)
         # Of every parameter, how many records but the first bring its prior along.
         self._repeated = np.bincount(np.concatenate(self.columns), minlength=len(self.uncertain)) - 1.0
         sizes = [own.layout.size for own in self.each]
         self._ends = np.cumsum(sizes)[:-1].tolist()
-        on_cpu = all(own.target.force.device.type == "cpu" for own in self.each)
-        self.members = side_by_side(records, sizes, copied=on_cpu)
+        self.members = side_by_side(records, sizes)
         self._placed: tuple[Point | None, list[Any]] = None, []
 
     def _gathered(self, values: Sequence[np.ndarray]) -> np.ndarray:
@@ -93,7 +92,7 @@ class LeastSquares:
     def placed(self, point: Point) -> list[Any]:
         """The point of every record, where the record is: the very same for the same point, which is computed once."""
         if self._placed[0] is not point:
-            arrays = ([x.cpu().numpy() for x in (own.unknowns, own.parameters)] for own in self.split(point))
+            arrays = ([x.numpy() for x in (own.unknowns, own.parameters)] for own in self.split(point))
             self._placed = point, self.members.keep(_point, self.members.held, *zip(*arrays, strict=True))
         return self._placed[1]
 
@@ -103,7 +102,7 @@ class LeastSquares:
 
     def room_below(self, point: Point) -> np.ndarray:
         """(p,), the most negative step of every parameter that respects its bound; -inf without one."""
-        room: np.ndarray = self.lower - point.parameters.cpu().numpy()
+        room: np.ndarray = self.lower - point.parameters.numpy()
         return np.minimum(room, 0.0)
 
     def moved(self, point: Point, step: tuple[np.ndarray, np.ndarray]) -> Point:
@@ -115,7 +114,7 @@ class LeastSquares:
         """
         unknowns, parameters = (torch.as_tensor(x).to(point.unknowns) for x in step)
         lower = torch.as_tensor(self.lower).to(point.unknowns)
-        held = torch.as_tensor(step[1] <= self.room_below(point), device=lower.device)
+        held = torch.as_tensor(step[1] <= self.room_below(point))
         after = point.moved((unknowns, parameters))
         return Point(after.unknowns, torch.where(held, lower, torch.maximum(after.parameters, lower)))
 
@@ -141,7 +140,7 @@ class LeastSquares:
         for own in self.members.each(_losses, self.placed(point), noise.records, self.priors(noise)):
             for name, value in own.items():
                 total[name] = total.get(name, 0.0) + value
-        x = point.parameters.cpu()
+        x = point.parameters
         return total | {"prior": float((x * (self.prior_precision(noise) @ x)).sum())}
 
     def precision(self, noise: NoiseLevels) -> Tensor:
@@ -164,7 +163,7 @@ class LeastSquares:
         systems = self.members.keep(_assembled, *at, noise.records, self.priors(noise))
         repeated, known = self._repeated * self.precision(noise).numpy(), self.each[0].known
         held = None if known is None else known.covariance
-        pull = repeated * point.parameters.cpu().numpy()
+        pull = repeated * point.parameters.numpy()
         return SharedSystem(self.members, self.columns, systems, repeated, pull, held)
 
 

@@ -120,7 +120,7 @@ def values_taken(evidence: RecordEvidence, solution: RecordSolution) -> Taken:
     for part, forces in equations.motion.moved(point, draws):
         weight = physics if physics.ndim == 1 else physics[part]
         for force in forces:
-            enforced += (force.square() * weight).sum((0, 1)).cpu().numpy() / DRAWS
+            enforced += (force.square() * weight).sum((0, 1)).numpy() / DRAWS
     return Taken(response, enforced)
 
 

@@ -159,8 +159,8 @@ class FeatureProjection:
     """
 
     def __init__(self, segments: Segments, features: Tensor) -> None:
-        self.segments, self.features = segments, features.cpu()
-        self.index = segments.feature.cpu()
+        self.segments, self.features = segments, features
+        self.index = segments.feature
         gram = self.features.mT @ self.features
         span = int((self.index.amax(1) - self.index.amin(1)).max())
         row, column = self.index[:, :, None].expand_as(gram), self.index[:, None, :].expand_as(gram)
@@ -180,7 +180,7 @@ class FeatureProjection:
 
     def add_moments(self, moments: Tensor, values: Tensor, part: slice = slice(None)) -> None:
         """Add the products of the features with histories (I, S, channels) of some groups."""
-        local = self.features[part].mT @ values.cpu()
+        local = self.features[part].mT @ values
         moments.index_add_(0, self.index[part].reshape(-1), local.reshape(-1, values.shape[-1]))
 
     def seen(self, moments: Tensor) -> np.ndarray:
@@ -202,12 +202,12 @@ class FeatureProjection:
         return torch.as_tensor(cho_solve_banded((self.factor, True), self._moments(self._gathered(values)).numpy()))
 
     def _gathered(self, values: Tensor) -> Tensor:
-        return self.segments.gather(values.to(self.segments.mask.device))
+        return self.segments.gather(values)
 
     def residual(self, values: Tensor) -> np.ndarray:
         """(N, n) minus its projection: what the features cannot follow."""
         fitted = self.features @ self.coefficients(values)[self.index]
-        return (values.cpu() - self.segments.scatter(fitted.to(self.segments.mask.device)).cpu()).numpy()
+        return (values - self.segments.scatter(fitted)).numpy()
 
 
 def first_output(network: LinearReadout, segments: Segments) -> Segments:

@@ -122,7 +122,6 @@ class NormalEquations(Frame):
     Args:
         network: Fixed features, linear readout, an output for every unknown function.
         problem: Structure, record, uncertain parameters.
-        device: Where residuals and blocks are computed.
         known: Parameters of a linear structure that something else determines; None: they are solved for.
 
     Attributes:
@@ -139,10 +138,9 @@ class NormalEquations(Frame):
         self,
         network: LinearReadout,
         problem: Problem,
-        device: str = "cpu",
         known: KnownParameters | None = None,
     ) -> None:
-        super().__init__(network, problem, device)
+        super().__init__(network, problem)
         self.known, self.is_linear = known, known is not None
         masks = observation_masks(self.target, problem.acceleration_through)
         self.observer = Observer(self, masks.pop("observer")) if "observer" in masks else None

@@ -162,7 +162,7 @@ class RecordEvidence:
     @cached_property
     def load_cells(self) -> dict[int, SensorSamples]:
         """DOF to the load cell whose force stands in the equations of motion, and is no channel."""
-        measured = np.flatnonzero(self.equations.target.measured_force.cpu().numpy()).tolist()
+        measured = np.flatnonzero(self.equations.target.measured_force.numpy()).tolist()
         return {dof: SensorSamples.of_column(self.problem.record, FORCE, dof) for dof in measured}
 
     def log_evidence(self, point: Point, noise: NoiseModel, readout_log_determinant: float) -> float:
@@ -179,10 +179,10 @@ class RecordEvidence:
     def _log_density_of_motion(self, point: Point, count: int) -> float:
         """See :func:`log_density`: of the equations linearised at a motion, on the average over the record."""
         equations = self.equations
-        enforced, segments = equations.target.equation.cpu().numpy() > 0, equations.physics
+        enforced, segments = equations.target.equation.numpy() > 0, equations.physics
         pattern, tangent = equations.pattern, equations.motion.mean_tangent(segments, point)
-        stiffness, damping = (pattern.full(pattern.by_coordinate(x).cpu().numpy()) for x in tangent)
-        mass = equations.dynamics.mass(equations.parameters(point)).cpu().numpy()
+        stiffness, damping = (pattern.full(pattern.by_coordinate(x).numpy()) for x in tangent)
+        mass = equations.dynamics.mass(equations.parameters(point)).numpy()
         kept = np.ix_(enforced, enforced)
         network, averaged = equations.network, equations.averages is not None
         degree = network.degree if averaged and isinstance(network, SplineNetwork) else None
@@ -197,12 +197,12 @@ class RecordEvidence:
     def force_residuals(self, point: Point, noise: NoiseModel) -> ForceResiduals:
         """What the physics residual holds in the features' sight and beyond it."""
         equations = self.equations
-        enforced = equations.target.equation.cpu().numpy()
+        enforced = equations.target.equation.numpy()
         physics, weight = equations.motion.residual(point), equations.motion.weight(noise)
         observer = None
         if equations.observer is not None:
             residual = torch.cat([each for _, each in equations.observer.residuals(point)])
-            observer = self.observer_projection.sum_of_squares(residual), equations.observer.weight(noise).cpu().numpy()
+            observer = self.observer_projection.sum_of_squares(residual), equations.observer.weight(noise).numpy()
         left_open, unseen = np.zeros(len(enforced)), np.zeros(len(enforced))
         # A discrepancy varies within the intervals too, as far as the features follow it: that is no noise of a sensor.
         beyond = len(equations.problem.record.time) - equations.network.count if equations.refinement == 1 else 0
@@ -210,29 +210,29 @@ class RecordEvidence:
             moments = self.projection.no_moments(len(enforced))
             for part in equations.windows(equations.physics):
                 forces = equations.motion.force(point, part)
-                unseen += forces.square().sum((0, 1)).cpu().numpy()
+                unseen += forces.square().sum((0, 1)).numpy()
                 self.projection.add_moments(moments, forces, part)
             unseen -= self.projection.seen(moments)
         if equations.averages is None:
             seen, count = self.projection.sum_of_squares(physics), equations.network.count
         else:  # averages between the samples count as far as the samples tell what acts there
             trust = weight * torch.as_tensor(noise.physics_variance).to(weight)
-            seen = (physics.square() * trust).sum((0, 1)).cpu().numpy()
+            seen = (physics.square() * trust).sum((0, 1)).numpy()
             count = equations.averages.count
             if trust.ndim > 1:
-                left_open = -torch.where(trust > 0, trust, 1.0).log().sum((0, 1)).cpu().numpy()
+                left_open = -torch.where(trust > 0, trust, 1.0).log().sum((0, 1)).numpy()
         return ForceResiduals(enforced, seen, np.maximum(unseen, 0.0), count, max(beyond, 0), left_open, observer)
 
     def followed_force(self) -> np.ndarray:
         """(N, n), the measured force as far as the features follow it; 0 where there is none."""
         equations = self.equations
-        coefficients = self.projection.coefficients(equations.target.force.cpu()).to(equations.target.force)
+        coefficients = self.projection.coefficients(equations.target.force).to(equations.target.force)
         segments = equations.forces
         values = (
             output_features(equations.network, segments)[0]
             @ coefficients[first_output(equations.network, segments).feature]
         )
-        return segments.scatter(values)[:, : equations.dynamics.ndof].cpu().numpy()
+        return segments.scatter(values)[:, : equations.dynamics.ndof].numpy()
 
     def _projection(self, segments: Segments) -> FeatureProjection:
         network = self.equations.network
@@ -242,11 +242,11 @@ class RecordEvidence:
 def occupied_share(evidence: RecordEvidence, solution: RecordSolution) -> float:
     """N_eff / K, see :func:`pinn_cli.training.steps.windows_discrepancy.widened`."""
     equations = evidence.equations
-    unforced = equations.target.unforced & equations.dynamics.has_mass.to(equations.target.unforced.device)
+    unforced = equations.target.unforced & equations.dynamics.has_mass
     enforced = unforced if bool(unforced.any()) else equations.target.equation
     residual, step = equations.motion.residual(solution.point), 1.0 / equations.network.free_intervals
     if equations.averages is None:
         residual, step = equations.physics.scatter(residual), equations.problem.record.step
     else:
         residual = equations.averages.by_interval(residual)
-    return occupied_band(residual[:, enforced].cpu().numpy(), step, equations.network.free_intervals / 2.0)
+    return occupied_band(residual[:, enforced].numpy(), step, equations.network.free_intervals / 2.0)

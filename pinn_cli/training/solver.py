@@ -37,7 +37,6 @@ class Solver:
             them.
         learn_spread: Whether the common spread of the prescribed parameters is learned from the record.
         pooled: Whether the sensors of one quantity share one noise level.
-        device: Where it is solved.
         known: Parameters that spectra determine, and that are held.
     """
 
@@ -47,7 +46,6 @@ class Solver:
     tolerance: float = TOLERANCE
     learn_spread: bool = True
     pooled: bool = False
-    device: str = "cpu"
     known: KnownParameters | None = None
 
     def networks(self, problem: JointProblem) -> list[LinearReadout]:
@@ -59,7 +57,7 @@ class Solver:
     def evidence(self, problem: JointProblem, networks: Sequence[LinearReadout] | None = None) -> Evidence:
         """What finds the solutions of a problem; with these networks, else with those of the designs."""
         pairs = zip(problem, networks or self.networks(problem), strict=True)
-        each = [NormalEquations(network, own, self.device, self.known) for own, network in pairs]
+        each = [NormalEquations(network, own, self.known) for own, network in pairs]
         history = self.history
         return Evidence(each, self.iterations, self.tolerance, history.add_step, self.learn_spread, history.count)
 

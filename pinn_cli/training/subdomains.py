@@ -42,11 +42,11 @@ class Subdomains:
 
     def __init__(self, segments: Segments) -> None:
         points = segments.mask.sum(1).long()
-        pieces = torch.tensor(_pieces(points.tolist(), segments.count - INITIAL_CONDITIONS), device=points.device)
-        self.interval = torch.repeat_interleave(torch.arange(len(points), device=points.device), pieces)
+        pieces = torch.tensor(_pieces(points.tolist(), segments.count - INITIAL_CONDITIONS))
+        self.interval = torch.repeat_interleave(torch.arange(len(points)), pieces)
         first = torch.cumsum(pieces, 0) - pieces
-        number = torch.arange(len(self.interval), device=points.device) - first[self.interval]
-        rank = torch.arange(segments.mask.shape[1], device=points.device)
+        number = torch.arange(len(self.interval)) - first[self.interval]
+        rank = torch.arange(segments.mask.shape[1])
         piece = rank * pieces[:, None] // points.clamp(min=1)[:, None]
         inside = (piece[self.interval] == number[:, None]) * segments.mask[self.interval]
         self.segments = _regrouped(segments, self.interval, inside)
@@ -63,7 +63,7 @@ class Subdomains:
     def times(self, time: Tensor) -> np.ndarray:
         """(I,), the mean time of every average, s, of the times (N,) of its points."""
         total: Tensor = self.segments.gather(time).sum(1) / self.points.clamp(min=1)
-        return total.cpu().numpy()
+        return total.numpy()
 
     def loosened(self, where: Tensor, factor: float) -> Subdomains:
         """The same with averages (I,) bool whose error is so many times that of the others: they count for less."""

@@ -134,7 +134,6 @@ def test_one_core_or_what_cannot_be_copied_stays_here(monkeypatch):
     monkeypatch.setattr(page, "usable_cores", lambda: [0])
     assert type(side_by_side((1, 1, 1))) is Items
     monkeypatch.setattr(page, "usable_cores", lambda: [0, 1])
-    assert type(side_by_side((1, 1, 1), copied=False)) is Items
     assert type(side_by_side((1,))) is Items
     assert len(side_by_side((1, 1, 1)).shares) == 2
 

@@ -18,7 +18,7 @@ def scored_damping(found: Inference) -> DampingDoubt | None:
     problem, trained = found.evidence.problem, found.trained
     if problem.has_unknown_forces:  # that nobody measured: they are free to be whatever damping is not
         return None
-    values = {kind: x.cpu().numpy() for kind, x in equations.parameters(point).items()}
+    values = {kind: x.numpy() for kind, x in equations.parameters(point).items()}
     extended = with_other_damping(problem, values)
     if extended is None:
         return None
@@ -41,6 +41,6 @@ def scored_damping(found: Inference) -> DampingDoubt | None:
     added = np.flatnonzero([p not in found.evidence.equations.uncertain for p in joint.uncertain])
     by, covariance = step[added], factor.corner_covariance[np.ix_(added, added)]
     log_odds = 0.5 * float(by @ np.linalg.solve(covariance, by) + np.linalg.slogdet(covariance)[1])
-    scale, first = joint.scale, start.parameters.cpu().numpy()
+    scale, first = joint.scale, start.parameters.numpy()
     moved = scale * first, scale * (first + step)
     return damping_doubt(problem, extended, joint.uncertain, moved, log_odds)

@@ -157,7 +157,7 @@ class _Solution:
         moved = np.ascontiguousarray(-np.hstack((own[:, :1], self.readout.solved_border, own[:, 1:])))
         terms_of = forces, sensors
         spectra = left_spectra(equations, self.point, self.noise, self.channels, terms_of, moved, self.prior)
-        free = np.flatnonzero(self.point.parameters.cpu().numpy() > equations.lower).tolist()
+        free = np.flatnonzero(self.point.parameters.numpy() > equations.lower).tolist()
         places = {id(one): i for i, one in enumerate([*forces, *sensors], start=p)}
         return _Asked(terms, [places[id(one)] for one in terms], spectra, moved[:, 1:], free)
 
@@ -168,7 +168,7 @@ class _Solution:
         by = torch.as_tensor(step[: len(self.point.parameters)]).to(self.point.parameters)
         values = self.equations.parameters(Point(self.point.unknowns, self.point.parameters + by))
         structure = self.equations.dynamics.structure
-        present = replace(structure, parameters={kind: values[kind].cpu() for kind in structure.parameters})
+        present = replace(structure, parameters={kind: values[kind] for kind in structure.parameters})
         whole = frequency_with_oscillator(present, term.felt[: structure.coordinates], doubt.value, doubt.shape)
         return replace(doubt, shape=whole)
 
@@ -178,7 +178,7 @@ class _Solution:
         moved = {equations.uncertain[i].name: abs(by[i]) * before.information[i] ** 0.5 for i in asked.free}
         along = Point(torch.as_tensor(asked.moved @ by).to(like), self.point.parameters)
         change = equations.flat_states(equations.observation, along)
-        displacement = equations.dynamics.sensed("displacement", Jet(*change[:3])).cpu().numpy()
+        displacement = equations.dynamics.sensed("displacement", Jet(*change[:3])).numpy()
         for dof, (one, band) in enumerate(zip(displacement.T, std.displacement.T, strict=True)):
             name = f"the displacement of DOF {equations.problem.record.dof_name(dof)}"
             moved[name] = float(np.sqrt(np.mean(one**2) / np.mean(band**2)))

@@ -89,15 +89,15 @@ class _Forces:
     def acceleration(self) -> np.ndarray:
         """(P, dofs), m/s^2, what a mass on every DOF feels."""
         dynamics = self.equations.dynamics
-        moved = self.motion.curvature[:, : dynamics.ndof].cpu().numpy() @ self.place.T
+        moved = self.motion.curvature[:, : dynamics.ndof].numpy() @ self.place.T
         if not dynamics.inputs.ground:
             return moved
-        return moved + self.motion.value[:, dynamics.ground].cpu().numpy() * dynamics.carried
+        return moved + self.motion.value[:, dynamics.ground].numpy() * dynamics.carried
 
     @cached_property
     def mass(self) -> np.ndarray:
         """(dofs,), kg, what moves with every DOF that a force on it moves alone."""
-        own = self.equations.prescribed[MASS].cpu().numpy()
+        own = self.equations.prescribed[MASS].numpy()
         light = np.divide(self.place**2, own, out=np.zeros_like(self.place), where=(self.place != 0.0) & (own > 0.0))
         return np.divide(1.0, light.sum(1), out=np.zeros(len(light)), where=light.sum(1) > 0.0)
 
@@ -153,7 +153,7 @@ class _Forces:
         """Load cells that show a force late; what is above their band is noise, which a derivative makes more of."""
         record = self.equations.problem.record
         for dof in np.flatnonzero(record.sensors(FORCE)).tolist():
-            shown = self.equations.target.force[:, dof].cpu().numpy()
+            shown = self.equations.target.force[:, dof].numpy()
             rate = _rate(shown, self.step, signal_band(record.force[:, dof], record.step))
             late = Term(DELAY, f"force on DOF {record.dof_name(dof)}", "s", 1.0)
             yield self.term(late, self.place[dof], -rate, WIDEST_DELAY * record.step * _rms(rate))
@@ -197,7 +197,7 @@ class _Forces:
 def force_terms(equations: NormalEquations, point: Point) -> list[ForceTerm]:
     """Of connections, masses, attached oscillators and load cells."""
     motion = Jet(*equations.flat_states(equations.physics, point)[:3])
-    made = _Forces(equations, motion, equations.target.physics_time.cpu().numpy())
+    made = _Forces(equations, motion, equations.target.physics_time.numpy())
     loads = () if equations.problem.inputs.loads else made.of_loads()  # or they are channels, see `sensor_terms`
     return [*made.of_connections(point), *made.of_masses(), *made.of_oscillators(), *loads]
 
@@ -208,7 +208,7 @@ def connection_force(equations: NormalEquations, point: Point, motion: Jet) -> t
     e, de = (structure.elongation(dynamics.stretching(x)) for x in (motion.value, motion.rate))
     z = motion.value[:, dynamics.hidden] if len(structure.memory) else None
     force = structure.connection_force(e, de, equations.parameters(point), z)
-    return tuple(x.cpu().numpy() for x in (e, de, force))
+    return tuple(x.numpy() for x in (e, de, force))
 
 
 def force_border(equations: NormalEquations, point: Point, noise: NoiseModel, terms: Sequence[ForceTerm]) -> np.ndarray:
@@ -219,7 +219,7 @@ def force_border(equations: NormalEquations, point: Point, noise: NoiseModel, te
     for part, function, rows, _ in equation_columns(equations, point):
         by, weighed = np.flatnonzero(felt[function]), weight if weight.ndim == 1 else weight[part]
         pulled = own[part][..., by] * weighed[..., function, None]  # (I, S or 1, terms that it feels)
-        border[:, by] += (rows.T @ pulled.flatten(0, 1).cpu().numpy()) * felt[function, by]
+        border[:, by] += (rows.T @ pulled.flatten(0, 1).numpy()) * felt[function, by]
     return border
 
 

@@ -180,7 +180,7 @@ def left_spectra(
         gram += banded_gram(histories, own_step, edges)
     prior[1:, 1:] += np.eye(columns)
     prior[1 : 1 + p, 1 : 1 + p] += believed - np.eye(p)
-    prior[1 : 1 + p, 0] += believed @ point.parameters.cpu().numpy()
+    prior[1 : 1 + p, 0] += believed @ point.parameters.numpy()
     values = len(enforced) - len(smooth) + len(channels) - equations.dynamics.size
     freedom = max(values, 1) * 2.0 * length * np.diff(edges)
     seen, moving = _seen(channels, edges), _moving(equations, point, edges)
@@ -208,7 +208,7 @@ def _of_equations(
         found *= (root if root.ndim == 1 else root[part])[..., function, None]
         every[function].append(found)
     even = equations.physics.scatter if equations.averages is None else equations.averages.by_interval
-    return {function: even(torch.cat(found)).cpu().numpy() for function, found in every.items()}
+    return {function: even(torch.cat(found)).numpy() for function, found in every.items()}
 
 
 def _of_channels(
@@ -250,7 +250,7 @@ def _seen(channels: Sequence[ChannelAtPoint], edges: np.ndarray) -> np.ndarray:
 
 def _moving(equations: NormalEquations, point: Point, edges: np.ndarray) -> np.ndarray:
     """(bands,) bool: where nearly all of the velocity of any coordinate is."""
-    velocity = equations.flat_states(equations.observation, point).velocity[:, : equations.dynamics.ndof].cpu().numpy()
+    velocity = equations.flat_states(equations.observation, point).velocity[:, : equations.dynamics.ndof].numpy()
     power = np.einsum("bii->bi", banded_gram(velocity, equations.problem.record.step, edges))
     density = power / np.diff(edges)[:, None]
     order = np.argsort(-density, axis=0)

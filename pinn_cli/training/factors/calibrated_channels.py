@@ -197,7 +197,7 @@ class CalibratedChannel:
     def at_point(self, point: Point, sigma: float) -> ChannelAtPoint:
         """See :meth:`Channels.at`."""
         shown, record, gauge = self.at(point), self.frame.problem.record, self.gauge
-        segments, flat = shown.moment.segments, lambda x: shown.moment.segments.scatter(x).cpu().numpy()
+        segments, flat = shown.moment.segments, lambda x: shown.moment.segments.scatter(x).numpy()
         number = {int(place): i for i, place in enumerate(self.frame.vector.column)}
         displacement = None
         if gauge.quantity == "acceleration":
@@ -212,7 +212,7 @@ class CalibratedChannel:
             flat(shown.felt),
             displacement,
             flat(shown.residual),
-            self.time.cpu().numpy(),
+            self.time.numpy(),
             sigma,
             float(shown.gain),
             self.places,
@@ -324,13 +324,13 @@ def add_products(
         weight: Of every row.
     """
     root = weight**0.5
-    of_functions = ((root * phi).permute(2, 1, 0).cpu().numpy() for phi in features.values())
+    of_functions = ((root * phi).permute(2, 1, 0).numpy() for phi in features.values())
     first = sums.rank[list(features)].tolist()
     assert max(first) - min(first) <= sums.reach, "functions that one row feels stand within the band"
     touched = [Touched(place, 0, phi[None, ..., None]) for place, phi in zip(first, of_functions, strict=True)]
     by = root * torch.stack([*columns.values(), residual]).mT
     places = np.array(list(columns), dtype=np.int64)[:, None]
-    sums.add(Rows(segments.feature, touched, places, by[..., None].cpu().numpy()))
+    sums.add(Rows(segments.feature, touched, places, by[..., None].numpy()))
 
 
 def summed_features(

@@ -69,7 +69,7 @@ class ChannelAtPoint:
 
     def rows(self, layout: BandLayout) -> csr_matrix:
         """(I S, size), of what it shows by the readout weights."""
-        feature = self.segments.feature.cpu().numpy()
+        feature = self.segments.feature.numpy()
         total = csr_matrix((self.segments.mask.numel(), layout.size))
         for function, order, weight in self.parts:
             own = (weight[..., None] if isinstance(weight, Tensor) else weight) * self.features[order]
@@ -80,7 +80,7 @@ class ChannelAtPoint:
     def border(self, layout: BandLayout, columns: np.ndarray) -> np.ndarray:
         """(size, D), products of columns (J, D) with its own rows."""
         grouped = self.segments.gather(torch.as_tensor(columns).to(self.segments.mask))
-        border: np.ndarray = self.rows(layout).T @ grouped.flatten(0, 1).cpu().numpy()
+        border: np.ndarray = self.rows(layout).T @ grouped.flatten(0, 1).numpy()
         return border
 
     def moved(self, layout: BandLayout, weights: np.ndarray) -> np.ndarray:
@@ -95,4 +95,4 @@ def sparse_rows(blocks: Tensor, places: np.ndarray, size: int) -> csr_matrix:
     places = np.broadcast_to(places[:, None], blocks.shape)
     there = places >= 0
     starts = np.concatenate(([0], np.cumsum(there.sum(-1))))
-    return csr_matrix((blocks.cpu().numpy()[there], places[there], starts), (groups * samples, size))
+    return csr_matrix((blocks.numpy()[there], places[there], starts), (groups * samples, size))

@@ -60,7 +60,6 @@ class Frame:
     Args:
         network: Fixed features, linear readout, an output for every unknown function.
         problem: Structure, record, uncertain parameters.
-        device: Where residuals and blocks are computed.
 
     Attributes:
         target: What the residuals compare with.
@@ -77,11 +76,11 @@ class Frame:
         lower: (p,), bounds in prior standard deviations from the prescribed values.
     """
 
-    def __init__(self, network: LinearReadout, problem: Problem, device: str = "cpu") -> None:
+    def __init__(self, network: LinearReadout, problem: Problem) -> None:
         self.problem, self.dynamics, self.is_plain = problem, problem.dynamics, problem.dynamics.is_plain
         self.refinement = collocation_refinement(network, problem.record)
-        self.target = targets(problem.record, self.dynamics, device, refinement=self.refinement)
-        self.network = network.to(device)
+        self.target = targets(problem.record, self.dynamics, refinement=self.refinement)
+        self.network = network
         self.observation = network.segments(self.target.observation_time)
         self.physics = network.segments(self.target.physics_time)
         self.averages = Subdomains(self.physics) if _by_interval(network) else None

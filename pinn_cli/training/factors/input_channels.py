@@ -122,7 +122,7 @@ class InputChannels(ConstantChannels):
         return np.sum(list(every), axis=0)
 
     def _in_band(self, histories: Tensor) -> np.ndarray:
-        return self.in_band(histories).square().sum(0).cpu().numpy() / self.per_sample
+        return self.in_band(histories).square().sum(0).numpy() / self.per_sample
 
     def in_band(self, histories: Tensor) -> Tensor:
         """(P, K) histories at the points, as far as the sensors' samples follow them."""
@@ -134,8 +134,8 @@ class InputChannels(ConstantChannels):
         """See :meth:`Channels.at`."""
         points, record = self.points, self.frame.problem.record
         features = dict(enumerate((points.displacement, points.velocity, points.acceleration)))
-        felt = self.felt(self.frame.flat_states(points, point)).cpu().numpy()
-        left = points.scatter(self.residual(point)).cpu().numpy()
+        felt = self.felt(self.frame.flat_states(points, point)).numpy()
+        left = points.scatter(self.residual(point)).numpy()
         for i in np.flatnonzero(self.there).tolist():
             yield ChannelAtPoint(
                 channel_name(record, self.name, i),
@@ -145,13 +145,13 @@ class InputChannels(ConstantChannels):
                 [
                     Part(int(function), order, float(weight[function, i]))
                     for order, weight in enumerate(self._weights, start=self.order)
-                    for function in np.flatnonzero(weight[:, i].cpu().numpy())
+                    for function in np.flatnonzero(weight[:, i].numpy())
                 ],
                 felt[:, i],
                 None,
                 left[:, i],
-                self.time.cpu().numpy(),
+                self.time.numpy(),
                 float(noise.response[self.name][i]) * self.per_sample**0.5,
-                counted=self.resolved.cpu().numpy(),
+                counted=self.resolved.numpy(),
                 per_sample=self.per_sample,
             )

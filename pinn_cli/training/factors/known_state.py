@@ -105,9 +105,9 @@ class KnownState(Factor):
         super().__init__(frame)
         segments = frame.network.segments(time)
         alive = segments.mask[:, 0] > 0
-        self.feature = segments.feature[alive][:1].cpu()
+        self.feature = segments.feature[alive][:1]
         jet = segments.displacement, segments.velocity, segments.acceleration
-        rows = torch.stack([x[alive][0, 0] for x in jet[state.order : state.order + 2]]).cpu()
+        rows = torch.stack([x[alive][0, 0] for x in jet[state.order : state.order + 2]])
         self.jacobian = rows / rows.new_tensor(state.deviation)[:, :, None]
         place = frame.layout.positions(self.feature.numpy(), np.arange(len(state.deviation))[:, None])  # (F, B)
         self.place = torch.as_tensor(place)
@@ -133,7 +133,7 @@ class KnownState(Factor):
 
     def residuals(self, point: Point) -> Tensor:
         """(F, 2)."""
-        unknowns, numbers = point.unknowns.cpu(), point.parameters.cpu()
+        unknowns, numbers = point.unknowns, point.parameters
         out = torch.einsum("frb,fb->fr", self.jacobian, unknowns[self.place])
         if len(self.number):
             out[self.of, self.rate] -= self.value + self.unit * numbers[self.number]

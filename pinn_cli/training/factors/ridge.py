@@ -44,7 +44,7 @@ class Ridge(Factor):
     def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
         """See :meth:`Factor.add_to`."""
         self.value = self._of(sums.main) if self.value is None else self.value
-        sums.add_diagonal(self.of_unknowns, point.unknowns.cpu().numpy())
+        sums.add_diagonal(self.of_unknowns, point.unknowns.numpy())
 
     @property
     def of_unknowns(self) -> float | np.ndarray:

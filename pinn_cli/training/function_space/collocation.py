@@ -64,7 +64,7 @@ def collocate(problem: Problem, every: Targets, points: int | None, most_rows: i
     """
     record, target = problem.record, every
     network = Spline().build(record)
-    response, force = inferred_sensor_noise(problem, str(every.force.device))
+    response, force = inferred_sensor_noise(problem)
     count = _points(problem, points, most_rows, network.count)
     samples = torch.as_tensor(evenly_spaced(len(record.time), count), device=every.force.device)
     if network.count < len(record.time):

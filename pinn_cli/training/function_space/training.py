@@ -172,7 +172,8 @@ class FunctionSpaceGaussNewton:
         posterior = FunctionSpacePosterior(search)
         std = posterior.std(every.observation_time, every.physics_time, own.record.time)
         estimates, correlation = _parameters(search, posterior)
-        return Estimate(response, std, estimates, history.table(), _summary(search), correlation)
+        summary = _summary(search) | {"device": run.device}
+        return Estimate(response, std, estimates, history.table(), summary, correlation)
 
 
 @torch.no_grad()

@@ -171,7 +171,7 @@ class GradientTraining(Training):
             response = estimated_response(own.record, own.dynamics, parameters(), seen, felt)
         response = replace(response, time=time)
         unknown = Response.unknown(time, own.record.ndof)
-        summary = {**descent.summary(), "dtype": self.dtype}
+        summary = {**descent.summary(), "dtype": self.dtype, "device": run.device}
         return Estimate(response, unknown, parameters.estimates(), descent.history.table(), summary)
 
     def descent(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Descent:

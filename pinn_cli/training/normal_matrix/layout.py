@@ -34,7 +34,7 @@ class BandLayout:
     """
 
     def __init__(self, feature: Tensor, count: int, pattern: RowPattern) -> None:
-        groups = feature.cpu().numpy()
+        groups = feature.numpy()
         span = int((groups.max(axis=1) - groups.min(axis=1)).max())
         self.pattern, self.count, self.ndof = pattern, count, len(pattern.coupled)
         self.size, self.half_width = count * self.ndof, span * self.ndof + pattern.reach
@@ -61,7 +61,7 @@ class BandLayout:
             (self.pattern.offsets, self.pattern.coupled) if coupled else ((0,), np.ones((self.ndof, 1), bool))
         )
         place = (self.pattern.rank[:, None] + np.array(offsets))[None, :, :, None]
-        groups = feature.cpu().numpy()
+        groups = feature.numpy()
         position = groups[:, None, None, :] * self.ndof + place
         return np.where(used[None, :, :, None], position, -1).reshape(len(groups), self.ndof, -1)
 
@@ -77,4 +77,4 @@ class BandLayout:
     def weights(self, unknowns: Tensor) -> Tensor:
         """Vector of unknowns (size,) as readout weights (count, ndof)."""
         placed = unknowns.reshape(self.count, self.ndof)
-        return placed if self.pattern.natural else placed[:, torch.as_tensor(self.pattern.rank, device=unknowns.device)]
+        return placed if self.pattern.natural else placed[:, torch.as_tensor(self.pattern.rank)]

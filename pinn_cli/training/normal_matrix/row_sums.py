@@ -173,7 +173,7 @@ class RowSums:
 
     def _runs(self, feature: Tensor) -> Iterator[tuple[slice, int]]:
         """Groups whose features follow one another, and where the first of them has its first weight."""
-        first = (feature[:, 0] // self._stride).cpu().numpy()
+        first = (feature[:, 0] // self._stride).numpy()
         breaks = np.flatnonzero(np.diff(first) != 1) + 1
         for start, stop in pairwise([0, *breaks.tolist(), len(first)]):
             yield slice(start, stop), int(first[start]) * self._step + self.n

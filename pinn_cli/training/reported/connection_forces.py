@@ -29,8 +29,8 @@ def connection_forces(posterior: ReadoutPosterior) -> tuple[np.ndarray, np.ndarr
         group = segments.part(part)
         force, std = _of_groups(posterior, group, part)
         group.place(force, forces)
-        group.place(std.to(deviations.device), deviations)
-    return forces.cpu().numpy(), deviations.cpu().numpy()
+        group.place(std, deviations)
+    return forces.numpy(), deviations.numpy()
 
 
 def _of_groups(posterior: ReadoutPosterior, segments: Segments, part: slice) -> tuple[Tensor, Tensor]:
@@ -43,7 +43,7 @@ def _of_groups(posterior: ReadoutPosterior, segments: Segments, part: slice) -> 
     z = jet.value[..., dynamics.hidden] if len(structure.memory) else None
     force = structure.connection_force(structure.elongation(u), structure.elongation(v), parameters, z)
     deviations = [_deviation(posterior, segments, slope, c) for c in structure.added.tolist()]
-    return force[..., torch.as_tensor(structure.added, device=force.device)], torch.stack(deviations, -1)
+    return force[..., torch.as_tensor(structure.added)], torch.stack(deviations, -1)
 
 
 def _deviation(posterior: ReadoutPosterior, segments: Segments, slope: Linearisation, connection: int) -> Tensor:
@@ -51,9 +51,9 @@ def _deviation(posterior: ReadoutPosterior, segments: Segments, slope: Linearisa
     equations = posterior.equations
     dynamics = equations.dynamics
     local = torch.as_tensor(equations.layout.columns(segments.feature, coupled=False))
-    value, rate = segments.displacement.cpu(), segments.velocity.cpu()
+    value, rate = segments.displacement, segments.velocity
     stretch = dynamics.stretched[connection]
-    stiffness, damping = (x[..., connection, None].cpu() for x in (slope.stiffness, slope.damping))
+    stiffness, damping = (x[..., connection, None] for x in (slope.stiffness, slope.damping))
     rows = [float(weight) * (stiffness * value + damping * rate) for weight in stretch.data]
     functions = stretch.indices.tolist()
     if connection in dynamics.structure.memory:
@@ -69,12 +69,12 @@ def _by_parameter(posterior: ReadoutPosterior, slope: Linearisation, connection:
     equations = posterior.equations
     structure, uncertain = equations.dynamics.structure, equations.uncertain
     held = torch.zeros((*slope.stiffness.shape[:2], len(uncertain)), dtype=slope.stiffness.dtype)
-    for i, (parameter, scale) in enumerate(zip(uncertain, equations.scale.cpu().tolist(), strict=True)):
+    for i, (parameter, scale) in enumerate(zip(uncertain, equations.scale.tolist(), strict=True)):
         members = structure.members.get(parameter.kind, np.array([], dtype=np.int64))
         own = parameter.kind in slope.by_parameter and members[parameter.index] == connection
         branch = equations.dynamics.branch(parameter.kind)[parameter.index] if own else -1
         if branch == connection:
-            held[..., i] = scale * slope.by_parameter[parameter.kind][..., parameter.index].cpu()
+            held[..., i] = scale * slope.by_parameter[parameter.kind][..., parameter.index]
     return held
 
 
@@ -90,7 +90,7 @@ def dissipated_energy(posterior: ReadoutPosterior) -> tuple[np.ndarray, np.ndarr
     by_kind: dict[str, Tensor] = {}
     for part in equations.windows(segments):
         own = _Energy.of(equations, posterior.point, part)
-        energy += own.each.cpu().numpy()
+        energy += own.each.numpy()
         own.add_by_weight(by_weight, equations, part)
         for kind, slope in own.by_kind.items():
             by_kind[kind] = by_kind[kind] + slope if kind in by_kind else slope
@@ -99,7 +99,7 @@ def dissipated_energy(posterior: ReadoutPosterior) -> tuple[np.ndarray, np.ndarr
 
 def _gradient_of_parameters(equations: NormalEquations, by_kind: dict[str, Tensor]) -> np.ndarray:
     """(p, C), J per prior standard deviation, from the slopes of every kind's members: each has one connection."""
-    structure, scale = equations.dynamics.structure, equations.scale.cpu().numpy()
+    structure, scale = equations.dynamics.structure, equations.scale.numpy()
     out = np.zeros((len(equations.uncertain), len(structure.added)))
     for row, parameter in enumerate(equations.uncertain):
         if parameter.kind in by_kind:
@@ -142,8 +142,8 @@ class _Energy:
                 (segments.gather(torch.as_tensor(x).to(e))[..., None] * of_time).sum((0, 1))
                 for x, of_time in ((weight, power), (ends, stored))
             )
-            each = each.index_add(0, torch.as_tensor(structure.memory, device=e.device), released)
-            return each[torch.as_tensor(structure.added, device=e.device)]
+            each = each.index_add(0, torch.as_tensor(structure.memory), released)
+            return each[torch.as_tensor(structure.added)]
 
         z, given = jet.value[..., dynamics.hidden], (parameters[kind] for kind in structure.carriers)
         each, (by_e, by_de, by_z, *by) = slopes(energy, e, de, z, *given)
@@ -154,12 +154,12 @@ class _Energy:
         dynamics, structure = equations.dynamics, equations.dynamics.structure
         segments = equations.observation.part(part)
         local = equations.layout.columns(segments.feature, coupled=False)  # (I, functions, B)
-        moment = (segments.displacement.mT @ self.by_value + segments.velocity.mT @ self.by_rate).cpu().numpy()
+        moment = (segments.displacement.mT @ self.by_value + segments.velocity.mT @ self.by_rate).numpy()
         for column, connection in enumerate(structure.added.tolist()):
             stretch = dynamics.stretched[connection]
             for function, weight in zip(stretch.indices.tolist(), stretch.data.tolist(), strict=True):
                 np.add.at(out[:, column], local[:, function], weight * moment[..., connection])
-        hidden = (segments.displacement.mT @ self.by_hidden).cpu().numpy()
+        hidden = (segments.displacement.mT @ self.by_hidden).numpy()
         for number, connection in enumerate(structure.memory.tolist()):
             column = int(np.searchsorted(structure.added, connection))
             np.add.at(out[:, column], local[:, dynamics.hidden.start + number], hidden[..., number])

@@ -38,8 +38,8 @@ def end_state(evidence: RecordEvidence, solution: RecordSolution) -> EndState:
     dynamics, time = equations.dynamics, equations.target.observation_time
     segments = equations.network.segments(time[-1:])
     alive = segments.mask[:, 0] > 0
-    feature = segments.feature[alive][0].cpu().numpy()
-    value, rate = (x[alive][0, 0].cpu().numpy() for x in (segments.displacement, segments.velocity))
+    feature = segments.feature[alive][0].numpy()
+    value, rate = (x[alive][0, 0].numpy() for x in (segments.displacement, segments.velocity))
     motion, hidden = np.arange(dynamics.ndof), np.arange(dynamics.size)[dynamics.hidden]
     wanted = [(function, phi) for phi, own in ((value, motion), (rate, motion), (value, hidden)) for function in own]
     places = [equations.layout.positions(feature, np.full(len(feature), function)) for function, _ in wanted]
@@ -48,11 +48,11 @@ def end_state(evidence: RecordEvidence, solution: RecordSolution) -> EndState:
         rows[place, column] = phi
     half, crossed = factor.readout.half_solved(rows)
     through = solve_triangular(factor.schur, crossed, lower=True)
-    unit = equations.scale.cpu().numpy()
+    unit = equations.scale.numpy()
     with_parameters = (-unit[:, None] * (factor.corner_covariance @ crossed))[: len(equations.problem.uncertain)]
     return EndState(
         float(equations.problem.record.time[-1]),
-        rows.T @ solution.point.unknowns.cpu().numpy(),
+        rows.T @ solution.point.unknowns.numpy(),
         half.T @ half + through.T @ through,
         with_parameters.T,
     )

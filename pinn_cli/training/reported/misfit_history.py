@@ -44,12 +44,12 @@ def misfit_history(evidence: RecordEvidence, solution: RecordSolution) -> Misfit
     measured_force = equations.target.force[:: equations.refinement]
     enforced = equations.target.equation[:n]
     lacking = equations.dynamics.residual(jet, equations.parameters(point))[..., :n] - measured_force[..., :n]
-    missing = (lacking * enforced).detach().cpu().numpy()
+    missing = (lacking * enforced).detach().numpy()
     discrepancy = noise.discrepancy / equations.refinement**0.5
     columns, shares = [], []
     for column, sigma, measured, function in _inputs(evidence, solution):
         if function is not None:  # the equations hold the input as it was estimated
-            estimated = jet.value[..., function].detach().cpu().numpy()
+            estimated = jet.value[..., function].detach().numpy()
             missing += np.outer(np.nan_to_num(estimated - measured), column)
         floor = visible_floor(measured, record.step) if np.isfinite(measured).all() else None
         columns.append(column * sigma)
@@ -62,7 +62,7 @@ def misfit_history(evidence: RecordEvidence, solution: RecordSolution) -> Misfit
     seen = float(np.mean(missing**2))
     rest = discrepancy * math.sqrt(max(0.0, 1.0 - seen / size)) if size > 0.0 else 0.0
     inputs = input_force(equations.dynamics.structure, record)
-    velocity = jet.rate[..., :n].detach().cpu().numpy()
+    velocity = jet.rate[..., :n].detach().numpy()
     return Misfit.of(record.step, missing, float(np.sqrt(np.mean(inputs**2))), rest, _at_motion(missing, velocity))
 
 
@@ -96,5 +96,5 @@ def _inputs(
     if dynamics.inputs.ground and record.ground_acceleration is not None:
         sigma = noise.response[GROUND][0]
         if np.isfinite(sigma) and sigma > 0.0:
-            mass = equations.parameters(solution.point)[MASS].detach().cpu().numpy()
+            mass = equations.parameters(solution.point)[MASS].detach().numpy()
             yield -mass * structure.with_ground, float(sigma), record.ground_acceleration, dynamics.ground.start

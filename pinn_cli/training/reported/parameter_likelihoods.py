@@ -148,7 +148,7 @@ def parameter_likelihoods(evidence: Evidence, trained: Trained) -> ParameterLike
     """
     equations = evidence.equations
     marginal = marginal_likelihood(evidence, trained)
-    point, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale
+    point, scale = trained.solution.point.parameters.numpy(), equations.scale
     force, own = evidence.each_record(force_of_motion, trained)[0]
     slope = np.zeros((*own.shape[:2], len(scale)))
     slope[..., equations.columns[0]] = own
@@ -160,10 +160,10 @@ def force_of_motion(evidence: RecordEvidence, solution: RecordSolution) -> tuple
     """(N, n) force that the most probable motion of one record takes, and (N, n, p) its change with the parameters."""
     equations = evidence.equations
     posterior = ReadoutPosterior(equations, solution.point, solution.factor)
-    slope = posterior.force_by_parameter(equations.forces).numpy() / equations.scale.cpu().numpy()
+    slope = posterior.force_by_parameter(equations.forces).numpy() / equations.scale.numpy()
     states = equations.flat_states(equations.forces, solution.point)
     force = equations.dynamics.external_force(Jet(*states[:3]), equations.parameters(solution.point))
-    return force.cpu().numpy(), slope
+    return force.numpy(), slope
 
 
 def marginal_likelihood(evidence: Evidence, trained: Trained) -> MarginalLikelihood:
@@ -205,7 +205,7 @@ def _without_prior(equations: LeastSquares, trained: Trained) -> tuple[np.ndarra
     # What the record does not determine at all must not come out negative by rounding.
     values = np.maximum(values, 1e-12 * values.max())
     precision = (vectors * values) @ vectors.T
-    moved = trained.solution.point.parameters.cpu().numpy() + step
+    moved = trained.solution.point.parameters.numpy() + step
     peak = np.linalg.solve(precision, posterior @ moved)
     scale = equations.scale
     return _physical(equations, peak), precision / np.outer(scale, scale)
@@ -227,7 +227,7 @@ def conditional_likelihood(evidence: Evidence, trained: Trained) -> ConditionalL
         moment[columns] += own.moment
         square, scatter, count = square + own.square, scatter + own.scatter, count + own.count
     moved = -np.linalg.lstsq(gram, moment, rcond=None)[0]
-    peak = _physical(equations, trained.solution.point.parameters.cpu().numpy()) + moved
+    peak = _physical(equations, trained.solution.point.parameters.numpy()) + moved
     names = tuple(q.name for q in equations.uncertain)
     forced = evidence.records[0].problem.record.sensors("force")
     return ConditionalLikelihood(names, forced, gram, peak, square + float(moment @ moved) + scatter, count)
@@ -262,9 +262,9 @@ def force_regression(evidence: RecordEvidence, solution: RecordSolution) -> Forc
     gram, moment = np.zeros((p, p)), np.zeros(p)
     for dof in torch.nonzero(equations.target.equation).flatten().tolist():
         grouped = equations.pattern.uncertain_columns(rows.parameter[:, :, dof], dof)
-        columns = (equations.forces.scatter(grouped) / equations.scale).cpu().numpy()  # (N, p), N per unit
+        columns = (equations.forces.scatter(grouped) / equations.scale).numpy()  # (N, p), N per unit
         gram += columns.T @ columns
-        moment += columns.T @ residual[:, dof].cpu().numpy()
+        moment += columns.T @ residual[:, dof].numpy()
     repeats = _repeats(record)
     scatter = 0.0 if record.repeats is None else float(record.repeats.square["force"][record.sensors("force")].sum())
     count = repeats * len(record.time) * int(equations.target.equation.sum())

@@ -41,7 +41,7 @@ def parameter_posterior(
         hidden: Both (p,), see :func:`coherent_misfit`.
         covariance: (p, p), of that Gaussian; None: by the Hessian.
     """
-    mode, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale
+    mode, scale = trained.solution.point.parameters.numpy(), equations.scale
     peak = mode + _newton_step(equations, trained)
     covariance = trained.factor.corner_covariance if covariance is None else covariance
     # What follows is about parameters alone: a first state is integrated out.
@@ -116,7 +116,7 @@ def parameter_force(evidence: RecordEvidence, solution: RecordSolution) -> tuple
     segments, total = equations.physics, np.zeros(equations.vector.places)
     for part in equations.windows(segments):
         per_std = equations.motion.own_by_parameter(segments, solution.point, part)
-        total = total + (per_std.square() * segments.mask[part, :, None]).sum((0, 1)).cpu().numpy()
+        total = total + (per_std.square() * segments.mask[part, :, None]).sum((0, 1)).numpy()
     force = np.sqrt(total / segments.samples)[equations.vector.column]
     # What spectra say holds what the model leaves out already.
     misfit = (
@@ -129,7 +129,7 @@ def parameter_force(evidence: RecordEvidence, solution: RecordSolution) -> tuple
 
 def _newton_step(equations: LeastSquares, trained: Trained) -> np.ndarray:
     """(p,) from the solution to the peak that the Gaussian would have without bounds; zero where none is active."""
-    point = trained.solution.point.parameters.cpu().numpy()
+    point = trained.solution.point.parameters.numpy()
     held = point <= equations.lower
     if not held.any():
         return np.zeros(len(point))

@@ -115,7 +115,7 @@ def _noise_felt(equations: NormalEquations, solution: RecordSolution) -> dict[st
     levels = {quantity: sigma.copy() for quantity, sigma in solution.noise.response.items()}
     if GAUGE not in levels:
         return levels
-    gain = equations.parameters(solution.point)["gain"].cpu().numpy()
+    gain = equations.parameters(solution.point)["gain"].numpy()
     levels[GAUGE] /= np.abs(gain)
     for gauge, sigma in zip(record.gauges, levels[GAUGE], strict=True):
         if gauge.dof is not None:
@@ -221,7 +221,7 @@ def disagreements(evidence: Evidence, trained: Trained) -> tuple[Disagreement, .
     """
     equations, out = evidence.equations, []
     covariance = trained.factor.corner_covariance
-    at, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale
+    at, scale = trained.solution.point.parameters.numpy(), equations.scale
     precision = equations.precision(trained.noise).numpy()
     start = np.array([p.prescribed for p in equations.uncertain])
     for columns, (whole, every) in zip(equations.columns, evidence.each_record(own_information, trained), strict=True):

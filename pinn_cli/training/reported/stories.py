@@ -60,7 +60,7 @@ def of_free_running(found: Inference, free: FreeRunning, estimate: Estimate) -> 
     parameters, correlation, known = parameter_posterior(equations, free.trained, varying, free.covariance)
     if not any(p.held for p in parameters):
         # A mean that a bound moves is no longer what makes the structure run; of one on its bound there is no other.
-        modes = free.trained.solution.point.parameters.cpu().numpy() * equations.scale
+        modes = free.trained.solution.point.parameters.numpy() * equations.scale
         parameters = [_at_mode(p, p.parameter.value(float(x))) for p, x in zip(parameters, modes, strict=False)]
     point = Point(found.trained.solution.point.unknowns, free.trained.solution.point.parameters)
     moved = replace(found.trained, solution=replace(found.trained.solution, point=point))

@@ -179,12 +179,12 @@ def _simulated_start(evidence: Evidence) -> Point | None:
     return evidence.equations.joined(points) if all(points) else None  # type: ignore[arg-type]
 
 
-def inferred_sensor_noise(problem: Problem, device: str = "cpu") -> tuple[dict[str, np.ndarray], np.ndarray]:
+def inferred_sensor_noise(problem: Problem) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Noise of every response sensor and of every force sensor, each (n,), for estimators that infer none themselves.
 
     That of a spline's solution of the same problem; where there is none, what the spectra show.
     """
-    solver, start = Solver((Spline(),), History(False), device=device), JointProblem.of(problem)
+    solver, start = Solver((Spline(),), History(False)), JointProblem.of(problem)
     try:
         noise = first_solution(start, solver).trained.noise.records[0]
     except DivergenceError:

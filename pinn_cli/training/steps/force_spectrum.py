@@ -132,7 +132,7 @@ def reaches_beyond(evidence: RecordEvidence, solution: RecordSolution) -> float:
     wider = USABLE_NYQUIST_FRACTION * 0.5 / record.step / top
     if level is None or structure.is_modal or wider < 1.1:
         return 1.0
-    mass = equations.prescribed["m"].cpu().numpy()
+    mass = equations.prescribed["m"].numpy()
     share = [
         # White noise of the points has so much power per frequency less than that of the samples.
         (level / mass[dof] / white_level(felt, record.step, top)) ** 2 / equations.refinement
@@ -166,7 +166,7 @@ def drive_below(
     rate = equations.network.free_intervals
 
     def power(residual: torch.Tensor) -> np.ndarray:
-        drive = averages.by_interval(residual)[:, functions].cpu().numpy()
+        drive = averages.by_interval(residual)[:, functions].numpy()
         return (np.abs(np.fft.rfft(drive, axis=0)) ** 2).sum(1) / len(drive)
 
     found = power(equations.motion.residual(point))

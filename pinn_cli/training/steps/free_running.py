@@ -193,8 +193,8 @@ def _scores(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
         """Of residuals (groups, ...) and what each step moves them by, over their noise."""
         rows = torch.stack(moved, dim=-1).reshape(len(left), -1, count)
         place = (first + np.arange(len(left))) * CELLS // total
-        np.add.at(scores, place, torch.einsum("gs,gsp->gp", left.reshape(len(left), -1), rows).cpu().numpy())
-        np.add.at(information, place, (rows.mT @ rows).cpu().numpy())
+        np.add.at(scores, place, torch.einsum("gs,gsp->gp", left.reshape(len(left), -1), rows).numpy())
+        np.add.at(information, place, (rows.mT @ rows).numpy())
 
     # What acts on the structure is as it was measured: what its sensors leave says nothing of the model.
     for own in (own for own in equations.channels if not own.acting.all()):

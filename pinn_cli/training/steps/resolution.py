@@ -39,7 +39,7 @@ def acceleration_error(evidence: RecordEvidence, solution: RecordSolution) -> np
     network = equations.network
     if not isinstance(network, SplineNetwork):
         return np.zeros(equations.problem.record.ndof)
-    motion = equations.flat_states(equations.physics, solution.point).acceleration.cpu().numpy()
+    motion = equations.flat_states(equations.physics, solution.point).acceleration.numpy()
     motion = equations.dynamics.structure.shapes.of_dofs(motion[:, : equations.dynamics.ndof])
     rate, step = network.free_intervals, equations.problem.record.step / equations.refinement
     errors = []
@@ -74,7 +74,7 @@ def _for_the_motion(evidence: RecordEvidence, solution: RecordSolution, error: n
     for drawn in solution.drawn(RESOLUTION_DRAWS, of_mean_length=True):
         for part in equations.windows(segments):
             values = equations.dynamics.sensed("acceleration", equations.jet(segments, drawn, part))
-            square += values.square().sum((0, 1)).cpu().numpy() / RESOLUTION_DRAWS
+            square += values.square().sum((0, 1)).numpy() / RESOLUTION_DRAWS
     known = np.sqrt(square / segments.samples)
     worst = float(np.max(error[known > 0] / known[known > 0], initial=0.0))
     is_linear = equations.dynamics.structure.nonlinearity_name == "linear"
@@ -99,7 +99,7 @@ def _for_the_parameters(evidence: RecordEvidence, solution: RecordSolution) -> f
     """So many times the knots make the error of the dynamic stiffness small against what is known of every spring."""
     equations = evidence.equations
     parameters = equations.parameters(solution.point)
-    std = np.sqrt(np.diag(solution.factor.corner_covariance)) * equations.scale.cpu().numpy()
+    std = np.sqrt(np.diag(solution.factor.corner_covariance)) * equations.scale.numpy()
     known = [
         s / float(parameters[p.kind][p.index])
         for s, p in zip(std, equations.uncertain, strict=True)
@@ -118,8 +118,8 @@ def _highest_resonance(equations: NormalEquations, solution: RecordSolution) -> 
     parameters, point = equations.parameters(solution.point), solution.point
     structure = equations.dynamics.structure
     stretch = structure.incidence.matrix.toarray()
-    stiffness = equations.motion.mean_tangent(equations.observation, point)[0][: len(stretch)].cpu().numpy()
-    root = np.sqrt(parameters["m"].cpu().numpy())
+    stiffness = equations.motion.mean_tangent(equations.observation, point)[0][: len(stretch)].numpy()
+    root = np.sqrt(parameters["m"].numpy())
     rates = np.linalg.eigvalsh((stretch / root).T @ (stiffness[:, None] * (stretch / root)))
     frequencies, band = np.sqrt(np.maximum(rates, 0.0)) / (2.0 * np.pi), record_band(equations.problem.record)
     highest = float(max(frequencies[frequencies <= band], default=band))

@@ -126,7 +126,7 @@ def _damped_in_own_modes(found: Inference) -> Inference:
 
 def _values(found: Inference) -> dict[Parameter, float]:
     equations = found.evidence.equations
-    scaled = found.trained.solution.point.parameters.cpu().numpy() * equations.scale
+    scaled = found.trained.solution.point.parameters.numpy() * equations.scale
     return {p: p.value(float(x)) for p, x in zip(equations.uncertain, scaled, strict=True)}
 
 

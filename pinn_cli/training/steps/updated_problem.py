@@ -61,7 +61,7 @@ def _turning_points(equations: NormalEquations, point: Point, discrepancy: float
     structure, time = equations.dynamics.structure, equations.target.physics_time
     rate = equations.flat_states(equations.physics, point).velocity
     rate = structure.elongation(equations.dynamics.stretching(rate))
-    turning = torch.zeros(len(time), dtype=torch.bool, device=time.device)
+    turning = torch.zeros(len(time), dtype=torch.bool)
     sticking = equations.problem.structure.groups
     for group, stuck, part in zip(structure.groups, sticking, structure.parts, strict=True):
         speed = group.nonlinearity.reversal_speed
@@ -70,9 +70,9 @@ def _turning_points(equations: NormalEquations, point: Point, discrepancy: float
             turning |= (own.abs() < STRAIGHT_SPEEDS * speed).any(1)
             turning[1:] |= (own[1:] * own[:-1] < 0).any(1)
     assert isinstance(equations.network, SplineNetwork)
-    turns = TurningPoints(time[turning].cpu().numpy(), 1.0, 1.0, discrepancy)
+    turns = TurningPoints(time[turning].numpy(), 1.0, 1.0, discrepancy)
     near = turns.near(equations.averages.times(time), equations.network.spacing)
-    square = equations.motion.residual(point)[:, 0, equations.dynamics.has_mass].square().mean(1).cpu().numpy()
+    square = equations.motion.residual(point)[:, 0, equations.dynamics.has_mass].square().mean(1).numpy()
     if not 0.0 < near.mean() < MOST_LOOSENED:
         return None
     before, (level, other) = equations.problem.turning_points, (float(np.sqrt(square[x].mean())) for x in (near, ~near))
@@ -132,7 +132,7 @@ def _narrowed(coarse: Inference, fine: Inference) -> float:
 def _present(found: Inference) -> JointProblem:
     """The problem of a solution, with damping of the whole and coordinates in the modes of the structure there."""
     equations, point = found.by_record[0]
-    problem, values = found.problem, {k: x.cpu().numpy() for k, x in equations.parameters(point).items()}
+    problem, values = found.problem, {k: x.numpy() for k, x in equations.parameters(point).items()}
     # A state that is handed over has its coordinates, and so have parameters that spectra determine.
     first = problem.first
     free = first.prior is None and first.hand_over is None and equations.known is None
