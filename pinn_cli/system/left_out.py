@@ -28,12 +28,14 @@ class LeftOut:
         force: Of elongation, rate and shape to (N,), N, of size one.
         shapes: What the force does not grow with, as it is tried: gaps, or elongations at which it slips, over the rms
             elongation; of most there is none.
+        least: Of its size: what rubs, slips or has play resists.
     """
 
     kind: str
     unit: str
     force: Callable[[np.ndarray, np.ndarray, float], np.ndarray]
     shapes: tuple[float, ...] = (np.nan,)
+    least: float = -np.inf
 
 
 LEFT_OUT = (
@@ -41,10 +43,12 @@ LEFT_OUT = (
     LeftOut(DAMPER, "N s/m", lambda e, de, _: de),
     LeftOut(CUBIC, "N/m^3", lambda e, de, _: e**3),
     LeftOut(QUADRATIC, "N (s/m)^2", lambda e, de, _: abs(de) * de),
-    LeftOut(FRICTION, "N", lambda e, de, _: np.tanh(de / (CREEP * max(float(np.sqrt(np.mean(de**2))), 1e-300)))),
+    LeftOut(
+        FRICTION, "N", lambda e, de, _: np.tanh(de / (CREEP * max(float(np.sqrt(np.mean(de**2))), 1e-300))), least=0.0
+    ),
     LeftOut(ONE_SIDED, "N/m", lambda e, de, _: np.maximum(e, 0.0)),
-    LeftOut(BACKLASH, "N", lambda e, de, gap: -np.clip(e / gap, -1.0, 1.0), (0.03, 0.2)),
-    LeftOut(HYSTERESIS, "N", lambda e, de, at: _slipping(e / at), (0.3, 1.0)),
+    LeftOut(BACKLASH, "N", lambda e, de, gap: -np.clip(e / gap, -1.0, 1.0), (0.03, 0.2), 0.0),
+    LeftOut(HYSTERESIS, "N", lambda e, de, at: _slipping(e / at), (0.3, 1.0), 0.0),
     LeftOut(DRIFT, "N/m", lambda e, de, _: e * np.linspace(-0.5, 0.5, len(e))),
 )
 

@@ -17,15 +17,12 @@ import torch
 
 from pinn_cli.record.response import Response
 from pinn_cli.system.functions import Jet
-from pinn_cli.system.left_out import BACKLASH, FRICTION, HYSTERESIS, MODE
+from pinn_cli.system.left_out import MODE
 from pinn_cli.system.modes import frequency_with_oscillator
-from pinn_cli.system.parameters import MASS
 from pinn_cli.training.doubts.force_doubts import ForceTerm, connection_force, force_border, force_terms
 from pinn_cli.training.doubts.left_spectra import Fit, LeftSpectra, left_spectra
 from pinn_cli.training.doubts.sensor_doubts import (
     DELAY,
-    GAIN,
-    HIGH_PASS,
     SensorTerm,
     Term,
     sensor_border,
@@ -46,8 +43,8 @@ LEAST_LEVEL = 1e-4
 # Logarithm of how many times as probable a record must be with a doubt: among some hundred doubts, by chance once in a
 # hundred records.
 DECISIVE_DOUBT = 10.0
-# Kinds that have one sign, and the share of its logarithm that what comes early has to lose against what comes late.
-ONE_SIGN, EARLY = (HIGH_PASS, FRICTION, BACKLASH, HYSTERESIS), 0.1
+# Share of its logarithm that what comes early has to lose against what comes late.
+EARLY = 0.1
 # Part of the first doubt's logarithm that a further one must have, or it may be what a linear test leaves of the first;
 # and doubts that are told of one record.
 FURTHER_SHARE = 0.1
@@ -228,10 +225,7 @@ class _Asked:
         """Logarithm of how many times as probable the record is with a term more."""
         fit = self.spectra.fit([*self.free, *self.places[:chosen], place], before.energy)
         x = fit.step[place]
-        # A sensor that passes more than the others do is one whose others pass less. What rubs or slips resists.
-        wrong = term.kind in ONE_SIGN and x < 0.0
-        # A change that leaves no mass, or nothing of a sensor, is beyond what a linear test can tell.
-        wrong |= term.kind in (MASS, GAIN) and x <= -1.0
+        wrong = not term.least <= term.scale * x <= term.most
         gain = before.minus_log - fit.minus_log - 0.5 * np.log(max(fit.information[place], 1.0))
         # What explains something else at the price of where the structure moves stands in for what is not asked.
         moving = self.spectra.moving

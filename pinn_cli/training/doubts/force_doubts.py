@@ -21,7 +21,7 @@ from pinn_cli.system.functions import Jet
 from pinn_cli.system.left_out import DAMPER, LEFT_OUT, MODE, SPRING, LeftOut, resonance
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE, MOTION
-from pinn_cli.training.doubts.sensor_doubts import DELAY, Term
+from pinn_cli.training.doubts.sensor_doubts import DELAY, Term, delays
 from pinn_cli.training.factors.channel_at_point import sparse_rows
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
@@ -130,7 +130,7 @@ class _Forces:
     ) -> ForceTerm:
         """One of them."""
         pull, e, de, size = own
-        plain = self.term(Term(kind.kind, of, kind.unit, 1.0, shape), pull, kind.force(e, de, shape), size)
+        plain = self.term(Term(kind.kind, of, kind.unit, 1.0, shape, kind.least), pull, kind.force(e, de, shape), size)
         if len(kind.shapes) == 1:
             return plain
 
@@ -147,7 +147,8 @@ class _Forces:
         for dof in (dof for dof in range(len(self.place)) if dof not in moving):
             name, acceleration = f"DOF {problem.record.dof_name(dof)}", self.acceleration[:, dof]
             size = self.mass[dof] * _rms(acceleration)
-            yield self.term(Term(MASS, name, "kg", 1.0), self.place[dof], acceleration, size)
+            whole = Term(MASS, name, "kg", 1.0, least=-float(self.mass[dof]))  # no mass is left
+            yield self.term(whole, self.place[dof], acceleration, size)
 
     def of_loads(self) -> Iterator[ForceTerm]:
         """Load cells that show a force late; what is above their band is noise, which a derivative makes more of."""
@@ -155,7 +156,7 @@ class _Forces:
         for dof in np.flatnonzero(record.sensors(FORCE)).tolist():
             shown = self.equations.target.force[:, dof].numpy()
             rate = _rate(shown, self.step, signal_band(record.force[:, dof], record.step))
-            late = Term(DELAY, f"force on DOF {record.dof_name(dof)}", "s", 1.0)
+            late = Term(DELAY, f"force on DOF {record.dof_name(dof)}", "s", 1.0, np.nan, *delays(shown, rate))
             yield self.term(late, self.place[dof], -rate, WIDEST_DELAY * record.step * _rms(rate))
 
     def of_oscillators(self) -> Iterator[ForceTerm]:

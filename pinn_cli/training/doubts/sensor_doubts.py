@@ -35,6 +35,7 @@ class Term:
         scale: Value at one prior standard deviation.
         shape: What its column depends on beside: a gap or an elongation at which it yields, m, a frequency, Hz; NaN:
             nothing.
+        least, most: Values beyond which it means nothing, or is more than a linear test can tell.
     """
 
     kind: str
@@ -42,6 +43,8 @@ class Term:
     unit: str
     scale: float
     shape: float = np.nan
+    least: float = -np.inf
+    most: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +67,11 @@ def sensor_terms(channels: Sequence[ChannelAtPoint]) -> list[SensorTerm]:
     for i, one in enumerate(channels):
         if one.quantity == CONNECTION_FORCE:
             continue
-        for kind, unit, scale, column in columns_of(one):
+        for kind, unit, scale, column, (least, most) in columns_of(one):
             # A force that is larger is a structure that is softer.
             if kind in one.uncertain or (one.quantity == FORCE and kind != DELAY):
                 continue
-            term, counted = Term(kind, one.name, unit, scale), column * one.counted
+            term, counted = Term(kind, one.name, unit, scale, least=least, most=most), column * one.counted
             found.append(SensorTerm(term, {i: counted}))
             if kind in COMMON and one.quantity in MOTION:
                 corner = scale if kind == HIGH_PASS else 0.0
@@ -93,17 +96,31 @@ def sensor_border(
     return border
 
 
-def columns_of(channel: ChannelAtPoint) -> Iterator[tuple[str, str, float, np.ndarray]]:
-    """Kind, unit, value at one prior standard deviation, and column (J,) at that."""
+def columns_of(channel: ChannelAtPoint) -> Iterator[tuple[str, str, float, np.ndarray, tuple[float, float]]]:
+    """Kind, unit, value at one prior standard deviation, column (J,) at that, and the values that it may have."""
     step = channel.per_sample * float(np.median(np.diff(channel.time)))
     felt = channel.gain * channel.felt
     late = WIDEST_DELAY * step
-    yield GAIN, "", 1.0, felt
-    yield DELAY, "s", late, -late * np.gradient(felt, channel.time)
+    rate = np.gradient(felt, channel.time)
+    yield GAIN, "", 1.0, felt, (-1.0, np.inf)  # nothing is left of the sensor
+    yield DELAY, "s", late, -late * rate, delays(felt, rate)
     if channel.quantity == "acceleration" and channel.displacement is not None and channel.displacement.any():
         size = _rms(felt) / _rms(channel.displacement)
-        yield TILT, "m/s^2 per m", size, size * channel.displacement
-    yield from ((HIGH_PASS, "Hz", corner, column) for corner, column in _taken(channel).items())
+        yield TILT, "m/s^2 per m", size, size * channel.displacement, (-np.inf, np.inf)
+    for corner, column in _taken(channel).items():
+        yield (
+            HIGH_PASS,
+            "Hz",
+            corner,
+            column,
+            (0.0, np.inf),
+        )  # one that passes more than others is one whose others pass less
+
+
+def delays(shown: np.ndarray, rate: np.ndarray) -> tuple[float, float]:
+    """The least and the most, s, that a history's rate can tell: the change is then as large as the history."""
+    longest = _rms(shown) / max(_rms(rate), 1e-300)
+    return -longest, longest
 
 
 def _taken(channel: ChannelAtPoint) -> dict[float, np.ndarray]:

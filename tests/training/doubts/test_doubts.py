@@ -16,6 +16,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.training.doubts.sensor_doubts import delays
 from pinn_cli.training.estimate import Doubt
 
 TERMS = {"friction": 300.0, "cubic term": 1.5e8, "quadratic damping": 2e4, "one-sided spring": 1e5}
@@ -99,6 +100,12 @@ def test_a_late_load_cell_is_named_and_not_an_early_sensor():
     doubt, *_ = solved(posed(replace(record, force=force))).doubts
     assert (doubt.kind, doubt.of) == ("delay", "force on DOF 3")
     assert doubt.value == pytest.approx(late, rel=0.05)
+
+
+def test_a_rate_tells_no_longer_delay_than_a_radian():
+    time = np.arange(0.0, 10.0, 1e-3)
+    least, most = delays(np.sin(2.0 * np.pi * 3.0 * time), 6.0 * np.pi * np.cos(2.0 * np.pi * 3.0 * time))
+    assert (least, most) == pytest.approx((-1.0 / (6.0 * np.pi), 1.0 / (6.0 * np.pi)))
 
 
 def test_a_tilting_accelerometer_is_named():
