@@ -24,7 +24,6 @@ from pinn_cli.scheme.own_motion import distance
 from pinn_cli.scheme.screening import NEARLY_NOTHING, SAME_START, Candidate, Screening, common_factors
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
-from pinn_cli.system.connection.base import Hysteresis
 from pinn_cli.system.damping import of_ratio
 from pinn_cli.system.parameters import FACTOR, LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.structure import Structure
@@ -242,9 +241,9 @@ class Starts:
             if kind == FACTOR:  # the matrix is the start: nobody updates a model that is wrong by orders of magnitude
                 out[parameter] = Start(given.get(parameter, 1.0), 1.0)
                 continue
-            remembered = {} if kind == MASS else _of_memory(prescribed, parameter, linear["k"], typical["k"], size)
-            if kind in remembered:
-                value, scale = remembered[kind]
+            of_law = {} if kind == MASS else _of_law(prescribed, parameter, linear["k"], typical["k"], size)
+            if kind in of_law:
+                value, scale = of_law[kind]
                 out[parameter] = Start(given.get(parameter, value), scale)
             elif kind in (MASS, "k"):
                 value = float(linear[kind][index])
@@ -327,12 +326,9 @@ def _median_size(values: np.ndarray, otherwise: float) -> float:
     return float(np.median(sizes)) if sizes.size else otherwise
 
 
-def _of_memory(
+def _of_law(
     prescribed: Structure, parameter: Parameter, linear: np.ndarray, typical: float, size: float
 ) -> dict[str, tuple[float, float]]:
-    """Starts of the parameters of a connection with memory, by kind; none of one without."""
+    """Starts of the parameters of a connection that its law has a say in, by kind."""
     connection = int(prescribed.members[parameter.kind][parameter.index])
-    law = prescribed.laws[connection]
-    if not isinstance(law, Hysteresis):
-        return {}
-    return law.starts(max(abs(float(linear[connection])), typical), size)
+    return prescribed.laws[connection].starts(max(abs(float(linear[connection])), typical), size)

@@ -51,7 +51,7 @@ LAWS = {
     QUADRATIC: _GIVE.format(law="power_damping", parameters="mu"),
     FRICTION: _GIVE.format(law="friction", parameters="F_c"),
     ONE_SIDED: _GIVE.format(law="polynomial", parameters="k_2 and k_3"),
-    BACKLASH: _GIVE.format(law="polynomial", parameters="k_3 and k_5") + ", or take the play out of it",
+    BACKLASH: _GIVE.format(law="gap", parameters="k, k_g and gap") + ", or take the play out of it",
     HYSTERESIS: _GIVE.format(law="jenkins", parameters="k_t and F_c") + ", or bouc_wen",
     DRIFT: "solve the record in parts (data.start, data.stop), or look at what changes: temperature, loosening",
 }

@@ -98,7 +98,7 @@ def test_a_sweep_of_unusable_jobs_leaves_nothing(pinn_run: PinnRun, tmp_path: Pa
 COMPOSITION_ERRORS = {
     "unknown option": (
         ["system=dufing"],
-        ["system=dufing:", "duffing, friction, jenkins, linear", "did you mean duffing?"],
+        ["system=dufing:", "duffing, friction, gap, jenkins, linear", "did you mean duffing?"],
     ),
     "unknown launcher": (["hydra/launcher=slrum"], ["hydra/launcher=slrum: must be one of basic, ", "mean slurm?"]),
     "unknown experiment": (

@@ -4,7 +4,7 @@ import torch
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain, build_partial_chain
-from pinn_cli.system.connection import Duffing, Friction, Linear, Polynomial, PowerDamping, VanDerPol
+from pinn_cli.system.connection import Duffing, Friction, Gap, Linear, Polynomial, PowerDamping, VanDerPol
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.2, 1.5, 2.0, 2.5, 3.0])
@@ -32,8 +32,29 @@ def test_units():
         (PowerDamping(1.5), {"mu": "N (s/m)^1.5"}),
         (Polynomial([7, 2]), {"k_2": "N/m^2", "k_7": "N/m^7"}),
         (Friction(0.1), {"F_c": "N"}),
+        (Gap(), {"k_g": "N/m", "gap": "m"}),
     ):
         assert build_chain(2, kind, m=1.0, c=1.0, k=1.0, **dict.fromkeys(own, 1.0)).units == units | own
+
+
+@pytest.mark.parametrize("sides", ["both", "positive", "negative"])
+@pytest.mark.parametrize("gap", [0.0, 0.1])
+def test_a_gap_pushes_where_it_is_closed_alone(sides, gap):
+    e = np.linspace(-0.4, 0.4, 17)
+    values = {"k_g": np.array(50.0), "gap": np.array(gap)}
+    above = 50.0 * np.maximum(e - gap, 0.0) * (sides != "negative")
+    below = 50.0 * np.maximum(-e - gap, 0.0) * (sides != "positive")
+    np.testing.assert_allclose(Gap(sides).force(e, None, values), above - below, atol=1e-3 * 50.0 * max(gap, 1e-9))
+    stretched = torch.tensor(e, requires_grad=True)
+    force = Gap(sides).force(stretched, None, {name: torch.tensor(value) for name, value in values.items()})
+    (slope,) = torch.autograd.grad(force.sum(), stretched)
+    assert slope[e == 0.0].abs().item() < 51.0
+    assert bool(slope.isfinite().all())
+
+
+def test_a_gap_has_sides_that_there_are():
+    with pytest.raises(InputError, match=r"system\.nonlinearity\.sides=left: must be one of both, positive, negative"):
+        Gap("left")
 
 
 @pytest.mark.parametrize("orders", [[2], [3], [7], [2, 3], [2, 5, 7], [2, 3, 4, 5, 6, 7]])

@@ -4,6 +4,7 @@ from pinn_cli.system.connection.base import Hysteresis, Nonlinearity
 from pinn_cli.system.connection.bouc_wen import BoucWen
 from pinn_cli.system.connection.duffing import Duffing
 from pinn_cli.system.connection.friction import Friction
+from pinn_cli.system.connection.gap import Gap
 from pinn_cli.system.connection.jenkins import Jenkins
 from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.connection.polynomial import Polynomial
@@ -14,6 +15,7 @@ __all__ = [
     "BoucWen",
     "Duffing",
     "Friction",
+    "Gap",
     "Hysteresis",
     "Jenkins",
     "Linear",

@@ -67,6 +67,15 @@ class Nonlinearity(ABC):
         """dr_n/d(de) of a connection at rest, N s/m, which with c says how long the steps of a simulation may be."""
         return 0.0
 
+    def starts(self, stiffness: float, elongation: float) -> dict[str, tuple[float, float]]:
+        """Kind to where an unknown parameter starts, and its order of magnitude: k's too. Others start at zero.
+
+        Args:
+            stiffness: Of a linear connection that comes near, N/m.
+            elongation: Root mean square of what the connection may be stretched by, m.
+        """
+        return {}
+
     @abstractmethod
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """Nonlinear internal force of every connection, N.
@@ -107,15 +116,6 @@ class Hysteresis(Nonlinearity):
     @abstractmethod
     def creates_energy(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray:
         """(connections,) bool: whose parameters allow a cycle that gives more energy than it takes."""
-
-    @abstractmethod
-    def starts(self, stiffness: float, elongation: float) -> dict[str, tuple[float, float]]:
-        """Kind to where an unknown parameter starts, and its order of magnitude: k's too.
-
-        Args:
-            stiffness: Of a linear connection that comes near, N/m.
-            elongation: Root mean square of what the connection may be stretched by, m.
-        """
 
     @abstractmethod
     def stiffness_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray | float:

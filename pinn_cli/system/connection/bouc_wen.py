@@ -53,7 +53,7 @@ class BoucWen(Hysteresis):
         return np.abs(parameters["gamma"]) > parameters["beta"]
 
     def starts(self, stiffness: float, elongation: float) -> dict[str, tuple[float, float]]:
-        """See :meth:`Hysteresis.starts`: half of the spring is hidden, and it yields at the elongation that there is.
+        """See :meth:`Nonlinearity.starts`: half of the spring is hidden, and it yields at the elongation that there is.
 
         With gamma at zero the loop is thickest; A and the spring beside it cannot be told apart without any.
         """

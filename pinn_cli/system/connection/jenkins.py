@@ -56,7 +56,7 @@ class Jenkins(Hysteresis):
         return np.zeros(np.shape(parameters["F_c"]), dtype=bool)
 
     def starts(self, stiffness: float, elongation: float) -> dict[str, tuple[float, float]]:
-        """See :meth:`Hysteresis.starts`: a contact that sticks within a small part of the motion."""
+        """See :meth:`Nonlinearity.starts`: a contact that sticks within a small part of the motion."""
         force = STICKS_WITHIN * stiffness * elongation
         return {"k_t": (stiffness, stiffness), "F_c": (force, stiffness * elongation)}
 

@@ -1,0 +1,62 @@
+"""A gap that closes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pinn_cli.settings.legal_values import one_of, positive_number
+from pinn_cli.system.array_namespace import Array
+from pinn_cli.system.connection.base import Nonlinearity
+
+# Part of the motion at which an unknown gap starts.
+CLOSES_WITHIN = 0.3
+# The root of a length has a slope where it is this small, m.
+SHORT = 1e-12
+SIDES = ("both", "positive", "negative")
+
+
+class Gap(Nonlinearity):
+    """A spring that is touched beyond a gap: r_n = k_g (e - gap) where e > gap, and k_g (e + gap) where e < -gap.
+
+    A backlash has no k beside it. The corner is rounded over a part of the gap, so that the force is
+    k_g rounding gap / 2 where the gap closes.
+
+    Args:
+        sides: On which the gap can close: both, or where the elongation is positive or negative alone.
+        rounding: Over the gap.
+
+    Raises:
+        InputError: There is no such side, or ``rounding`` is not positive.
+    """
+
+    name = "gap"
+    parameters = ("k_g", "gap")
+    titles: Mapping[str, str] = {"k_g": "Contact stiffness", "gap": "Gap"}
+    units: Mapping[str, str] = {"k_g": "N/m", "gap": "m"}
+    nonnegative = ("c", "k", "k_g", "gap")
+    is_stiff = True
+
+    def __init__(self, sides: str = "both", rounding: float = 0.002) -> None:
+        one_of("system.nonlinearity.sides", sides, SIDES)
+        self.sides = sides
+        self.rounding = positive_number("system.nonlinearity.rounding", rounding)
+
+    def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
+        """See :meth:`Nonlinearity.force`."""
+        gap = parameters["gap"]
+        width = (self.rounding * gap) ** 2 + SHORT**2
+
+        def beyond(elongation: Array) -> Array:
+            past = elongation - gap
+            return (past + (past**2 + width) ** 0.5) / 2.0
+
+        pushed = 0.0 * e
+        if self.sides != "negative":
+            pushed = pushed + beyond(e) - beyond(0.0 * e)
+        if self.sides != "positive":
+            pushed = pushed - beyond(-e) + beyond(0.0 * e)
+        return parameters["k_g"] * pushed
+
+    def starts(self, stiffness: float, elongation: float) -> dict[str, tuple[float, float]]:
+        """See :meth:`Nonlinearity.starts`: a gap within the motion, and a contact as stiff as it seems without."""
+        return {"k_g": (stiffness, stiffness), "gap": (CLOSES_WITHIN * elongation, elongation)}
