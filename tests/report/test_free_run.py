@@ -17,7 +17,7 @@ from pinn_cli.report.fitness import FORMULAS, fitness_percent
 from pinn_cli.report.free_run import REFERENCES, free_run, free_run_table
 from pinn_cli.report.text import free_run_text
 from pinn_cli.system import Structure, build_chain
-from pinn_cli.system.connection import Duffing
+from pinn_cli.system.connection import Duffing, Gap
 from pinn_cli.training.estimate import Estimate
 
 SIGNALS = Path(__file__).resolve().parents[3] / "shared" / "data" / "reference_signals"
@@ -127,6 +127,19 @@ def test_a_poor_start_is_no_fault_of_the_parameters():
     finding = free_run(structure, estimated(replace(truth, velocity=velocity)), measurements.record).finding
     assert "the estimated start explains it" in " ".join(finding.split())
     assert "warning" not in finding
+
+
+@pytest.mark.parametrize(("law", "wrong", "told"), [(Gap(), {}, "chaotic"), (Duffing(), {"k_1": 18.0}, "warning")])
+def test_of_a_chaotic_motion_no_free_run_tells_anything(law, wrong, told):
+    own = {"k": 0.0, "k_g": 500.0, "gap": 0.1} if isinstance(law, Gap) else {"k": 15.0, "kappa": 100.0}
+    structure = build_chain(1, law, m=10.0, c=0.1, **own)
+    measurements = measured(structure, duration=60.0, samples=1500)
+    truth = measurements.truth.response
+    std = replace(truth, displacement=0 * truth.force + 1e-4, velocity=0 * truth.force + 1e-4)
+    begun = replace(truth, displacement=truth.displacement + 1e-4)
+    run = free_run(structure, replace(estimated(begun, **wrong), std=std), measurements.record)
+    assert told in run.finding
+    assert np.isnan(run.agreement) == (told == "chaotic")
 
 
 def test_an_unstable_system_is_a_finding():
