@@ -129,13 +129,20 @@ def test_a_poor_start_is_no_fault_of_the_parameters():
     assert "warning" not in finding
 
 
-@pytest.mark.parametrize(("law", "wrong", "told"), [(Gap(), {}, "chaotic"), (Duffing(), {"k_1": 18.0}, "warning")])
-def test_of_a_chaotic_motion_no_free_run_tells_anything(law, wrong, told):
+@pytest.mark.parametrize(
+    ("law", "wrong", "beside", "told"),
+    [
+        (Gap(), {}, 1e-4, "chaotic"),
+        (Duffing(), {"k_1": 18.0}, 1e-4, "warning"),
+        (Duffing(), {"k_1": 18.0}, 0.05, "warning"),
+    ],
+)
+def test_of_a_chaotic_motion_no_free_run_tells_anything(law, wrong, beside, told):
     own = {"k": 0.0, "k_g": 500.0, "gap": 0.1} if isinstance(law, Gap) else {"k": 15.0, "kappa": 100.0}
     structure = build_chain(1, law, m=10.0, c=0.1, **own)
     measurements = measured(structure, duration=60.0, samples=1500)
     truth = measurements.truth.response
-    std = replace(truth, displacement=0 * truth.force + 1e-4, velocity=0 * truth.force + 1e-4)
+    std = replace(truth, displacement=0 * truth.force + beside, velocity=0 * truth.force + beside)
     begun = replace(truth, displacement=truth.displacement + 1e-4)
     run = free_run(structure, replace(estimated(begun, **wrong), std=std), measurements.record)
     assert told in run.finding
