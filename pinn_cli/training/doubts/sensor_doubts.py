@@ -107,14 +107,8 @@ def columns_of(channel: ChannelAtPoint) -> Iterator[tuple[str, str, float, np.nd
     if channel.quantity == "acceleration" and channel.displacement is not None and channel.displacement.any():
         size = _rms(felt) / _rms(channel.displacement)
         yield TILT, "m/s^2 per m", size, size * channel.displacement, (-np.inf, np.inf)
-    for corner, column in _taken(channel).items():
-        yield (
-            HIGH_PASS,
-            "Hz",
-            corner,
-            column,
-            (0.0, np.inf),
-        )  # one that passes more than others is one whose others pass less
+    # One that passes more than the others do is one whose others pass less.
+    yield from ((HIGH_PASS, "Hz", corner, column, (0.0, np.inf)) for corner, column in _taken(channel).items())
 
 
 def delays(shown: np.ndarray, rate: np.ndarray) -> tuple[float, float]:
