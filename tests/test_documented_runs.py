@@ -46,6 +46,8 @@ def test_a_documented_command_runs(line: str, measured: Path, pinn_run: PinnRun)
         place = arguments.index("--config-dir")
         options += arguments[place : place + 2]
         del arguments[place : place + 2]
+    # What is no override is a file to look at.
+    options += [argument for argument in arguments[1:] if options and "=" not in argument]
     overrides = [a for a in arguments if a not in options and not OF_SWEEPS.search(a)]
     overrides += ["follow.until_idle=0.2", "follow.poll=0.1"] if options == ["follow"] else []
     # A search is of what its experiment runs.
