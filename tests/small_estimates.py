@@ -108,6 +108,6 @@ def make_estimate(ndof: int = 6, observed: int = 2, samples: int = 400, duration
 
 def results_of(case: Case, **changes: object) -> Results:
     """What a run of a Duffing chain hands to its report."""
-    run = RunDescription("small", 0, "cpu", 1, "", case.labels, True, "none", "kalman_smoother")
+    run = RunDescription("small", 0, 1, "", case.labels, True, "none", "kalman_smoother")
     structure = build_chain(case.record.ndof, Duffing(), m=1.0, c=1.0, k=15.0, kappa=100.0)
     return replace(Results(run, structure, case.record, case.truth, case.estimate), **changes)

@@ -140,7 +140,7 @@ def stored_results(directory: Path) -> Results:
         baseline = Estimate(_response(data, f"_{name}"), _response(data, f"_{name}_std"), [], history, {})
     labels = {label: data.attrs.get(label) for label in LABELS if label != "estimator"}
     described = RunDescription(
-        str(run["case"]), int(run["seed"]), str(run["device"]), int(run["threads"]), str(run["configuration"]), labels,
+        str(run["case"]), int(run["seed"]), int(run["threads"]), str(run["configuration"]), labels,
         simulated, "none", name,
     )  # fmt: skip
     between = OmegaConf.select(read_yaml(directory / ".hydra" / "config.yaml"), "report.between")

@@ -201,7 +201,7 @@ class RunConfig:
             "seed": self.seed,
         }
         return RunDescription(
-            self.case, self.seed, self.device, self.threads, self.identity.configuration, labels,
+            self.case, self.seed, self.threads, self.identity.configuration, labels,
             self.source.simulated, self.validation.name, "none" if self.baseline is None else self.baseline.name,
         )  # fmt: skip
 

@@ -45,7 +45,7 @@ class RunDescription:
     """Which run it is, for the files that it leaves behind.
 
     Attributes:
-        case, seed, device, threads: As configured.
+        case, seed, threads: As configured.
         configuration: Digest of the settings (`pinn_cli.runs.identity.Identity.configuration`).
         labels: The leading columns of its tables but for the estimator.
         simulated: Whether the record is.
@@ -54,7 +54,6 @@ class RunDescription:
 
     case: str
     seed: int
-    device: str
     threads: int
     configuration: str
     labels: Mapping[str, object]

@@ -226,7 +226,7 @@ class RecordEvidence:
     def followed_force(self) -> np.ndarray:
         """(N, n), the measured force as far as the features follow it; 0 where there is none."""
         equations = self.equations
-        coefficients = self.projection.coefficients(equations.target.force).to(equations.target.force)
+        coefficients = self.projection.coefficients(equations.target.force)
         segments = equations.forces
         values = (
             output_features(equations.network, segments)[0]

@@ -142,7 +142,8 @@ def test_of_a_chaotic_motion_no_free_run_tells_anything(law, wrong, beside, told
     structure = build_chain(1, law, m=10.0, c=0.1, **own)
     measurements = measured(structure, duration=60.0, samples=1500)
     truth = measurements.truth.response
-    std = replace(truth, displacement=0 * truth.force + beside, velocity=0 * truth.force + beside)
+    one = np.full_like(truth.displacement, beside)
+    std = replace(truth, displacement=one, velocity=one)
     begun = replace(truth, displacement=truth.displacement + 1e-4)
     run = free_run(structure, replace(estimated(begun, **wrong), std=std), measurements.record)
     assert told in run.finding

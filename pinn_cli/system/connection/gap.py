@@ -12,7 +12,8 @@ from pinn_cli.system.connection.base import Nonlinearity
 CLOSES_WITHIN = 0.3
 # The root of a length has a slope where it is this small, m.
 SHORT = 1e-12
-SIDES = ("both", "positive", "negative")
+# The directions in which a gap can close.
+SIDES = {"both": (1.0, -1.0), "positive": (1.0,), "negative": (-1.0,)}
 
 
 class Gap(Nonlinearity):
@@ -37,24 +38,17 @@ class Gap(Nonlinearity):
     is_stiff = True
 
     def __init__(self, sides: str = "both", rounding: float = 0.002) -> None:
-        one_of("system.nonlinearity.sides", sides, SIDES)
-        self.sides = sides
+        self.sides = one_of("system.nonlinearity.sides", sides, tuple(SIDES))
         self.rounding = positive_number("system.nonlinearity.rounding", rounding)
 
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`."""
         gap = parameters["gap"]
         width = (self.rounding * gap) ** 2 + SHORT**2
-
-        def beyond(elongation: Array) -> Array:
-            past = elongation - gap
-            return (past + (past**2 + width) ** 0.5) / 2.0
-
+        at_rest = (gap**2 + width) ** 0.5
         pushed = 0.0 * e
-        if self.sides != "negative":
-            pushed = pushed + beyond(e) - beyond(0.0 * e)
-        if self.sides != "positive":
-            pushed = pushed - beyond(-e) + beyond(0.0 * e)
+        for side in SIDES[self.sides]:
+            pushed = pushed + (e + side * (((side * e - gap) ** 2 + width) ** 0.5 - at_rest)) / 2.0
         return parameters["k_g"] * pushed
 
     def starts(self, stiffness: float, elongation: float) -> dict[str, tuple[float, float]]:

@@ -67,15 +67,15 @@ def sensor_terms(channels: Sequence[ChannelAtPoint]) -> list[SensorTerm]:
     for i, one in enumerate(channels):
         if one.quantity == CONNECTION_FORCE:
             continue
-        for kind, unit, scale, column, (least, most) in columns_of(one):
+        for term, column in columns_of(one):
             # A force that is larger is a structure that is softer.
-            if kind in one.uncertain or (one.quantity == FORCE and kind != DELAY):
+            if term.kind in one.uncertain or (one.quantity == FORCE and term.kind != DELAY):
                 continue
-            term, counted = Term(kind, one.name, unit, scale, least=least, most=most), column * one.counted
+            counted = column * one.counted
             found.append(SensorTerm(term, {i: counted}))
-            if kind in COMMON and one.quantity in MOTION:
-                corner = scale if kind == HIGH_PASS else 0.0
-                together[one.quantity, kind, corner][i] = term, counted
+            if term.kind in COMMON and one.quantity in MOTION:
+                corner = term.scale if term.kind == HIGH_PASS else 0.0
+                together[one.quantity, term.kind, corner][i] = term, counted
     for (quantity, _, _), of_all in together.items():
         if len(of_all) > 1:
             term = replace(next(iter(of_all.values()))[0], of=f"{quantity} of all sensors")
@@ -96,19 +96,18 @@ def sensor_border(
     return border
 
 
-def columns_of(channel: ChannelAtPoint) -> Iterator[tuple[str, str, float, np.ndarray, tuple[float, float]]]:
-    """Kind, unit, value at one prior standard deviation, column (J,) at that, and the values that it may have."""
+def columns_of(channel: ChannelAtPoint) -> Iterator[tuple[Term, np.ndarray]]:
+    """What a channel may show, and its column (J,) at one prior standard deviation."""
     step = channel.per_sample * float(np.median(np.diff(channel.time)))
-    felt = channel.gain * channel.felt
-    late = WIDEST_DELAY * step
+    name, felt, late = channel.name, channel.gain * channel.felt, WIDEST_DELAY * step
     rate = np.gradient(felt, channel.time)
-    yield GAIN, "", 1.0, felt, (-1.0, np.inf)  # nothing is left of the sensor
-    yield DELAY, "s", late, -late * rate, delays(felt, rate)
+    yield Term(GAIN, name, "", 1.0, least=-1.0), felt  # nothing is left of the sensor
+    yield Term(DELAY, name, "s", late, np.nan, *delays(felt, rate)), -late * rate
     if channel.quantity == "acceleration" and channel.displacement is not None and channel.displacement.any():
         size = _rms(felt) / _rms(channel.displacement)
-        yield TILT, "m/s^2 per m", size, size * channel.displacement, (-np.inf, np.inf)
+        yield Term(TILT, name, "m/s^2 per m", size), size * channel.displacement
     # One that passes more than the others do is one whose others pass less.
-    yield from ((HIGH_PASS, "Hz", corner, column, (0.0, np.inf)) for corner, column in _taken(channel).items())
+    yield from ((Term(HIGH_PASS, name, "Hz", corner, least=0.0), column) for corner, column in _taken(channel).items())
 
 
 def delays(shown: np.ndarray, rate: np.ndarray) -> tuple[float, float]:
