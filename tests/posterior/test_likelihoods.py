@@ -118,3 +118,17 @@ def test_without_a_force_sensor_the_noise_tells_nothing():
     likelihood = unforced()
     values = [likelihood.evaluate(PEAK, s)[0] for s in (-0.5, 0.0, 0.5)]
     assert values == pytest.approx([values[0]] * 3)
+
+
+def test_a_direction_that_hardly_anything_holds_stays_held_between_two_scales():
+    """Two parameters of which a combination is known a thousand times as well, another one at every scale."""
+    s = np.linspace(-0.3, 0.3, S_POINTS)
+    turn = 1.0 + np.array([0.0, 0.02, -0.01, 0.03, 0.0])
+    known = np.stack((turn, np.ones(S_POINTS)), axis=1)
+    precision = 1e6 * known[:, :, None] * known[:, None, :] + np.eye(2)
+    rows = s, np.zeros(S_POINTS), np.zeros((S_POINTS, 2)), precision
+    likelihood = MarginalLikelihood(("beta_1", "gamma_1"), SIGMA, *rows, (0.0, 0.05))
+    far = 10.0 * np.stack([np.array([np.cos(a), np.sin(a)]) for a in np.linspace(0.0, np.pi, 721)])
+    for scale in np.linspace(s[0], s[-1], 13):
+        peak = likelihood.evaluate(np.zeros(2), scale)[0]
+        assert max(likelihood.evaluate(theta, scale)[0] for theta in far) < peak - 10.0

@@ -30,8 +30,10 @@ class MarginalLikelihood(ParameterLikelihood):
     """log p(record | theta, s) = level(s) - away^T precision(s) away / 2 + log N(s), with away = theta - peak(s).
 
     The readout weights are integrated out by Laplace's method about the most probable motion: the precision is the
-    Schur complement of the joint Gauss-Newton Hessian. Level, peak and precision are polynomials through their values
-    at a few s, and beyond those what they are at the nearest. N is what the residuals say of the noise by themselves.
+    Schur complement of the joint Gauss-Newton Hessian. Level, peak and the precision's Cholesky factor are polynomials
+    through their values at a few s, and beyond those what they are at the nearest: of a precision that hardly holds
+    some direction, polynomials through the entries themselves are indefinite between two s. N is what the residuals
+    say of the noise by themselves.
 
     Args:
         names: See :class:`ParameterLikelihood`.
@@ -39,7 +41,7 @@ class MarginalLikelihood(ParameterLikelihood):
         s: (G,), about 0; a single one where no force is measured, and nothing depends on s.
         level: (G,).
         peak: (G, p).
-        precision: (G, p, p), symmetric, not negative.
+        precision: (G, p, p), symmetric, positive.
         s_told: Mean and standard deviation of N, a Gaussian.
     """
 
@@ -59,8 +61,8 @@ class MarginalLikelihood(ParameterLikelihood):
         powers = np.vander(s / self.reach, increasing=True)
         solve = np.linalg.inv(powers)
         self._level, self._peak = solve @ level, solve @ peak
-        self._precision = np.tensordot(solve, precision, 1)
-        self.peak, self.curvature = self._peak[0], self._precision[0]
+        self._root = np.tensordot(solve, np.linalg.cholesky(precision).swapaxes(1, 2), 1)
+        self.peak, self.curvature = self._peak[0], self._root[0].T @ self._root[0]
 
     def evaluate(self, theta: np.ndarray, s: float) -> tuple[float, np.ndarray, float]:
         """See :meth:`ParameterLikelihood.evaluate`."""
@@ -70,10 +72,12 @@ class MarginalLikelihood(ParameterLikelihood):
         powers = inside**order
         slopes = order * inside ** np.maximum(order - 1, 0) / self.reach
         away = theta - powers @ self._peak
-        pull = np.tensordot(powers, self._precision, 1) @ away
-        value = float(powers @ self._level - 0.5 * away @ pull)
-        turn = np.tensordot(slopes, self._precision, 1) @ away
-        by_s = float(slopes @ self._level + pull @ (slopes @ self._peak) - 0.5 * away @ turn)
+        root = np.tensordot(powers, self._root, 1)
+        deviations = root @ away
+        pull = root.T @ deviations
+        value = float(powers @ self._level - 0.5 * deviations @ deviations)
+        turn = np.tensordot(slopes, self._root, 1) @ away
+        by_s = float(slopes @ self._level + pull @ (slopes @ self._peak) - deviations @ turn)
         if s != within:
             by_s = 0.0
         if len(order) > 1:
