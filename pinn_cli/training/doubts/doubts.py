@@ -19,6 +19,7 @@ from pinn_cli.record.response import Response
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.left_out import MODE
 from pinn_cli.system.modes import frequency_with_oscillator
+from pinn_cli.training.bounded_estimates import HALF_WIDTH_90
 from pinn_cli.training.doubts.force_doubts import ForceTerm, connection_force, force_border, force_terms
 from pinn_cli.training.doubts.left_spectra import Fit, LeftSpectra, left_spectra
 from pinn_cli.training.doubts.sensor_doubts import (
@@ -224,9 +225,11 @@ class _Asked:
     def _gain(self, chosen: int, place: int, term: Term, before: Fit) -> float:
         """Logarithm of how many times as probable the record is with a term more."""
         fit = self.spectra.fit([*self.free, *self.places[:chosen], place], before.energy)
-        x = fit.step[place]
-        wrong = not term.least <= term.scale * x <= term.most
-        gain = before.minus_log - fit.minus_log - 0.5 * np.log(max(fit.information[place], 1.0))
+        x, known = fit.step[place], max(fit.information[place], 1.0)
+        # Equations of which nothing is left hold for any motion: without a measured force, a mass that goes to zero
+        # with all that is unknown explains everything.
+        wrong = not term.least < term.scale * (x - HALF_WIDTH_90 / known**0.5) or term.scale * x > term.most
+        gain = before.minus_log - fit.minus_log - 0.5 * np.log(known)
         # What explains something else at the price of where the structure moves stands in for what is not asked.
         moving = self.spectra.moving
         wrong |= fit.energy[moving].sum() > before.energy[moving].sum()
