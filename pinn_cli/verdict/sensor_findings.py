@@ -89,13 +89,18 @@ def _noise_share(c: Comparison, estimate: Estimate) -> float:
 def _propagated(
     problem: Problem, estimate: Estimate, prediction: Prediction, bad: Sequence[Comparison]
 ) -> dict[str, float]:
-    """NMSE by channel that the noise of the load cells and the parameters' deviations may cause, from a few draws."""
+    """NMSE by channel that noise of the inputs, and what is open of parameters and start, may cause, from a few draws."""
     random = np.random.default_rng(0)
     total = dict.fromkeys((c.channel.name for c in bad), 0.0)
     start = estimate.response.state(0)
+    # Of modal coordinates no deviations are told.
+    open_start = [] if problem.structure.is_modal else estimate.std.state(0)
     for _ in range(DRAWS):
         record = _disturbed(prediction.record, estimate, random)
-        other = predicted(random_structure(problem, estimate, random), record, start)
+        begun = [x.copy() for x in start]
+        for x, std in zip(begun, open_start, strict=False):  # hidden forces have none
+            x += np.nan_to_num(std) * random.normal(size=len(x))
+        other = predicted(random_structure(problem, estimate, random), record, begun)
         if other is None:
             continue
         for c in bad:

@@ -238,7 +238,7 @@ def test_damaged_bytes_are_told_in_one_line_or_do_no_harm(tmp_path, case, monkey
     path = tmp_path / name
     write(path)
     content, random = path.read_bytes(), np.random.default_rng(0)
-    for _ in range(20):
+    for _ in range(6):
         damaged = np.frombuffer(content, dtype=np.uint8).copy()
         damaged[random.integers(len(damaged), size=3)] = random.integers(256, size=3)
         path.write_bytes(damaged.tobytes())

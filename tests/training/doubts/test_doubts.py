@@ -57,14 +57,14 @@ def test_a_term_that_was_left_out_is_named_with_its_connection_and_size(ground: 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ground", [True, False])
 @pytest.mark.parametrize("connection", [0, 1, 2])
 @pytest.mark.parametrize("term", TERMS)
-def test_every_term_of_every_connection(ground: bool, connection: int, term: str):
-    for seed in (2, 3):
-        first = lacking(ground, connection, term, seed)[0]
-        assert (first.kind, first.of) == (term, f"connection {connection + 1}")
-        assert first.value == pytest.approx(TERMS[term], rel=0.2)
+def test_every_term_of_every_connection(connection: int, term: str):
+    """Half of them on ground that moves."""
+    ground = (connection + [*TERMS].index(term)) % 2 == 0
+    first = lacking(ground, connection, term, seed=2)[0]
+    assert (first.kind, first.of) == (term, f"connection {connection + 1}")
+    assert first.value == pytest.approx(TERMS[term], rel=0.2)
 
 
 @pytest.mark.slow
