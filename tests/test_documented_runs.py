@@ -21,7 +21,7 @@ from documented_commands import (
 
 # They take hours: test_documented_commands.py poses them.
 HOURS = re.compile(r"paper_training")
-# What takes minutes of a command is cut short, what it goes through is not; a setting of its own comes later, and holds.
+# What takes minutes is cut short, what a command goes through is not; a setting of its own comes later, and holds.
 SHORT = {
     r"^(?!.*(data=|model=|experiment=examples))": ("simulation.duration=15", "simulation.samples=1025"),
     r"data\.path=rig\.csv(?!.*(stop|until|model=|validation))": ("data.stop=5",),

@@ -89,17 +89,16 @@ def _noise_share(c: Comparison, estimate: Estimate) -> float:
 def _propagated(
     problem: Problem, estimate: Estimate, prediction: Prediction, bad: Sequence[Comparison]
 ) -> dict[str, float]:
-    """NMSE by channel that noise of the inputs, and what is open of parameters and start, may cause, from a few draws."""
+    """NMSE by channel that noise of the inputs and the deviations of parameters and start may cause, by a few draws."""
     random = np.random.default_rng(0)
     total = dict.fromkeys((c.channel.name for c in bad), 0.0)
     start = estimate.response.state(0)
-    # Of modal coordinates no deviations are told.
-    open_start = [] if problem.structure.is_modal else estimate.std.state(0)
+    # Of modal coordinates and of hidden forces no deviations are told.
+    spread = [] if problem.structure.is_modal else [np.nan_to_num(x) for x in estimate.std.state(0)]
+    spread += [np.zeros(1)] * (len(start) - len(spread))
     for _ in range(DRAWS):
         record = _disturbed(prediction.record, estimate, random)
-        begun = [x.copy() for x in start]
-        for x, std in zip(begun, open_start, strict=False):  # hidden forces have none
-            x += np.nan_to_num(std) * random.normal(size=len(x))
+        begun = [x + std * random.normal(size=len(x)) for x, std in zip(start, spread, strict=True)]
         other = predicted(random_structure(problem, estimate, random), record, begun)
         if other is None:
             continue
