@@ -291,10 +291,7 @@ def _members(
     zeros, hidden = np.zeros(structure.coordinates), np.zeros(len(structure.memory))
     at_rest = [zeros, zeros, *([hidden] if len(hidden) else [])]
     start = at_rest if begins is None else estimate.response.state(begins)
-    spread = [np.zeros_like(part) for part in start]
-    if begins is not None and not structure.is_modal:
-        spread = [np.nan_to_num(part) for part in estimate.std.state(begins)]
-        spread = [*spread, *[np.zeros_like(part) for part in start[len(spread) :]]]
+    spread = [np.zeros_like(x) for x in start] if begins is None else estimate.state_std(structure, begins)
     state, deviation = np.concatenate(start), np.concatenate(spread)
     normals = np.random.default_rng([seed, 3]).standard_normal((len(draws), len(state)))
     sources = _sources(structure, estimate, *records)

@@ -303,6 +303,11 @@ class Estimate:
     stories: tuple[Story, ...] = ()
     of_motion: tuple[ParameterEstimate, ...] | None = None
 
+    def state_std(self, structure: Structure, sample: int) -> list[np.ndarray]:
+        """Deviations of ``response.state(sample)``; 0 of modal coordinates and of hidden forces."""
+        told = [] if structure.is_modal else [np.nan_to_num(x) for x in self.std.state(sample)]
+        return [*told, *(np.zeros_like(x) for x in self.response.state(sample)[len(told) :])]
+
     @property
     def before_any_record(self) -> list[ParameterEstimate]:
         """The parameters beside what was believed of them before the first record that they were learned from.

@@ -92,10 +92,7 @@ def _propagated(
     """NMSE by channel that noise of the inputs and the deviations of parameters and start may cause, by a few draws."""
     random = np.random.default_rng(0)
     total = dict.fromkeys((c.channel.name for c in bad), 0.0)
-    start = estimate.response.state(0)
-    # Of modal coordinates and of hidden forces no deviations are told.
-    spread = [] if problem.structure.is_modal else [np.nan_to_num(x) for x in estimate.std.state(0)]
-    spread += [np.zeros(1)] * (len(start) - len(spread))
+    start, spread = estimate.response.state(0), estimate.state_std(problem.structure, 0)
     for _ in range(DRAWS):
         record = _disturbed(prediction.record, estimate, random)
         begun = [x + std * random.normal(size=len(x)) for x, std in zip(start, spread, strict=True)]
