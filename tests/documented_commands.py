@@ -49,6 +49,7 @@ EVERY = sorted(
 RUNS = [line for line in EVERY if not re.search(r"--help|\b(resume|collect)=|^pinn-run (inspect|modes|follow)", line)]
 FOLLOWED = [line for line in EVERY if line.startswith("pinn-run follow")]
 MODAL = [line for line in EVERY if line.startswith("pinn-run modes")]
+GALLERY = {line for page in (ROOT / "docs" / "gallery").glob("*.md") for line in commands(page)}  # docs/test_gallery.py
 LOOKS = [line for line in EVERY if line.startswith("pinn-run inspect")]
 
 

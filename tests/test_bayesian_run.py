@@ -36,10 +36,10 @@ def test_a_second_start_takes_over_what_was_finished_and_the_seed_decides_the_re
     found, found_draws, chains = first.parameters, draws(first), tmp_path / "first" / "chains"
     assert {figure.stem for figure in (first.directory / "figures").iterdir()} >= FIGURES
     before = {name: (chains / name).stat().st_mtime_ns for name in CHAINS}
-    again = pinn_run(*SAMPLED, "hydra.run.dir=first", "seed=3").done()
+    again = pinn_run(*SAMPLED, "figures=false", "hydra.run.dir=first", "seed=3").done()
     assert {name: (chains / name).stat().st_mtime_ns for name in CHAINS} == before
     assert "2 of 2 chains were finished before" in (again.directory / "pinn-run.log").read_text()
-    elsewhere = pinn_run(*SAMPLED, "hydra.run.dir=second", "seed=3")
+    elsewhere = pinn_run(*SAMPLED, "figures=false", "hydra.run.dir=second", "seed=3")
     assert "finished before" not in (elsewhere.directory / "pinn-run.log").read_text()
     for outcome in (again, elsewhere):
         pd.testing.assert_frame_equal(outcome.parameters, found)

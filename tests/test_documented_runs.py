@@ -9,6 +9,7 @@ import pytest
 from calls import PinnRun
 from documented_commands import (
     FOLLOWED,
+    GALLERY,
     LOOKS,
     MODAL,
     RIG,
@@ -45,7 +46,9 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("line", [line for line in (*RUNS, *LOOKS, *MODAL, *FOLLOWED) if not HOURS.search(line)])
+@pytest.mark.parametrize(
+    "line", [line for line in (*RUNS, *LOOKS, *MODAL, *FOLLOWED) if line not in GALLERY and not HOURS.search(line)]
+)
 def test_a_documented_command_runs(line: str, measured: Path, pinn_run: PinnRun) -> None:
     if package := missing_package(line):
         pytest.skip(f"{package} is not installed")

@@ -88,7 +88,20 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
             break
         if np.abs(np.concatenate(change)).max(initial=0.0) < SETTLED or abs(gain) < NEGLIGIBLE_GAIN:
             break
-    return best
+    return _with_its_spread(evidence, best)
+
+
+def _with_its_spread(evidence: Evidence, trained: Trained) -> Trained:
+    """The same under the spread of the parameters that it asks for, if that is more probable.
+
+    Where a round of all levels together is less probable for one of them, none moves, and the spread is still that of a
+    solution long before.
+    """
+    spread = evidence.learned_spread(trained)
+    if abs(np.log(spread / trained.noise.spread)) < SETTLED:
+        return trained
+    again = evidence.train(replace(trained.noise, spread=spread), trained.solution.point)
+    return trained if again is None else max(trained, again, key=lambda one: one.log_evidence)
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,7 +271,9 @@ def floor(evidence: RecordEvidence, solution: RecordSolution) -> NoiseModel:
     noise, of_force = solution.noise, np.full(len(solution.noise.force), np.nan)
     for dof, cell in evidence.load_cells.items():
         of_force[dof] = max(cell.finest, cell.shown)
-    force = max((cell.rms for cell in evidence.load_cells.values()), default=noise.discrepancy)
+    in_channels = (sensor for channels in evidence.equations.channels for sensor in channels.sensors if sensor)
+    cells = [*evidence.load_cells.values(), *(sensor for sensor in in_channels if sensor.quantity == FORCE)]
+    force = max((cell.rms for cell in cells), default=noise.discrepancy)
     finest_of_inputs = negligible(evidence.equations, noise)
     discrepancy = max(min(FINEST_LEVEL * force, noise.discrepancy), finest_of_inputs)
     response = dict(noise.response)

@@ -50,7 +50,7 @@ def test_a_file_is_looked_at_and_the_command_gets_as_far_as_a_problem(name, pinn
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", [*QUICK, *WITHOUT_FORCE, "shaker.uff"])
 def test_the_command_runs_as_it_is(name, pinn_run, tmp_path, in_this_process):
     FILES[name](tmp_path / name)
     outcome = pinn_run(*proposed(pinn_run("inspect", name, "figures=false").out))

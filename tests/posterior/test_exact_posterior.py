@@ -224,7 +224,7 @@ def test_a_duffing_chain_against_an_exact_sampler_over_all_weights_and_parameter
     found = solved(posed(small_chain("duffing", ndof=2), scheme, samples=257, duration=15.0, rms=6.0, seed=2), 75)
     both = parameter_likelihoods(found.evidence, found.trained)
     samples = Marginal(2, 300, 2000).sample(both.marginal, found.problem.priors, RunContext())
-    draws = hamiltonian(JointDensity(found), 8000, 0)[200:, -len(both.marginal.names) - 1 :]
+    draws = hamiltonian(JointDensity(found), 4000, 0)[200:, -len(both.marginal.names) - 1 :]
     exact_mean, exact_std = draws.mean(axis=0), draws.std(axis=0)
     mean, std = moments(samples)
     exact_mean[-1] += np.log(both.marginal.sigma_force[0])

@@ -181,7 +181,7 @@ def test_there_is_no_time_scale_anywhere():
 @pytest.mark.parametrize("nonlinearity", ["duffing", "van_der_pol"])
 def test_coverage_of_the_intervals_over_noise_seeds(nonlinearity):
     structure, covered, scores = small_chain(nonlinearity), [], []
-    for seed in range(20):
+    for seed in range(12):
         for name, given in unknowns(identified(example(nonlinearity, seed=seed), structure)).items():
             truth = truth_of(structure, name)
             covered.append(given.lower_90 <= truth <= given.upper_90)

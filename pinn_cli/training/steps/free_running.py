@@ -19,6 +19,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.levels import SETTLED, floor
 from pinn_cli.training.noise_model import NoiseModel
@@ -108,6 +109,9 @@ def _stiffer(evidence: RecordEvidence, solution: RecordSolution, end: float, fir
     response = {q: np.sqrt(level**2 + part * size[q]) if q in left else level for q, level in first.response.items()}
     discrepancy = max(solution.noise.discrepancy / SCAN_FACTOR, end)
     of_force = np.clip(discrepancy / (PARTS_LEFT[0] * first.discrepancy), FORCE_LEFT, 1.0)
+    for own in evidence.equations.channels:  # load cells as channels
+        cells = [sensor is not None and sensor.quantity == FORCE for sensor in own.sensors]
+        response[own.name] = np.where(cells, of_force * first.response[own.name], response[own.name])
     return replace(solution.noise, response=response, force=of_force * first.force, discrepancy=discrepancy)
 
 

@@ -126,8 +126,8 @@ def test_more_sensors_than_are_taken():
     ],
 )  # fmt: skip
 def test_intervals_hold_the_true_modes(make):
-    """Of 40 records: 90 % intervals, of frequencies and of damping ratios; modes that are missed, and false ones."""
-    records = [make(100 + seed) for seed in range(40)]
+    """Of 20 records: 90 % intervals, of frequencies and of damping ratios; modes that are missed, and false ones."""
+    records = [make(100 + seed) for seed in range(20)]
     off = [errors(look(record), record) for record in records]
     assert sum(map(len, off)) >= 0.97 * sum(len(record.structure.frequency) for record in records)
     held = np.mean(np.abs(np.concatenate(off)) < 1.6449, axis=0)
