@@ -15,17 +15,17 @@ import os
 import resource
 import signal
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, SourceFileLoader
-from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import CodeType, FrameType, ModuleType
+from typing import TypeVar
 
 import pandas as pd
 
@@ -40,6 +40,7 @@ ROOMS = ("scheme", "training", "verdict")  # whose numbers decide results
 # What takes long to import and is no part of the program.
 ELSEWHERE = ("torch", "scipy.optimize", "scipy.signal", "scipy.sparse.linalg", "scipy.interpolate", "xarray", "hydra")
 PATIENCE = 10.0  # times the seconds that a case usually takes, after which it is ended
+R = TypeVar("R")
 READ = "read"  # file that a run without a change leaves beside its directory
 
 
@@ -270,25 +271,44 @@ def varied(chosen: Sequence[Constant], cases: Sequence[Trial], most: int) -> Ite
     Args:
         chosen: Constants.
         cases: Without a change.
-        most: On how many of the cases that have to do with it a constant is tried.
+        most: On how many of the cases that have to do with it a constant is tried, until both changes give anything
+            else.
     """
-    before = dict(zip(cases, _tried(cases), strict=True))
-    concerned = {one: few([case for case in cases if one.label in before[case].read], most) for one in chosen}
-    results = _tried(
-        [replace(case, change=Change(one, f)) for one in chosen for f in FACTORS for case in concerned[one]]
-    )
-    for one, on in concerned.items():
-        rows = []
-        for factor in FACTORS:
-            row: Row = {"constant": one.label, "value": one.value, "factor": factor}
-            row |= {"named in": sum(one.label in found.read for found in before.values()), "tried on": len(on)}
-            row |= dict.fromkeys(("differ", "moved", "judged differently", "most"), 0)
-            if on:
-                found = moves(_judged(before[case] for case in on), _judged(islice(results, len(on))))
-                row |= {"differ": found["differs"].sum(), "moved": (found["moved"] > A_MOVE).sum()}
-                row |= {"judged differently": found["judged"].sum(), "most": round(float(found["moved"].max()), 4)}
-            rows.append(row)
-        yield pd.DataFrame(rows)
+    before = dict(zip(cases, _side_by_side(cases), strict=True))
+    named = {one: [case for case in cases if one.label in before[case].read] for one in chosen}
+    studies = [Study(one, tuple((case, before[case]) for case in few(named[one], most))) for one in chosen]
+    for study, rows in zip(studies, _side_by_side(studies), strict=True):
+        counts = {"constant": study.constant.label, "value": study.constant.value}
+        yield pd.DataFrame([counts | {"factor": f, "named in": len(named[study.constant])} | row for f, row in rows])
+
+
+@dataclass(frozen=True)
+class Study:
+    """A constant, and the cases on which it is tried, one after the other, with what they are without a change."""
+
+    constant: Constant
+    cases: tuple[tuple[Trial, Found], ...]
+
+    def __call__(self) -> list[tuple[float, Row]]:
+        """What each factor does."""
+        found: dict[float, list[Found]] = {factor: [] for factor in FACTORS}
+        for trial, _ in self.cases:
+            for factor in FACTORS:
+                found[factor].append(replace(trial, change=Change(self.constant, factor))())
+            if all(self._moves(found[factor])["differs"].any() for factor in FACTORS):
+                break
+        return [(factor, self._row(found[factor])) for factor in FACTORS]
+
+    def _moves(self, found: Sequence[Found]) -> pd.DataFrame:
+        return moves(_judged([before for _, before in self.cases[: len(found)]]), _judged(found))
+
+    def _row(self, found: Sequence[Found]) -> Row:
+        row: Row = {"tried on": len(found)} | dict.fromkeys(("differ", "moved", "judged differently", "most"), 0)
+        if found:
+            moved = self._moves(found)
+            row |= {"differ": moved["differs"].sum(), "moved": (moved["moved"] > A_MOVE).sum()}
+            row |= {"judged differently": moved["judged"].sum(), "most": round(float(moved["moved"].max()), 4)}
+        return row
 
 
 def few(cases: Sequence[Trial], number: int) -> list[Trial]:
@@ -297,20 +317,20 @@ def few(cases: Sequence[Trial], number: int) -> list[Trial]:
     return sorted(cases, key=rank.__getitem__)[:number]
 
 
-def _judged(found: Iterable[Found]) -> Judged:
-    every = [one.scored for one in found]
-    parameters = [one.parameters.assign(case=one.row["case"]) for one in every]
-    return Judged(pd.DataFrame([one.row for one in every]), pd.concat(parameters, ignore_index=True))
+def _judged(every: Sequence[Found]) -> Judged:
+    scores = [one.scored for one in every]
+    parameters = [one.parameters.assign(case=one.row["case"]) for one in scores]
+    return Judged(pd.DataFrame([one.row for one in scores]), pd.concat(parameters, ignore_index=True))
 
 
-def _tried(trials: Sequence[Trial]) -> Iterator[Found]:
-    """Run trials side by side; what they found comes in their order."""
+def _side_by_side(tasks: Sequence[Callable[[], R]]) -> Iterator[R]:
+    """What they find, in their order."""
     with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn"), initializer=_prepared) as pool:
-        yield from pool.map(_called, trials)
+        yield from pool.map(_called, tasks)
 
 
-def _called(trial: Trial) -> Found:
-    return trial()
+def _called(task: Callable[[], R]) -> R:
+    return task()
 
 
 @cache
