@@ -33,6 +33,18 @@ def test_a_fault_is_seen_without_any_model(frame_record, kind, change):
     assert (found.kind, found.suspect) == (kind, "acceleration of DOF 2")
 
 
+@pytest.mark.parametrize("mains", [50.0, 60.0])
+def test_hum_is_told_where_nothing_that_acts_has_it(frame_record, mains):
+    record = replace(frame_record, time=frame_record.time / frame_record.step / 250.0)
+    line = np.sin(2.0 * np.pi * mains * record.time + 1.0)
+    humming = altered(record, 2, lambda x: x + 0.5 * x.std() * line)
+    (found,) = record_faults(humming)
+    assert (found.kind, found.suspect) == ("hum", "acceleration of DOF 2")
+    assert f"{mains:g} Hz" in found.text
+    machine = record.force + 0.5 * record.force.std(axis=0) * line[:, None]
+    assert record_faults(replace(humming, force=machine)) == []
+
+
 def test_a_copy_of_another_channel_is_named(frame_record):
     (found,) = record_faults(altered(frame_record, 2, lambda _: frame_record.acceleration[:, 0]))
     assert (found.kind, found.suspect) == ("copy", "acceleration of DOF 2")
