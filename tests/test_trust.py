@@ -104,6 +104,9 @@ def test_changes_are_verdicts_and_moves(tmp_path: Path) -> None:
     assert changes(one, judged("two", "sound", 100.05)).empty
     assert changes(one, judged("three", "sound", 100.5))["moved"].tolist() == pytest.approx([0.5])
     assert changes(one, judged("four", "failed", 100.0))["outcome_new"].tolist() == [FALSE_ALARM]
+    ended = scored(case(k_1=100.0), tmp_path / "none", "ended with 1")
+    none = Judged(pd.DataFrame([ended.row]), ended.parameters.assign(case=ended.row["case"]))
+    assert changes(one, none)["outcome_new"].tolist() == [ERROR]
 
 
 def test_a_case_leaves_its_files_under_its_name(tmp_path: Path) -> None:

@@ -171,7 +171,9 @@ def moves(before: Judged, after: Judged) -> pd.DataFrame:
     parameters["moved"] = (parameters["estimate_new"] - parameters["estimate"]).abs() / parameters["std"]
     parameters["wider"] = parameters["std_new"] / parameters["std"]
     most = parameters.sort_values("moved", ascending=False).groupby("case").first()[["parameter", "moved", "wider"]]
-    both = before.rows.merge(after.rows, on="case", suffixes=("", "_new")).merge(most, on="case", how="left")
+    # A run that ended in an error has no costs.
+    rows = after.rows.reindex(columns=after.rows.columns.union(before.rows.columns, sort=False))
+    both = before.rows.merge(rows, on="case", suffixes=("", "_new")).merge(most, on="case", how="left")
     both["judged"] = both["outcome"] != both["outcome_new"]
     both["slower"] = both["seconds_new"] / both["seconds"]
     both["differs"] = (both["moved"].fillna(0.0) > 0.0) | (both["wider"].fillna(1.0) != 1.0)

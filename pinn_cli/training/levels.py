@@ -19,6 +19,7 @@ from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.force_residuals import ForceResiduals
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
+from pinn_cli.training.sensor_samples import SensorSamples
 from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN, negligible
 from pinn_cli.training.steps.force_spectrum import DRAWS, drive_below
 
@@ -157,6 +158,9 @@ def updated(evidence: RecordEvidence, solution: RecordSolution, least: NoiseMode
         found = np.where(usual > 0, (square + weight * usual**2) / (left + weight), square / left)
         level = _limited(np.sqrt(found), noise.response[name])
         response[name] = np.where(channels.there, np.maximum(level, least.response[name]), noise.response[name])
+    for (name, i), cell in evidence.load_cell_channels.items():
+        if cell.shown:
+            response[name][i] = min(response[name][i], max(LOUDEST * cell.shown, least.response[name][i]))
     noise = replace(noise, taken_up=taken.response.get(GAUGE))
     most = np.full(len(force), np.inf)
     for dof, cell in evidence.load_cells.items():
@@ -179,6 +183,9 @@ def _usual_levels(evidence: RecordEvidence, noise: NoiseModel) -> dict[str, np.n
         for i, sensor in enumerate(channels.sensors)
         if sensor is not None
     }
+    cells: dict[int | None, tuple[SensorSamples, float]] = {}
+    cells |= {dof: (cell, noise.force[dof]) for dof, cell in evidence.load_cells.items()}
+    cells |= {cell.dof: (cell, noise.response[q][i]) for (q, i), cell in evidence.load_cell_channels.items()}
     relative: defaultdict[str, dict[tuple[str, int], float]] = defaultdict(dict)
     for (name, i), sensor in sensors.items():
         if sensor.rms > 0:
@@ -190,10 +197,10 @@ def _usual_levels(evidence: RecordEvidence, noise: NoiseModel) -> dict[str, np.n
             out[name][i] = sensor.shown
         elif kin.keys() - {(name, i)}:
             out[name][i] = sensor.rms * np.median([level for key, level in kin.items() if key != (name, i)])
-        elif sensor.quantity == "acceleration" and sensor.dof in evidence.load_cells:
-            mass, force = float(equations.prescribed["m"][sensor.dof]), evidence.load_cells[sensor.dof].most
-            if noise.force[sensor.dof] > 0 and mass > 0:
-                out[name][i] = min(sensor.most, BESIDE_LOAD_CELL * force / mass)
+        elif sensor.quantity == "acceleration" and sensor.dof is not None and sensor.dof in cells:
+            mass, (cell, level) = float(equations.prescribed["m"][sensor.dof]), cells[sensor.dof]
+            if level > 0 and mass > 0:
+                out[name][i] = min(sensor.most, BESIDE_LOAD_CELL * cell.most / mass)
     return {name: np.nan_to_num(level) for name, level in out.items()}
 
 
@@ -271,8 +278,7 @@ def floor(evidence: RecordEvidence, solution: RecordSolution) -> NoiseModel:
     noise, of_force = solution.noise, np.full(len(solution.noise.force), np.nan)
     for dof, cell in evidence.load_cells.items():
         of_force[dof] = max(cell.finest, cell.shown)
-    in_channels = (sensor for channels in evidence.equations.channels for sensor in channels.sensors if sensor)
-    cells = [*evidence.load_cells.values(), *(sensor for sensor in in_channels if sensor.quantity == FORCE)]
+    cells = [*evidence.load_cells.values(), *evidence.load_cell_channels.values()]
     force = max((cell.rms for cell in cells), default=noise.discrepancy)
     finest_of_inputs = negligible(evidence.equations, noise)
     discrepancy = max(min(FINEST_LEVEL * force, noise.discrepancy), finest_of_inputs)

@@ -36,8 +36,8 @@ class NoiseModel:
             in the same band, and a point's own is so many times as large in variance.
         taken_up: (gauges,), values of every gauge that the motion has taken up; None: not counted yet. See
             :class:`pinn_cli.training.factors.calibrated_channels.Gains`.
-        pushes: Quantity of the ground or of supports to the least that a unit of its sensor's noise puts into an
-            equation of motion: of the ground the least mass that it moves, kg.
+        pushes: Name in ``response`` to the least that a unit of each sensor's noise puts into an equation of motion
+            (channels,): of a load cell 1, of the ground the least mass that it moves, kg; NaN where it feels a motion.
         earlier_misfit: What earlier windows took their discrepancy for, over what all windows say of it together.
     """
 
@@ -49,7 +49,7 @@ class NoiseModel:
     points_per_sample: int = 1
     innovation: np.ndarray | None = None
     taken_up: np.ndarray | None = None
-    pushes: Mapping[str, float] = field(default_factory=dict)
+    pushes: Mapping[str, np.ndarray] = field(default_factory=dict)
     earlier_misfit: float = 1.0
 
     def driven_by(self, level: float, functions: slice) -> NoiseModel:
@@ -81,7 +81,7 @@ class NoiseModel:
     @property
     def least_of_inputs(self) -> float:
         """The least noise, N, that any measured input puts into an equation; 0 where none is measured."""
-        each = (*self.force, *(push * x for q, push in self.pushes.items() for x in self.response[q]))
+        each = (*self.force, *(x for q, push in self.pushes.items() for x in push * self.response[q]))
         return float(min(filter(math.isfinite, each), default=0.0))
 
     @property

@@ -165,6 +165,16 @@ class RecordEvidence:
         measured = np.flatnonzero(self.equations.target.measured_force.numpy()).tolist()
         return {dof: SensorSamples.of_column(self.problem.record, FORCE, dof) for dof in measured}
 
+    @cached_property
+    def load_cell_channels(self) -> dict[tuple[str, int], SensorSamples]:
+        """Name of channels and number among them to the load cell that is one of them."""
+        return {
+            (channels.name, i): sensor
+            for channels in self.equations.channels
+            for i, sensor in enumerate(channels.sensors)
+            if sensor is not None and sensor.quantity == FORCE
+        }
+
     def log_evidence(self, point: Point, noise: NoiseModel, readout_log_determinant: float) -> float:
         """The record's own part, without the parameters' prior and without their share of the Hessian."""
         equations = self.equations

@@ -7,10 +7,8 @@ import math
 import numpy as np
 
 from pinn_cli.record.channels import support_amplitudes
-from pinn_cli.record.record import Record
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE, GROUND, MOTION, SUPPORT
-from pinn_cli.system.structure import Structure
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE, force_and_velocity_scale
@@ -45,23 +43,27 @@ def starting_noise(equations: NormalEquations) -> NoiseModel:
         continuity,
         points_per_sample=points,
         innovation=None if dynamics.is_plain else driving,
-        pushes=_pushes(problem.structure, problem.record),
+        pushes=_pushes(equations),
     )
 
 
-def _pushes(structure: Structure, record: Record) -> dict[str, float]:
+def _pushes(equations: NormalEquations) -> dict[str, np.ndarray]:
     """See :class:`NoiseModel`; a support's displacement pushes by a spring, its acceleration by a mass."""
+    structure, record = equations.problem.structure, equations.problem.record
     masses = structure.parameters[MASS].detach().cpu().numpy()
-    out = {}
+    by_quantity = {FORCE: 1.0}
     if record.ground_acceleration is not None:
-        out[GROUND] = _least(masses * structure.with_ground)
+        by_quantity[GROUND] = _least(masses * structure.with_ground)
     if structure.by_supports is not None:
         moved = abs(structure.by_supports).sum(axis=1).A1 > 0.0
         stiffness, mass = _least(structure.at_rest()[0].sum(axis=0)[: len(moved)][moved]), _least(masses)
         for quantity in record.supports:
             order = MOTION.index(SUPPORT[quantity])
-            out[quantity] = stiffness ** (1.0 - order / 2.0) * mass ** (order / 2.0)
-    return out
+            by_quantity[quantity] = stiffness ** (1.0 - order / 2.0) * mass ** (order / 2.0)
+    return {
+        own.name: np.array([by_quantity.get(one.quantity, np.nan) if one else np.nan for one in own.sensors])
+        for own in equations.channels
+    }
 
 
 def _least(values: np.ndarray) -> float:

@@ -19,7 +19,6 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.levels import SETTLED, floor
 from pinn_cli.training.noise_model import NoiseModel
@@ -106,12 +105,11 @@ def _stiffer(evidence: RecordEvidence, solution: RecordSolution, end: float, fir
     left, size = _left_and_size(evidence, solution.point)
     beyond = [np.maximum(left[q] - first.response[q] ** 2, 0.0) / size[q] for q in left]
     part = np.nanmean(np.concatenate(beyond)) if beyond else 0.0
-    response = {q: np.sqrt(level**2 + part * size[q]) if q in left else level for q, level in first.response.items()}
+    response = {q: np.sqrt(level**2 + part * size.get(q, 0.0)) for q, level in first.response.items()}
     discrepancy = max(solution.noise.discrepancy / SCAN_FACTOR, end)
     of_force = np.clip(discrepancy / (PARTS_LEFT[0] * first.discrepancy), FORCE_LEFT, 1.0)
-    for own in evidence.equations.channels:  # load cells as channels
-        cells = [sensor is not None and sensor.quantity == FORCE for sensor in own.sensors]
-        response[own.name] = np.where(cells, of_force * first.response[own.name], response[own.name])
+    for name, i in evidence.load_cell_channels:
+        response[name][i] *= of_force
     return replace(solution.noise, response=response, force=of_force * first.force, discrepancy=discrepancy)
 
 
