@@ -150,7 +150,7 @@ def residual_table(estimate: Estimate, record: Record, free_run: Response | None
     for channel in every_channel(record):
         signal, dof = channel.measured, channel.dof + 1 if channel.gauge is None else None
         left = signal - channel.of(estimate.response)
-        own, sigma = channel.sampled(left), noise_found(estimate, channel)
+        own, sampled, sigma = channel.sampled(left), channel.sampled(signal), noise_found(estimate, channel)
         rms, largest = float(np.sqrt(np.mean(own**2))), max(autocorrelation(left, LAGS), key=abs)
         low, high = signal_edges(signal, record.step)
         free = np.nan
@@ -158,7 +158,7 @@ def residual_table(estimate: Estimate, record: Record, free_run: Response | None
             free = nmse_percent(signal - channel.of(free_run), signal)
         rows.append(
             (
-                channel.quantity, dof, len(own), float(np.std(signal)), rms, nmse_percent(own, channel.sampled(signal)),
+                channel.quantity, dof, len(own), float(np.std(sampled)), rms, nmse_percent(own, sampled),
                 sigma, rms / sigma if sigma > 0.0 else np.nan, float(np.mean(own)), white_probability(left),
                 float(largest), cumulated_deviation(left), low, high,
                 100.0 * band_share(signal, record.step, low, high), free, clipped_percent(signal),

@@ -22,17 +22,39 @@ def as_calibrated(record: Record, estimate: Estimate) -> Record:
 
     A report and a verdict compare an estimate with this; see :func:`beside`. A record without gauges stays as it is.
     """
-    return beside(record, estimate.of_motion or estimate.parameters, estimate.response)
+    return beside(record, estimate.of_motion or estimate.parameters, estimate.response, estimate.left)
 
 
-def beside(record: Record, parameters: Iterable[ParameterEstimate], response: Response) -> Record:
+def beside(
+    record: Record,
+    parameters: Iterable[ParameterEstimate],
+    response: Response,
+    left: Mapping[str, np.ndarray] | None = None,
+) -> Record:
     """The record as a response is compared with it: the response's columns with what gauges leave of it.
 
     What a gauge leaves unexplained at one of its own times stands at the record's nearest one; where it has no sample,
     the column shows the response, and `Record.missing` says so.
+
+    Args:
+        record: Whose gauges they are.
+        parameters: With the numbers of their calibration.
+        response: (N, n) each.
+        left: See :attr:`Estimate.left`; of those that are not in it, between the response's samples there is nothing
+            above their Nyquist frequency.
     """
-    found = by_sensor(parameters)
-    return with_gauges(record, lambda gauge: _shown(gauge, found[gauge.name], record.time, response))
+    found, told = by_sensor(parameters), left or {}
+
+    def shown(gauge: Gauge) -> tuple[np.ndarray, np.ndarray]:
+        place, inside = sample_places(gauge, found[gauge.name], record.time)
+        own = told[gauge.name] if gauge.name in told else _left(gauge, found[gauge.name], record.time, response)
+        inside &= np.isfinite(own)
+        column, there = gauge.felt_in(response).copy(), np.zeros(len(record.time), dtype=bool)
+        column[place[inside]] += own[inside]
+        there[place[inside]] = True
+        return column, there
+
+    return with_gauges(record, shown)
 
 
 def as_felt(record: Record, parameters: Iterable[ParameterEstimate]) -> Record:
@@ -95,17 +117,13 @@ def sample_places(gauge: Gauge, found: Mapping[str, float], time: np.ndarray) ->
     return place, inside
 
 
-def _shown(
-    gauge: Gauge, found: dict[str, float], time: np.ndarray, response: Response
-) -> tuple[np.ndarray, np.ndarray]:
-    """(N,), the estimate with the gauge's residuals on it, and (N,) bool, where it has one."""
+def _left(gauge: Gauge, found: dict[str, float], time: np.ndarray, response: Response) -> np.ndarray:
+    """(J,), measured minus what a gauge feels in a response; NaN outside."""
     (felt_at, felt), (place, inside) = gauge.calibrated(found), sample_places(gauge, found, time)
-    shown, there = gauge.felt_in(response).copy(), np.zeros(len(time), dtype=bool)
-    expected = gauge.passed(time, gauge.felt_in(response, found), found)
+    expected, out = gauge.passed(time, gauge.felt_in(response, found), found), np.full(len(felt), np.nan)
     left = felt[inside] - BandLimited(time, expected)(felt_at[inside])
     if gauge.filter_order:
         decays = gauge.decays(time, found)[place[inside]]
         left = left - decays @ np.linalg.lstsq(decays, left)[0]
-    shown[place[inside]] += left
-    there[place[inside]] = True
-    return shown, there
+    out[inside] = left
+    return out

@@ -277,6 +277,8 @@ class Estimate:
         doubts: What the model may lack; nothing where the training does not say.
         structure: In whose coordinates the motion is; None: in those of the problem.
         stories: Of a record that the model does not quite explain, the one that ``parameters`` are of first.
+        left: Name of a sensor with samples of its own to measured minus estimated, in what it feels, at these (J,); NaN
+            where it felt no motion within the record. Empty where the training does not say.
         of_motion: The parameters that ``response`` goes with, where ``parameters`` are of another story; None: these.
     """
 
@@ -301,6 +303,7 @@ class Estimate:
     doubts: tuple[Doubt, ...] = ()
     structure: Structure | None = None
     stories: tuple[Story, ...] = ()
+    left: Mapping[str, np.ndarray] = field(default_factory=dict)
     of_motion: tuple[ParameterEstimate, ...] | None = None
 
     def state_std(self, structure: Structure, sample: int) -> list[np.ndarray]:

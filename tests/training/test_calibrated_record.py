@@ -81,3 +81,14 @@ def test_the_ground():
     calibrated = as_calibrated(record, estimate())
     np.testing.assert_allclose(calibrated.ground_acceleration, motion(TIME), atol=1e-5)
     assert calibrated.there("ground_acceleration", 0).sum() < 160
+
+
+def test_a_training_says_itself_what_it_leaves():
+    """Between the samples of an estimate there may be more than they show."""
+    there, own = np.ones(200, bool), np.random.default_rng(1).normal(size=200)
+    own[:20] = np.nan
+    record = record_of(gauge(there, np.zeros(200)))
+    calibrated = as_calibrated(record, replace(estimate(), left={"a1": own}))
+    seen = calibrated.there("acceleration", 0)
+    left = (calibrated.acceleration[:, 0] - motion(TIME))[seen]
+    np.testing.assert_allclose(left, own[20:], atol=1e-12)

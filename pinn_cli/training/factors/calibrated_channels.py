@@ -85,6 +85,7 @@ class CalibratedChannel:
 
     Attributes:
         places: Kind of a number of its calibration that is uncertain to its place among all parameters.
+        kept: (all samples,) bool, those of them that felt a motion within the record.
         time, measured: (J,), s, and samples that felt a motion within the record.
         feels: What it feels before a filter.
         state: The function that is the state of its filter, see the top of this page; None:
@@ -99,8 +100,10 @@ class CalibratedChannel:
             if p.kind in CALIBRATION_UNITS and p.index == number
         }
         network = frame.network
-        kept = self._inside(float(network.start), float(network.stop))  # type: ignore[arg-type]
-        self.time, self.measured = (torch.as_tensor(x[kept]).to(frame.target.force) for x in (gauge.time, gauge.values))
+        self.kept = self._inside(float(network.start), float(network.stop))  # type: ignore[arg-type]
+        self.time, self.measured = (
+            torch.as_tensor(x[self.kept]).to(frame.target.force) for x in (gauge.time, gauge.values)
+        )
         self.since = self.time - gauge.start
         self.feels, filters = felt_by(gauge, number, frame.dynamics, frame.vector), frame.dynamics.inputs.filters
         self.state = frame.dynamics.filters.start + filters.index(number) if number in filters else None
@@ -146,6 +149,13 @@ class CalibratedChannel:
         parameters = self.frame.parameters(point)
         moment = self.moment(float(self.value("delay", parameters)))
         return self._residual(moment, self.shows.value(self.frame.jet(moment.segments, point), parameters), parameters)
+
+    def left(self, point: Point) -> np.ndarray:
+        """(all samples,), measured minus estimated, in what it feels; NaN where it felt no motion within the record."""
+        parameters, out = self.frame.parameters(point), np.full(len(self.kept), np.nan)
+        shown = self.moment(float(self.value("delay", parameters))).segments.scatter(self.residual(point))
+        out[self.kept] = -(shown / self.value("gain", parameters)).numpy()
+        return out
 
     def _residual(self, moment: Moment, felt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
         gain, offset, drift = (self.value(kind, parameters) for kind in ("gain", "offset", "drift"))
@@ -250,6 +260,10 @@ class CalibratedChannels(Channels):
         for i, channel in enumerate(self.each):
             shown = channel.at(point)
             yield slice(i, i + 1), [channel.moved(shown, step)[..., None] for step in steps]
+
+    def left(self, point: Point) -> dict[str, np.ndarray]:
+        """See :meth:`Channels.left`."""
+        return {channel.gauge.name: channel.left(point) for channel in self.each}
 
     def loss(self, point: Point, noise: NoiseModel) -> float:
         """Infinite where a delay is out of the record's reach."""

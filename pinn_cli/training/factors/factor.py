@@ -122,6 +122,10 @@ class Channels(Factor):
     def at(self, point: Point, noise: NoiseModel) -> Iterator[ChannelAtPoint]:
         """Every channel that exists."""
 
+    def left(self, point: Point) -> dict[str, np.ndarray]:
+        """See :attr:`pinn_cli.training.estimate.Estimate.left`."""
+        return {}
+
     def squares(self, point: Point) -> np.ndarray:
         """(K,), sums of squares of the residuals that the noise's level is told by."""
         total = np.zeros(len(self.there))

@@ -106,7 +106,10 @@ def record_estimate(evidence: RecordEvidence, solution: RecordSolution) -> Estim
         summary["spectral_misfit"] = equations.known.misfit
     connections, misfit = _connections(posterior, response), misfit_history(evidence, solution)
     lacking = doubts(evidence, solution, std)
-    return Estimate(response, std, [], pd.DataFrame(), summary, connections=connections, misfit=misfit, doubts=lacking)
+    left = {name: samples for own in equations.channels for name, samples in own.left(point).items()}
+    return Estimate(
+        response, std, [], pd.DataFrame(), summary, connections=connections, misfit=misfit, doubts=lacking, left=left
+    )
 
 
 def _noise_felt(equations: NormalEquations, solution: RecordSolution) -> dict[str, np.ndarray]:

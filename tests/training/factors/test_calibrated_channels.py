@@ -74,3 +74,14 @@ def test_a_delay_beyond_the_record_s_reach_is_refused_and_takes_no_memory():
         far[place] = by
         assert math.isfinite(equations.losses(Point(point.unknowns, far), noise)[GAUGE]) is finite
         assert rows._moment.segments.mask.shape[1] <= held[1] + 2
+
+
+def test_what_is_left_of_every_sample_is_in_what_it_feels():
+    equations, _ = posed()
+    point = equations.start()
+    (channels,) = (own for own in equations.channels if own.name == GAUGE)
+    (channel,) = channels.each
+    left = channels.left(point)["x"]
+    assert (np.isfinite(left) == channel.kept).all()
+    squares = float(channels.squares(point)[0])
+    assert float(np.nansum(left**2)) == pytest.approx(squares / 1.2**2)
