@@ -11,7 +11,7 @@ import pandas as pd
 from pinn_cli.inspection.modes import ModalRecord
 from pinn_cli.inspection.proposal import Look, Said, proposed_settings
 from pinn_cli.inspection.report import InspectionReport
-from pinn_cli.record.channels import clipped_percent, constant_percent
+from pinn_cli.record.channels import clipped_percent, constant_percent, hum
 from pinn_cli.record.cross_spectra import CrossSpectra
 from pinn_cli.record.identification.lines import RecordMode
 from pinn_cli.record.response import GROUND
@@ -148,7 +148,7 @@ def inspect_record(
         notes = [*notes, note]
     notes += [note for _, note in converted if note]
     notes += [*_of_sampling(sampling), *_of_channels(channels), *_offsets(alive, sampling), *_of_one_dof(spectra)]
-    notes += [*_machines(modal.identified.machines)]
+    notes += [*_machines(modal.identified.machines), *_hums(alive, sampling)]
     notes += [*_opposed(spectra, peaks), *_against_the_ground(spectra, peaks)]
     look = Look(
         signals, sampling, highest, len(peaks), frequencies is not None, bool(guesses),
@@ -231,6 +231,14 @@ def _machines(frequencies: Sequence[float]) -> Iterator[str]:
     if frequencies:
         named = ", ".join(f"{frequency:.4g}" for frequency in frequencies)
         yield f"steady lines at {named} Hz, as of machines or of mains: no modes"
+
+
+def _hums(signals: Sequence[Signal], sampling: Sampling) -> Iterator[str]:
+    acting = [sampling.on_regular(signal.values) for signal in signals if signal.is_input]
+    for signal in (signal for signal in signals if not signal.is_input):
+        found = hum(sampling.on_regular(signal.values), 1.0 / sampling.rate, acting)
+        if found is not None:
+            yield f"{signal.name} hums: {found[1]:.0%} of its power is a steady line at {found[0]:g} Hz of the mains"
 
 
 def _of_one_dof(spectra: CrossSpectra[Signal]) -> Iterator[str]:

@@ -19,6 +19,10 @@ GROUND_DOF = -1
 # Equal samples in a row that noise and a converter's steps do not explain; and samples at an extreme value that may be
 # there by chance.
 CONSTANT_RUN, AT_EXTREME_BY_CHANCE = 8, 2
+# Of the mains, Hz. A sine of such a frequency has one phase in all parts of a record, which a mode has by chance alone:
+# the statistic of so many parts is F-distributed, and beyond `STEADY` once in 10^7 times. It is told from such a part
+# of the channel's power on; and what acts has a line of its own from `FAINT` on.
+MAINS, PARTS, STEADY, FAINT, LEAST_HUM = (50.0, 60.0), 8, 50.0, 10.0, 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +162,34 @@ def equal_runs(signal: np.ndarray) -> list[tuple[int, int]]:
     edges = np.concatenate([[0], np.flatnonzero(np.diff(signal)) + 1, [len(signal)]])
     long = np.flatnonzero(np.diff(edges) >= CONSTANT_RUN)
     return list(zip(edges[long].tolist(), edges[long + 1].tolist(), strict=True))
+
+
+def hum(signal: np.ndarray, step: float, acting: Sequence[np.ndarray]) -> tuple[float, float] | None:
+    """Frequency of the mains, Hz, of which a signal (N,) has a line, and the line's share of its power.
+
+    None where it has none, or where something that acts (N,) has it too: then it may be a machine.
+    """
+    line = max(MAINS, key=lambda one: _steadiness(signal, one * step)[0])
+    steadiness, share = _steadiness(signal, line * step)
+    acts = any(_steadiness(other, line * step)[0] > FAINT for other in acting)
+    return (line, share) if steadiness > STEADY and share > LEAST_HUM and not acts else None
+
+
+def _steadiness(signal: np.ndarray, turns: float) -> tuple[float, float]:
+    """How steady a line is, as F with 2 and 2 (`PARTS` - 1) degrees of freedom, and its share of the power.
+
+    Args:
+        signal: (N,).
+        turns: Of the line from sample to sample; beyond one half it shows where its samples put it.
+    """
+    turns, each = abs(turns - round(turns)), len(signal) // PARTS
+    if min(turns, 0.5 - turns) * each < 2.0:  # no line of its own
+        return 0.0, 0.0
+    window = np.hanning(each + 2)[1:-1]
+    turned = (signal - signal.mean())[: PARTS * each] * np.exp(-2j * np.pi * turns * np.arange(PARTS * each))
+    parts = turned.reshape(PARTS, each) @ (window / window.sum())
+    line, variance = abs(parts.mean()) ** 2, float(np.sum(np.abs(parts - parts.mean()) ** 2)) / (PARTS - 1)
+    return PARTS * line / max(variance, 1e-300), 2.0 * line / max(float(np.var(signal)), 1e-300)
 
 
 def record_band(record: Record) -> float:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.channels import Channel, channels, equal_runs
+from pinn_cli.record.channels import Channel, channels, equal_runs, hum
 from pinn_cli.record.response import GROUND, MEASURED_QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import mean_deviation
 from pinn_cli.system.quantities import FORCE, SUPPORT
@@ -30,10 +30,6 @@ COARSE = 0.1
 OTHERS_MOVE = 0.2
 # An offset, over the channel's rms and over what its lowest frequencies leave open.
 LEAST_OFFSET, DEVIATIONS = 0.05, 10.0
-# Of the mains, Hz. A sine of such a frequency has one phase in all parts of a record, which a mode has by chance alone:
-# the statistic of so many parts is F-distributed, and beyond `STEADY` once in 10^7 times. It tells from such a part of
-# the channel's power on; and what acts has a line of its own from `FAINT` on.
-MAINS, PARTS, STEADY, FAINT, LEAST_HUM = (50.0, 60.0), 8, 50.0, 10.0, 0.05
 # The beginning of a record, as a share of it. It is far off where what is left there is so large a part of the signal,
 # and so many times what is left of the rest.
 BEGINNING, FAR_OFF, ABOVE_REST = 0.02, 0.5, 5.0
@@ -122,33 +118,13 @@ def _off_zero(channel: Channel, record: Record) -> Finding | None:
 
 
 def _hums(channel: Channel, record: Record) -> Finding | None:
-    """A line of the mains that nothing measured that acts has."""
-    x, step = channel.measured, record.step
-    line = max(MAINS, key=lambda one: _steadiness(x, one * step)[0])
-    steadiness, share = _steadiness(x, line * step)
     acting = channels(record, (FORCE, GROUND, *SUPPORT), excused=[channel.name])
-    acts = any(_steadiness(other.measured, line * step)[0] > FAINT for other in acting)
-    if acts or not (steadiness > STEADY and share > LEAST_HUM):
+    found = hum(channel.measured, record.step, [other.measured for other in acting])
+    if found is None:
         return None
+    line, share = found
     text = f"the {channel.name} hums: {100 * share:.0f} % of its power is a steady line at {line:g} Hz of the mains"
     return Finding("hum", channel.name, f"{text}, which nothing that acts has; filter it out, or leave that sensor out")
-
-
-def _steadiness(x: np.ndarray, turns: float) -> tuple[float, float]:
-    """How steady a line is, as F with 2 and 2 (`PARTS` - 1) degrees of freedom, and its share of the power.
-
-    Args:
-        x: (N,).
-        turns: Of the line from sample to sample; beyond one half it shows where its samples put it.
-    """
-    turns, each = abs(turns - round(turns)), len(x) // PARTS
-    if min(turns, 0.5 - turns) * each < 2.0:  # no line of its own
-        return 0.0, 0.0
-    window = np.hanning(each + 2)[1:-1]
-    turned = (x - x.mean())[: PARTS * each] * np.exp(-2j * np.pi * turns * np.arange(PARTS * each))
-    parts = turned.reshape(PARTS, each) @ (window / window.sum())
-    line, variance = abs(parts.mean()) ** 2, float(np.sum(np.abs(parts - parts.mean()) ** 2)) / (PARTS - 1)
-    return PARTS * line / max(variance, 1e-300), 2.0 * line / max(float(np.var(x)), 1e-300)
 
 
 def first_sample_findings(record: Record, estimate: Estimate) -> list[Finding]:

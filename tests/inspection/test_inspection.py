@@ -97,6 +97,13 @@ def test_noise_and_offsets(record, noise, offset, expected):
     assert expected in notes(record, a1=Signal("a1", a, "acceleration", "1"))
 
 
+def test_hum_of_the_mains(record):
+    time, _, _, a = record
+    line = 0.5 * a[:, 0].std() * np.sin(2.0 * np.pi * 60.0 * time)
+    told = notes(record, a1=Signal("a1", a[:, 0] + line, "acceleration", "1"))
+    assert "acceleration of DOF 1 hums: 11% of its power is a steady line at 60 Hz of the mains" in told
+
+
 def test_a_hammers_force_is_not_taken_for_noise(record):
     """Its blows fill the spectrum; between them it is quiet, or nothing at all."""
     time, random = record[0], np.random.default_rng(0)
