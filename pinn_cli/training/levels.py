@@ -279,7 +279,8 @@ def floor(evidence: RecordEvidence, solution: RecordSolution) -> NoiseModel:
     for dof, cell in evidence.load_cells.items():
         of_force[dof] = max(cell.finest, cell.shown)
     cells = [*evidence.load_cells.values(), *evidence.load_cell_channels.values()]
-    force = max((cell.rms for cell in cells), default=noise.discrepancy)
+    per_force = evidence.problem.structure.shapes.scale
+    force = max((per_force * cell.rms for cell in cells), default=noise.discrepancy)
     finest_of_inputs = negligible(evidence.equations, noise)
     discrepancy = max(min(FINEST_LEVEL * force, noise.discrepancy), finest_of_inputs)
     response = dict(noise.response)

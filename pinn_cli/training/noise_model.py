@@ -37,7 +37,8 @@ class NoiseModel:
         taken_up: (gauges,), values of every gauge that the motion has taken up; None: not counted yet. See
             :class:`pinn_cli.training.factors.calibrated_channels.Gains`.
         pushes: Name in ``response`` to the least that a unit of each sensor's noise puts into an equation of motion
-            (channels,): of a load cell 1, of the ground the least mass that it moves, kg; NaN where it feels a motion.
+            (channels,): of a load cell how far its DOF moves with a coordinate, of the ground the least mass that it
+            moves, kg; NaN where it feels a motion.
         earlier_misfit: What earlier windows took their discrepancy for, over what all windows say of it together.
     """
 

@@ -51,7 +51,7 @@ def _pushes(equations: NormalEquations) -> dict[str, np.ndarray]:
     """See :class:`NoiseModel`; a support's displacement pushes by a spring, its acceleration by a mass."""
     structure, record = equations.problem.structure, equations.problem.record
     masses = structure.parameters[MASS].detach().cpu().numpy()
-    by_quantity = {FORCE: 1.0}
+    by_quantity = {FORCE: structure.shapes.scale}
     if record.ground_acceleration is not None:
         by_quantity[GROUND] = _least(masses * structure.with_ground)
     if structure.by_supports is not None:
