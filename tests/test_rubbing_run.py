@@ -95,7 +95,8 @@ def test_a_contact_with_what_stands_still(pinn_run: PinnRun, tmp_path, seed, mas
     run = outcome.record
     assert (run["verdict"], run["reasons"]) == ("sound", [])
     found = outcome.parameters
-    for name, true, known in (("F_c_rub", friction, 0.02), ("k_spring", K, 0.005), ("c_spring", C, 0.05)):
+    # Sticking most of the time tells little of the damper: 9 % with the most friction of these, 1 % with the least.
+    for name, true, known in (("F_c_rub", friction, 0.02), ("k_spring", K, 0.005), ("c_spring", C, 0.1)):
         row = found.loc[name]
         assert abs(row["estimate"] - true) < 4.0 * row["std"], row
         assert row["std"] < known * true, row
