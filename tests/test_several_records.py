@@ -73,7 +73,7 @@ def test_three_records_make_one_report(pinn_run: PinnRun, tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_a_roving_accelerometer_and_a_load_cell_of_unknown_gain(pinn_run: PinnRun, tmp_path: Path) -> None:
-    """Together the records tell every stiffness to a per cent; three runs on their own do not agree."""
+    """Together the records tell every stiffness to a per cent, and each on its own to two."""
     write(tmp_path, duration=20.0, snr_db=20.0, force_gain=1.1)
 
     def entry(storey: int) -> str:
@@ -92,4 +92,5 @@ def test_a_roving_accelerometer_and_a_load_cell_of_unknown_gain(pinn_run: PinnRu
     found = parameters(done.directory)["estimate"]
     assert list(found.index) == ["k_1", "k_2", "k_3", "gain_f"]
     assert np.all(np.abs(found[["k_1", "k_2", "k_3"]].to_numpy() / TRUTH - 1.0) < 0.01)
-    assert np.ptp(alone, axis=0).max() > 0.05 * TRUTH.max()
+    # They did not agree while a load cell of unknown gain kept its noise in a free run.
+    assert np.all(np.abs(np.array(alone) / TRUTH - 1.0) < 0.02), alone
