@@ -122,7 +122,7 @@ def test_more_sensors_than_are_taken():
     "make",
     [
         of_building, of_bridge, of_short_shaker, of_multisine, of_ground,
-        pytest.param(of_hammer, marks=pytest.mark.xfail(reason="after blows intervals hold 98 to 99 %")),
+        pytest.param(of_hammer, marks=pytest.mark.xfail(strict=False, reason="after blows intervals hold 98 to 99 %")),
     ],
 )  # fmt: skip
 def test_intervals_hold_the_true_modes(make):
