@@ -169,10 +169,11 @@ def hum(signal: np.ndarray, step: float, acting: Sequence[np.ndarray]) -> tuple[
 
     None where it has none, or where something that acts (N,) has it too: then it may be a machine.
     """
-    line = max(MAINS, key=lambda one: _steadiness(signal, one * step)[0])
-    steadiness, share = _steadiness(signal, line * step)
+    steadiness, share, line = max((*_steadiness(signal, one * step), one) for one in MAINS)
+    if not (steadiness > STEADY and share > LEAST_HUM):
+        return None
     acts = any(_steadiness(other, line * step)[0] > FAINT for other in acting)
-    return (line, share) if steadiness > STEADY and share > LEAST_HUM and not acts else None
+    return None if acts else (line, share)
 
 
 def _steadiness(signal: np.ndarray, turns: float) -> tuple[float, float]:

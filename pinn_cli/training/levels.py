@@ -177,12 +177,7 @@ def _usual_levels(evidence: RecordEvidence, noise: NoiseModel) -> dict[str, np.n
     whose spectrum shows nothing: what its emptiest part has at most, or see `BESIDE_LOAD_CELL`.
     """
     equations = evidence.equations
-    sensors = {
-        (channels.name, i): sensor
-        for channels in equations.channels
-        for i, sensor in enumerate(channels.sensors)
-        if sensor is not None
-    }
+    sensors = evidence.sensors
     cells: dict[int | None, tuple[SensorSamples, float]] = {}
     cells |= {dof: (cell, noise.force[dof]) for dof, cell in evidence.load_cells.items()}
     cells |= {cell.dof: (cell, noise.response[q][i]) for (q, i), cell in evidence.load_cell_channels.items()}

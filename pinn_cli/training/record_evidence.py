@@ -166,14 +166,19 @@ class RecordEvidence:
         return {dof: SensorSamples.of_column(self.problem.record, FORCE, dof) for dof in measured}
 
     @cached_property
-    def load_cell_channels(self) -> dict[tuple[str, int], SensorSamples]:
-        """Name of channels and number among them to the load cell that is one of them."""
+    def sensors(self) -> dict[tuple[str, int], SensorSamples]:
+        """Name of channels and number among them to the sensor that is one of them."""
         return {
             (channels.name, i): sensor
             for channels in self.equations.channels
             for i, sensor in enumerate(channels.sensors)
-            if sensor is not None and sensor.quantity == FORCE
+            if sensor is not None
         }
+
+    @cached_property
+    def load_cell_channels(self) -> dict[tuple[str, int], SensorSamples]:
+        """Those of :attr:`sensors` that are load cells."""
+        return {place: sensor for place, sensor in self.sensors.items() if sensor.quantity == FORCE}
 
     def log_evidence(self, point: Point, noise: NoiseModel, readout_log_determinant: float) -> float:
         """The record's own part, without the parameters' prior and without their share of the Hessian."""
