@@ -154,6 +154,39 @@ def test_no_sensor_feels_the_force_of_a_part(in_folder_with_a_beam: PinnRun):
     ).refused("data.channels.r.connection=root", "a connection: mode_1, mode_2")  # fmt: skip
 
 
+@pytest.mark.slow
+def test_parts_far_off_in_a_record_of_the_whole_model(pinn_run: PinnRun):
+    """The first coordinates leave out more than the sensors' noise; every mode of the beam is in the record."""
+    factors, sensed = (0.75, 1.25), {"tip": deflection(10), "a": deflection(4), "b": deflection(7)}
+    M, K = beam(10)
+    parts = [beam_part(10, own) for own in (range(4), range(4, 10))]
+    np.savez("beam.npz", M=M.toarray(), K=K.toarray(), root=parts[0].toarray(), end=parts[1].toarray())
+    rate, finer, random = 256.0, 64, np.random.default_rng(8)
+    time = np.arange(0.0, 4.0, 1.0 / (finer * rate))
+    waves, phases = random.uniform(3.0, 80.0, 80), random.uniform(0.0, 2.0 * np.pi, 80)
+    force = np.sin(2.0 * np.pi * np.outer(time, waves) + phases).sum(1) * np.minimum(4.0 * time, 1.0)
+    changed = sum(f * part for f, part in zip(factors, parts, strict=True))
+    motion = response(M, changed, 0.02, (sensed["b"], force), time[1])[2][::finer]
+    table = pd.DataFrame({"f": force[::finer], **{name: motion[:, dof - 1] for name, dof in sensed.items()}})
+    table += 10.0 ** (-50 / 20) * random.standard_normal(table.shape) * table.std().to_numpy()
+    table.insert(0, "t", time[::finer])
+    table.to_csv("beam.csv", index=False)
+    outcome = pinn_run(
+        "system=matrices", "system.path=beam.npz", "system.modes=5", "system.factors={root: null, end: null}",
+        f"system.dofs={{{', '.join(f'{n}: {d}' for n, d in sensed.items())}}}",
+        "data=csv", "data.path=beam.csv", "data.force={b: f}",
+        "data.acceleration={tip: tip, a: a, b: b}", "scheme=state_parameter", "scheme.parameter_uncertainty=0",
+        "figures=false",
+    ).done()  # fmt: skip
+    assert "nothing is said of damping" in outcome.out + outcome.err
+    found = outcome.parameters
+    true = {"factor_root": factors[0], "factor_end": factors[1]} | {f"zeta_{i}": 0.02 for i in (1, 2, 3)}
+    z = {name: (found["estimate"][name] - value) / found["std"][name] for name, value in true.items()}
+    assert max(map(abs, z.values())) < 3.5, z
+    assert (found["std"][["factor_root", "factor_end"]] < 1e-3).all()
+    assert outcome.record["verdict"] == "sound", outcome.out
+
+
 def test_sensors_bend_as_those_of_the_whole_model(tmp_path, monkeypatch):
     """What modes that are left out add to a sensor is what a static force there moves."""
     monkeypatch.chdir(tmp_path)
