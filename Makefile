@@ -19,16 +19,19 @@ help: ## list the targets
 
 venv: $(INSTALLED) ## install the package and its tools into .venv, in the exact versions of constraints.txt
 
-# PIP_CONSTRAINT rather than -c: it binds the isolated build environment too.
+# PIP_CONSTRAINT rather than -c: it binds the isolated build environment too. Python compiles what it imports, which is a
+# small part of what pip would.
+INSTALL := PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --no-compile --quiet --disable-pip-version-check
+
 $(INSTALLED): pyproject.toml setup.py constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check torch
-	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	$(INSTALL) torch
+	$(INSTALL) -e '.[dev]'
 	@touch $@
 
 # Large, and needed by its own tests alone.
 $(RAY): $(INSTALLED)
-	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[ray]'
+	$(INSTALL) -e '.[ray]'
 	@touch $@
 
 run: venv ## estimate the response of the default chain (6 DOFs, Duffing) and print its fitness

@@ -72,6 +72,7 @@ def test_a_model_without_connections_has_no_drifts_to_draw(in_folder_with_a_beam
     assert pd.read_csv(outcome.directory / "drift.csv").empty
 
 
+@pytest.mark.slow
 def test_a_record_that_begins_in_motion_with_modes_above_its_band(in_folder_with_a_beam: PinnRun):
     """No sensor tells those, and they balanced each other at both ends: accelerations were wrong by 100 times."""
     rate, finer, before, random = 128.0, 16, 2.0, np.random.default_rng(3)

@@ -91,6 +91,7 @@ def test_update_without_a_model_is_refused(pinn_run: PinnRun) -> None:
     assert not Path("outputs").exists()
 
 
+@pytest.mark.slow
 def test_a_prediction_without_a_response(pinn_run: PinnRun, tmp_path: Path) -> None:
     pinn_run(*FIRST, *written(record(1).record, tmp_path / "one.csv"), "hydra.run.dir=first").done()
     new = record(4, duration=6.0)

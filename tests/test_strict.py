@@ -42,6 +42,7 @@ def test_a_sound_run_passes(pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch) 
     assert (done.status, done.out.splitlines()[-2]) == (0, "verdict: sound")
 
 
+@pytest.mark.slow
 def test_in_a_sweep_a_job_that_is_not_sound_failed(pinn_run: PinnRun, doubted: None, tmp_path: Path) -> None:
     command = ("--multirun", *QUICK, "seed=0,1", "strict=true")
     done = pinn_run(*command)

@@ -52,6 +52,7 @@ def measured(data: object) -> record.Record:
         return config.source.measurements(config.structure)[0].record
 
 
+@pytest.mark.slow
 def test_a_frame_and_a_file_are_one_run_which_goes_on_with_the_same_frame_alone(frame: pd.DataFrame) -> None:
     frame.rename(columns={"acceleration.1": "a1"}).to_csv("rig.csv", index=False, float_format="%.17g")
     columns = ("data.acceleration={1: a1, 2: acceleration.2}", "data.force={2: force.2}")

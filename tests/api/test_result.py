@@ -15,11 +15,13 @@ from pinn_cli import InputError, Result, load, run
 UNKNOWN = ("scheme=state_parameter", "scheme.unobserved=[2]", "scheme.unknown=[k_2]", "system=linear")
 
 
+def ran(directory: Path, *overrides: str) -> Result:
+    return run(*SMALL, *UNKNOWN, "case=small", "report.between=[2,9]", *overrides, directory=directory)
+
+
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> Result:
-    return run(
-        *SMALL, *UNKNOWN, "case=small", "report.between=[2,9]", directory=tmp_path_factory.mktemp("result") / "run"
-    )
+    return ran(tmp_path_factory.mktemp("result") / "run", "figures=false")
 
 
 def test_tables_are_those_of_the_files(result: Result) -> None:
@@ -48,7 +50,8 @@ def test_the_response_is_labelled(result: Result) -> None:
 
 
 @pytest.mark.slow
-def test_figures_are_those_that_the_run_drew(result: Result) -> None:
+def test_figures_are_those_that_the_run_drew(tmp_path: Path) -> None:
+    result = ran(tmp_path / "run")
     drawn = {file.stem for file in (result.directory / "figures").glob("*.png")}
     (result.directory / "own.csv").write_bytes(b"a user's;\n1,2\n3,4,\xff\n")
     assert set(result.plot.names) == drawn

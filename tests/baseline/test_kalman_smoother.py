@@ -65,6 +65,7 @@ def test_a_record_without_noise_is_followed_to_many_digits() -> None:
         assert relative_error(getattr(estimate.response, quantity), truth) < 1e-4
 
 
+@pytest.mark.slow
 def test_parameters_that_are_wrong_are_put_right_with_honest_intervals() -> None:
     true = small_chain("duffing")
     measurements = measured(true, snr_db=40.0, duration=48.0, samples=1025)
@@ -100,6 +101,7 @@ def test_masses_can_be_unknown() -> None:
     assert found.name == "m_2"
 
 
+@pytest.mark.slow
 def test_bands_cover_the_truth() -> None:
     shares = {quantity: [] for quantity in QUANTITIES}
     for seed in range(8):
@@ -178,6 +180,7 @@ def test_a_load_cell_shares_what_the_motion_needs_with_the_model() -> None:
     np.testing.assert_allclose(model.disturbance_variance, [25.0, 16.0, 16.0])
 
 
+@pytest.mark.slow
 def test_every_parameter_may_be_unknown() -> None:
     """On the way from the record's own scale to the truth, damping turns negative: the smoother must get through."""
     true = small_chain("duffing")

@@ -118,6 +118,7 @@ def roving(tmp_path_factory) -> list[str]:
     return files
 
 
+@pytest.mark.slow
 def test_files_of_sensors_that_rove(pinn_run, roving):
     """Files with a column in common are records of their own; the structure's modes are compared at all places."""
     columns = "data.acceleration={" + ", ".join(f"{p}: floor_{p}" for p in range(1, 6)) + "}"

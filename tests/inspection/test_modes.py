@@ -47,6 +47,7 @@ def test_displacements_and_accelerations_have_one_shape():
     np.testing.assert_allclose(mixed.shapes.real, recorded(record).shapes.real, atol=0.1)
 
 
+@pytest.mark.slow
 def test_records_beside_each_other(building):
     other = recorded(Measured(of_building(1).outputs[:, :2], np.zeros((30_000, 0)), 50.0, BUILDING), (1, 2))
     table = mac_table([building, other])

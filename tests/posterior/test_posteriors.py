@@ -63,6 +63,7 @@ def test_the_seed_decides_and_nothing_else(posterior):
     assert not np.any(first.prior == other.prior)
 
 
+@pytest.mark.slow
 def test_thirty_parameters():
     peak = np.linspace(1.0, 100.0, 30)
     likelihood = GaussianLikelihood(peak, correlated(0.1 * peak, 0.9))

@@ -65,6 +65,7 @@ def test_refused_after_it_began_everything_is_put_back(pinn_run: PinnRun, stoppe
     assert contents(stopped) == before
 
 
+@pytest.mark.slow
 def test_a_command_that_waits_changes_nothing(stopped: Path, tmp_path: Path) -> None:
     """With other settings, and killed while it waits."""
     hold = "import sys, time; from pathlib import Path; from pinn_cli.runs.lock import held\n"

@@ -79,6 +79,7 @@ def test_a_killed_run_goes_on(pinn_run: PinnRun, steps: Steps, tmp_path: Path, w
     assert_same_numbers(whole, tmp_path / "run")
 
 
+@pytest.mark.slow
 def test_killed_in_its_report_a_run_does_not_train_again(pinn_run, steps, tmp_path, whole, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(netcdf, "write_dataset", lambda *args: os.kill(os.getpid(), signal.SIGKILL))
@@ -213,6 +214,7 @@ def test_every_training_takes_the_interval(composed: Compose, training: str) -> 
         RunConfig.read(composed(f"training={training}", "threads=1", "training.checkpoint_every_s=-1"))
 
 
+@pytest.mark.slow
 def test_an_interrupted_training_that_keeps_nothing_says_so(pinn_run, monkeypatch, tmp_path):
     monkeypatch.setattr(Evidence, "train", lambda *args, **settings: os.kill(os.getpid(), signal.SIGINT))
     stopped = pinn_run(*SMALL, "hydra.run.dir=run")

@@ -54,6 +54,7 @@ def values(estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
     return tuple(np.array([getattr(p, name) for p in estimate.parameters]) for name in ("estimate", "std"))
 
 
+@pytest.mark.slow
 def test_two_halves_one_after_the_other_are_both_together():
     whole = record(3, duration=24.0).record
     half = len(whole.time) // 2

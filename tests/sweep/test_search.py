@@ -94,6 +94,7 @@ def test_a_search_is_reported_and_failed_trials_take_no_other_along(search: Call
     ("stop", "at_once"),
     [pytest.param(0, 1, marks=pytest.mark.slow), (3, 1), pytest.param(2, 2, marks=pytest.mark.slow)],
 )
+@pytest.mark.slow
 def test_a_stopped_search_goes_on_as_if_never_stopped(search, tmp_path, stop, at_once):
     many = f"hydra.sweeper.n_jobs={at_once}"
     undisturbed, rest = StopsAt(math.inf), StopsAt(math.inf)

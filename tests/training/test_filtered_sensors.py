@@ -43,6 +43,7 @@ def test_behind_a_known_filter_displacements_are_in_their_bands(ground: bool, or
 
 
 @pytest.mark.parametrize("order", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_an_unknown_corner_is_found(order: int):
     truth = moved(False, 1, ())
     shown = dict(enumerate(high_passed(truth.acceleration, CORNER, order).T))

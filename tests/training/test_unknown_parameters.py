@@ -160,6 +160,7 @@ def test_twice_is_the_same_to_the_last_bit():
     assert found().summary == again.summary
 
 
+@pytest.mark.slow
 def test_there_is_no_time_scale_anywhere():
     speed, settings = 30.0, {"unknown": ["m_2", "c_3", "k_1"], **EVERY_SENSOR}
     slow = identified(example(), small_chain(), **settings)

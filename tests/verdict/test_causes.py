@@ -74,6 +74,7 @@ def test_exchanged_sensors(problem):
     assert (cause.kind, cause.suspect) == ("swap", "acceleration of DOFs 1 and 3")
 
 
+@pytest.mark.slow
 def test_exchanged_sensors_that_led_the_estimate_astray(from_afar):
     k = from_afar.structure.parameters["k"]
     astray = from_afar.structure.with_parameters(k=k * k.new_tensor([1e-3, 50.0, 200.0]))

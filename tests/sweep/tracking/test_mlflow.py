@@ -164,6 +164,7 @@ def told(uri: str, directory: Path) -> str:
     return str(error.value)
 
 
+@pytest.mark.slow
 def test_a_server_that_takes_calls_and_says_nothing_does_the_run_no_harm(tmp_path, monkeypatch, caplog):
     monkeypatch.setenv("MLFLOW_HTTP_REQUEST_TIMEOUT", "1")
     job = TrackedRun(tmp_path, "run", {}, {}, "")

@@ -103,6 +103,7 @@ def test_bands_are_those_of_the_whole_matrix(name):
     assert abs(features.missed_unknowns()) < 0.01
 
 
+@pytest.mark.slow
 def test_units_that_bend_are_solved_with_the_whole_matrix(monkeypatch):
     monkeypatch.setattr(equations, "dense_operations", lambda blocks: float("inf"))
     monkeypatch.setattr("pinn_cli.training.function_space.feature_system.MOST_ITERATIONS", 1)
@@ -114,6 +115,7 @@ def test_units_that_bend_are_solved_with_the_whole_matrix(monkeypatch):
         GaussNewton(most_residuals=100).solve(JointProblem.of(small.problem), small.design, RunContext())
 
 
+@pytest.mark.slow
 def test_there_may_be_more_residuals_than_a_whole_matrix_has_room_for(monkeypatch):
     monkeypatch.setattr(equations, "dense_operations", lambda blocks: float("inf"))
     monkeypatch.setattr(equations, "DenseSystem", None)

@@ -68,6 +68,7 @@ def test_accelerations_through_the_observer():
         pytest.param(Mlp(2, 24, "sine", "exact"), id="without embedding"),
     ],
 )
+@pytest.mark.slow
 def test_other_networks(design):
     assert relative_error(solved(problem(), design).response.displacement, truth().displacement) < 0.05
 
@@ -79,6 +80,7 @@ def test_another_seed_finds_the_same_motion():
     assert not np.array_equal(first.displacement, second.displacement)
 
 
+@pytest.mark.slow
 def test_it_does_not_know_the_unit_of_time():
     slow = problem()
     fast = Problem(small_chain(speed=50.0), sped_up(slow.record, 50.0))

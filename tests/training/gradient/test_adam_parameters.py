@@ -41,6 +41,7 @@ def test_it_learns_a_parameter():
     assert all(math.isnan(value) for value in (learned.std, learned.lower_90, learned.upper_90))
 
 
+@pytest.mark.slow
 def test_a_narrow_prior_holds_a_parameter():
     record = measured(small_chain("linear", ndof=1), snr_db=40.0).record
     wrong = small_chain("linear", ndof=1, k=18.0)

@@ -92,6 +92,7 @@ def test_some_records_are_searched_whole(problem, monkeypatch):
     assert part(problem, replace(problem)) is None
 
 
+@pytest.mark.slow
 def test_where_part_and_whole_have_little_in_common_all_of_it_is_searched(problem, monkeypatch):
     whole, _ = solved(problem)
     in_parts(monkeypatch)
