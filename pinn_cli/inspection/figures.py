@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator, ScalarFormatter
 
-from pinn_cli.record.identification.lines import NORMAL_90
 from pinn_cli.report.figures import style
 from pinn_cli.report.figures.style import line_indices
+from pinn_cli.system.priors import HALF_WIDTH_90
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -272,7 +272,7 @@ def _draw_shape(axes: Axes, found: ModalRecord | JoinedModes, number: int) -> No
     shape, std = found.shapes[number].real, found.shape_std(number)
     at = np.flatnonzero(np.isfinite(shape))
     axes.axhline(0.0, **_ZERO)
-    axes.errorbar(at, shape[at], NORMAL_90 * std[at], **_SHAPE)
+    axes.errorbar(at, shape[at], HALF_WIDTH_90 * std[at], **_SHAPE)
     axes.set_title(f"{found.modes[number].frequency:.4g} Hz", loc="left", pad=3)
     every = -(-len(shape) // NAMES)
     places = range(0, len(shape), every)

@@ -15,9 +15,9 @@ from scipy.optimize import linear_sum_assignment
 from pinn_cli.inspection.joined import JoinedMode, JoinedModes
 from pinn_cli.inspection.modes import FEWEST_SENSORS, ModalRecord, mac_table
 from pinn_cli.inspection.report import LookReport, spectra_table
-from pinn_cli.record.identification.lines import NORMAL_90
 from pinn_cli.record.identification.subspace import assurance
 from pinn_cli.report.text import Column, count, marked_lines, number, table_lines
+from pinn_cli.system.priors import HALF_WIDTH_90
 from pinn_cli.system.quantities import MOTION
 
 if TYPE_CHECKING:
@@ -125,8 +125,8 @@ def mode_table(record: ModalRecord | JoinedModes, structure: NaturalModes | None
             row["prescribed_frequency"] = float(structure.frequencies[other])
             row["prescribed_damping_ratio"] = float(structure.damping_ratios[other])
         for name, value, std in zip(record.names, record.shapes[i].real, record.shape_std(i), strict=True):
-            row |= {f"shape_{name}": value, f"shape_{name}_lower_90": value - NORMAL_90 * std,
-                    f"shape_{name}_upper_90": value + NORMAL_90 * std}  # fmt: skip
+            row |= {f"shape_{name}": value, f"shape_{name}_lower_90": value - HALF_WIDTH_90 * std,
+                    f"shape_{name}_upper_90": value + HALF_WIDTH_90 * std}  # fmt: skip
         rows.append(row)
     return pd.DataFrame(rows, columns=None if rows else list(MODE_COLUMNS))
 

@@ -12,8 +12,9 @@ import pandas as pd
 from pinn_cli.report.estimates import error_percent
 from pinn_cli.runs.reading import DamagedError, read_table
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.priors import HALF_WIDTH_90
 from pinn_cli.system.quantities import CALIBRATION_UNITS
-from pinn_cli.training.bounded_estimates import CENTRAL_90, HALF_WIDTH_90
+from pinn_cli.training.bounded_estimates import CENTRAL_90
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, Story
 
 if TYPE_CHECKING:

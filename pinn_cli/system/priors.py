@@ -9,7 +9,10 @@ from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.special import gammaln
+from scipy.special import gammaln, ndtri
+
+# Half the width of the central 90 % interval of a normal distribution, in standard deviations.
+HALF_WIDTH_90 = float(ndtri(0.95))
 
 
 class Prior(ABC):

@@ -15,9 +15,6 @@ from pinn_cli.training.estimate import ParameterEstimate
 
 # Its ends as probabilities.
 CENTRAL_90 = (0.05, 0.95)
-# Half its width for a normal distribution, in standard deviations.
-HALF_WIDTH_90 = 1.6448536269514722
-
 
 # Posterior standard deviations between mode and mean from which a bound counts: it then lies less than 2.8 of them
 # below the mode.

@@ -22,10 +22,10 @@ from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.parameters import MASS
+from pinn_cli.system.priors import HALF_WIDTH_90
 from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.base import TrainedNetwork
-from pinn_cli.training.bounded_estimates import HALF_WIDTH_90
 from pinn_cli.training.estimate import ConnectionHistories, Estimate, ParameterEstimate, Peak, RunContext
 from pinn_cli.training.record_scales import force_and_velocity_scale
 from pinn_cli.training.sensor_samples import SensorSamples

@@ -11,10 +11,11 @@ from vibrating_records import Vibrating, ambient
 from pinn_cli.inspection.joined import JoinedModes
 from pinn_cli.inspection.mode_report import ModesReport
 from pinn_cli.inspection.modes import ModalRecord
-from pinn_cli.record.identification.lines import NORMAL_90, RecordMode, normalised
+from pinn_cli.record.identification.lines import RecordMode, normalised
 from pinn_cli.record.identification.modes import Identified
 from pinn_cli.record.identification.subspace import assurance, stabilisation
 from pinn_cli.record.signal import Sampling, Signal
+from pinn_cli.system.priors import HALF_WIDTH_90
 
 TIME = np.arange(400) / 50.0
 SETUPS = ((7, 5, 1, 2), (7, 5, 3, 4), (5, 6, 7))
@@ -55,7 +56,7 @@ def test_intervals_of_joined_modes():
         joined = JoinedModes.of([shown(random, places) for places in SETUPS])
         for i, one in enumerate(joined.joined):
             largest = int(np.argmax(np.abs(one.shape.real)))
-            off = np.abs(one.shape.real - SHAPES[i] / SHAPES[i][largest]) < NORMAL_90 * one.shape_std
+            off = np.abs(one.shape.real - SHAPES[i] / SHAPES[i][largest]) < HALF_WIDTH_90 * one.shape_std
             of_shapes.append(np.delete(off, largest))
             true = (1.2, 3.4)[i], 0.01
             ends = one.mode.frequency_interval, one.mode.damping_interval

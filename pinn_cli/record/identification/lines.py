@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pinn_cli.system.priors import HALF_WIDTH_90
+
 # A band reaches so many half widths of its mode to either side, and this part of its frequency at most.
 HALF_WIDTHS, WIDEST = 10.0, 0.3
 # What is added to the factor on a variance where a half-power width has one line: measured, see `widened`.
 FEW = 2.0
-# Two-sided 90 % of a normal distribution.
-NORMAL_90 = 1.6448536
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ class RecordMode:
 
 
 def _interval(value: float, variance: float) -> tuple[float, float]:
-    factor = float(np.exp(NORMAL_90 * variance**0.5))
+    factor = float(np.exp(HALF_WIDTH_90 * variance**0.5))
     return value / factor, value * factor
 
 

@@ -16,7 +16,7 @@ from pinn_cli.report.estimates import ModeEstimates
 from pinn_cli.report.figures import style
 from pinn_cli.report.parameters import true_value
 from pinn_cli.system.parameters import letter
-from pinn_cli.training.bounded_estimates import HALF_WIDTH_90
+from pinn_cli.system.priors import HALF_WIDTH_90
 from pinn_cli.training.estimate import ParameterEstimate
 
 Truth = Mapping[str, np.ndarray] | None  # values (members,) by kind, where known

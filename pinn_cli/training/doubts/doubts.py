@@ -19,7 +19,7 @@ from pinn_cli.record.response import Response
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.left_out import MODE
 from pinn_cli.system.modes import frequency_with_oscillator
-from pinn_cli.training.bounded_estimates import HALF_WIDTH_90
+from pinn_cli.system.priors import HALF_WIDTH_90
 from pinn_cli.training.doubts.force_doubts import ForceTerm, connection_force, force_border, force_terms
 from pinn_cli.training.doubts.left_spectra import Fit, LeftSpectra, left_spectra
 from pinn_cli.training.doubts.sensor_doubts import (

@@ -106,5 +106,6 @@ def damping_doubt(
     if each[0] is None or each[1] is None or len(each[0].squares) != len(each[1].squares):
         return None
     seen = each[0].frequencies < max(record_band(own.record) for own in extended)
-    others = each[1].damping_ratios[each[0].partners(each[1])]
+    # A step may go beyond no damping at all.
+    others = np.maximum(each[1].damping_ratios[each[0].partners(each[1])], 0.0)
     return DampingDoubt(log_odds, RATIO not in problem.structure.parameters, each[0].damping_ratios[seen], others[seen])
