@@ -1,6 +1,7 @@
 """The rooms of the house: imports point downwards, and no two files import each other."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "pinn_cli"
@@ -18,8 +19,10 @@ def module_name(file):
 FILES = {module_name(file): file for file in PACKAGE.rglob("*.py")}
 
 
+@cache
 def imports(module):
     """Modules of the package that a module imports, those for its annotations and those within functions included."""
+    modules = set()
     for node in ast.walk(ast.parse(FILES[module].read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             found = [alias.name for alias in node.names]
@@ -30,8 +33,9 @@ def imports(module):
         for name in found:
             for known in (name, name.rpartition(".")[0]):
                 if known in FILES:
-                    yield known
+                    modules.add(known)
                     break
+    return modules
 
 
 def room(module):

@@ -280,7 +280,7 @@ def within(distribution: BaseDistribution, value: Any) -> Any:
         return next(alike, None)
     if isinstance(value, bool) or not isinstance(value, int | float) or value != value:
         return None
-    low, high, step = distribution.low, distribution.high, distribution.step  # type: ignore[attr-defined]
+    low, high, step = distribution.low, distribution.high, distribution.step
     if not low <= value <= high or (step and (value - low) % step):
         return None
     return int(value) if isinstance(distribution, IntDistribution) else float(value)
