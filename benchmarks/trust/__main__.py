@@ -35,8 +35,8 @@ from benchmarks.written import write
 
 FULL, QUICK = 55, 5  # cases of a family
 QUICK_SPOILT = 10  # of the family of faults, which stands for all others
-# Where every constant is varied: of each family so many quick cases, those that take the least time; and so many of
-# these for each constant.
+# Where every constant is varied: of each family so many quick cases with something to identify, those that take the
+# least time; and so many of these for each constant.
 CHEAP, FEW = 2, 3
 CONSTANTS = "constants.csv"
 PAGE = HERE / "docs" / "trust.md"
@@ -93,7 +93,7 @@ def vary(given: argparse.Namespace) -> pd.DataFrame:
     known = judged(HERE, given).rows.dropna(subset="seconds").sort_values("seconds")
     path = referee(HERE, given).folder / CONSTANTS
     if every:
-        known = known.groupby("family").head(CHEAP)
+        known = known.dropna(subset="worst_parameter").groupby("family").head(CHEAP)
     cases = [Trial(*of) for of in known[["family", "seed", "seconds"]].itertuples(index=False)]
     table = pd.read_csv(path) if every and path.is_file() else pd.DataFrame()
     done = set() if table.empty else set(table["constant"])
