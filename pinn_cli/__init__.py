@@ -28,7 +28,7 @@ __all__ = [
 ]  # fmt: skip
 
 # Imported when they are asked for (PEP 562): the command and its every worker import this package.
-_PLACES = {
+_WHERE = {
     "run": "api.run",
     "inspect": "api.look",
     "modes": "api.look",
@@ -43,9 +43,9 @@ _PLACES = {
 
 
 def __getattr__(name: str) -> object:
-    if name not in _PLACES:
+    if name not in _WHERE:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = globals()[name] = getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
+    found = globals()[name] = getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
     return found
 
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from calls import PinnRun
 
-from pinn_cli.record.simulated import MOST_STEPS, check_size
+from pinn_cli.record.simulated import MOST_SIMULATED_STEPS, check_size
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.runs.machine import is_out_of_memory
 from pinn_cli.settings.errors import InputError
@@ -53,7 +53,7 @@ def structure(ndof: int = 1, **parameters: float):
 def test_a_chain_is_as_stiff_as_the_steps_allow() -> None:
     # Gershgorin's bound is sqrt(2 k / m) for one mass, and a step takes so much of its period over 2 pi.
     simulation = Simulation(duration=100.0, samples=1001)
-    stiffest = (simulation.step_times_rate * MOST_STEPS / 100.0) ** 2 / 2.0
+    stiffest = (simulation.step_times_rate * MOST_SIMULATED_STEPS / 100.0) ** 2 / 2.0
     check_size(simulation, structure(k=0.99 * stiffest))
     with pytest.raises(InputError, match=r"^system\.k=.* 318 Hz"):
         check_size(simulation, structure(k=1.01 * stiffest))

@@ -1,6 +1,7 @@
 """The rooms of the house: imports point downwards, and no two files import each other."""
 
 import ast
+from collections import defaultdict
 from functools import cache
 from pathlib import Path
 
@@ -67,3 +68,25 @@ def test_no_files_import_each_other_in_a_circle():
         for leaf in leaves:
             del arrows[leaf]
     assert sorted(arrows) == []
+
+
+def constants(module):
+    """Name and value, as it is written, of every assignment in capitals at the top of a module."""
+    for statement in ast.parse(FILES[module].read_text(encoding="utf-8")).body:
+        if isinstance(statement, ast.Assign | ast.AnnAssign) and statement.value is not None:
+            targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+            for target in targets:
+                values = [(target, statement.value)]
+                if isinstance(target, ast.Tuple) and isinstance(statement.value, ast.Tuple):
+                    values = list(zip(target.elts, statement.value.elts, strict=True))
+                for name, value in values:
+                    if isinstance(name, ast.Name) and name.id.isupper() and "TypeVar" not in ast.unparse(value):
+                        yield name.id, ast.unparse(value)
+
+
+def test_a_name_in_capitals_has_one_value():
+    values = defaultdict(set)
+    for module in FILES:
+        for name, value in constants(module):
+            values[name].add(value)
+    assert {name for name, own in values.items() if len(own) > 1} == set()

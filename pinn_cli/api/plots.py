@@ -18,7 +18,7 @@ from omegaconf import OmegaConf
 from pinn_cli.cli.config import resolved
 from pinn_cli.cli.source import SIMULATED, chosen_model, read_structure
 from pinn_cli.record.record import Record, Truth
-from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Response
+from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.report.figures import record_drawings, run_drawings
 from pinn_cli.report.figures.posterior import posterior_pairs_figure
 from pinn_cli.report.figures.style import for_notebooks
@@ -29,12 +29,12 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build, check_classes
 from pinn_cli.settings.yaml_file import read_yaml
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.system.quantities import CALIBRATION_UNITS
+from pinn_cli.system.quantities import CALIBRATION_UNITS, GROUND
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import ConnectionHistories, Estimate, ParameterEstimate
 
 # Those that figures are drawn from; others may lie in the directory, a user's own among them.
-TABLES = ("history", "parameters", "identifiability", "correlation")
+DRAWN_TABLES = ("history", "parameters", "identifiability", "correlation")
 FIGURES = (
     "response", "residuals", "error_map", "drift", "hysteresis", "parameters", "correlation", "modes", "structure",
     "history", "posterior",
@@ -123,7 +123,7 @@ def stored_results(directory: Path) -> Results:
     """
     true, prescribed, simulated = _structures(directory)
     data, run = read_histories(directory / "response.nc"), read_record(directory)
-    files = {name: directory / f"{name}.csv" for name in TABLES}
+    files = {name: directory / f"{name}.csv" for name in DRAWN_TABLES}
     tables = {name: read_table(file) for name, file in files.items() if file.is_file()}
     history, parameters = tables["history"], _parameters(tables, prescribed)
     correlation = None

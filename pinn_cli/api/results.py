@@ -74,12 +74,12 @@ class _Tables:
         Raises:
             InputError: It has no such table.
         """
-        from pinn_cli.sweep.collect import COLUMNS
+        from pinn_cli.sweep.collect import NEEDED_COLUMNS
 
         if name not in self.tables:
             raise InputError("table", name, f"one of {', '.join(self.tables)}", suggestion(name, self.tables))
         with undamaged("directory", self.directory):
-            return read_table(self.directory / f"{name}.csv", *COLUMNS.get(f"{name}.csv", ()))
+            return read_table(self.directory / f"{name}.csv", *NEEDED_COLUMNS.get(f"{name}.csv", ()))
 
     def to_excel(self, path: str | os.PathLike[str]) -> Path:
         """Write all tables into an Excel file (.xlsx), a sheet for each.

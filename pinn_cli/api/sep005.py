@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pinn_cli.record.files.table import TIMES, SensorHint, Table, check_names
+from pinn_cli.record.files.table import TIME_COLUMN, SensorHint, Table, check_names
 from pinn_cli.record.files.variables import joined
 from pinn_cli.record.signal import quantity_of_unit
 from pinn_cli.report.export import histories
@@ -23,7 +23,7 @@ from pinn_cli.settings.legal_values import positive_number
 if TYPE_CHECKING:
     import xarray as xr
 
-QUANTITIES = {"d": "displacement", "v": "velocity", "a": "acceleration", "f": "force"}
+SEP005_QUANTITIES = {"d": "displacement", "v": "velocity", "a": "acceleration", "f": "force"}
 _COMPULSORY = ("name", "data", "unit_str")
 
 
@@ -48,12 +48,12 @@ def table_of_sep005(given: Any, setting: str) -> Table:
     for one, time in zip(series, _times(series, setting), strict=True):
         columns = _columns(one, f"{setting}[{one.get('name')!r}]", len(time))
         unit, code = str(one["unit_str"] or ""), str(one.get("quantity") or "")
-        quantity = QUANTITIES.get(code) or quantity_of_unit(SensorHint(unit).unit)
+        quantity = SEP005_QUANTITIES.get(code) or quantity_of_unit(SensorHint(unit).unit)
         hints = {name: SensorHint(unit, quantity) for name in columns}
         tables.append(Table(Path(setting), columns, hints=hints, time=time))
     names = [name for table in tables for name in table.columns]
-    if twice := [name for i, name in enumerate(names) if name in (TIMES, *names[:i])]:
-        raise InputError(setting, repr(twice[0]), f"channels with different names, none of them {TIMES}")
+    if twice := [name for i, name in enumerate(names) if name in (TIME_COLUMN, *names[:i])]:
+        raise InputError(setting, repr(twice[0]), f"channels with different names, none of them {TIME_COLUMN}")
     first = tables[0].time
     if all(np.array_equal(first, table.time) for table in tables):  # type: ignore[arg-type]
         columns = {name: values for table in tables for name, values in table.columns.items()}
@@ -63,7 +63,12 @@ def table_of_sep005(given: Any, setting: str) -> Table:
     else:
         table = joined(tables, [table.time for table in tables if table.time is not None])
     assert table.time is not None
-    return Table(table.path, {TIMES: table.time, **table.columns}, {name: {} for name in (TIMES, *names)}, table.hints)
+    return Table(
+        table.path,
+        {TIME_COLUMN: table.time, **table.columns},
+        {name: {} for name in (TIME_COLUMN, *names)},
+        table.hints,
+    )
 
 
 def placed(table: Table, dofs: Mapping[str, int]) -> Table:
@@ -77,9 +82,9 @@ def placed(table: Table, dofs: Mapping[str, int]) -> Table:
     for name, dof in dofs.items():
         quantity = table.hints[name].quantity
         if not quantity:
-            raise InputError(f"{table.path}[{name!r}], quantity", None, f"one of {', '.join(QUANTITIES)}")
+            raise InputError(f"{table.path}[{name!r}], quantity", None, f"one of {', '.join(SEP005_QUANTITIES)}")
         names[name] = f"{quantity}.{dof}"
-    columns = {TIMES: table.columns[TIMES], **{names[name]: table.columns[name] for name in names}}
+    columns = {TIME_COLUMN: table.columns[TIME_COLUMN], **{names[name]: table.columns[name] for name in names}}
     return Table(table.path, columns, hints={names[name]: table.hints[name] for name in names})
 
 
@@ -144,7 +149,7 @@ def response_as_sep005(response: xr.Dataset) -> list[dict[str, Any]]:
     """
     time = response["time"].values
     common = {"fs": float((len(time) - 1) / (time[-1] - time[0])), "time": time.tolist()}
-    codes = {quantity: code for code, quantity in QUANTITIES.items()}
+    codes = {quantity: code for code, quantity in SEP005_QUANTITIES.items()}
     return [
         {
             "name": f"{quantity}.{dof}{f' {std}' if std else ''}", "data": np.array(history.values, dtype=np.float64),

@@ -13,8 +13,8 @@ from pinn_cli.api.sep005 import placed, table_of_sep005
 from pinn_cli.record import record
 from pinn_cli.record.between_samples import INTERSAMPLE_OF_HOLD, BandLimited
 from pinn_cli.record.clock import Clock
-from pinn_cli.record.files.table import TIMES
-from pinn_cli.record.response import GROUND, QUANTITIES, Response
+from pinn_cli.record.files.table import TIME_COLUMN
+from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.record.simulated import Noise
 from pinn_cli.record.simulation import simulate
 from pinn_cli.record.steps import substeps_needed
@@ -24,6 +24,7 @@ from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.system import structure
 from pinn_cli.system.building import build_chain, law_called, law_settings
 from pinn_cli.system.modes import NaturalModes
+from pinn_cli.system.quantities import GROUND
 from pinn_cli.system.topology import build_structure
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ class Record(record.Record):
                 raise InputError(
                     f"series[{name!r}]", dof, "a channel of a DOF by its number, from 1", "give dofs={...}"
                 )
-        time = Clock.by_column(table, TIMES, None).uniform(0, len(table))
+        time = Clock.by_column(table, TIME_COLUMN, None).uniform(0, len(table))
         forced = np.isin(
             np.arange(max(map(int, places), default=1)) + 1, [int(dof) for dof in channels.get("force", ())]
         )

@@ -20,7 +20,7 @@ from pinn_cli.system.quantities import CALIBRATION_UNITS
 # tenth of a pass. A longer one is halved until the misfit falls, so many times at most.
 SHORT_STEP, HALVINGS = 0.1, 6
 # Prior precision of a gain that is held: of a millionth of its prior standard deviation.
-HELD = 1e12
+HELD_PRECISION = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +146,7 @@ class IteratedSmoother:
         at, p = self.space.coefficients(trajectory), len(trajectory.parameters)
         try:
             pull = self.pull_of_gains(trajectory, filtered)
-            precision = np.where(self.held, HELD, np.where(self.sharing, levels.spread**-2.0, 1.0))
+            precision = np.where(self.held, HELD_PRECISION, np.where(self.sharing, levels.spread**-2.0, 1.0))
             found = regress(filtered, at, precision, pull)
         except (np.linalg.LinAlgError, ValueError) as error:
             raise FloatingPointError(str(error)) from error

@@ -19,7 +19,7 @@ from pinn_cli.cli.records import numbered
 from pinn_cli.cli.source import Source, check_use, chosen_model, modes_sought, read_source, read_structure
 from pinn_cli.runs.identity import Identity
 from pinn_cli.runs.process import prepare_process
-from pinn_cli.runs.resume import ALLOWED, NEVER
+from pinn_cli.runs.resume import NEVER, RESUME_ALLOWED
 from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.instantiation import build, check_classes, construct
 from pinn_cli.settings.legal_values import positive_number, true_or_false, whole_number
@@ -123,7 +123,7 @@ class RunConfig:
         check_classes(config)
         identity, resume, device = Identity.of(config, base, grows=follows), config.resume, config.device
         if resume is not None and not isinstance(resume, str):
-            raise InputError("resume", resume, ALLOWED)
+            raise InputError("resume", resume, RESUME_ALLOWED)
         # Taken out of the training's settings: it is the run that keeps checkpoints, whatever the training.
         every_s = config.training.pop("checkpoint_every_s", CHECKPOINT_EVERY_S)
         every_s = None if every_s is None else positive_number("training.checkpoint_every_s", every_s)

@@ -18,7 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.instantiation import CONF
 
-WIDTH = 120
+HELP_WIDTH = 120
 # Options of a group that are shown at once.
 _MOST_SHOWN = 12
 
@@ -150,8 +150,8 @@ def help_text(config_dir: str | None = None, asked: Sequence[str] = ()) -> str:
         return "\n\n".join(_help_of(word, config_dir) for word in asked)
     groups = [f"{group}: {', '.join(option_names(group, config_dir))}" for group in group_names(config_dir)]
     lines = [*_BEFORE.splitlines(), *groups, *_AFTER.splitlines()]
-    return "\n".join(textwrap.fill(line, WIDTH, subsequent_indent=" " * 4, break_on_hyphens=False)
-                     if len(line) > WIDTH else line for line in lines)  # fmt: skip
+    return "\n".join(textwrap.fill(line, HELP_WIDTH, subsequent_indent=" " * 4, break_on_hyphens=False)
+                     if len(line) > HELP_WIDTH else line for line in lines)  # fmt: skip
 
 
 def _help_of(word: str, config_dir: str | None) -> str:

@@ -172,7 +172,8 @@ def _by_file(data: DictConfig, files: FileFormat, base: Path) -> list[DictConfig
 
 def _of_file(data: Mapping[str, Any], elsewhere: set[str]) -> dict[str, Any]:
     """Settings of columns, without those that are in another file."""
-    from pinn_cli.record.response import GROUND, QUANTITIES
+    from pinn_cli.record.response import QUANTITIES
+    from pinn_cli.system.quantities import GROUND
 
     found: dict[str, Any] = {}
     for name in (*QUANTITIES, "channels"):
@@ -245,7 +246,8 @@ def _columns(data: Mapping[str, Any], base: Path) -> tuple[list[Signal], np.ndar
 def _channels(data: Mapping[str, Any]) -> list[DataChannel]:
     """The columns that the settings name, in the short form and in the long one."""
     from pinn_cli.record.data_channels import DataChannel, data_channels
-    from pinn_cli.record.response import GROUND, QUANTITIES
+    from pinn_cli.record.response import QUANTITIES
+    from pinn_cli.system.quantities import GROUND
 
     found = []
     for quantity in QUANTITIES:

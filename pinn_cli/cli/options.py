@@ -42,13 +42,13 @@ OWN_OPTIONS: dict[tuple[str, ...], dict[str, Any]] = {
 }
 _EXCLUSIVE = ("run", "multirun", "cfg", "shell_completion")
 # Settings that go ill with a subcommand, and what is to be known of it.
-_LEFT_OUT = {
+_GO_ILL = {
     # What goes on with a run, or makes several, has nothing to do with a look at a record.
     "inspect": (("resume", "collect", "model"), "one record is looked at at a time"),
     "modes": (("resume", "collect", "model"), "modes are those that records show by themselves"),
     "follow": (("resume", "collect"), "one record is followed at a time; the same command goes on where it was"),
 }
-SUBCOMMANDS = tuple(_LEFT_OUT)
+SUBCOMMANDS = tuple(_GO_ILL)
 # Of a followed record the same at every start, so that the same command goes on.
 _FOLLOWS_IN = "hydra.run.dir=outputs/${case}/follow"
 
@@ -96,7 +96,7 @@ def read_options(arguments: Sequence[str]) -> Namespace:
         raise InputError("--json", "given", "left out with --multirun and --cfg", "it prints what one run has found")
     if options.config is not None:
         options.overrides = [*overrides_of(options.config, options.overrides), *options.overrides]
-    options.subcommand = next((word for word in _LEFT_OUT if word in options.overrides), "")
+    options.subcommand = next((word for word in _GO_ILL if word in options.overrides), "")
     if options.subcommand:
         _take_out(options, options.subcommand)
     return options
@@ -104,7 +104,7 @@ def read_options(arguments: Sequence[str]) -> Namespace:
 
 def _take_out(options: Namespace, word: str) -> None:
     """Take a subcommand out of the overrides, and refuse what goes ill with it."""
-    left_out, hint = _LEFT_OUT[word]
+    left_out, hint = _GO_ILL[word]
     if options.multirun:
         raise InputError("--multirun", word, f"left out with {word}", hint)
     for override in options.overrides:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-from pinn_cli.cli.records import SETTING
+from pinn_cli.cli.records import RECORDS_SETTING
 from pinn_cli.cli.source import measured_by_name
 from pinn_cli.runs.stages import Stages
 from pinn_cli.settings.errors import InputError
@@ -97,7 +97,7 @@ def check_records(
     """
     if len(problem) == 1:
         return
-    several = f"with the {len(problem)} records of {SETTING}"
+    several = f"with the {len(problem)} records of {RECORDS_SETTING}"
     if not estimator.solves_records:
         allowed = f"spline or fourier, with training=gauss_newton and inferred weights, {several}"
         raise InputError("network", estimator.design.name, allowed, "other trainings have one record at a time")

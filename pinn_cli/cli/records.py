@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from pinn_cli.record.record import Record
     from pinn_cli.system.parameters import Labels
 
-SETTING = "data.records"
+RECORDS_SETTING = "data.records"
 # What all records have in common.
-COMMON = ("_target_", "kind", "format", "records", "validation", "window", "overlap")
+COMMON_SETTINGS = ("_target_", "kind", "format", "records", "validation", "window", "overlap")
 # Of these, what is said of the run, not of a record.
 OF_THE_RUN = ("window", "overlap")
 # Settings of data that are a map whose keys are DOFs, and other settings that are a list of DOFs.
@@ -48,19 +48,19 @@ def data_of_records(data: DictConfig) -> list[DictConfig]:
         return [OmegaConf.create(plain)]
     if not isinstance(entries, list):
         allowed = "a list of maps, one for each record, such as [{path: a.csv}, {path: b.csv}]"
-        raise InputError(SETTING, entries, allowed)
+        raise InputError(RECORDS_SETTING, entries, allowed)
     for number, entry in enumerate(entries, start=1):
-        _check_entry(entry, f"record {number}: {SETTING}", plain)
+        _check_entry(entry, f"record {number}: {RECORDS_SETTING}", plain)
     return [OmegaConf.create(plain | entry) for entry in entries]
 
 
 def _check_entry(entry: Any, setting: str, data: Mapping[str, Any]) -> None:
     if not isinstance(entry, dict) or not entry:
         raise InputError(setting, entry, "a map of settings, such as {path: a.csv}")
-    own = [name for name in data if name not in COMMON]
+    own = [name for name in data if name not in COMMON_SETTINGS]
     for name in entry:
         if name not in own:
-            hint = f"{name} is the same for all records" if name in COMMON else suggestion(str(name), own)
+            hint = f"{name} is the same for all records" if name in COMMON_SETTINGS else suggestion(str(name), own)
             raise InputError(setting, name, f"one of {', '.join(own)}", hint)
 
 

@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from pinn_cli.record.cross_spectra import CrossSpectra
     from pinn_cli.record.signal import Sampling, Signal
 
-ROWS = 8  # more channels than these are left to inspect.csv
+CHANNELS_DRAWN = 8  # more channels than these are left to inspect.csv
 FIRST = 300  # lines of a spectrum that are all drawn
-DECADES, DECADES_OF_MODES = 10.0, 8.0  # that a spectrum, or its singular values, show at most
+DECADES_OF_SPECTRA, DECADES_OF_MODES = 10.0, 8.0  # that a spectrum, or its singular values, show at most
 RECORDS, SINGULAR_VALUES = 6, 3  # of them have a stabilisation diagram, are drawn in it
 ROOM = 2.0  # beyond the modes, as a factor of frequency
-WIDE = 8.0  # from this factor on the axis of frequency is logarithmic
+WIDE_BAND = 8.0  # from this factor on the axis of frequency is logarithmic
 MODES, ACROSS, NAMES = 12, 3, 14  # of them are drawn, panels in a row, names of sensors below a panel
-LONGEST = 8  # letters of a name
+LONGEST_LABEL = 8  # letters of a name
 
 _LINE: dict[str, Any] = {"color": style.BLUE, "linewidth": 0.6, "zorder": 2}
 _FLOOR: dict[str, Any] = {"color": style.VERMILLION, "linewidth": 0.9, "linestyle": "--", "zorder": 3, "label": "noise"}
@@ -50,7 +50,7 @@ _MACHINE: dict[str, Any] = {"color": style.ORANGE, "linewidth": 0.8, "linestyle"
 _SHAPE: dict[str, Any] = {"color": style.BLUE, "linewidth": 0.8, "marker": "o", "markersize": 3.0, "capsize": 1.5,
                           "elinewidth": 0.6, "zorder": 2, "label": "shape and its 90 % interval"}  # fmt: skip
 _ZERO: dict[str, Any] = {"color": style.GREY, "linewidth": 0.5, "zorder": 0}
-_MARKS = ("x", "+", "1", "2", "3", "4")
+_MODE_MARKS = ("x", "+", "1", "2", "3", "4")
 _COLOURS = (style.VERMILLION, style.GREEN, style.PURPLE, style.ORANGE, style.BLACK, style.SKY)
 
 
@@ -65,7 +65,7 @@ def inspection_figure(
         spectra: Of the columns that vary.
         peaks: See there.
     """
-    shown = [*spectra.acting, *spectra.sensors][:ROWS]
+    shown = [*spectra.acting, *spectra.sensors][:CHANNELS_DRAWN]
     responses = bool(spectra.acting) and bool(spectra.sensors)
     with style.look():
         figure, panels = style.panels(
@@ -123,7 +123,7 @@ def _draw_spectrum(
 
 def _draw_responses(magnitude: Axes, coherence: Axes, spectra: CrossSpectra[Signal], peaks: pd.DataFrame) -> None:
     size = np.sqrt(np.sum(np.abs(spectra.response[1:]) ** 2, axis=2))
-    for k, sensor in enumerate(spectra.sensors[:ROWS]):
+    for k, sensor in enumerate(spectra.sensors[:CHANNELS_DRAWN]):
         look: dict[str, Any] = {"color": style.CYCLE[k % len(style.CYCLE)], "linewidth": 0.7, "label": _label(sensor)}
         for axes, values in ((magnitude, size[:, k]), (coherence, spectra.coherence[1:, k])):
             kept = _spectral_indices(values)
@@ -134,7 +134,9 @@ def _draw_responses(magnitude: Axes, coherence: Axes, spectra: CrossSpectra[Sign
         axes.set_xlabel("Frequency (Hz)", labelpad=2)
     _logarithmic(magnitude, float(np.nanmax(size)), (spectra.frequency[1], spectra.frequency[-1]))
     magnitude.set_ylabel("response")
-    sensed, acting = ({_unit(signal) for signal in signals} for signals in (spectra.sensors[:ROWS], spectra.acting))
+    sensed, acting = (
+        {_unit(signal) for signal in signals} for signals in (spectra.sensors[:CHANNELS_DRAWN], spectra.acting)
+    )
     if len(sensed) == len(acting) == 1 and "" not in sensed | acting:  # else each line has a unit of its own
         magnitude.set_title(f"({sensed.pop()}) / {acting.pop()}", loc="left", fontsize=7, pad=2)
     coherence.set_xscale("log")
@@ -161,7 +163,7 @@ def _logarithmic(axes: Axes, top: float, within: tuple[float, float]) -> None:
     if not top > 0.0:
         return
     axes.set_yscale("log")
-    axes.set_ylim(max(axes.get_ylim()[0], top * 10.0**-DECADES), 3.0 * top)
+    axes.set_ylim(max(axes.get_ylim()[0], top * 10.0**-DECADES_OF_SPECTRA), 3.0 * top)
     axes.yaxis.set_major_locator(LogLocator(numticks=5))
     axes.yaxis.set_minor_locator(NullLocator())
 
@@ -225,7 +227,7 @@ def _draw_poles(axes: Axes, record: ModalRecord) -> None:
     beside.yaxis.set_minor_locator(NullLocator())
     axes.set_zorder(beside.get_zorder() + 1)
     axes.patch.set_visible(False)
-    if high > WIDE * low:
+    if high > WIDE_BAND * low:
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.xaxis.set_major_formatter(ScalarFormatter())
@@ -276,7 +278,7 @@ def _draw_shape(axes: Axes, found: ModalRecord | JoinedModes, number: int) -> No
     axes.set_title(f"{found.modes[number].frequency:.4g} Hz", loc="left", pad=3)
     every = -(-len(shape) // NAMES)
     places = range(0, len(shape), every)
-    axes.set_xticks(places, [style.literal(found.names[i][:LONGEST]) for i in places])
+    axes.set_xticks(places, [style.literal(found.names[i][:LONGEST_LABEL]) for i in places])
     if max(len(name) for name in found.names) > 2:
         axes.tick_params(axis="x", rotation=90)
     axes.set_xlim(-0.5, len(shape) - 0.5)
@@ -286,7 +288,7 @@ def _draw_shape(axes: Axes, found: ModalRecord | JoinedModes, number: int) -> No
 def _draw_part(axes: Axes, mode: JoinedMode, record: int) -> None:
     """A record's own shape, as large as the joined one."""
     i = next(i for i, part in enumerate(mode.parts) if part.record == record)
-    part, look = mode.parts[i], record % len(_MARKS)
+    part, look = mode.parts[i], record % len(_MODE_MARKS)
     shape = (part.shape / mode.scales[i]).real
-    axes.plot(part.places, shape, linestyle="none", marker=_MARKS[look], color=_COLOURS[look], markersize=4.0,
+    axes.plot(part.places, shape, linestyle="none", marker=_MODE_MARKS[look], color=_COLOURS[look], markersize=4.0,
               zorder=3, label=f"record {record + 1}")  # fmt: skip

@@ -14,12 +14,12 @@ from pinn_cli.inspection.report import InspectionReport
 from pinn_cli.record.channels import clipped_percent, constant_percent, hum
 from pinn_cli.record.cross_spectra import CrossSpectra
 from pinn_cli.record.identification.lines import RecordMode
-from pinn_cli.record.response import GROUND
 from pinn_cli.record.signal import Sampling, Signal, guessed, number_of, spectra_of
 from pinn_cli.record.spectrum import noise_level, signal_edges, visible_floor
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.quantities import GROUND
 
-COLUMNS = (
+CHANNEL_COLUMNS = (
     "channel", "column", "quantity", "dof", "unit", "samples", "missing_percent", "longest_gap_s", "clipped_percent",
     "constant_percent", "mean", "rms", "least", "largest", "band_low_hz", "band_high_hz", "noise", "noise_is_visible",
     "snr_db",
@@ -29,7 +29,7 @@ PEAK_COLUMNS = (
     "difference_percent",
 )  # fmt: skip
 # Samples of a channel below which nothing is said of it but how many there are.
-FEWEST = 16
+FEWEST_OF_CHANNEL = 16
 # Parts of a channel that are worth a word, %; signal to noise below which it shows little, dB; and scatter of the steps
 # in time, % of a step.
 CLIPPED, CONSTANT, QUIET_DB, JITTER = 0.05, 5.0, 10.0, 3.0
@@ -53,23 +53,23 @@ _RATIOS = {
 
 
 def channel_table(signals: Sequence[Signal], sampling: Sampling) -> pd.DataFrame:
-    """A row for each channel, columns `COLUMNS`.
+    """A row for each channel, columns `CHANNEL_COLUMNS`.
 
     ``rms`` is about the mean. ``noise`` is the standard deviation of the white noise that the channel shows; where
     ``noise_is_visible`` is false, the noise lies below that. ``snr_db`` compares the two.
     """
-    return pd.DataFrame([_row(signal, sampling) for signal in signals], columns=list(COLUMNS))
+    return pd.DataFrame([_row(signal, sampling) for signal in signals], columns=list(CHANNEL_COLUMNS))
 
 
 def _row(signal: Signal, sampling: Sampling) -> dict[str, object]:
     there = signal.values[np.isfinite(signal.values)]
-    row: dict[str, object] = dict.fromkeys(COLUMNS, np.nan) | {
+    row: dict[str, object] = dict.fromkeys(CHANNEL_COLUMNS, np.nan) | {
         "channel": signal.name, "column": signal.column, "quantity": signal.quantity, "dof": signal.place,
         "unit": signal.shown_unit, "samples": len(there),
         "missing_percent": 100.0 * (1.0 - len(there) / len(signal.values)),
         "longest_gap_s": longest_gap(signal.values, sampling),
     }  # fmt: skip
-    if len(there) < FEWEST:
+    if len(there) < FEWEST_OF_CHANNEL:
         return row
     row |= {
         "clipped_percent": clipped_percent(there), "constant_percent": constant_percent(there),

@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 # Modes of two records are the same where their frequencies differ by this part, or by so many deviations, at most (a
 # bridge's move by one or two per cent with the weather), and their shapes at common sensors are alike.
-SAME_FREQUENCY, SAME_DEVIATIONS, SAME_SHAPE = 0.03, 3.0, 0.5
+ALIKE_FREQUENCY, SAME_DEVIATIONS, ALIKE_SHAPE = 0.03, 3.0, 0.5
 # Of a shape's largest entry, the least deviation that one counts with.
 LEAST_DEVIATION = 1e-4
 # Turns of least squares, and the change of a shape that ends them.
-TURNS, SETTLED = 200, 1e-6
+TURNS, SHAPE_SETTLED = 200, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +148,7 @@ class JoinedModes:
             common = np.isfinite(one.shape) & np.isfinite(other.shape)
             mac = alike(one.shape[common], other.shape[common])
             twice = {part.record for part in one.parts} & {part.record for part in other.parts}
-            if apart < SAME_FREQUENCY and mac < SAME_SHAPE and not twice:
+            if apart < ALIKE_FREQUENCY and mac < ALIKE_SHAPE and not twice:
                 yield i, j, mac
 
     def peak(self, number: int) -> tuple[float, float]:
@@ -182,9 +182,9 @@ def _sort_in(groups: list[list[Part]], parts: Sequence[Part], records: Sequence[
             own, there = _mode(part, records), np.isfinite(so_far[part.places])
             apart = abs(np.log(own.frequency / theirs.frequency))
             deviation = float(own.covariance[0, 0] + theirs.covariance[0, 0]) ** 0.5
-            reach = max(SAME_FREQUENCY, SAME_DEVIATIONS * deviation)
+            reach = max(ALIKE_FREQUENCY, SAME_DEVIATIONS * deviation)
             mac = alike(part.shape[there], so_far[part.places][there])
-            if there.any() and apart < reach and not mac < SAME_SHAPE:
+            if there.any() and apart < reach and not mac < ALIKE_SHAPE:
                 cost[i, j] = apart / reach + 1.0 - np.nan_to_num(mac, nan=1.0)
     pairs = {i: j for i, j in zip(*linear_sum_assignment(cost), strict=True) if cost[i, j] < far}
     for i, part in enumerate(parts):
@@ -242,7 +242,7 @@ def _assembled(parts: Sequence[Part], places: int) -> tuple[np.ndarray, np.ndarr
         fresh = fresh / fresh[np.nanargmax(np.abs(fresh))]
         moved = float(np.nanmax(np.abs(fresh - shape)))
         shape = fresh
-        if moved < SETTLED:
+        if moved < SHAPE_SETTLED:
             break
     seen = shape[np.isfinite(shape)]
     shape = shape * np.exp(-0.5j * np.angle(np.sum(seen**2)))

@@ -30,10 +30,10 @@ MODE_COLUMNS = (
     "mac", "prescribed_frequency", "prescribed_damping_ratio", "explained", "fdd_frequency", "fdd_mac",
 )  # fmt: skip
 # Sensors whose shapes are printed, and modes of all records whose assurance is.
-SENSORS_SHOWN, MODES_SHOWN = 10, 12
+SHAPES_SHOWN, MODES_SHOWN = 10, 12
 # Records differ where chance makes that much of a difference so rarely, or where their shapes are less alike; relative
 # deviation of a record's scale that is told.
-RARELY, ALIKE, LOOSE = 0.01, 0.9, 0.1
+RARE_CHANCE, LEAST_ALIKE, LOOSE = 0.01, 0.9, 0.1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -190,13 +190,13 @@ def _doubts(joined: JoinedModes) -> list[str]:
 
 def _differences(one: JoinedMode, joined: JoinedModes) -> Iterator[str]:
     modes = [(part.record + 1, joined.records[part.record].modes[part.mode]) for part in one.parts]
-    if one.agreement[0] < RARELY:
+    if one.agreement[0] < RARE_CHANCE:
         each = ", ".join(f"{number(mode.frequency, 5)} in record {r}" for r, mode in modes)
         yield f"frequencies differ beyond their intervals ({each} Hz): did temperature, mass or level change?"
-    if one.agreement[1] < RARELY:
+    if one.agreement[1] < RARE_CHANCE:
         each = ", ".join(f"{number(100.0 * mode.damping, 3)} in record {r}" for r, mode in modes)
         yield f"damping ratios differ beyond their intervals ({each} %)"
-    if len(modes) > 1 and np.min(one.mac) < ALIKE:
+    if len(modes) > 1 and np.min(one.mac) < LEAST_ALIKE:
         worst = int(np.argmin(one.mac))
         says = f"the shape of record {modes[worst][0]} differs from that of all (MAC {one.mac[worst]:.2f})"
         yield f"{says}: is a sensor elsewhere, or its sign or unit another one?"
@@ -250,7 +250,7 @@ def _digits(table: pd.DataFrame, value: str, lower: str, upper: str, factor: flo
 
 
 def _shapes(record: ModalRecord | JoinedModes) -> list[str]:
-    shown = list(record.names[:SENSORS_SHOWN])
+    shown = list(record.names[:SHAPES_SHOWN])
     table = pd.DataFrame(record.shapes.real[:, : len(shown)], columns=shown)
     table.insert(0, "mode", range(1, len(table) + 1))
     columns = {"mode": Column("mode", 4, count)}

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.record.response import GROUND
 from pinn_cli.record.signal import Sampling, Signal
 from pinn_cli.settings.override_syntax import is_plain, setting_of, text_value
-from pinn_cli.system.quantities import FORCE, SUPPORT
+from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 
 # Samples per period of the highest frequency: what a run needs, and more than this are worth decimating.
 NEEDED, PLENTY = 5.0, 12.0

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-_SHOWN, _NAME = 20, 26
+_SHOWN, _NAME_WIDTH = 20, 26
 
 
 class LookReport(ABC):
@@ -173,7 +173,7 @@ class InspectionReport(LookReport):
 
 def _channel_lines(channels: pd.DataFrame) -> list[str]:
     table = channels.copy()
-    table["channel"] = [textwrap.shorten(str(name), _NAME, placeholder="...") for name in table["channel"]]
+    table["channel"] = [textwrap.shorten(str(name), _NAME_WIDTH, placeholder="...") for name in table["channel"]]
     table["band"] = [
         f"{number(low, 3)} to {number(high, 3)}" if np.isfinite(high) else "-"
         for low, high in zip(table["band_low_hz"], table["band_high_hz"], strict=True)
@@ -183,7 +183,7 @@ def _channel_lines(channels: pd.DataFrame) -> list[str]:
         for noise, seen in zip(table["noise"], table["noise_is_visible"], strict=True)
     ]
     columns = {
-        "channel": Column("channel", -(_NAME + 1), str),
+        "channel": Column("channel", -(_NAME_WIDTH + 1), str),
         "unit": Column("unit", -7, str),
         "rms": Column("rms", 9, lambda value: number(value, 3)),
         "band": Column("band (Hz)", 16, str),

@@ -34,10 +34,10 @@ from pinn_cli.system.structure import Structure
 from pinn_cli.system.substructures import Substructure
 
 P = TypeVar("P")
-NAME, SETTING = "model.npz", "model"
-ALLOWED = "null, or the directory of a finished run"
+NAME, MODEL_SETTING = "model.npz", "model"
+MODELS_ALLOWED = "null, or the directory of a finished run"
 # Of the file's layout; those before had less.
-FORMAT = 2
+MODEL_FORMAT = 2
 # Of a parameter, what the structure itself does not say; and of what the record needed, numbers.
 _OWN, _LEVELS = ("unknown", "positive"), ("discrepancy", "step", "force", "features")
 # Arrays that have no gaps, by how their names begin.
@@ -46,7 +46,7 @@ _KNOWN = ("structure_", "parameters_mean", "parameters_told", "parameters_weight
 # What the law of a finite-element model's parts is called here; no connection can be given it.
 PART = "part"
 # Likewise damping of the whole.
-DAMPING = {law.kind: law for law in (ModalRatios, MassProportional, StiffnessProportional)}
+DAMPING_MODELS = {law.kind: law for law in (ModalRatios, MassProportional, StiffnessProportional)}
 
 
 class ModelFile(TypedDict):
@@ -63,7 +63,7 @@ def write_model(model: Model, directory: Path) -> Path:
     """Write ``model.npz`` into a run's directory, whole or not at all."""
     words, structure = structure_content(model.structure)
     words |= {
-        **stamp(FORMAT),
+        **stamp(MODEL_FORMAT),
         "parameters": [[p.kind, p.index, *(bool(getattr(p, name)) for name in _OWN)] for p in model.parameters],
         "verdict": model.verdict,
         "reason": model.reason,
@@ -97,25 +97,27 @@ def read_model(given: Any, base: Path | None = None) -> Model:
         InputError: There is no such run, it has not finished, its verdict is that it failed, or its file is damaged.
     """
     if not isinstance(given, str) or not given:
-        raise InputError(SETTING, given, ALLOWED)
+        raise InputError(MODEL_SETTING, given, MODELS_ALLOWED)
     directory = located(given, base)
     if not directory.is_dir():
-        raise InputError(SETTING, given, ALLOWED, "there is no such directory")
+        raise InputError(MODEL_SETTING, given, MODELS_ALLOWED, "there is no such directory")
     if "configuration" not in read_record(directory):
         sweep = (directory / "multirun.yaml").is_file()
         began = (directory / ".hydra").is_dir()
         unfinished = "the run in it has not finished: pinn-run resume=... goes on with it"
         hint = "it is a sweep's: name one of its jobs" if sweep else unfinished if began else f"it has no {RESULT}"
-        raise InputError(SETTING, given, ALLOWED, hint)
+        raise InputError(MODEL_SETTING, given, MODELS_ALLOWED, hint)
     if not (directory / NAME).is_file():
-        raise InputError(SETTING, given, ALLOWED, f"it has no {NAME}: it is a prediction, or of an earlier release")
+        raise InputError(
+            MODEL_SETTING, given, MODELS_ALLOWED, f"it has no {NAME}: it is a prediction, or of an earlier release"
+        )
     try:
         model = stored_model(directory)
     except DamagedError as error:
-        raise InputError(SETTING, given, ALLOWED, f"{error}") from error
+        raise InputError(MODEL_SETTING, given, MODELS_ALLOWED, f"{error}") from error
     if model.verdict == "failed":
         hint = f"the verdict on that run is failed: {model.reason}"
-        raise InputError(SETTING, given, "a run whose verdict is not failed", hint)
+        raise InputError(MODEL_SETTING, given, "a run whose verdict is not failed", hint)
     return model
 
 
@@ -130,7 +132,7 @@ def stored_model(directory: Path) -> Model:
     arrays = read_arrays(file)
     try:
         words = json.loads(bytes(arrays.pop("content")).decode())
-        check_layout({NUMBER: words.get("version", 1)} | words, FORMAT, file, oldest=FORMAT)
+        check_layout({NUMBER: words.get("version", 1)} | words, MODEL_FORMAT, file, oldest=MODEL_FORMAT)
         return _model(checked(words, ModelFile), arrays, directory)
     except InputError:
         raise
@@ -298,8 +300,8 @@ def _group_words(group: ConnectionGroup) -> dict[str, Any]:
 
 
 def _law(words: Mapping[str, Any]) -> Nonlinearity:
-    if words["law"] in DAMPING:
-        return DAMPING[words["law"]]()
+    if words["law"] in DAMPING_MODELS:
+        return DAMPING_MODELS[words["law"]]()
     return Substructure() if words["law"] == PART else law_called(words["law"], words["settings"], "model")
 
 

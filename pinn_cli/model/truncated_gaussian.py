@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import erfcx, log_ndtr, ndtri_exp
 
 # Sweeps over the bounds at most, and the change of the mean, in standard deviations, below which they have settled.
-SWEEPS, SETTLED = 100, 1e-10
+SWEEPS, MEAN_SETTLED = 100, 1e-10
 # Share of a precision or a variance that must be left by a subtraction for its digits to mean something.
 CANCELLED = 1e-8
 # Standard deviations beyond which the moments of a tail are those of its asymptotic series: the closed form cancels.
@@ -53,7 +53,7 @@ class TruncatedGaussian:
         self._peak, self._uncut = peak, covariance
         # Gaussians that stand for the bounds: precision, and precision times mean.
         self._precision, self._shift = np.zeros(len(peak)), np.zeros(len(peak))
-        tolerance = SETTLED * np.sqrt(np.diag(covariance))
+        tolerance = MEAN_SETTLED * np.sqrt(np.diag(covariance))
         bounded = np.flatnonzero(np.isfinite(lower))
         for _ in range(SWEEPS if len(bounded) else 0):
             before = self.mean.copy()

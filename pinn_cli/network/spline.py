@@ -29,7 +29,7 @@ POINTS_PER_INTERVAL = 3
 # Intervals of the shortest record.
 FEWEST_INTERVALS = 8
 # Of a number of points that would be whole but for this: counted from knots that there are.
-ROUNDING = 1e-9
+WHOLE_WITHIN = 1e-9
 
 
 def piece_coefficients(degree: int) -> np.ndarray:
@@ -175,8 +175,8 @@ class Spline(NetworkDesign):
         held = record.intersample == "zero_order_hold"
         wanted = (self.knots_per_period or self.least_knots) * record_band(record) * record.step  # knots per sample
         wanted = max(wanted, FEWEST_INTERVALS / len(record.time))
-        refinement = 1 if held else max(1, math.ceil(POINTS_PER_INTERVAL * wanted - ROUNDING))
-        points = max(1, math.floor(refinement / wanted + ROUNDING))
+        refinement = 1 if held else max(1, math.ceil(POINTS_PER_INTERVAL * wanted - WHOLE_WITHIN))
+        points = max(1, math.floor(refinement / wanted + WHOLE_WITHIN))
         step = record.step / refinement
         spacing = points * step
         lead = 0.0 if held else 0.5 * step

@@ -15,14 +15,14 @@ import pandas as pd
 from omegaconf import OmegaConf
 
 from pinn_cli.paper.realisations import PINN, ScoredRealisations
-from pinn_cli.paper.runs import BESIDE, SMOOTHER, FinishedRun
+from pinn_cli.paper.runs import SMOOTHER, WITH_SMOOTHER, FinishedRun
 from pinn_cli.paper.studies import NonlinearityScores, SeedScores, nonlinearity_realisations, seed_realisations
 from pinn_cli.paper.tables import GROUP_TITLES, PaperTable, paper_tables
 from pinn_cli.report.run_record import package_versions
 from pinn_cli.report.sheet import render
 from pinn_cli.runs.writing import replacing, write_text
 
-FORMATS = ("png", "svg", "pdf")  # those that a browser shows come first
+PICTURE_FORMATS = ("png", "svg", "pdf")  # those that a browser shows come first
 NEAR = 0.1  # of fitness in percent: as good as the smoother's, for telling noise from a fault
 
 
@@ -103,7 +103,7 @@ def copy_figures(runs: Sequence[FinishedRun], directory: Path) -> dict[int, Path
     copies: dict[int, Path] = {}
     sources = {run.planned.name: run.directory / "figures" for run in runs} | {"": _shipped("schematics")}
     for figure in paper_figures():
-        for ending in FORMATS if figure.run in sources else ():
+        for ending in PICTURE_FORMATS if figure.run in sources else ():
             picture, copy = sources[figure.run] / f"{figure.picture}.{ending}", directory / f"{figure.name}.{ending}"
             if picture.exists():
                 with replacing(copy) as beside:
@@ -145,7 +145,7 @@ def _where(rows: pd.DataFrame, wanted: Mapping[str, str]) -> pd.DataFrame:
 
 def _without_smoother(runs: Sequence[FinishedRun]) -> list[str]:
     """The cases where the smoother was asked for and found nothing."""
-    asked = [run for run in runs if set(BESIDE) <= set(run.planned.overrides)]
+    asked = [run for run in runs if set(WITH_SMOOTHER) <= set(run.planned.overrides)]
     return [run.planned.case for run in asked if SMOOTHER.name not in set(run.table("fitness")["variant"])]
 
 

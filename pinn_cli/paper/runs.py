@@ -45,10 +45,10 @@ class Variant:
 
 SMOOTHER = Variant("kalman_smoother", "Kalman smoother")
 # The first variant of every table has the smoother beside it, which solves the same problem.
-BESIDE = ("baseline=kalman_smoother",)
-UNCERTAIN = Variant("uncertain", "uncertain parameters", BESIDE)
+WITH_SMOOTHER = ("baseline=kalman_smoother",)
+UNCERTAIN = Variant("uncertain", "uncertain parameters", WITH_SMOOTHER)
 FIXED = Variant("fixed", "fixed parameters", ("scheme.parameter_uncertainty=0",))
-MARGINAL = Variant("marginal", "marginal posterior, states uncertain", BESIDE)
+MARGINAL = Variant("marginal", "marginal posterior, states uncertain", WITH_SMOOTHER)
 CONDITIONAL = Variant(
     "conditional", "conditional posterior, states held fixed as in the paper", ("posterior=conditional",)
 )

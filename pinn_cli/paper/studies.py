@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
 from pinn_cli.paper.realisations import PINN, Realisation, ScoredRealisations
-from pinn_cli.paper.runs import BESIDE, SMOOTHER, TABLES, CaseTable
+from pinn_cli.paper.runs import SMOOTHER, TABLES, WITH_SMOOTHER, CaseTable
 from pinn_cli.paper.tables import case_title, fitness_groups, fitness_rows
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.report import published
@@ -31,12 +31,12 @@ from pinn_cli.runs.writing import write_table
 SEEDS = 10
 SEED_KEYS = ["case", "estimator", "group", "quantity"]
 FITNESS_TABLES = tuple(table for table in TABLES if table.kind == "fitness")
-FITNESS_NOTE = (
+SEEDS_FITNESS_NOTE = (
     "Error in percent, 100 less fitness: mean ± standard deviation over {seeds} draws of the sensors' noise, the force "
     "being the case's own. By 100 RMSE / range, which is comparable with the published values; rows called printed use "
     "100 ‖x − x̃‖ / ‖x − x̄‖. Prescribed parameters are uncertain. Published values are of one draw."
 )
-PARAMETER_NOTE = (
+SEEDS_PARAMETER_NOTE = (
     "100 |estimate − true| / |true|: mean ± standard deviation over {seeds} draws of the sensors' noise. Intervals: "
     "the share of the 90 % intervals of these parameters, of all draws, that hold the true value. Published errors are "
     "of one draw."
@@ -48,7 +48,7 @@ _PARAMETERS, _INTERVALS = ("k_2", "k_4", "kappa_2/mu_2", "kappa_4/mu_4"), "Inter
 KAPPAS = (0.0, 10.0, 100.0, 1000.0, 10000.0)
 FORCES = (0.3, 1.0, 3.0, 10.0)
 MODEL_ERRORS = {"none": "right model", "linear": "linear model", "perturbed": "wrong values"}
-DRAWS = 2  # of force and noise together: one draw of the force may happen to dwell at one amplitude
+FORCE_DRAWS = 2  # of force and noise together: one draw of the force may happen to dwell at one amplitude
 GRID_KEYS = ["model_error", "kappa", "force_rms", "estimator", "quantity"]
 _SMALLEST, _LARGEST = 0.03, 100.0  # errors in percent, the ends of the colours
 _DARK = 3.0  # errors from here up stand on a dark ground
@@ -57,7 +57,7 @@ _DARK = 3.0  # errors from here up stand on a dark ground
 def seed_realisations() -> list[Realisation]:
     """Every case once with each seed; the force is the case's own, only the noise of the sensors is drawn anew."""
     return [
-        Realisation(f"{case}_seed{seed}", (f"experiment=paper/{case}", *BESIDE), seed)
+        Realisation(f"{case}_seed{seed}", (f"experiment=paper/{case}", *WITH_SMOOTHER), seed)
         for table in FITNESS_TABLES
         for case in table.cases
         for seed in range(SEEDS)
@@ -141,7 +141,7 @@ def _fitness_sheet(table: CaseTable, summary: pd.DataFrame) -> Sheet:
         lambda row: _cell(row, "range_error_percent", 100.0 - row["published"]),
         lambda row: _cell(row, "error_percent"),
     )  # fmt: skip
-    title, note = f"{table.title}, over noise seeds", FITNESS_NOTE.format(seeds=_seeds(summary))
+    title, note = f"{table.title}, over noise seeds", SEEDS_FITNESS_NOTE.format(seeds=_seeds(summary))
     return Sheet(f"seeds_{table.name}", title, note, ("Case", "Estimate"), fitness_groups(table), rows)
 
 
@@ -166,7 +166,7 @@ def _parameter_sheet(summary: pd.DataFrame) -> Sheet:
         if len(found) > 1:
             rows += block(case_title(cells), found, (*_PARAMETERS, _INTERVALS))
     title = "Tables 3 and 4: errors of the unknown parameters (%), over noise seeds"
-    note, groups = PARAMETER_NOTE.format(seeds=_seeds(summary)), [("", (*_PARAMETERS, _INTERVALS))]
+    note, groups = SEEDS_PARAMETER_NOTE.format(seeds=_seeds(summary)), [("", (*_PARAMETERS, _INTERVALS))]
     return Sheet("seeds_parameters", title, note, ("Case", "Estimate"), groups, rows)
 
 
@@ -195,10 +195,10 @@ def nonlinearity_realisations() -> list[Realisation]:
     return [
         Realisation(
             f"{model_error}_kappa{kappa:g}_force{force:g}_seed{seed}",
-            (f"system.kappa={kappa}", f"excitation.rms={force}", f"model_error={model_error}", *BESIDE),
+            (f"system.kappa={kappa}", f"excitation.rms={force}", f"model_error={model_error}", *WITH_SMOOTHER),
             seed, redraws_force=True, columns=(("kappa", kappa), ("force_rms", force)),
         )
-        for seed in range(DRAWS)
+        for seed in range(FORCE_DRAWS)
         for model_error in MODEL_ERRORS
         for kappa in KAPPAS
         for force in FORCES

@@ -20,7 +20,7 @@ FITNESS_COLUMNS = (
     "case", "variant", "group", "quantity", "published", "range_fitness_percent", "difference", "below_published",
     "fitness_percent", "seconds", "process_seconds",
 )  # fmt: skip
-PARAMETER_COLUMNS = (
+PAPER_PARAMETER_COLUMNS = (
     "case", "variant", "parameter", "true", "published", "published_error_percent", "published_std", "estimate",
     "error_percent", "larger_error", "std", "lower_90", "upper_90", "truth_inside", "seconds", "process_seconds",
 )  # fmt: skip
@@ -111,7 +111,7 @@ def compare_fitness(table: CaseTable, found: pd.DataFrame) -> pd.DataFrame:
 
 
 def compare_parameters(table: CaseTable, found: pd.DataFrame) -> pd.DataFrame:
-    """Every published parameter beside ours, run by run: `PARAMETER_COLUMNS`.
+    """Every published parameter beside ours, run by run: `PAPER_PARAMETER_COLUMNS`.
 
     ``true`` is the exact value that the record was simulated with, of which the paper prints two decimals.
     ``larger_error`` (than the published one) is decided at two decimals of a per cent; ``truth_inside`` says whether
@@ -119,13 +119,13 @@ def compare_parameters(table: CaseTable, found: pd.DataFrame) -> pd.DataFrame:
     paper gives none. A parameter that a run does not have leaves its cells empty.
     """
     if found.empty:
-        return pd.DataFrame(columns=list(PARAMETER_COLUMNS))
+        return pd.DataFrame(columns=list(PAPER_PARAMETER_COLUMNS))
     given = {"estimate": "published", "error_percent": "published_error_percent", "std": "published_std"}
     both = _beside(table, found, ["parameter"], given)
     both["larger_error"] = both["error_percent"].round(2) > both["published_error_percent"].round(2)
     inside = both["true"].between(both["lower_90"], both["upper_90"]).astype(object)
     both["truth_inside"] = inside.where(both[["true", "lower_90", "upper_90"]].notna().all(axis=1), None)
-    return both[list(PARAMETER_COLUMNS)]
+    return both[list(PAPER_PARAMETER_COLUMNS)]
 
 
 def _beside(table: CaseTable, found: pd.DataFrame, keys: list[str], given: Mapping[str, str]) -> pd.DataFrame:

@@ -25,9 +25,9 @@ from pinn_cli.settings.errors import DivergenceError, InputError
 SITE, MAX_TREE_DEPTH = "q", 10
 # Width of the starts over that of the posterior: R-hat compares chains, which tells something if they began apart.
 OVERDISPERSION = 2.0
-FOLDER, FORMAT = "chains", 1
+CHAINS_FOLDER, FORMAT = "chains", 1
 # Whose versions decide which numbers are drawn.
-PACKAGES = ("pinn-cli", "pyro-ppl", "torch", "numpy")
+SAMPLING_PACKAGES = ("pinn-cli", "pyro-ppl", "torch", "numpy")
 # Places at which a likelihood is asked what it says, to know it again.
 PROBES = 4
 # Names and types of what is noted about a transition; the names are ArviZ's.
@@ -180,7 +180,7 @@ class ChainStore:
     @classmethod
     def of(cls, directory: Path, target: Target, settings: NutsSettings, seed: int) -> ChainStore:
         """In a run's directory."""
-        return cls(directory / FOLDER, _digest(target, settings, seed))
+        return cls(directory / CHAINS_FOLDER, _digest(target, settings, seed))
 
     def place(self, chain: int) -> Path:
         """The file of a chain, counted from 1."""
@@ -223,7 +223,13 @@ def _digest(target: Target, settings: NutsSettings, seed: int) -> str:
     The likelihood is a black box: what it says at its peak and at a few probes about the mode stands for it.
     """
     likelihood = target.likelihood
-    said = [seed, settings, likelihood.names, target.priors, [(name, package_version(name)) for name in PACKAGES]]
+    said = [
+        seed,
+        settings,
+        likelihood.names,
+        target.priors,
+        [(name, package_version(name)) for name in SAMPLING_PACKAGES],
+    ]
     probes = np.random.default_rng(0).standard_normal((PROBES, target.size))
     answers = [np.append(slope, value) for value, slope in map(target.potential, probes)]
     numbers = [likelihood.sigma_force, likelihood.peak, likelihood.curvature, target.mode, target.precision, *answers]

@@ -24,7 +24,7 @@ NEAR_ZERO = 6.0
 # Slope of the log density by a parameter in its scale at which the search for the mode ends; draws differ by order 1.
 LEVEL = 1e-7
 # Curvature along a direction that the density does not care about, relative to the others'.
-FLAT = 1e-10
+FLAT_DIRECTION = 1e-10
 
 # x (d,) to the logarithm of a density and its gradient (d,).
 LogDensity = Callable[[np.ndarray], tuple[float, np.ndarray]]
@@ -141,7 +141,7 @@ def _width(curvature: np.ndarray, prior_std: np.ndarray) -> np.ndarray:
         precision = curvature + np.diag(prior_std**-2.0)
     alone = np.sqrt(np.maximum(np.diag(curvature), 0) + prior_std**-2.0)
     values, vectors = np.linalg.eigh(precision / np.outer(alone, alone))
-    together = np.sqrt(np.sum(vectors**2 / np.maximum(values, FLAT), axis=1)) / alone
+    together = np.sqrt(np.sum(vectors**2 / np.maximum(values, FLAT_DIRECTION), axis=1)) / alone
     return np.minimum(together, prior_std)
 
 
@@ -192,7 +192,7 @@ def _curvature(log_density: LogDensity, x: np.ndarray, scale: np.ndarray) -> np.
     if not np.isfinite(scaled).all():
         return np.diag(1 / scale**2)
     values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
-    values = np.maximum(np.abs(values), FLAT * max(1.0, float(np.abs(values).max())))
+    values = np.maximum(np.abs(values), FLAT_DIRECTION * max(1.0, float(np.abs(values).max())))
     return (vectors * values) @ vectors.T / np.outer(scale, scale)
 
 

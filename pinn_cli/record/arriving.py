@@ -19,7 +19,7 @@ from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.table import Table
 from pinn_cli.settings.errors import InputError
 
-SETTING = "data.path"
+PATH_SETTING = "data.path"
 # Bytes of text that are taken up before anybody may look at them.
 MOST_AT_ONCE = 2**24
 # Lines of text before which nobody can say how its cells are separated.
@@ -77,11 +77,13 @@ class TextReader(Reader):
                 size = file.seek(0, 2)
                 if size < self.place:
                     hint = "it is shorter than it was: let what measures it append to it, or begin another file"
-                    raise InputError(SETTING, self.path, "a file that grows", hint)
+                    raise InputError(PATH_SETTING, self.path, "a file that grows", hint)
                 file.seek(self.place)
                 content = file.read(MOST_AT_ONCE)
         except OSError as error:
-            raise InputError(SETTING, self.path, "a file that can be read", error.strerror or str(error)) from error
+            raise InputError(
+                PATH_SETTING, self.path, "a file that can be read", error.strerror or str(error)
+            ) from error
         whole = complete and self.place + len(content) == size
         end = len(content) if whole else content.rfind(b"\n") + 1
         content = content[:end]
@@ -180,7 +182,7 @@ class Arriving:
         if found[: len(known)] != known:
             late = next((path for path in found if path not in known), self.path)
             allowed = "files that arrive in the order of their names, and stay"
-            raise InputError(SETTING, late.name, allowed, f"{known[-1].name} was there before")
+            raise InputError(PATH_SETTING, late.name, allowed, f"{known[-1].name} was there before")
         return found
 
     def _is_record(self, entry: Path) -> bool:

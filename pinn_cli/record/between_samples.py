@@ -40,16 +40,16 @@ LEAST_NOISE = 1e-7
 NOISIEST = 0.1
 # The process fills the spectrum up to this part of the sampling rate, whatever the history's own band: the noise
 # between the samples is then that of the samples. Closer to one half nothing is left to interpolate with.
-BAND = 0.475
+USABLE_BAND = 0.475
 # A spline goes through so many times as many samples, which kriging tells: it follows a history up to 0.9 of the
 # Nyquist frequency to 1e-5. Through the samples themselves it is off by 7e-4 up to half of that frequency, by 6e-3 up
 # to 0.65 of it and by a tenth up to 0.9; in the first intervals and the last by some forty times as much. Of white
 # noise the two differ by a seventh: a quarter allows for chance.
 DENSER, SPLINE_DEGREE, AT_ENDS, OF_NOISE = 4, 5, 40.0, 0.25
 # Of a step, by which a time may miss the sample that it belongs to.
-ROUNDING = 1e-6
+STEP_ROUNDING = 1e-6
 # Samples per line that are looked for, and the blocks in which it is: so many lines each, the louder half of them.
-LONGEST, LINES_PER_BLOCK, FEWEST_BLOCKS = 12, 8, 6
+MOST_PER_LINE, LINES_PER_BLOCK, FEWEST_BLOCKS = 12, 8, 6
 # Share of these blocks in which the corners have this part of all curvature.
 MOST_BLOCKS, AT_CORNERS = 0.9, 0.75
 
@@ -103,7 +103,7 @@ class Held:
 
     def __call__(self, at: np.ndarray) -> np.ndarray:
         """(..., values), at times of any shape, s."""
-        late = ROUNDING * (self.time[1] - self.time[0])
+        late = STEP_ROUNDING * (self.time[1] - self.time[0])
         before = np.searchsorted(self.time, np.asarray(at) + late, side="right") - 1
         return np.asarray(self.values[np.maximum(before, 0)])
 
@@ -208,7 +208,7 @@ def _weights(width: int, refinement: int, nugget: float) -> tuple[np.ndarray, np
     variance = variance - _predicted_from(2 * REACH, nugget, REACH - 1 + parts)[1]
     # What is most probable of a noisy history is smaller than it. Here it keeps the size of the samples: else inputs
     # would be too small, by a per cent at 20 dB.
-    return (1.0 + 2.0 * BAND * nugget) * weights, np.sqrt(np.maximum(variance, 0.0))
+    return (1.0 + 2.0 * USABLE_BAND * nugget) * weights, np.sqrt(np.maximum(variance, 0.0))
 
 
 def _predicted_from(width: int, nugget: float, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -221,8 +221,8 @@ def _predicted_from(width: int, nugget: float, places: np.ndarray) -> tuple[np.n
 
 
 def _correlation(lag: np.ndarray) -> np.ndarray:
-    """Of a process with an even spectrum up to `BAND`, by lag in samples."""
-    return np.asarray(np.sinc(2.0 * BAND * lag))
+    """Of a process with an even spectrum up to `USABLE_BAND`, by lag in samples."""
+    return np.asarray(np.sinc(2.0 * USABLE_BAND * lag))
 
 
 def held_by_lines(values: np.ndarray) -> np.ndarray:
@@ -243,7 +243,7 @@ def samples_per_line(values: np.ndarray) -> int:
     Their second difference is then noise but for every so manieth sample, a corner.
     """
     curvature = np.square(np.diff(values, 2))
-    for length in range(2, LONGEST + 1):
+    for length in range(2, MOST_PER_LINE + 1):
         size = length * LINES_PER_BLOCK
         blocks = curvature[: len(curvature) // size * size].reshape(-1, LINES_PER_BLOCK, length).sum(axis=1)
         blocks = blocks[np.argsort(blocks.sum(axis=1))[len(blocks) // 2 :]]

@@ -10,9 +10,9 @@ import numpy as np
 
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import GROUND, MEASURED_QUANTITIES, QUANTITIES, RESPONSE_QUANTITIES, Response
+from pinn_cli.record.response import MEASURED_QUANTITIES, QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.record.spectrum import LOWEST_BINS, USABLE_NYQUIST_FRACTION, periodogram, signal_band, visible_floor
-from pinn_cli.system.quantities import SUPPORT
+from pinn_cli.system.quantities import GROUND, SUPPORT
 
 # The DOF of the ground's channel, counted from 0; a reader, who counts from 1, sees it as 0.
 GROUND_DOF = -1
@@ -20,9 +20,9 @@ GROUND_DOF = -1
 # there by chance.
 CONSTANT_RUN, AT_EXTREME_BY_CHANCE = 8, 2
 # Of the mains, Hz. A sine of such a frequency has one phase in all parts of a record, which a mode has by chance alone:
-# the statistic of so many parts is F-distributed, and beyond `STEADY` once in 10^7 times. It is told from such a part
-# of the channel's power on; and what acts has a line of its own from `FAINT` on.
-MAINS, PARTS, STEADY, FAINT, LEAST_HUM = (50.0, 60.0), 8, 50.0, 10.0, 0.05
+# the statistic of so many parts is F-distributed, and beyond `STEADY_LINE` once in 10^7 times. It is told from such a
+# part of the channel's power on; and what acts has a line of its own from `FAINT` on.
+MAINS, LINE_PARTS, STEADY_LINE, FAINT, LEAST_HUM = (50.0, 60.0), 8, 50.0, 10.0, 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,27 +170,27 @@ def hum(signal: np.ndarray, step: float, acting: Sequence[np.ndarray]) -> tuple[
     None where it has none, or where something that acts (N,) has it too: then it may be a machine.
     """
     steadiness, share, line = max((*_steadiness(signal, one * step), one) for one in MAINS)
-    if not (steadiness > STEADY and share > LEAST_HUM):
+    if not (steadiness > STEADY_LINE and share > LEAST_HUM):
         return None
     acts = any(_steadiness(other, line * step)[0] > FAINT for other in acting)
     return None if acts else (line, share)
 
 
 def _steadiness(signal: np.ndarray, turns: float) -> tuple[float, float]:
-    """How steady a line is, as F with 2 and 2 (`PARTS` - 1) degrees of freedom, and its share of the power.
+    """How steady a line is, as F with 2 and 2 (`LINE_PARTS` - 1) degrees of freedom, and its share of the power.
 
     Args:
         signal: (N,).
         turns: Of the line from sample to sample; beyond one half it shows where its samples put it.
     """
-    turns, each = abs(turns - round(turns)), len(signal) // PARTS
+    turns, each = abs(turns - round(turns)), len(signal) // LINE_PARTS
     if min(turns, 0.5 - turns) * each < 2.0:  # no line of its own
         return 0.0, 0.0
     window = np.hanning(each + 2)[1:-1]
-    turned = (signal - signal.mean())[: PARTS * each] * np.exp(-2j * np.pi * turns * np.arange(PARTS * each))
-    parts = turned.reshape(PARTS, each) @ (window / window.sum())
-    line, variance = abs(parts.mean()) ** 2, float(np.sum(np.abs(parts - parts.mean()) ** 2)) / (PARTS - 1)
-    return PARTS * line / max(variance, 1e-300), 2.0 * line / max(float(np.var(signal)), 1e-300)
+    turned = (signal - signal.mean())[: LINE_PARTS * each] * np.exp(-2j * np.pi * turns * np.arange(LINE_PARTS * each))
+    parts = turned.reshape(LINE_PARTS, each) @ (window / window.sum())
+    line, variance = abs(parts.mean()) ** 2, float(np.sum(np.abs(parts - parts.mean()) ** 2)) / (LINE_PARTS - 1)
+    return LINE_PARTS * line / max(variance, 1e-300), 2.0 * line / max(float(np.var(signal)), 1e-300)
 
 
 def record_band(record: Record) -> float:

@@ -31,7 +31,7 @@ TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "min": 1.0 / 60.0, "h":
 BY_NAME = ""
 
 # Of a file, bytes that tell what it is.
-STARTS = 4096
+FIRST_BYTES = 4096
 
 # Times are printed with few digits: let each be off the regular axis by this part of a step, or by its last digit.
 TIME_TOLERANCE = 0.01
@@ -249,7 +249,7 @@ def recognised(path: Path) -> FileFormat:
     Raises:
         InputError: It is missing, cannot be read, or is in no format that anybody here reads.
     """
-    content, suffix = read_bytes(path, most=STARTS), _suffix(path)
+    content, suffix = read_bytes(path, most=FIRST_BYTES), _suffix(path)
     by_name = [one for one in FORMATS if suffix in (*one.suffixes, *one.other_suffixes)]
     arrays = [one() for one in (*by_name, *FORMATS) if issubclass(one, ArrayFormat)]
     for own in arrays:

@@ -27,11 +27,11 @@ RELATIVE_RESOLUTION = 0.002
 # Half overlapping pieces of a record: a sixteenth of it, but not below or above so many samples.
 PIECES, FEWEST_PIECES, SHORTEST_PIECE, LONGEST_PIECE = 16, 4, 1024, 2**15
 # Added to a matrix of spectra, of its trace: several forces may be the same.
-RIDGE = 1e-9
+SPECTRA_RIDGE = 1e-9
 # A lag of which fewer of the pairs are there than this is left out: it would be scatter alone.
 FEWEST_PAIRS = 0.01
 # From sample to sample a channel that misses none takes at most this many steps of the record.
-WHOLE = 1.5
+MISSES_NONE = 1.5
 # Samples lie off the record's times by half a step at most: so many terms of a Taylor series tell their phases.
 PHASE_TERMS = 12
 
@@ -183,7 +183,7 @@ class CrossSpectra(Generic[S]):
         """(B, S, F), the sensors' units per those of what acts: the least squares of noise in the sensors."""
         of_acting = np.swapaxes(self.of_acting, 1, 2)
         trace = np.einsum("bff->b", of_acting).real / max(len(self.acting), 1)
-        ridge = RIDGE * np.maximum(trace, trace.max() * 1e-12)
+        ridge = SPECTRA_RIDGE * np.maximum(trace, trace.max() * 1e-12)
         held = of_acting + ridge[:, None, None] * np.eye(len(self.acting))
         return np.swapaxes(np.linalg.solve(held, np.swapaxes(self.of_both, 1, 2)), 1, 2)
 
@@ -254,7 +254,7 @@ def misses_samples(gauge: Gauge, record: Record) -> bool:
     can follow it.
     """
     step = gauge.even_step
-    return step is None or (step > WHOLE * record.step and gauge.quantity not in (FORCE, GROUND))
+    return step is None or (step > MISSES_NONE * record.step and gauge.quantity not in (FORCE, GROUND))
 
 
 def _lines(values: np.ndarray, window: np.ndarray) -> np.ndarray:

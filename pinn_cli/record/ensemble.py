@@ -17,9 +17,9 @@ from pinn_cli.record.steps import follower_masses, implicit_steps, method_needed
 from pinn_cli.system.structure import Structure
 
 # Samples that are followed at a time: the forces of all members stand in memory for so long only.
-CHUNK = 256
+SAMPLES_AT_ONCE = 256
 # Straight parts of a load between two samples, where members take their own steps.
-STRAIGHT = 8
+STRAIGHT_PARTS = 8
 # Of these each takes as long as a whole ensemble in common steps: so many tell a deviation to a seventh.
 OWN_STEPS = 24
 
@@ -134,8 +134,8 @@ def followed_members(
     state = np.concatenate((members.start, np.concatenate(start)[None]))
     last, carried = _drawn(members, random, 0, 1), members.carried
     errors = np.zeros((1, len(members.start), 3, structure.supports))
-    for first in range(0, samples - 1, CHUNK):
-        stop = min(first + CHUNK, samples - 1) + 1
+    for first in range(0, samples - 1, SAMPLES_AT_ONCE):
+        stop = min(first + SAMPLES_AT_ONCE, samples - 1) + 1
         noise = np.concatenate((last, _drawn(members, random, first + 1, stop)))
         errors = errors[-1:] if carried is None else carried.drawn(random, len(noise) - 1, errors[-1])
         states, load = ensemble.followed(state, ensemble.beside(noise, errors), slice(first, stop))
@@ -186,7 +186,7 @@ class _Ensemble:
         if method == "rk4":
             return runge_kutta(self._slope, load, time, sampled, hold, substeps, state, None), sampled
         # A stiff law has each member take its own steps, many of them.
-        grid = np.linspace(time[0], time[-1], STRAIGHT * (len(time) - 1) + 1)
+        grid = np.linspace(time[0], time[-1], STRAIGHT_PARTS * (len(time) - 1) + 1)
         table, each = sampled if hold == "zero_order" else load(grid), []
         for i in range(len(state)):
             own = table[:, i : i + 1]

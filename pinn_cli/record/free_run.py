@@ -38,7 +38,7 @@ Push = tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]
 # Points of a step: a polynomial through eight follows a sine at the Nyquist frequency to 1e-5.
 POINTS = 8
 # Steps whose loads stand in memory at a time.
-CHUNK = 2048
+STEPS_AT_ONCE = 2048
 # What modes may miss of the structure that they are of. Motions that share one shape and one pole, as that of a body
 # that nothing holds, have no modes.
 COMPLETE = 1e-7
@@ -72,8 +72,8 @@ def linear_motion(
     out[0] = begins[upper]
     with np.errstate(over="ignore", invalid="ignore"):
         through = np.exp(poles * step)
-        for first in range(0, len(time) - 1, CHUNK):
-            stop = min(first + CHUNK, len(time) - 1)
+        for first in range(0, len(time) - 1, STEPS_AT_ONCE):
+            stop = min(first + STEPS_AT_ONCE, len(time) - 1)
             at = (time[first:stop, None] + step * points).reshape(-1)
             pushed = np.zeros((stop - first, len(upper)), complex)
             for history, influence in pushes:

@@ -23,7 +23,7 @@ from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, GROU
 # Part of a step by which even samples may come early or late.
 EVEN = 0.02
 # Points in a step at which a sensor's filter is applied to a history.
-DENSER = 8
+FILTER_POINTS = 8
 # Of the residuals and noise levels of all gauges.
 GAUGE = "gauge"
 
@@ -173,10 +173,10 @@ class Gauge:
             return x
         from scipy.signal import bilinear, lfilter
 
-        dense = np.linspace(time[0], time[-1], DENSER * (len(time) - 1) + 1)
+        dense = np.linspace(time[0], time[-1], FILTER_POINTS * (len(time) - 1) + 1)
         denominator = self.filter_polynomial(found)[::-1]
         rule = bilinear([1.0, *[0.0] * self.filter_order], denominator, 1.0 / (dense[1] - dense[0]))
-        return np.asarray(lfilter(*rule, BandLimited(time, x)(dense))[::DENSER])
+        return np.asarray(lfilter(*rule, BandLimited(time, x)(dense))[::FILTER_POINTS])
 
     def decays(self, time: np.ndarray, found: Mapping[str, float] | None = None) -> np.ndarray:
         """(N, order), what its filter shows of how it began."""

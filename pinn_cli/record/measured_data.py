@@ -19,7 +19,7 @@ from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Measurements, Record, Truth, check_frame, dof_mask
-from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Response
+from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.record.sampled import Sampled, sampled
 from pinn_cli.record.spectrum import BandPass, checked_band
 from pinn_cli.settings.errors import InputError
@@ -32,7 +32,7 @@ from pinn_cli.settings.legal_values import (
     positive_number,
     whole_number,
 )
-from pinn_cli.system.quantities import FORCE, SUPPORT
+from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 
 # Part of a step by which a sample may be off the time where it scores.
 OFF = 0.05

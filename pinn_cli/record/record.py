@@ -14,11 +14,11 @@ import numpy as np
 
 from pinn_cli.record.between_samples import INTERSAMPLE, Intersample
 from pinn_cli.record.gauge import Gauge
-from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Repeats, Response
+from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, Repeats, Response
 from pinn_cli.record.spectrum import BandPass, level_at_end
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of
-from pinn_cli.system.quantities import FORCE, SUPPORT
+from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 
 Frame = Literal["absolute", "relative"]
 FRAMES: tuple[str, ...] = get_args(Frame)

@@ -10,15 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.system import quantities
+from pinn_cli.system.quantities import GROUND, MOTION, SUPPORT
 
-RESPONSE_QUANTITIES = quantities.MOTION
+RESPONSE_QUANTITIES = MOTION
 QUANTITIES = (*RESPONSE_QUANTITIES, "force")
-# Of the ground, common to all DOFs: it stands beside the quantities of a DOF.
-GROUND = quantities.GROUND
 # All that a sensor may measure.
-MEASURED_QUANTITIES = (*QUANTITIES, GROUND, *quantities.SUPPORT)
-UNITS = quantities.UNITS
+MEASURED_QUANTITIES = (*QUANTITIES, GROUND, *SUPPORT)
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,9 +26,9 @@ AT_ONCE, LEAST_STEPS = 4_000, 128
 CHANGE, TAYLOR, ANGLE = 1e-6, 4, 0.3
 # Pieces meet when they are this close, relative to the largest state; above the other distance, relative to the last
 # one, derivatives are taken anew. Rounds at most.
-CLOSE, SLOW, ROUNDS = 1e-12, 0.2, 30
+CLOSE, SLOW, PIECE_ROUNDS = 1e-12, 0.2, 30
 # Of a move that are tried, until the pieces come closer.
-SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
+MOVE_SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 
 
 def runge_kutta(
@@ -127,7 +127,7 @@ def shot(
     at[:, 0] = start
     states = record.followed(at)
     derivative, before = None, np.inf
-    for _ in range(ROUNDS):
+    for _ in range(PIECE_ROUNDS):
         size = np.abs(states).max(axis=(0, 2, 3))[:, None, None] + np.finfo(float).tiny
         gaps = states[-1][:, :-1] - at[:, 1:]
         distance = _largest(gaps / size)
@@ -138,7 +138,7 @@ def shot(
             if derivative is None:
                 return None
         move, before = _move(gaps, derivative), distance
-        for share in SHARES:
+        for share in MOVE_SHARES:
             trial = at + share * move
             states = record.followed(trial)
             if _largest((states[-1][:, :-1] - trial[:, 1:]) / size) < distance:

@@ -15,18 +15,17 @@ from pinn_cli.record.channels import named
 from pinn_cli.record.cross_spectra import CrossSpectra
 from pinn_cli.record.files.table import bare
 from pinn_cli.record.record import MINIMUM_SAMPLES
-from pinn_cli.record.response import GROUND, UNITS
 from pinn_cli.record.spectrum import decimate, signal_band
 from pinn_cli.record.units import si_factor
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system.quantities import FORCE, MOTION, SUPPORT
+from pinn_cli.system.quantities import FORCE, GROUND, MOTION, SUPPORT, UNITS
 
 # Times off the regular axis by more than this part of a step are put onto it.
-EVEN = 0.05
+OFF_REGULAR = 0.05
 # What acts on a structure.
 INPUTS = (FORCE, GROUND, *SUPPORT)
 # A record keeps this many times the highest frequency of its content, and so many samples.
-OVERSAMPLED, FEWEST_SAMPLES = 4.0, 256
+OVERSAMPLED, FEWEST_KEPT = 4.0, 256
 ACCELERATION = MOTION[2]
 # What is measured in a unit.
 _LENGTH = r"(?:[munkc]?m|in|ft|mil)"
@@ -164,7 +163,7 @@ class Sampling:
         """(M,), s: from the first sample to the last at the usual rate; the times themselves, where they are even."""
         count = round(self.duration * self.rate) + 1
         axis = self.time[0] + np.arange(count) / self.rate
-        even = count == len(self.time) and np.max(np.abs(axis - self.time)) <= EVEN * self.step
+        even = count == len(self.time) and np.max(np.abs(axis - self.time)) <= OFF_REGULAR * self.step
         return self.time if even else axis
 
     def on_regular(self, values: np.ndarray) -> np.ndarray:
@@ -197,7 +196,7 @@ def spectra_of(signals: Sequence[Signal], sampling: Sampling, highest: float | N
     if highest is None:
         highest = max(signal_band(column, step) for column in values.T)
     factor = max(1, int(1.0 / (step * OVERSAMPLED * highest))) if highest > 0.0 else 1
-    factor = min(factor, max(1, len(values) // FEWEST_SAMPLES))
+    factor = min(factor, max(1, len(values) // FEWEST_KEPT))
     return CrossSpectra.of_pieces(sensors, acting, decimate(values, factor), step * factor)
 
 

@@ -12,12 +12,13 @@ import numpy as np
 from pinn_cli.record.between_samples import INTERSAMPLE_OF_HOLD
 from pinn_cli.record.excitation.base import Excitation
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Measurements, Record, Truth, check_frame
-from pinn_cli.record.response import GROUND, MEASURED_QUANTITIES, QUANTITIES, Repeats, Response
+from pinn_cli.record.response import MEASURED_QUANTITIES, QUANTITIES, Repeats, Response
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.record.steps import at_rest, fastest_rates
 from pinn_cli.runs.machine import of_this_machine
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import LARGEST_LEGACY_SEED, is_finite_number, one_of, whole_number
+from pinn_cli.system.quantities import GROUND
 from pinn_cli.system.structure import Structure
 
 STREAMS = ("independent", "shared")
@@ -26,7 +27,7 @@ LARGEST_SNR_DB = 300
 # Seeds of one repeat's channels are consecutive: far enough apart for chains of a thousand DOFs.
 REPEAT_STRIDE = 1000
 # Each takes some 50 us at 6 DOFs: two minutes.
-MOST_STEPS = 2 * 10**6
+MOST_SIMULATED_STEPS = 2 * 10**6
 # Bytes per DOF: of a step of the simulation (states, forces), at least of a sample of the record and what is estimated
 # from it, and of each repeat of a sample.
 _STEP, _SAMPLE, _REPEAT = 40, 400, 32
@@ -187,7 +188,7 @@ def check_size(simulation: Simulation, structure: Structure, repeats: int = 1) -
     """
     samples, ndof, memory = simulation.samples, structure.ndof, of_this_machine()
     because = f"the record has to fit into the memory of this machine, {memory / 2**30:.3g} GiB"
-    most = min(memory // (_SAMPLE * ndof), MOST_STEPS)
+    most = min(memory // (_SAMPLE * ndof), MOST_SIMULATED_STEPS)
     if most < MINIMUM_SAMPLES:
         raise InputError("system.ndof", ndof, f"at most {memory // (_SAMPLE * samples)}", because)
     if samples > most:
@@ -195,7 +196,7 @@ def check_size(simulation: Simulation, structure: Structure, repeats: int = 1) -
     most = memory // (_REPEAT * ndof * samples)
     if repeats > most:
         raise InputError("noise.repeats", repeats, f"at most {most} with this record", because)
-    _check_steps(simulation, structure, min(memory // (_STEP * ndof), MOST_STEPS))
+    _check_steps(simulation, structure, min(memory // (_STEP * ndof), MOST_SIMULATED_STEPS))
 
 
 def _check_steps(simulation: Simulation, structure: Structure, most: int) -> None:

@@ -25,7 +25,7 @@ SPECTRUM_PARTS, LOWEST_BINS = 16, 2
 LOW_LINES = 8
 # Narrow parts of a spectrum, of so many frequencies at least; one that has so little of the upper half's power shows
 # that content reaches there.
-NARROW_PARTS, FEWEST_IN_PART, FAR_BELOW = 32, 8, 0.1
+NARROW_PARTS, FEWEST_IN_NARROW, FAR_BELOW = 32, 8, 0.1
 # Fewer bins above a band are no floor, and neither is more than this part of a channel's power: a signal that fills the
 # spectrum evenly looks like that.
 FEWEST_BINS, MOST_OF_POWER = 12, 0.5
@@ -103,7 +103,7 @@ def band_share(x: np.ndarray, step: float, low: float, high: float) -> float:
 def _noise_floor(power: np.ndarray) -> float:
     """Mean square of the white noise that the upper half of a usable periodogram shows."""
     floor = float(np.median(power[len(power) // 2 :]) / np.log(2.0))
-    parts = np.array_split(power, max(1, min(NARROW_PARTS, len(power) // FEWEST_IN_PART)))
+    parts = np.array_split(power, max(1, min(NARROW_PARTS, len(power) // FEWEST_IN_NARROW)))
     emptiest = min(float(np.mean(part)) for part in parts)
     # Far less anywhere than in the upper half: content fills the half that the floor is read from.
     return max(emptiest if emptiest < FAR_BELOW * floor else floor, FINEST_FLOOR * float(power.mean()))

@@ -203,7 +203,7 @@ class Corners:
 
 
 # Error of a step, over the state and over what the loads make of it within a sample.
-TOLERANCE = 1e-7
+TOLERATED_ERROR = 1e-7
 # Slopes that are taken per sample of what is behind, with so many samples in advance. Sticking friction takes 10 to 25.
 MOST_SLOPES, IN_ADVANCE = 400, 50
 # Implicit steps of LSODA between two samples: no bound, `MOST_SLOPES` is one.
@@ -239,7 +239,7 @@ def implicit_steps(
         return slope(y.reshape(shape), force(np.array([t]))[0] if held is None else held).ravel()
 
     size = _size(lambda y, load: slope(y.reshape(shape), load).ravel(), sampled, start.ravel(), step, coordinates)
-    options = {"rtol": TOLERANCE, "atol": TOLERANCE * size}
+    options = {"rtol": TOLERATED_ERROR, "atol": TOLERATED_ERROR * size}
     parts = [(0, len(time), None)] if hold == "exact" else [(k, k + 2, sampled[k]) for k in range(len(time) - 1)]
     for begin, end, held in parts:
         at = time[begin:end]

@@ -13,9 +13,9 @@ from pinn_cli.system.quantities import GROUND, MOTION, SUPPORT, UNITS
 if TYPE_CHECKING:
     from pint import UnitRegistry
 
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+A_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 # Of an accelerometer g is no gram, and Gal no gallon.
-GRAVITY = {"g": "g_0", "mg": "mg_0", "ug": "ug_0", "gal": "Gal", "mgal": "mGal"}
+GRAVITY_UNITS = {"g": "g_0", "mg": "mg_0", "ug": "ug_0", "gal": "Gal", "mgal": "mGal"}
 
 
 def si_factor(setting: str, unit: Any, quantity: str) -> float:
@@ -32,7 +32,7 @@ def si_factor(setting: str, unit: Any, quantity: str) -> float:
     """
     accelerates = SUPPORT.get(quantity, quantity) in (MOTION[2], GROUND)
     if accelerates and isinstance(unit, str):
-        unit = GRAVITY.get(unit.strip(), unit)
+        unit = GRAVITY_UNITS.get(unit.strip(), unit)
     return factor(setting, unit, UNITS[quantity], quantity)
 
 
@@ -55,7 +55,7 @@ def factor(setting: str, unit: Any, own: str, sensor: str) -> float:
     allowed = f"a unit such as {own}, or the number of {own} that one is"
     if not isinstance(unit, str) or not unit.strip():
         raise InputError(setting, unit, allowed)
-    if NUMBER.fullmatch(unit.strip()):
+    if A_NUMBER.fullmatch(unit.strip()):
         return float(positive_number(setting, float(unit)))
     import pint
 

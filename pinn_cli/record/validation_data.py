@@ -15,7 +15,7 @@ from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.legal_values import finite_number
 
 # Settings of ``data`` that another record cannot have of its own.
-FIXED = ("base", "kind", "format", "holdout", "validation", "responds")
+NOT_ITS_OWN = ("base", "kind", "format", "holdout", "validation", "responds")
 SETTLE = "settle"
 # One over the share of the estimator's record before its end at which its state is taken: at the very end the ends of
 # splines show.
@@ -71,7 +71,7 @@ class ValidationData:
         given = records[0].validation
         if given is None:
             return None
-        known = [each.name for each in fields(MeasuredData) if each.name not in FIXED]
+        known = [each.name for each in fields(MeasuredData) if each.name not in NOT_ITS_OWN]
         if not isinstance(given, Mapping) or not given:
             allowed = "null, a segment {start: ..., stop: ...}, or another record {path: ...}"
             raise InputError("data.validation", given, allowed)

@@ -28,7 +28,7 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import non_negative_number, positive_number
 from pinn_cli.system.structure import Structure
 
-SETTING, OVERLAP = "data.window", "data.overlap"
+WINDOW_SETTING, OVERLAP = "data.window", "data.overlap"
 # Of a window, where nobody says how much of it the next one begins with.
 OVERLAP_SHARE = 1.0 / 6.0
 # Of the steps between samples, over their median: longer ones are gaps.
@@ -83,14 +83,14 @@ class Grid:
         own = time[: int(np.searchsorted(time, time[0] + length, side="right"))]
         if len(own) < MINIMUM_SAMPLES:
             hint = f"the first {length:g} s hold {len(own)} samples"
-            raise InputError(SETTING, length, f"windows of at least {MINIMUM_SAMPLES} samples", hint)
+            raise InputError(WINDOW_SETTING, length, f"windows of at least {MINIMUM_SAMPLES} samples", hint)
         steps = np.diff(own)
         # Times are printed with few digits: one step is off by much, all together are not. Gaps are no steps.
         step = float(np.mean(steps[steps < GAP * np.median(steps)]))
         samples = round(length / step)
         if samples + 1 < MINIMUM_SAMPLES:
             allowed = f"at least {MINIMUM_SAMPLES} samples, {MINIMUM_SAMPLES * step:g} s here"
-            raise InputError(SETTING, length, allowed, "it is in seconds")
+            raise InputError(WINDOW_SETTING, length, allowed, "it is in seconds")
         overlap = OVERLAP_SHARE * length if overlap is None else overlap
         return cls(float(own[0]), step, samples, round(overlap / step))
 
@@ -128,12 +128,12 @@ def checked_lengths(window: object, overlap: object) -> tuple[float, float | Non
     Raises:
         InputError: One is no usable number, or the overlap is too long.
     """
-    length = positive_number(SETTING, window)
+    length = positive_number(WINDOW_SETTING, window)
     if overlap is None:
         return length, None
     own = non_negative_number(OVERLAP, overlap)
     if own > LARGEST_SHARE * length:
-        allowed = f"at most half of {SETTING}={length:g}"
+        allowed = f"at most half of {WINDOW_SETTING}={length:g}"
         raise InputError(OVERLAP, own, allowed, "the next window begins so long before the end of this one")
     return length, own
 

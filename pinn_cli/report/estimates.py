@@ -12,12 +12,12 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.record.record import Record, Truth
-from pinn_cli.record.response import GROUND, QUANTITIES, UNITS, Response
+from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.report.results import Results
 from pinn_cli.system.energy import dissipated_power, stored_by_memory, trapezoids
 from pinn_cli.system.modes import NaturalModes, frequency
 from pinn_cli.system.priors import HALF_WIDTH_90
-from pinn_cli.system.quantities import CONNECTION_FORCE, SUPPORT
+from pinn_cli.system.quantities import CONNECTION_FORCE, GROUND, SUPPORT, UNITS
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.estimated_structure import estimated_structure

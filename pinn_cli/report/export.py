@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.record.response import QUANTITIES
-from pinn_cli.runs.workbook import ROWS, write_workbook
+from pinn_cli.runs.workbook import ROWS_OF_SHEET, write_workbook
 from pinn_cli.runs.writing import replacing, write_bytes, write_table
 from pinn_cli.settings.errors import InputError
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # Types of functions and data as universal files number them, and the widths of their labels.
 _TIME_RESPONSE, _TIME = 1, 17
 _TYPES = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13}
-_LINE, _LABEL = 80, 20
+_LINE_LENGTH, _LABEL = 80, 20
 
 
 @dataclass(frozen=True)
@@ -66,9 +66,9 @@ def write_csv(dataset: xr.Dataset, path: Path) -> None:
 def write_xlsx(dataset: xr.Dataset, path: Path) -> None:
     """The columns of `_table`, a sheet ``response``; what has no place on it goes on in ``response 2`` and so on."""
     table = _table(dataset)
-    parts = range(0, len(table), ROWS - 1)
+    parts = range(0, len(table), ROWS_OF_SHEET - 1)
     names = [f"response {i}" if i > 1 else "response" for i, _ in enumerate(parts, start=1)]
-    write_workbook({name: table.iloc[at : at + ROWS - 1] for name, at in zip(names, parts, strict=True)}, path)
+    write_workbook({name: table.iloc[at : at + ROWS_OF_SHEET - 1] for name, at in zip(names, parts, strict=True)}, path)
 
 
 def write_mat(dataset: xr.Dataset, path: Path) -> None:
@@ -101,8 +101,8 @@ def write_uff(dataset: xr.Dataset, path: Path) -> None:
     for quantity, dof, number, std, history in histories(dataset):
         title = " ".join(filter(None, (quantity, dof, std)))
         own = pyuff.prepare_58(
-            binary=0, func_type=_TIME_RESPONSE, id1=title[:_LINE], id2="estimated by pinn-run", id3="NONE", id4="NONE",
-            id5=f"time step {step:.16g} s", load_case_id=0, rsp_ent_name="NONE", rsp_node=number, rsp_dir=0,
+            binary=0, func_type=_TIME_RESPONSE, id1=title[:_LINE_LENGTH], id2="estimated by pinn-run", id3="NONE",
+            id4="NONE", id5=f"time step {step:.16g} s", load_case_id=0, rsp_ent_name="NONE", rsp_node=number, rsp_dir=0,
             ref_ent_name="NONE", ref_node=0, ref_dir=0, abscissa_spacing=1, abscissa_spec_data_type=_TIME,
             abscissa_axis_units_lab="s", ordinate_spec_data_type=_TYPES[quantity],
             ordinate_axis_units_lab=history.attrs["units"][:_LABEL], orddenom_spec_data_type=0,

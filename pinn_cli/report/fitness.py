@@ -24,9 +24,9 @@ from scipy.special import kolmogorov
 
 from pinn_cli.record.channels import clipped_percent, constant_percent, every_channel
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import GROUND, QUANTITIES, Response
+from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.record.spectrum import band_share, signal_edges
-from pinn_cli.system.quantities import FORCE, SUPPORT
+from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 from pinn_cli.verdict.sensor_findings import noise_found
 
 if TYPE_CHECKING:

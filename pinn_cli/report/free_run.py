@@ -26,10 +26,12 @@ from pinn_cli.record.free_run import NoFreeRunError, free_run_of, is_linear
 from pinn_cli.record.free_run import free_run as motion_of
 from pinn_cli.record.inputs import SupportErrors
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import RESPONSE_QUANTITIES, UNITS, Response
+from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
 from pinn_cli.record.validation_data import ValidationRecord
 from pinn_cli.report.fitness import fitness_percent, fitness_table, nmse_percent
 from pinn_cli.system.parameters import MASS
+from pinn_cli.system.priors import HALF_WIDTH_95
+from pinn_cli.system.quantities import UNITS
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.calibrated_record import as_felt, beside
 from pinn_cli.training.estimate import Estimate
@@ -57,8 +59,7 @@ VALIDATION_COLUMNS = (
     "nmse_percent", "band_rms", "sigma", "inside_95_percent",
 )  # fmt: skip
 # Draws of what is uncertain: a standard deviation from so many is good to 9 %.
-DRAWS = 64
-BAND = 1.96  # standard deviations to either side: 95 %
+FREE_RUN_DRAWS = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,7 +245,7 @@ def validation_table(run: ValidationRun, estimate: Estimate) -> pd.DataFrame:
     for channel in channels(run.record, RESPONSE_QUANTITIES):
         measured, simulated, std = run.compared(channel)
         error, sigma = measured - simulated, noise_found(estimate, channel)
-        reach, spread = BAND * np.hypot(std, sigma), std[np.isfinite(std)]
+        reach, spread = HALF_WIDTH_95 * np.hypot(std, sigma), std[np.isfinite(std)]
         known = np.isfinite(reach) & np.isfinite(error)
         inside = np.abs(error[known]) <= reach[known]
         rows.append(
@@ -281,7 +282,7 @@ def _members(
 
     ``records`` are what the estimator saw, and the other data.
     """
-    count = affordable_members(structure, records[1], DRAWS)
+    count = affordable_members(structure, records[1], FREE_RUN_DRAWS)
     if draws is None:
         draws = parameter_draws(estimate.parameters, estimate.correlation, count, seed)
     else:

@@ -17,7 +17,7 @@ from pinn_cli.system.structure import Structure
 MOST_IN_A_ROW = 6
 _SWEEPS = 12  # over the layers, in which their orders settle
 # Of a picture that moves: pixels from layer to layer, at most, the whole height, how far a mass moves, about a mass.
-_STEP, _HEIGHT, _REACH, _MARGIN = 46.0, 300.0, 22.0, 34.0
+_LAYER_STEP, _HEIGHT, _REACH, _MARGIN = 46.0, 300.0, 22.0, 34.0
 MOST_MOVING, MOST_MASSES = 6, 60  # modes, the lowest, and masses that can be told apart
 _SLOWEST_S, _FASTEST_S = 3.0, 0.6  # a period on the screen: of the lowest mode, and of the highest at least
 
@@ -81,8 +81,8 @@ def moving_modes(structure: Structure, modes: ModeEstimates) -> Iterator[str]:
         return
     places, grounded = layout(csr_matrix(matrix))
     highest = places[:, 1].max()
-    step = min(_STEP, _HEIGHT / highest)
-    x, y = (places[:, 0] - places[:, 0].min()) * 2.0 * _STEP + _MARGIN, (highest - places[:, 1]) * step + _MARGIN
+    step = min(_LAYER_STEP, _HEIGHT / highest)
+    x, y = (places[:, 0] - places[:, 0].min()) * 2.0 * _LAYER_STEP + _MARGIN, (highest - places[:, 1]) * step + _MARGIN
     width, base = x.max() + _MARGIN, y.max() + step
     lines = [(row.indices[0], row.indices[-1] if len(row.indices) > 1 else None) for row in matrix if row.nnz]
     for mode in range(min(modes.count, MOST_MOVING)):

@@ -17,7 +17,7 @@ import xarray as xr
 from pinn_cli.posterior.base import PosteriorSamples
 from pinn_cli.posterior.result import PosteriorResult
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import RESPONSE_QUANTITIES, UNITS, Response
+from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
 from pinn_cli.report.estimates import (
     Histories,
     connection_forces,
@@ -30,6 +30,7 @@ from pinn_cli.report.results import Results
 from pinn_cli.runs.identity import package_version
 from pinn_cli.runs.writing import write_bytes
 from pinn_cli.system.parameters import LINEAR_TITLES, Parameter
+from pinn_cli.system.quantities import UNITS
 
 # The suffix of a variable and its description, by its source.
 SOURCES = {

@@ -23,7 +23,7 @@ from pinn_cli.runs.identity import package_version
 from pinn_cli.runs.writing import write_text
 from pinn_cli.verdict.finding import Verdict
 
-NAME = "report.html"
+PAGE_NAME = "report.html"
 MEANING = {
     "sound": "Nothing speaks against the estimate.",
     "questionable": "Something speaks against the estimate: read the reasons before you use a number.",
@@ -90,7 +90,7 @@ class Page:
             meaning=MEANING, moving=[Markup(picture) for picture in self.moving], figures=figures_in(directory),
             command=command, directory=str(directory), version=package_version("pinn-cli"),
         )  # fmt: skip
-        write_text(content, directory / NAME)
+        write_text(content, directory / PAGE_NAME)
 
 
 def run_page(

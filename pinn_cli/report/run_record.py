@@ -20,12 +20,12 @@ import pandas as pd
 
 from pinn_cli.model.file import write_model
 from pinn_cli.model.knowledge import Levels, Model, ParameterKnowledge
-from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES
+from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.report.parameters import ESTIMATE, estimate_rows
 from pinn_cli.runs.identity import package_version
 from pinn_cli.runs.reading import stamp
 from pinn_cli.runs.resume import FORMAT
-from pinn_cli.system.quantities import CALIBRATION_UNITS
+from pinn_cli.system.quantities import CALIBRATION_UNITS, GROUND
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.training.record_scales import force_and_velocity_scale
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from pinn_cli.report.results import Results, RunDescription
     from pinn_cli.verdict.finding import Verdict
 
-PACKAGES = (
+NOTED_PACKAGES = (
     "pinn-cli", "torch", "numpy", "scipy", "pandas", "xarray", "h5netcdf", "matplotlib", "hydra-core", "pyro-ppl",
     "arviz",
 )  # fmt: skip
@@ -178,7 +178,7 @@ def git_revision() -> str | None:
 
 def package_versions() -> dict[str, str | None]:
     """Version of Python and of every package that a run computes with; None where one is not installed."""
-    return {"python": platform.python_version(), **{name: package_version(name) for name in PACKAGES}}
+    return {"python": platform.python_version(), **{name: package_version(name) for name in NOTED_PACKAGES}}
 
 
 def model_of(results: Results, verdict: Verdict | None) -> Model:

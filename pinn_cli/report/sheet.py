@@ -23,9 +23,9 @@ from pinn_cli.runs.writing import write_text
 Mark = Literal["", "better", "worse"]
 Form = Literal["plain", "latex", "html"]
 
-PACKAGE = "pinn_cli.report"
+TEMPLATES = "pinn_cli.report"
 DASH = "-"
-SIGNS = {"better": "▲", "worse": "▼"}
+ARROWS = {"better": "▲", "worse": "▼"}
 LATEX_MARKS = {"": "%s", "better": r"\textbf{%s}", "worse": r"\underline{%s}"}
 _QUANTITIES = {
     "displacement": ("u", r"\mathbf{u}"),
@@ -132,7 +132,7 @@ class Sheet:
         write_text(self.latex, directory / f"{self.name}.tex")
 
 
-def render(name: str, package: str = PACKAGE, **content: object) -> str:
+def render(name: str, package: str = TEMPLATES, **content: object) -> str:
     """The template ``<name>.j2`` of a package with its content filled in; in HTML all text is escaped."""
     return _environment(package).get_template(f"{name}.j2").render(content)
 
@@ -140,12 +140,12 @@ def render(name: str, package: str = PACKAGE, **content: object) -> str:
 @cache
 def _environment(package: str) -> Environment:
     environment = Environment(
-        loader=ChoiceLoader([PackageLoader(package), PackageLoader(PACKAGE)]), trim_blocks=True, lstrip_blocks=True,
+        loader=ChoiceLoader([PackageLoader(package), PackageLoader(TEMPLATES)]), trim_blocks=True, lstrip_blocks=True,
         undefined=StrictUndefined, finalize=_printable,
         autoescape=lambda name: bool(name and name.endswith(".html.j2")),
     )  # fmt: skip
     environment.filters |= {"symbols": written, "data_uri": _data_uri}
-    environment.globals |= {"signs": SIGNS, "marks": LATEX_MARKS}
+    environment.globals |= {"signs": ARROWS, "marks": LATEX_MARKS}
     return environment
 
 

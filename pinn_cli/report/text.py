@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, UNITS
+from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.report.fitness import FORMULAS
-from pinn_cli.system.quantities import SUPPORT
+from pinn_cli.system.quantities import GROUND, SUPPORT, UNITS
 
 if TYPE_CHECKING:
     from pinn_cli.report.free_run import FreeRun, ValidationRun
@@ -125,7 +125,7 @@ _DIAGNOSTICS = {
 }
 _HEADINGS = {"displacement": "displ.", "velocity": "veloc.", "acceleration": "accel.", "force": "force"}
 _TITLES = ("fitness, 1 - error / deviation (%)", "fitness, 1 - error / range (%)")
-_CELL, _GAP = 9, "   "
+_CELL_WIDTH, _GAP = 9, "   "
 
 
 def sensors_text(records: Sequence[Sequence[pd.DataFrame]], baseline: str = "") -> str:
@@ -356,7 +356,7 @@ def comparison_text(ours: pd.DataFrame, theirs: pd.DataFrame, seconds: Mapping[s
     beside = ["", "seconds", "", *used.values()]
     full = max(map(len, lines))
     return "\n".join(
-        f"{line}{'-' * _CELL}" if set(line) == {"-"} else f"{line:<{full}}{text:>{_CELL}}".rstrip()
+        f"{line}{'-' * _CELL_WIDTH}" if set(line) == {"-"} else f"{line:<{full}}{text:>{_CELL_WIDTH}}".rstrip()
         for line, text in zip(lines, beside, strict=True)
     )
 
@@ -366,11 +366,11 @@ def _score_lines(
     width: int = 12,
 ) -> list[str]:  # fmt: skip
     """Headings, a rule and a line per row: a name, and its scores of all quantities by one formula after the other."""
-    half = _CELL * len(QUANTITIES)
+    half = _CELL_WIDTH * len(QUANTITIES)
 
     def line(name: str, halves: Iterable[Iterable[str]]) -> str:
         return f"{name:<{width}}" + _GAP.join(
-            f"{''.join(f'{text:>{_CELL}}' for text in own):<{half}}" for own in halves
+            f"{''.join(f'{text:>{_CELL_WIDTH}}' for text in own):<{half}}" for own in halves
         )
 
     headings = line(first, [[_HEADINGS[quantity] for quantity in quantities]] * len(titles))

@@ -25,16 +25,16 @@ from pinn_cli.runs.reading import printable, small_text
 from pinn_cli.runs.writing import WriteError, content_of, put_back, replacing, tidy
 from pinn_cli.settings.errors import InputError
 
-LOG, FORMAT = "pinn-run.log", "[%(asctime)s][%(name)s][%(levelname)s] %(message)s"
+LOG, LOG_FORMAT = "pinn-run.log", "[%(asctime)s][%(name)s][%(levelname)s] %(message)s"
 SETTINGS = ".hydra"
 # The files of a run's and of a sweep's directory that carry the mark: the name of the package, among Hydra's settings.
-MARKED, MARK = (f"{SETTINGS}/hydra.yaml", "multirun.yaml"), "pinn_cli"
+MARKED, MARK_OF_OURS = (f"{SETTINGS}/hydra.yaml", "multirun.yaml"), "pinn_cli"
 # What may lie in a directory that was prepared and never begun: by pattern, with files that were being written.
 _PREPARED = re.compile(r"(run|sweep)\.lock|failure\.json|\.submitit|\.(failure|multirun)\.\d+\.partial\.(json|yaml)")
 _PREPARED_SETTINGS = re.compile(r"overrides\.yaml|\.(hydra|config|overrides)\.\d+\.partial\.yaml")
 _FILES = re.compile(r".*\.(csv|db|json|pt|nc|log|lock|yaml)")
 _FOLDERS = (SETTINGS, "figures", "chains", "tensorboard")
-ALLOWED = "a new or empty directory, or one that pinn-run made"
+DIRECTORIES_ALLOWED = "a new or empty directory, or one that pinn-run made"
 
 log = logging.getLogger(__name__)
 
@@ -59,20 +59,20 @@ def check_destination(directory: Path, setting: str) -> None:
         if foreign:
             named = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
             hint = f"files of yours might be replaced there ({named}): name another directory"
-            raise InputError(setting, directory, ALLOWED, hint)
+            raise InputError(setting, directory, DIRECTORIES_ALLOWED, hint)
     settings = directory / SETTINGS
     for entry in [*entries, *(sorted(settings.iterdir()) if settings.is_dir() else ())]:
         # Where a run would write a file there must be a file or nothing: no folder, FIFO or link to another place.
         kind = entry.lstat().st_mode
         if entry.name in _FOLDERS and not stat.S_ISDIR(kind):
-            raise InputError(setting, entry.parent, ALLOWED, f"{entry.name} there is no directory")
+            raise InputError(setting, entry.parent, DIRECTORIES_ALLOWED, f"{entry.name} there is no directory")
         if _FILES.fullmatch(entry.name) and not stat.S_ISREG(kind):
-            raise InputError(setting, entry.parent, ALLOWED, f"{entry.name} there is no regular file")
+            raise InputError(setting, entry.parent, DIRECTORIES_ALLOWED, f"{entry.name} there is no regular file")
 
 
 def _carries_mark(file: Path) -> bool:
     try:
-        return MARK in small_text(file)
+        return MARK_OF_OURS in small_text(file)
     except OSError:
         return False
 
@@ -131,7 +131,7 @@ class RunLog(MemoryHandler):
         """
         file = logging.FileHandler(path, encoding="utf-8")
         file.handleError = lambda record: None  # type: ignore[method-assign]  # a full disk ends no run
-        file.setFormatter(logging.Formatter(FORMAT))
+        file.setFormatter(logging.Formatter(LOG_FORMAT))
         self.setTarget(file)
         self.flushLevel = logging.NOTSET
         self.flush()

@@ -16,7 +16,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from pinn_cli.settings.legal_values import located
 
 # Where and how a run is made, which may differ from one start of it to the next.
-LEFT_OUT = (
+HOW_IT_IS_MADE = (
     "device", "threads", "resume", "figures", "report", "strict", "tracking", "training.checkpoint_every_s", "follow",
 )  # fmt: skip
 # Files that are read: their content counts, not their name.
@@ -84,8 +84,8 @@ class Identity:
 
 
 def is_left_out(name: str) -> bool:
-    """Whether a setting is one of `LEFT_OUT`, or belongs to a group that is."""
-    return any(name == other or name.startswith(f"{other}.") for other in LEFT_OUT)
+    """Whether a setting is one of `HOW_IT_IS_MADE`, or belongs to a group that is."""
+    return any(name == other or name.startswith(f"{other}.") for other in HOW_IT_IS_MADE)
 
 
 def flattened(config: DictConfig) -> dict[str, str]:

@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 FILE, SWEEP_FILE = "run.lock", "sweep.lock"
 EVERY_S = 1.0
 # What a file system without locks answers.
-_NONE = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)
 
 
 @contextmanager
@@ -79,7 +79,7 @@ def locked(file: Path, waiting: str = "", every_s: float = 0.1) -> Iterator[None
                 with suppress(FileNotFoundError):  # who was in there took the folder along: it is made anew
                     lock.acquire(poll_interval=every_s)
     except OSError as error:
-        if error.errno not in _NONE:
+        if error.errno not in _NO_LOCKS:
             raise
         file.unlink(missing_ok=True)
         log.warning("%s is on a file system without locks: have no two processes write there", file.parent)

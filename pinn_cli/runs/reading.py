@@ -38,7 +38,7 @@ MOST_UNFOLDED = 16 * MOST_BYTES
 NUMBER, WRITER = "format", "written_by"
 # Columns of a table: a shape of a mode is the widest that there is.
 MOST_COLUMNS = 100_000
-_NAMES: dict[Any, str] = {
+_TYPE_NAMES: dict[Any, str] = {
     str: "text", int: "a whole number", float: "a number", bool: "true or false", dict: "settings", list: "a list",
     NoneType: "null",
 }  # fmt: skip
@@ -243,8 +243,8 @@ def checked(value: Any, kind: Any, place: str = "") -> Any:
     fields = _fields(kind)
     expected = dict if fields is not None else list if origin is tuple else origin or kind
     if kind is not Any and not (isinstance(value, expected) and isinstance(value, bool) == (expected is bool)):
-        is_ = _NAMES.get(type(value), "of another kind")
-        raise ValueError(f"{place or 'its content'} is {is_}, not {_NAMES.get(expected, str(expected))}")
+        is_ = _TYPE_NAMES.get(type(value), "of another kind")
+        raise ValueError(f"{place or 'its content'} is {is_}, not {_TYPE_NAMES.get(expected, str(expected))}")
     if isinstance(value, str):
         return printable(value)
     if origin is tuple and len(value) != len(own):

@@ -19,7 +19,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from pinn_cli.runs.identity import LEFT_OUT, Identity, is_left_out
+from pinn_cli.runs.identity import HOW_IT_IS_MADE, Identity, is_left_out
 from pinn_cli.runs.reading import DamagedError, check_layout, read_json, stamp
 from pinn_cli.runs.writing import write_json
 from pinn_cli.settings.errors import InputError, NotSoundError, shortened
@@ -31,13 +31,13 @@ AUTO, NEVER, RESULT = "auto", "never", "run.json"
 TRACKING, NONE = "tracking.json", "none"
 # Of the layouts of both files and of `.hydra/`.
 FORMAT = 1
-ALLOWED = "null, auto, never, or the directory of a run"
+RESUME_ALLOWED = "null, auto, never, or the directory of a run"
 # What a run that goes on takes up, in its directory: checkpoints of a training in steps, finished chains of NUTS, and
 # windows of a record.
 CHECKPOINTS = ("checkpoint.pt", "checkpoint.previous.pt")
 KEPT = (*CHECKPOINTS, "chains", "windows")
 # What may be given with it: where and how a run is made, not what it computes.
-BESIDE = tuple(name for name in LEFT_OUT if name != "resume")
+GIVEN_BESIDE = tuple(name for name in HOW_IT_IS_MADE if name != "resume")
 
 
 class Scored(TypedDict, total=False):
@@ -194,7 +194,7 @@ class StoredRun:
         directory: Absolute.
         config: That the run was started with, as Hydra stored it.
         cwd: Where relative paths of its data start from.
-        given: Settings of `BESIDE` on the command line that resumes it, as typed.
+        given: Settings of `GIVEN_BESIDE` on the command line that resumes it, as typed.
     """
 
     directory: Path
@@ -221,25 +221,25 @@ class StoredRun:
         for override in others:
             if setting_of(override) == "resume" or not is_left_out(setting_of(override)):
                 hint = f"a run that goes on keeps its own configuration: drop {override}"
-                raise InputError("resume", directory, f"given alone or with {', '.join(BESIDE)}", hint)
+                raise InputError("resume", directory, f"given alone or with {', '.join(GIVEN_BESIDE)}", hint)
         return cls._read(directory, others)
 
     @classmethod
     def _read(cls, given: str, others: tuple[str, ...]) -> StoredRun:
         directory = Path(given).absolute()
         if not directory.is_dir():
-            raise InputError("resume", given, ALLOWED, "there is no such directory")
+            raise InputError("resume", given, RESUME_ALLOWED, "there is no such directory")
         config, hydra = (directory / ".hydra" / name for name in ("config.yaml", "hydra.yaml"))
         if not config.is_file():
             sweep = (directory / "multirun.yaml").is_file()
             hint = "it is a sweep's: name one of its jobs" if sweep else "it holds no .hydra/config.yaml"
-            raise InputError("resume", given, ALLOWED, hint)
+            raise InputError("resume", given, RESUME_ALLOWED, hint)
         try:
             stored, runtime = with_class_of_today(read_yaml(config)), read_yaml(hydra) if hydra.is_file() else None
             cwd = OmegaConf.select(runtime, "hydra.runtime.cwd") if runtime is not None else None
         except (InputError, OmegaConfBaseException) as error:
             hint = f"its .hydra/ cannot be read: {error}"
-            raise InputError("resume", given, ALLOWED, hint) from error
+            raise InputError("resume", given, RESUME_ALLOWED, hint) from error
         check_layout(runtime or {}, FORMAT, hydra)
         return cls(directory, stored, Path(str(cwd)) if cwd else Path.cwd(), others)
 

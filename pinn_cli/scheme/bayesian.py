@@ -41,7 +41,7 @@ from pinn_cli.system.structure import Structure
 
 log = logging.getLogger(__name__)
 
-SETTING = "scheme.priors"
+PRIORS_SETTING = "scheme.priors"
 # Gauss-Newton works under Gaussians this much wider than a prior that the user chose; the likelihood that it hands on
 # is freed of them again. Of others it works under one as wide as the prior itself: far out lie other solutions.
 GAUSSIAN_WIDTH = 100.0
@@ -61,15 +61,15 @@ def read_priors(given: Mapping[str, Any] | None, structure: Structure) -> dict[P
     """
     priors = {}
     for key, prior in checked_priors(given).items():
-        priors.update(dict.fromkeys(parameters_called(key, structure, f"{SETTING}.{key}"), prior))
+        priors.update(dict.fromkeys(parameters_called(key, structure, f"{PRIORS_SETTING}.{key}"), prior))
     return priors
 
 
 def checked_priors(given: Mapping[str, Any] | None) -> dict[str, Prior]:
     """The same by key, before there is a chain."""
     if given is not None and not isinstance(given, Mapping):
-        raise InputError(SETTING, given, "a mapping such as {k: {kind: gamma, shape: 2, rate: 0.1}}")
-    return {key: _prior(f"{SETTING}.{key}", node) for key, node in (given or {}).items() if node is not None}
+        raise InputError(PRIORS_SETTING, given, "a mapping such as {k: {kind: gamma, shape: 2, rate: 0.1}}")
+    return {key: _prior(f"{PRIORS_SETTING}.{key}", node) for key, node in (given or {}).items() if node is not None}
 
 
 def with_defaults(

@@ -11,11 +11,10 @@ from pinn_cli.record.channels import Channel, channels, record_band
 from pinn_cli.record.cross_spectra import CrossSpectra, band_edges
 from pinn_cli.record.inputs import measured_orders
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import GROUND
 from pinn_cli.record.spectrum import LOWEST_BINS
 from pinn_cli.scheme.calibration import ChannelDoubts, Doubt
 from pinn_cli.system.frequency_response import Acting, FrequencyResponse, real_rows
-from pinn_cli.system.quantities import FORCE, SUPPORT
+from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 
 # Frequencies at most: a dense matrix is inverted at each.
 MOST_FREQUENCIES = 300

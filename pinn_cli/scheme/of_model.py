@@ -14,7 +14,7 @@ from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import FREE, JointPrior, Problem
 from pinn_cli.settings.errors import InputError
 
-SETTING = "model"
+MODEL_SETTING = "model"
 
 
 def problem_of_model(
@@ -38,7 +38,7 @@ def problem_of_model(
     known, count = model.known, len(model.parameters)
     if not np.isfinite(known.covariance).all():
         allowed = "a run whose training gives standard deviations of the parameters, as gauss_newton does"
-        raise InputError(SETTING, model.directory, allowed)
+        raise InputError(MODEL_SETTING, model.directory, allowed)
     within = (known.most_probable(model.lower), known.covariance) if updates else known.within(model.lower)
     mean, covariance = within
     std = np.sqrt(np.diag(covariance))
@@ -83,7 +83,7 @@ def given(model: Model | None, scheme: str) -> Model:
     """
     if model is None:
         hint = f"pinn-run model=outputs/... scheme={scheme} data=..."
-        raise InputError(SETTING, None, f"the directory of a finished run with scheme={scheme}", hint)
+        raise InputError(MODEL_SETTING, None, f"the directory of a finished run with scheme={scheme}", hint)
     return model
 
 
@@ -95,4 +95,4 @@ def check_updatable(model: Model) -> None:
     """
     if not model.parameters:
         hint = "everything in that run was held fixed (scheme.parameter_uncertainty=0)"
-        raise InputError(SETTING, model.directory, "a run with uncertain parameters where scheme=update", hint)
+        raise InputError(MODEL_SETTING, model.directory, "a run with uncertain parameters where scheme=update", hint)

@@ -20,7 +20,7 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_finite_number, true_or_false, whole_number
 from pinn_cli.system.structure import Structure
 
-STARTS = "rest, or {displacement: [...], velocity: [...]} with a number for each DOF"
+STARTS_ALLOWED = "rest, or {displacement: [...], velocity: [...]} with a number for each DOF"
 
 
 class Predict(Scheme):
@@ -86,7 +86,7 @@ def _checked_start(start: Any, structure: Structure) -> tuple[np.ndarray, np.nda
     if start == REST:
         return zeros, zeros
     if not isinstance(start, Mapping) or not start or not set(start) <= {"displacement", "velocity"}:
-        raise InputError("scheme.start", start, STARTS)
+        raise InputError("scheme.start", start, STARTS_ALLOWED)
     if structure.is_modal:
         raise InputError("scheme.start", dict(start), "rest with a finite-element model", "its coordinates are modes")
     found = []

@@ -12,13 +12,13 @@ import re
 from collections.abc import Iterable
 
 # Of a value that is told, characters.
-LONGEST = 500
+LONGEST_VALUE = 500
 
 
 def shortened(value: object) -> str:
     """Its text, cut where it is longer than anybody reads."""
     text = str(value)
-    return text if len(text) <= LONGEST else f"{text[:LONGEST]}... ({len(text)} characters)"
+    return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}... ({len(text)} characters)"
 
 
 class InputError(ValueError):

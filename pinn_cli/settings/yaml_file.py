@@ -19,7 +19,7 @@ from omegaconf.errors import OmegaConfBaseException
 from pinn_cli.settings.errors import InputError
 
 # The largest file that comes with the program has 12 kB and 5 levels.
-MOST_BYTES, MOST_LEVELS = 2**20, 50
+MOST_YAML_BYTES, MOST_LEVELS = 2**20, 50
 SCHEME, ENDING = "folder", ".yaml"
 
 
@@ -97,11 +97,11 @@ def read_yaml(file: Path) -> DictConfig:
 def _text(file: Path) -> str:
     try:
         with file.open("rb") as opened:
-            content = opened.read(MOST_BYTES + 1)
+            content = opened.read(MOST_YAML_BYTES + 1)
     except OSError as error:
         raise InputError(str(file), "(unreadable)", "a file that can be read", error.strerror or str(error)) from None
-    if len(content) > MOST_BYTES:
-        raise InputError(str(file), "(too long)", f"at most {MOST_BYTES} bytes long", "it is no file of settings")
+    if len(content) > MOST_YAML_BYTES:
+        raise InputError(str(file), "(too long)", f"at most {MOST_YAML_BYTES} bytes long", "it is no file of settings")
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:

@@ -33,10 +33,10 @@ _OF_FINISHED = (
     "residuals", "modes", "drift", "energy", "free_run", "validation", "score", "identifiability",
     "stories", "diagnostics",
 )  # fmt: skip
-TABLES = (*_WITH_FAILURES, *(f"{name}.csv" for name in _OF_FINISHED))
+JOINED_TABLES = (*_WITH_FAILURES, *(f"{name}.csv" for name in _OF_FINISHED))
 # Of those that are computed with: columns of numbers, and others that there must be. The first are
 # `pinn_cli.report.fitness.FORMULAS`, which is slow to import.
-COLUMNS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+NEEDED_COLUMNS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     FITNESS: (("fitness_percent", "range_fitness_percent"), ("estimator", "group", "quantity")),
     PARAMETERS: (("start",), ("estimator",)),
     "identifiability.csv": (("std", "prior_std"), ()),
@@ -103,7 +103,7 @@ class Collection:
 
 
 def write_tables(sweep: Sweep, jobs: Sequence[Job]) -> list[Job]:
-    """Write each of `TABLES` that the jobs have, and `jobs.csv`, into the sweep's directory.
+    """Write each of `JOINED_TABLES` that the jobs have, and `jobs.csv`, into the sweep's directory.
 
     Cells are copied as the jobs wrote them, and swept settings lead, but for those that a table has a column of the
     same name for (`seed`, `case`). `fitness.csv` and `parameters.csv` end with `status` and `reason`, and have a row
@@ -116,7 +116,7 @@ def write_tables(sweep: Sweep, jobs: Sequence[Job]) -> list[Job]:
     columns = [sweep.columns(job) for job, _ in found]
     swept = list(dict.fromkeys(setting for given in columns for setting in given))
     rows = [{**given, STATUS: job.status, REASON: job.reason} for (job, _), given in zip(found, columns, strict=True)]
-    for name in TABLES:
+    for name in JOINED_TABLES:
         ending = (STATUS, REASON) if name in _WITH_FAILURES else ()
         own = list(dict.fromkeys(column for _, tables in found for column in tables.get(name, ((), ()))[0]))
         joined: list[Mapping[str, str]] = []
@@ -140,7 +140,7 @@ def _read_tables(job: Job) -> tuple[Job, dict[str, Table]]:
     if job.status != FINISHED:
         return job, {}
     try:
-        return job, {name: table for name in TABLES for table in _read(job.directory / name)}
+        return job, {name: table for name in JOINED_TABLES for table in _read(job.directory / name)}
     except DamagedError as error:
         reason = f"{error}; without its run.json it is run again"
         return replace(job, status=FAILED, reason=reason, exit_status=INPUT), {}
@@ -152,7 +152,7 @@ def _read(path: Path) -> Iterator[Table]:
     Raises:
         DamagedError: It is no table, or none of that name.
     """
-    numbers, texts = COLUMNS.get(path.name, ((), ()))
+    numbers, texts = NEEDED_COLUMNS.get(path.name, ((), ()))
     try:
         columns, *rows = [row for row in csv.reader(StringIO(small_text(path), newline="")) if row] or [[]]
         for name in (*numbers, *texts):

@@ -42,7 +42,7 @@ SAFE_PATH = {"PYTHONSAFEPATH": "1"}
 # Why a job of joblib's has failed.
 _REASON = "its worker was killed, again when it ran alone: by the system for want of memory, perhaps"
 # Seconds from one look for the launcher to the next, and the exit status of a worker that has lost it.
-_LOOK_EVERY_S, _STATUS = 1.0, 143
+_LOOK_EVERY_S, _LOST_STATUS = 1.0, 143
 
 
 @dataclass(frozen=True)
@@ -307,7 +307,7 @@ def end_with_launcher() -> None:
     def watch(launcher: int) -> None:
         while os.getppid() == launcher:
             time.sleep(_LOOK_EVERY_S)
-        os._exit(_STATUS)
+        os._exit(_LOST_STATUS)
 
     threading.Thread(target=watch, args=(os.getppid(),), name="launcher", daemon=True).start()
 

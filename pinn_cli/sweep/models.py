@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MODELS = "models.csv"
-COLUMNS = (
+MODEL_COLUMNS = (
     "log_evidence", "log_bayes_factor", "probability", "validation_nmse_percent", "effective_parameters", "unknown",
     "verdict",
 )  # fmt: skip
@@ -64,7 +64,7 @@ def compared(sweep: Sweep, jobs: Sequence[Job]) -> Comparison | None:
     if not settings or sweep.is_search:
         return None
     rows = [sweep.columns(job) | _found(job.directory) for job in jobs if job.status == FINISHED]
-    found = pd.DataFrame(rows, columns=[*swept, "observed", *COLUMNS])
+    found = pd.DataFrame(rows, columns=[*swept, "observed", *MODEL_COLUMNS])
     others = [name for name in swept if name not in settings]
     groups = [group for _, group in found.groupby(others, sort=False, dropna=False)] if others else [found]
     tables = []
@@ -125,7 +125,7 @@ def models_text(comparison: Comparison) -> str:
     if comparison.table is None:
         return f"models are not compared: {comparison.reason}"
     table = comparison.table
-    shown = table[[name for name in table.columns if name not in COLUMNS]].copy()
+    shown = table[[name for name in table.columns if name not in MODEL_COLUMNS]].copy()
     for name, title, form in (
         ("log_evidence", "log evidence", "{:.1f}"),
         ("probability", "probability", "{:.3f}"),

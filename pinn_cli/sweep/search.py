@@ -41,8 +41,8 @@ from pinn_cli.sweep.jobs import Failure, Sweep
 from pinn_cli.sweep.running import begin_sweep, tell
 from pinn_cli.sweep.search_report import report_search, write_trials
 
-FILE = "search.db"
-METHODS = ("tpe", "random")
+SEARCH_FILE = "search.db"
+SEARCH_METHODS = ("tpe", "random")
 NO_VALIDATION, EVIDENCE = "NoValidation", "EvidenceScore"
 # What the evidence can compare: the model of the chain and the search for its weights, under one network and record.
 COMPARABLE = (
@@ -82,7 +82,7 @@ class Search:
         params: Mapping[str, str] | None = None,
     ) -> None:
         self.config, self.directory = config, Path(config.hydra.sweep.dir)
-        self.method = one_of("hydra.sweeper.sampler.method", sampler["method"], METHODS)
+        self.method = one_of("hydra.sweeper.sampler.method", sampler["method"], SEARCH_METHODS)
         self.seed = whole_number("hydra.sweeper.sampler.seed", sampler["seed"])
         self.startup = whole_number("hydra.sweeper.sampler.startup", sampler["startup"], least=1)
         self.n_trials = whole_number("hydra.sweeper.n_trials", n_trials)
@@ -138,7 +138,7 @@ class Search:
             reason = next((f": {row['reason']}" for row in rows if row["reason"]), "")
             raise InputError("hydra/sweeper", "search", allowed, f"every trial failed{reason}")
         if trials:
-            _export(trials, self.directory / FILE)
+            _export(trials, self.directory / SEARCH_FILE)
             # A value that needs no quotes in Hydra's grammar may need them in the shell's.
             command = shlex.join(["pinn-run", *commands[min(scores, key=lambda number: scores[number])]])
             tell(printable(report_search(pd.DataFrame(rows), command, self.directory)), sys.stdout)

@@ -23,9 +23,9 @@ TABLE, TEXT, FIGURE = "search.csv", "search.md", "search"
 LEADING = ("trial", "state", "score", "seconds", "directory", "reason")
 BEST_SHOWN = 10
 # Fewer trials than this say nothing about a setting.
-FEWEST = 5
+FEWEST_TRIALS = 5
 # Of panels. Numbers that span more than a factor stand on a logarithmic axis.
-COLUMNS, WIDE = 3, 10.0
+PANELS_IN_A_ROW, WIDE = 3, 10.0
 
 
 def write_trials(trials: pd.DataFrame, directory: Path) -> None:
@@ -66,7 +66,7 @@ def importance(values: pd.Series, score: pd.Series) -> float:
     else:
         design = pd.get_dummies(values.astype(str)).to_numpy(float)
     freedom = len(ranks) - design.shape[1]
-    if len(ranks) < FEWEST or freedom < 1 or values.astype(str).nunique() < 2 or np.ptp(ranks) == 0:
+    if len(ranks) < FEWEST_TRIALS or freedom < 1 or values.astype(str).nunique() < 2 or np.ptp(ranks) == 0:
         return float("nan")
     rest = ranks - design @ np.linalg.lstsq(design, ranks, rcond=None)[0]
     return float(max(0.0, 1.0 - (rest @ rest / freedom) / np.var(ranks, ddof=1)))
@@ -114,18 +114,18 @@ def search_figure(trials: pd.DataFrame, importances: Mapping[str, float]) -> Fig
     """
     done = trials[trials["score"].notna()]
     above = done["score"] - done["score"].min()
-    rows = math.ceil(len(importances) / COLUMNS)
+    rows = math.ceil(len(importances) / PANELS_IN_A_ROW)
     with style.look():
         figure = Figure(figsize=(style.PAGE_WIDTH, 2.1 + 1.75 * rows), layout="constrained")
-        grid = figure.add_gridspec(1 + rows, COLUMNS)
+        grid = figure.add_gridspec(1 + rows, PANELS_IN_A_ROW)
         history = figure.add_subplot(grid[0, :])
         _history(history, trials, done["trial"], above)
         for index, (setting, share) in enumerate(importances.items()):
-            axes = figure.add_subplot(grid[1 + index // COLUMNS, index % COLUMNS], sharey=history)
+            axes = figure.add_subplot(grid[1 + index // PANELS_IN_A_ROW, index % PANELS_IN_A_ROW], sharey=history)
             _slice(axes, done[setting], above)
             axes.set_title(setting if math.isnan(share) else f"{setting}\nexplains {100 * share:.0f} %", fontsize=7)
-            axes.tick_params(labelleft=index % COLUMNS == 0)
-            if index % COLUMNS == 0:
+            axes.tick_params(labelleft=index % PANELS_IN_A_ROW == 0)
+            if index % PANELS_IN_A_ROW == 0:
                 axes.set_ylabel("above the best (nats)")
         if (above > 0.0).any():  # linear next to the best: bad trials are bad by orders of magnitude
             linear = max(float(above[above > 0.0].quantile(0.1)), 1e-12)

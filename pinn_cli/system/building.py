@@ -37,7 +37,7 @@ DAMPING_ALLOWED = "{ratio: 0.02}, {ratio: [0.02, 0.015]} (by mode), or {rayleigh
 # More modes in one band are not told apart.
 MOST_MODES = 40
 # The support that does not move, as connections name it.
-GROUND = "ground"
+FIXED_GROUND = "ground"
 _NAME = "a name: letters, digits and _, a letter first"
 
 
@@ -339,7 +339,7 @@ def checked_names(dofs: Any) -> tuple[str, ...]:
         raise InputError("system.dofs", dofs, "a list of names of coordinates", "e.g. system.dofs=[x1, x2]")
     for i, name in enumerate(names):
         check_name("system.dofs", name)
-        if name == GROUND:
+        if name == FIXED_GROUND:
             raise InputError("system.dofs", name, "another name", "the ground is the support, which has no coordinate")
         if name in names[:i]:
             raise InputError("system.dofs", name, "there once only")

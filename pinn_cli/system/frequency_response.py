@@ -25,9 +25,9 @@ STIFFNESS = "k"
 PER_MODE, OFF_AXIS = 3, (0.5, 0.1)
 # Starts: every free parameter so many times as large and as small, where they are few, and all of them scattered by so
 # much as logarithms, more often where they are few.
-FACTOR, SCATTER = 2.5, 0.7
+START_FACTOR, SCATTER = 2.5, 0.7
 FEW, OFTEN, RARELY = 12, 16, 6
-FARTHEST, EVALUATIONS = np.log(30.0), 40
+FARTHEST_START, EVALUATIONS = np.log(30.0), 40
 # Relative rms difference of two responses that are the same as far as a record can tell, and the relative difference
 # of a parameter that makes two structures different.
 SAME_RESPONSE, SAME = 0.01, 0.05
@@ -196,20 +196,20 @@ class _Match:
         """Logarithms of factors, the same ones every time."""
         p = len(self.values)
         few = p <= FEW
-        single = [sign * np.log(FACTOR) * np.eye(p)[i] for i in range(p) for sign in (1.0, -1.0)] if few else []
+        single = [sign * np.log(START_FACTOR) * np.eye(p)[i] for i in range(p) for sign in (1.0, -1.0)] if few else []
         scattered = SCATTER * np.random.default_rng(0).standard_normal((OFTEN if few else RARELY, p))
         return [*single, *scattered]
 
     def fitted(self, x: np.ndarray) -> np.ndarray:
         """The bottom of the valley that x lies in; x where it has none that numbers can tell."""
-        x = np.clip(x, -0.99 * FARTHEST, 0.99 * FARTHEST)
+        x = np.clip(x, -0.99 * FARTHEST_START, 0.99 * FARTHEST_START)
         if not np.isfinite(self.apart(x)):
             return x
         best = least_squares(
             lambda x: real_rows(self._difference(x).reshape(-1)),
             x,
             lambda x: real_rows((self.slopes(x) / self.size[..., None]).reshape(-1, len(x))),
-            (-FARTHEST, FARTHEST),
+            (-FARTHEST_START, FARTHEST_START),
             max_nfev=EVALUATIONS,
         )
         return best.x

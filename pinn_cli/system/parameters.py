@@ -29,7 +29,7 @@ _SIGNS = {sign: rf"\{sign}" for sign in "_%${}"} | {
     "\\": r"\backslash ", "#": r"\sharp ", "^": r"\wedge ", '"': "\N{RIGHT DOUBLE QUOTATION MARK}",
     "`": "\N{LEFT SINGLE QUOTATION MARK}",
 }  # fmt: skip
-_GREEK = ("alpha", "beta", "gamma", "kappa", "mu", "tau", "zeta")
+_GREEK_NAMES = ("alpha", "beta", "gamma", "kappa", "mu", "tau", "zeta")
 
 T = TypeVar("T")
 
@@ -179,7 +179,7 @@ class Labels:
 def letter(kind: str) -> str:
     """A kind of parameter as mathematics, without dollar signs: ``kappa`` is a Greek letter, ``k_2`` has an index."""
     kind, _, below = kind.partition("_")
-    symbol = rf"\{kind}" if kind in _GREEK else kind if len(kind) == 1 else upright(kind)
+    symbol = rf"\{kind}" if kind in _GREEK_NAMES else kind if len(kind) == 1 else upright(kind)
     return rf"{symbol}_{{{upright(below)}}}" if below else symbol
 
 

@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.special import gammaln, ndtri
 
-# Half the width of the central 90 % interval of a normal distribution, in standard deviations.
-HALF_WIDTH_90 = float(ndtri(0.95))
+# Half the width of the central 90 and 95 % intervals of a normal distribution, in standard deviations.
+HALF_WIDTH_90, HALF_WIDTH_95 = float(ndtri(0.95)), float(ndtri(0.975))
 
 
 class Prior(ABC):

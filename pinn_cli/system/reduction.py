@@ -25,10 +25,10 @@ SHIFT = 1e-12
 # A residual vector with less than this of its force left, or of the largest residual vector, is in the modes already.
 SPANNED, DEPENDENT = 1e-8, 1e-10
 # An eigenvalue of this part of the largest found, or nearer to zero, is a rigid body's: its stiffness is rounding.
-RIGID = 1e-9
+RIGID_EIGENVALUE = 1e-9
 # Parts are tried at these factors, one at a time. The shapes that are added leave out no more than this of the energy
 # of any mode of the models so changed: that is the error of its frequency squared.
-FACTORS, LEFT_OUT = (0.7, 1.3), 1e-3
+FACTORS, ENERGY_LEFT_OUT = (0.7, 1.3), 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ def reduced_model(M: csc_matrix, K: csc_matrix, modes: int, static: np.ndarray) 
         raise InputError("system.modes", modes, f"at most {size}", f"the model has {size} DOFs")
     _check_positive(M)
     values, vectors, shifted, shift = _modes(M, K, modes)
-    least = RIGID * max(float(np.abs(values).max()), shift)
+    least = RIGID_EIGENVALUE * max(float(np.abs(values).max()), shift)
     if values.min() < -max(least, 10.0 * shift):
         allowed = "without negative eigenvalues"
         raise InputError("system.K", f"a K whose lowest eigenvalue is {values.min():.3g} (rad/s)^2", allowed)
@@ -95,7 +95,7 @@ def enriched(model: WholeModel, reduced: ReducedModel) -> ReducedModel:
     """A reduced model with shapes that the whole one takes where parts of it are softer or stiffer."""
     M, K, modes = model.M, model.K, reduced.modes
     energies, shapes = _changed_shapes(M, K, model.parts, reduced, model.static)
-    changed = shapes[:, np.cumsum(energies) > LEFT_OUT]
+    changed = shapes[:, np.cumsum(energies) > ENERGY_LEFT_OUT]
     vectors, values = reduced.vectors[:, :modes], reduced.stiffness[:modes]
     return _model(vectors, values, *_beside(M, K, vectors, np.hstack([reduced.vectors[:, modes:], changed])))
 
@@ -129,7 +129,7 @@ def reduced_at(model: WholeModel, factors: np.ndarray, like: ReducedModel) -> Re
     rest = [in_turn, felt[:, turns:], higher[:, turns:], like.vectors]
     basis = _orthonormal(M, kept, np.hstack([exact.vectors[:, like.modes :], beside, *rest]), count)
     stiffness, turned = np.linalg.eigh(basis.T @ (model.K @ basis))
-    stiffness = np.where(stiffness < RIGID * stiffness.max(), 0.0, stiffness)
+    stiffness = np.where(stiffness < RIGID_EIGENVALUE * stiffness.max(), 0.0, stiffness)
     nothing = np.empty((len(basis), 0))
     return replace(_model(basis @ turned, stiffness, nothing, nothing[0]), modes=like.modes)
 
@@ -178,7 +178,7 @@ def _changed_shapes(
     for part in parts:
         for factor in FACTORS:
             values, vectors, shifted, shift = _modes(M, csc_matrix(K + (factor - 1.0) * part), reduced.modes)
-            bends = values > max(RIGID * float(np.abs(values).max()), 10.0 * shift)
+            bends = values > max(RIGID_EIGENVALUE * float(np.abs(values).max()), 10.0 * shift)
             unit_energy = vectors[:, bends] / np.sqrt(values[bends])
             beyond = unit - M @ (vectors @ vectors[static].T)
             moved = shifted.solve(beyond)

@@ -26,10 +26,10 @@ from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.matrix_files import read_matrices
 from pinn_cli.system.parameters import FACTOR
-from pinn_cli.system.reduction import RIGID, ReducedModel
+from pinn_cli.system.reduction import RIGID_EIGENVALUE, ReducedModel
 
 # Parts of a mode's strain energy: less than the first is no part of it, and more than the second is an error.
-NONE, ROUNDING = 1e-10, 1e-6
+NO_PART, PART_ROUNDING = 1e-10, 1e-6
 
 
 class Substructure(Nonlinearity):
@@ -114,15 +114,15 @@ def check_parts(reduced: ReducedModel, parts: Parts) -> None:
     for name, matrix in parts.matrices.items():
         energy = _energies(reduced, matrix)
         values = np.linalg.eigvalsh(energy)
-        if values[0] < -ROUNDING * max(1.0, values[-1]):
+        if values[0] < -PART_ROUNDING * max(1.0, values[-1]):
             hint = f"a push against it gives energy back: an eigenvalue is {values[0]:.2g} times the mode's stiffness"
             raise InputError(f"system.factors.{name}", name, "positive semidefinite", hint)
-        if values[-1] < ROUNDING:
+        if values[-1] < PART_ROUNDING:
             hint = "no mode that is kept bends it: is it a matrix of zeros, or are there more modes to keep?"
             raise InputError(f"system.factors.{name}", name, "a part that the modes bend", hint)
         together += energy
     most = float(np.linalg.eigvalsh(together)[-1]) if parts.matrices else 0.0
-    if most > 1.0 + ROUNDING:
+    if most > 1.0 + PART_ROUNDING:
         hint = f"a shape has {most:.3g} times its strain energy in them: is a part there twice, or in other units?"
         raise InputError("system.factors", ", ".join(parts.matrices), "parts whose sum is not stiffer than K", hint)
 
@@ -137,7 +137,7 @@ def _energies(reduced: ReducedModel, matrix: csc_matrix) -> np.ndarray:
 def _stiffness_roots(reduced: ReducedModel) -> np.ndarray:
     """(n,), rad/s, of the coordinates; of a rigid body's, which no part may stiffen, what counts as none."""
     stiffness = reduced.stiffness
-    return np.sqrt(np.maximum(stiffness, RIGID * float(stiffness.max())))
+    return np.sqrt(np.maximum(stiffness, RIGID_EIGENVALUE * float(stiffness.max())))
 
 
 def substructures(reduced: ReducedModel, parts: Parts) -> ConnectionGroup:
@@ -145,7 +145,7 @@ def substructures(reduced: ReducedModel, parts: Parts) -> ConnectionGroup:
     rows, whose = [], []
     for number, matrix in enumerate(parts.matrices.values()):
         values, vectors = np.linalg.eigh(_energies(reduced, matrix))
-        kept = values > NONE
+        kept = values > NO_PART
         rows.append(np.sqrt(values[kept, None]) * vectors[:, kept].T * _stiffness_roots(reduced))
         whose += [number] * int(kept.sum())
     return ConnectionGroup(Substructure(), Incidence(csr_matrix(np.vstack(rows))), tuple(whose))

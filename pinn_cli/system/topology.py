@@ -14,7 +14,7 @@ from scipy.sparse import csr_matrix
 
 from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.legal_values import USABLE, entries, is_finite_number, is_usable_number
-from pinn_cli.system.building import GROUND, check_name, checked_names, damped, law_called, law_settings
+from pinn_cli.system.building import FIXED_GROUND, check_name, checked_names, damped, law_called, law_settings
 from pinn_cli.system.connection.base import Nonlinearity
 from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.coupling import loose_dofs
@@ -179,7 +179,7 @@ def _checked_supports(supports: Any, dofs: Sequence[Any]) -> tuple[str, ...]:
     names = entries(supports) if supports is not None else []
     for i, name in enumerate(names):
         check_name("system.supports", name)
-        if name == GROUND or name in dofs or name in names[:i]:
+        if name == FIXED_GROUND or name in dofs or name in names[:i]:
             raise InputError("system.supports", name, "a name of its own", "ground and system.dofs have theirs")
     return tuple(names)
 
@@ -264,7 +264,7 @@ def _weights(setting: str, entry: Mapping[str, Any], names: tuple[str, ...]) -> 
         raise InputError(setting, weights, "a map of coordinate: weight, such as {a: 0.8, b: -0.6}")
     for name in map(str, weights):
         if name not in names:
-            hint = "the ground does not move" if name == GROUND else suggestion(name, names)
+            hint = "the ground does not move" if name == FIXED_GROUND else suggestion(name, names)
             raise InputError(setting, name, f"one of {', '.join(names)}", hint)
     if not any(weights.values()):
         raise InputError(setting, dict(weights), "such that one is not 0", "nothing would stretch the connection")
@@ -276,11 +276,11 @@ def _between(setting: str, ends: Any, names: tuple[str, ...]) -> dict[int, float
     if len(pair) != 2:
         raise InputError(setting, ends, "two ends, [a, b]")
     for end in pair:
-        if end != GROUND and end not in names:
-            raise InputError(setting, end, f"{GROUND} or one of {', '.join(names)}", suggestion(str(end), names))
+        if end != FIXED_GROUND and end not in names:
+            raise InputError(setting, end, f"{FIXED_GROUND} or one of {', '.join(names)}", suggestion(str(end), names))
     if pair[0] == pair[1]:
         raise InputError(setting, pair, "two different ends", "nothing would stretch the connection")
-    return {names.index(end): sign for end, sign in zip(pair, (-1.0, 1.0), strict=True) if end != GROUND}
+    return {names.index(end): sign for end, sign in zip(pair, (-1.0, 1.0), strict=True) if end != FIXED_GROUND}
 
 
 def check_parameters_differ(structure: Structure) -> None:

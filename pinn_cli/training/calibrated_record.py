@@ -12,8 +12,8 @@ import numpy as np
 from pinn_cli.record.between_samples import BandLimited
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import GROUND, QUANTITIES, Response
-from pinn_cli.system.quantities import CALIBRATION_UNITS
+from pinn_cli.record.response import QUANTITIES, Response
+from pinn_cli.system.quantities import CALIBRATION_UNITS, GROUND
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
 
 

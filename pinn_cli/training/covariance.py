@@ -16,7 +16,8 @@ from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
-from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
+from pinn_cli.record.response import RESPONSE_QUANTITIES
+from pinn_cli.system.quantities import GROUND
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.normal_matrix.bordered import BorderedFactor
 from pinn_cli.training.normal_matrix.diagonals import Diagonals

@@ -20,9 +20,8 @@ from torch import Tensor
 
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.physics import observation_masks
-from pinn_cli.record.response import GROUND
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.system.quantities import FORCE, SUPPORT
+from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 from pinn_cli.training.factors.calibrated_channels import CalibratedChannels, Gains, SensorFilter
 from pinn_cli.training.factors.constant_channels import ConstantRows, ResponseChannels
 from pinn_cli.training.factors.equation_rows import EquationRows

@@ -17,13 +17,13 @@ from pinn_cli.record.ensemble import Members, Replay, affordable_members, distan
 from pinn_cli.record.free_run import NoFreeRunError, free_run
 from pinn_cli.record.inputs import SupportErrors, input_force
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES, UNITS, Response
+from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.priors import HALF_WIDTH_90
-from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE
+from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE, GROUND, UNITS
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.base import TrainedNetwork
 from pinn_cli.training.estimate import ConnectionHistories, Estimate, ParameterEstimate, Peak, RunContext

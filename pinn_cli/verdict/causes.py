@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.record.channels import Channel, channels
-from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.calibration import doubts_about
 from pinn_cli.scheme.linear_fit import WIDTHS, JointFit, LinearFit, LinearStructure, what_acts
 from pinn_cli.scheme.screening import Candidate, grid_of_starts, nearest
 from pinn_cli.scheme.starts import linear_parts
 from pinn_cli.system.frequency_response import real_rows
 from pinn_cli.system.parameters import MASS, Parameter
-from pinn_cli.system.quantities import FORCE
+from pinn_cli.system.quantities import FORCE, GROUND
 from pinn_cli.verdict.channel_faults import factor_finding, late_finding, misplaced_finding, swap_finding
 from pinn_cli.verdict.finding import Finding
 
@@ -34,12 +34,18 @@ if TYPE_CHECKING:
     from pinn_cli.system.structure import Structure
 
 # Seconds that the unit of the time axis may be long.
-UNITS = {1e-3: "milliseconds", 1e-6: "microseconds", 1e3: "thousands of seconds", 60.0: "minutes", 1 / 60: "1/60 s"}
+SECONDS_OF_UNITS = {
+    1e-3: "milliseconds",
+    1e-6: "microseconds",
+    1e3: "thousands of seconds",
+    60.0: "minutes",
+    1 / 60: "1/60 s",
+}
 # Part of the cross spectra that a structure may miss and need no cause; what a cause may leave of it, and of what is
 # missed without it.
 NEEDS_NO_CAUSE, LEFT, EXPLAINED = 0.01, 0.3, 0.5
 # Logarithm of how many times as probable a record must be with one cause as with another, and of what is chance.
-DECISIVE_CAUSE, ALIKE = 5.0, 0.5
+DECISIVE_CAUSE, AS_PROBABLE = 5.0, 0.5
 # Sensors that are suspected, those that are missed most; and numbers of the structure, those whose slopes explain most.
 SUSPECTED = 5
 # Standard deviation, as a logarithm, of how far off what a person says is where it is wrong.
@@ -47,11 +53,11 @@ WRONG = 1.5
 # A factor that is nearer to one is no mistake of a person's; neither is a shorter delay, in samples.
 LEAST_FACTOR, LEAST_DELAY_CAUSE = 1.1, 0.5
 # Part of itself to which a fit to spectra tells a factor.
-TOLD = 0.01
+TOLD_WITHIN = 0.01
 # A dense matrix is inverted at every frequency, for every cause.
 MOST_INVERTED = 12
 # Starts of each cause that go on to each width of the smoothing; at first one, which tells which causes are followed.
-AT_FIRST, SURVIVORS, FOLLOWED = (1,), (2, 1, 1), 8
+AT_FIRST, CAUSE_SURVIVORS, FOLLOWED = (1,), (2, 1, 1), 8
 MOVES, ACTS = "what the structure does", "what acts"
 
 
@@ -132,7 +138,7 @@ def _told(found: list[tuple[float, Finding]]) -> list[Finding]:
     if not found:
         return []
     least = min(minus_log for minus_log, _ in found)
-    best = next(one for minus_log, one in found if minus_log < least + ALIKE)  # sensors come before what acts
+    best = next(one for minus_log, one in found if minus_log < least + AS_PROBABLE)  # sensors come before what acts
     others = [
         one.suspect for minus_log, one in found if minus_log < least + DECISIVE_CAUSE and one.suspect != best.suspect
     ]
@@ -160,7 +166,7 @@ class _Fits:
         """``m`` and ``k`` where the fits start."""
         return [{kind: _sizes(linear_parts(one, ())[kind]) for kind in (MASS, "k")} for one in self.begun]
 
-    def fitted(self, cause: Cause, survivors: Sequence[int] = SURVIVORS) -> tuple[Candidate, float]:
+    def fitted(self, cause: Cause, survivors: Sequence[int] = CAUSE_SURVIVORS) -> tuple[Candidate, float]:
         """The structure that comes nearest to the record, and minus the logarithm of the record's probability."""
         known, (kind, places) = {kind: values.copy() for kind, values in self.known.items()}, cause.free
         known[kind][list(places)] = np.nan
@@ -216,8 +222,8 @@ def every_cause(
 ) -> Iterator[Cause]:
     """All that are asked, of suspected sensors, of masses and springs that are held, and of dampers that are."""
     acting = [*channels(record, (FORCE,)), *channels(record, (GROUND,))]
-    for seconds in UNITS:
-        reason = f"the structure does what was measured if the time is in {UNITS[seconds]}"
+    for seconds in SECONDS_OF_UNITS:
+        reason = f"the structure does what was measured if the time is in {SECONDS_OF_UNITS[seconds]}"
         told = Finding("time_unit", "time", f"{reason}; multiply the time column by {seconds:.6g}", "failed")
         yield Cause(replace(record, time=record.time * seconds), _always(told))
     for channel in (*sensors, *acting):
@@ -271,7 +277,7 @@ def _calibrated(record: Record, channel: Channel, sign: float) -> Cause:
         value, delay = gain(found), found.calibration[channel.name]["delay"]
         if not 1.0 / LEAST_FACTOR < value < LEAST_FACTOR:
             of = ACTS if channel.quantity in (FORCE, GROUND) else MOVES
-            return factor_finding(channel, value, of, TOLD * abs(value))
+            return factor_finding(channel, value, of, TOLD_WITHIN * abs(value))
         return None if abs(delay) < LEAST_DELAY_CAUSE * record.step else late_finding(channel, delay, record.step)
 
     return Cause(record, told, gain, channel)

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.response import GROUND
-from pinn_cli.system.quantities import FORCE
+from pinn_cli.system.quantities import FORCE, GROUND
 from pinn_cli.verdict.finding import Finding
 from pinn_cli.verdict.prediction import Comparison, compare, comparisons
 from pinn_cli.verdict.record_faults import DEVIATIONS, LEAST_OFFSET
@@ -35,7 +34,7 @@ SAME_FACTOR = 0.03
 # Off by no more than this share, a factor is that of a unit.
 UNIT_WITHIN = 0.03
 
-_UNITS = {
+_UNIT_FACTORS = {
     9.80665: ("9.80665", "g and m/s^2, or kgf and N"),
     1e1: ("10", "a decade"),
     1e2: ("100", "cm and m"),
@@ -234,7 +233,7 @@ def unit_of(factor: float, std: float = 0.0) -> str:
     """
     size, sign = abs(factor), "-" if factor < 0 else ""
     allowed = min(UNIT_WITHIN, max(0.01, 4.0 * std / size)) if size else 0.0
-    for exact, (written, units) in _UNITS.items():
+    for exact, (written, units) in _UNIT_FACTORS.items():
         if abs(size / exact - 1) < allowed:
             return f"{sign}{written}: {units}"
         if abs(size * exact - 1) < allowed:

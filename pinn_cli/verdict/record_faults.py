@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.record.channels import Channel, channels, equal_runs, hum
-from pinn_cli.record.response import GROUND, MEASURED_QUANTITIES, RESPONSE_QUANTITIES
+from pinn_cli.record.response import MEASURED_QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import mean_deviation
-from pinn_cli.system.quantities import FORCE, SUPPORT
+from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 from pinn_cli.verdict.finding import Finding
 
 if TYPE_CHECKING:

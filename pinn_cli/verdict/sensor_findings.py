@@ -14,9 +14,9 @@ import numpy as np
 from pinn_cli.record.channels import Channel, channels, every_channel
 from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.inputs import input_force
-from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import usable_periodogram
-from pinn_cli.system.quantities import SUPPORT
+from pinn_cli.system.quantities import GROUND, SUPPORT
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.finding import Finding, failed_if
 from pinn_cli.verdict.prediction import Comparison, comparisons, predicted
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 # NMSE of a free run that needs no excuse, and how many times the excuses' sum it may be: a few draws tell a mean
 # square to within a factor of two or so. At half, nothing is reproduced.
 GOOD, ALLOWED, NOT_AT_ALL = 0.05, 4.0, 0.5
-DRAWS = 2
+EXCUSE_DRAWS = 2
 # Noise levels are kept above a millionth of the channel's rms: what is found there was not found.
 BOUND = 2e-6
 # A sensor with 10 dB of noise has a third of its rms; at this share there is more noise than motion.
@@ -93,7 +93,7 @@ def _propagated(
     random = np.random.default_rng(0)
     total = dict.fromkeys((c.channel.name for c in bad), 0.0)
     start, spread = estimate.response.state(0), estimate.state_std(problem.structure, 0)
-    for _ in range(DRAWS):
+    for _ in range(EXCUSE_DRAWS):
         record = _disturbed(prediction.record, estimate, random)
         begun = [x + std * random.normal(size=len(x)) for x, std in zip(start, spread, strict=True)]
         other = predicted(random_structure(problem, estimate, random), record, begun)
@@ -101,7 +101,7 @@ def _propagated(
             continue
         for c in bad:
             change = c.channel.of(other.response) - c.channel.of(prediction.response)[: len(other.record.time)]
-            total[c.channel.name] += float(np.mean(change**2)) / c.power / DRAWS
+            total[c.channel.name] += float(np.mean(change**2)) / c.power / EXCUSE_DRAWS
     return total
 
 

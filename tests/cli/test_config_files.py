@@ -7,7 +7,7 @@ import pytest
 from calls import PinnRun
 
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.yaml_file import MOST_BYTES, MOST_LEVELS, read_yaml
+from pinn_cli.settings.yaml_file import MOST_LEVELS, MOST_YAML_BYTES, read_yaml
 
 BOMB = "a0: &a0 [x,x,x,x,x,x,x,x,x]\n" + "".join(
     f"a{i}: &a{i} [{','.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 12)
@@ -85,8 +85,8 @@ def test_another_encoding(pinn_run: PinnRun, folder: Path, encoding: str) -> Non
 
 def test_a_file_of_another_kind(tmp_path: Path) -> None:
     file = tmp_path / "large.yaml"
-    file.write_bytes(b"#" * (MOST_BYTES + 1))
-    with pytest.raises(InputError, match=f"at most {MOST_BYTES} bytes"):
+    file.write_bytes(b"#" * (MOST_YAML_BYTES + 1))
+    with pytest.raises(InputError, match=f"at most {MOST_YAML_BYTES} bytes"):
         read_yaml(file)
     with pytest.raises(InputError, match="a file that can be read"):
         read_yaml(tmp_path)

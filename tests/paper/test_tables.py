@@ -12,7 +12,7 @@ from pinn_cli.paper.__main__ import make_table
 from pinn_cli.paper.runs import TABLES, CaseFailedError
 from pinn_cli.paper.tables import (
     FITNESS_COLUMNS,
-    PARAMETER_COLUMNS,
+    PAPER_PARAMETER_COLUMNS,
     RUN,
     compare_fitness,
     compare_parameters,
@@ -68,7 +68,7 @@ def test_without_runs_there_are_the_published_values():
     assert table["drawn"].isna().all()
     assert "| k | prescribed | 15.00 |" in wrong_values_sheet(TABLE1, table).markdown
     assert list(compare_fitness(TABLE2, NOTHING)) == list(FITNESS_COLUMNS)
-    assert list(compare_parameters(TABLE3, NOTHING)) == list(PARAMETER_COLUMNS)
+    assert list(compare_parameters(TABLE3, NOTHING)) == list(PAPER_PARAMETER_COLUMNS)
 
 
 def test_fitness_is_marked_where_it_is_below():
@@ -90,7 +90,7 @@ def test_fitness_is_marked_where_it_is_below():
 def test_parameters_beside_the_published_ones():
     comparison = compare_parameters(TABLE3, pd.concat(_parameters(case=case) for case in TABLE3.cases[::-1]))
     assert TABLE3.cases == [f"sp_5dof_snr{snr}" for snr in (50, 20, 10)]
-    assert list(comparison) == list(PARAMETER_COLUMNS)
+    assert list(comparison) == list(PAPER_PARAMETER_COLUMNS)
     assert comparison["parameter"].tolist() == 3 * ["k_2", "k_4", "kappa_2", "kappa_4"]
     comparison = compare_parameters(TABLE3, _parameters(0.4, 0.2))
     assert comparison["larger_error"].tolist() == [False, True, False, True]  # published: 0.615, 0.37, 6.0, 0.326

@@ -10,10 +10,11 @@ from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.excel import ExcelFormat
 from pinn_cli.record.files.mat import MatFormat
 from pinn_cli.record.files.uff import UffFormat
-from pinn_cli.record.response import QUANTITIES, UNITS
+from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report.export import EXPORTS, report_settings
 from pinn_cli.report.netcdf import response_dataset
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.quantities import UNITS
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from fake_posteriors import DUFFING, LABELS, make_record, make_result, make_samp
 from small_estimates import results_of
 
 from pinn_cli.record.record import Truth
-from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, UNITS, Response
+from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.report.netcdf import (
     netcdf_attributes,
     posterior_groups,
@@ -17,6 +17,7 @@ from pinn_cli.report.netcdf import (
     write_dataset,
 )
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.quantities import UNITS
 
 arviz = pytest.importorskip("arviz")
 

@@ -7,9 +7,9 @@ from small_problems import excitation, measured, small_chain
 
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import GROUND
 from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
+from pinn_cli.system.quantities import GROUND
 from pinn_cli.training.sensor_samples import SensorSamples, starting_levels
 
 

@@ -35,11 +35,11 @@ TOLD_POWER = 1e-4
 # times as dense, and by a spline of this degree between those (error below 1e-6 of the highest sinusoid). Zeros on
 # either side keep the end of the record from its beginning. Of a measured history nobody knows that it is zero beyond
 # its ends: `pinn_cli.record.between_samples` takes nothing of the kind for granted, and tells less (1e-5).
-DENSER, SPLINE_DEGREE, ZEROS = 16, 5, 256
+OVERSAMPLING, SPLINE_DEGREE, ZEROS = 16, 5, 256
 # Times are printed with few digits: let each be off the regular axis by this part of a step.
-TIME_TOLERANCE = 0.1
+AXIS_TOLERANCE = 0.1
 _SEPARATOR = re.compile(r"[,;\s]+")
-SETTING = "excitation.path"
+MOTION_SETTING = "excitation.path"
 # Of a line that is told, characters.
 SHOWN = 60
 
@@ -277,8 +277,8 @@ class RecordedMotion:
         from scipy.interpolate import make_interp_spline
         from scipy.signal import resample
 
-        dense = resample(padded, DENSER * len(padded))
-        time = (step / DENSER) * np.arange(len(dense)) - step * ZEROS
+        dense = resample(padded, OVERSAMPLING * len(padded))
+        time = (step / OVERSAMPLING) * np.arange(len(dense)) - step * ZEROS
         self._spline = make_interp_spline(time, dense, k=SPLINE_DEGREE)
         self._ends = time[0], time[-1]
 
@@ -323,15 +323,15 @@ class RecordedMotion:
             values, step = columns[:, 1], _uniform_step(path, columns[:, 0], first)
         if len(values) < MINIMUM_SAMPLES or not values.any():
             found = f"{len(values)} values" + ("" if values.any() else ", all of them 0")
-            raise InputError(SETTING, path, f"a motion of {MINIMUM_SAMPLES} values or more", found)
+            raise InputError(MOTION_SETTING, path, f"a motion of {MINIMUM_SAMPLES} values or more", found)
         if (largest := float(np.abs(values).max())) > LARGEST:
-            raise InputError(SETTING, path, f"a motion below {LARGEST:g}", f"it reaches {largest:g}")
+            raise InputError(MOTION_SETTING, path, f"a motion below {LARGEST:g}", f"it reaches {largest:g}")
         return cls(step, values)
 
 
 def _rows(path: Path) -> tuple[list[list[float]], int]:
     """The numbers of every line after the header, and the number of the first such line."""
-    lines = read_text(path, SETTING).splitlines()
+    lines = read_text(path, MOTION_SETTING).splitlines()
     rows: list[list[float]] = []
     first = 0
     for number, line in enumerate(lines, start=1):
@@ -342,12 +342,14 @@ def _rows(path: Path) -> tuple[list[list[float]], int]:
         if not np.isfinite(row).all():
             if rows:
                 shown = f"{path.name}, line {number}"
-                raise InputError(SETTING, path, "a file of finite numbers", f"{shown} reads {line.strip()[:SHOWN]!r}")
+                raise InputError(
+                    MOTION_SETTING, path, "a file of finite numbers", f"{shown} reads {line.strip()[:SHOWN]!r}"
+                )
         elif row:
             first = first or number
             rows.append(row)
     if not rows:
-        raise InputError(SETTING, path, "a file of numbers", f"{path.name} has none")
+        raise InputError(MOTION_SETTING, path, "a file of numbers", f"{path.name} has none")
     return rows, first
 
 
@@ -356,8 +358,8 @@ def _uniform_step(path: Path, time: np.ndarray, first: int) -> float:
     step = float(time[-1] - time[0]) / (len(time) - 1)
     usual = float(np.median(np.diff(time)))
     off = np.abs(time - (time[0] + step * np.arange(len(time))))
-    if off.max() > TIME_TOLERANCE * usual:
+    if off.max() > AXIS_TOLERANCE * usual:
         row = int(np.argmax(np.abs(np.diff(time) - usual))) + 1
         hint = f"{path.name}, line {first + row}: {time[row]:g} s after {time[row - 1]:g} s"
-        raise InputError(SETTING, path, f"a file with one step, {usual:g} s", hint)
+        raise InputError(MOTION_SETTING, path, f"a file with one step, {usual:g} s", hint)
     return step

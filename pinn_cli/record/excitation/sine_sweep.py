@@ -12,7 +12,7 @@ from pinn_cli.record.excitation.base import Excitation, checked_band
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, positive_number
 
-LAWS = ("linear", "logarithmic")
+SWEEP_LAWS = ("linear", "logarithmic")
 
 
 class SineSweep(Excitation):
@@ -39,12 +39,12 @@ class SineSweep(Excitation):
         band: Sequence[float],
         rms: float,
         dofs: Sequence[int],
-        law: Annotated[str, LAWS] = "linear",
+        law: Annotated[str, SWEEP_LAWS] = "linear",
     ) -> None:
         super().__init__(ndof, duration, samples, dofs)
         self.band = checked_band(band, self.nyquist)
         self.rms = positive_number("excitation.rms", rms)
-        self.law = one_of("excitation.law", law, LAWS)
+        self.law = one_of("excitation.law", law, SWEEP_LAWS)
         if law == "logarithmic" and self.band[0] == 0.0:
             raise InputError("excitation.band", list(self.band), "above 0 Hz", "a logarithmic sweep never leaves 0 Hz")
 

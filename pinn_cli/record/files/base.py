@@ -27,7 +27,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from pinn_cli.record.files.on_disk import check_size, damaged, other_format, read_bytes
-from pinn_cli.record.files.table import TIMES, SensorHint, Table
+from pinn_cli.record.files.table import TIME_COLUMN, SensorHint, Table
 from pinn_cli.record.files.variables import Variable, joined, tables_of
 from pinn_cli.runs.machine import of_this_machine
 from pinn_cli.settings.errors import InputError
@@ -131,7 +131,7 @@ class ArrayFormat(FileFormat):
 
     def read_tables(self, path: Path, wanted: Mapping[str, str] | None) -> list[Table]:
         """See :meth:`tables`; raises what :meth:`variables` does."""
-        names = None if wanted is None else [column or TIMES for column in wanted.values()]
+        names = None if wanted is None else [column or TIME_COLUMN for column in wanted.values()]
         return tables_of(path, self.variables(path, names), wanted)
 
     def begins(self, content: bytes) -> bool:

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pinn_cli.record.files.base import FileFormat
-from pinn_cli.record.files.table import IN_BRACKETS, TIMES, SensorHint, Table, asked_for, bare, is_called_times
+from pinn_cli.record.files.table import IN_BRACKETS, TIME_COLUMN, SensorHint, Table, asked_for, bare, is_called_times
 from pinn_cli.settings.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
 
-SETTING = "data"
-ALLOWED = "a pandas DataFrame, or a map of names to arrays of one length"
+DATA_SETTING = "data"
+TABLES_ALLOWED = "a pandas DataFrame, or a map of names to arrays of one length"
 
 # What this process holds, by the name that stands for it in `data.path`.
 _held: dict[str, Table] = {}
@@ -54,7 +54,7 @@ def held(table: Table) -> Iterator[None]:
             del _held[name]
 
 
-def table_of(data: Any, setting: str = SETTING) -> Table:
+def table_of(data: Any, setting: str = DATA_SETTING) -> Table:
     """A table whose name says its content.
 
     Args:
@@ -69,7 +69,7 @@ def table_of(data: Any, setting: str = SETTING) -> Table:
     is_frame = all(hasattr(data, name) for name in ("columns", "index", "attrs"))
     columns, units = _of_frame(data) if is_frame else _of_arrays(data, setting)
     if not columns:
-        raise InputError(setting, type(data).__name__, ALLOWED, "it has no columns")
+        raise InputError(setting, type(data).__name__, TABLES_ALLOWED, "it has no columns")
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
         shown = ", ".join(f"{name!r}: {length}" for name, length in lengths.items())
@@ -97,18 +97,18 @@ def _of_frame(frame: pd.DataFrame) -> tuple[dict[str, Any], dict[str, str]]:
     names = [_joined(name) for name in frame.columns]
     for i, name in enumerate(names):
         if name in names[:i]:
-            raise InputError(SETTING, repr(name), "a frame whose columns have different names")
+            raise InputError(DATA_SETTING, repr(name), "a frame whose columns have different names")
     columns: dict[str, Any] = {name: frame.iloc[:, i] for i, name in enumerate(names)}
     has_times = any(map(is_called_times, names))
     if not has_times and (is_called_times(str(frame.index.name)) or frame.index.dtype.kind in "fmM"):
-        columns = {TIMES: frame.index.to_series(), **columns}
+        columns = {TIME_COLUMN: frame.index.to_series(), **columns}
     told = frame.attrs.get("units")
     return columns, {name: str(unit or "") for name, unit in told.items()} if isinstance(told, Mapping) else {}
 
 
 def _of_arrays(data: Any, setting: str) -> tuple[dict[str, Any], dict[str, str]]:
     if not isinstance(data, Mapping):
-        raise InputError(setting, f"<{type(data).__name__}>", ALLOWED)
+        raise InputError(setting, f"<{type(data).__name__}>", TABLES_ALLOWED)
     columns: dict[str, Any] = {}
     units: dict[str, str] = {}
     for key, values in data.items():

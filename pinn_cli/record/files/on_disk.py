@@ -15,7 +15,7 @@ from pinn_cli.settings.errors import InputError
 PART_OF_MEMORY = 16
 # How files begin whose names do not always say what they are.
 _UNIVERSAL, _GZIP = b"    -1", b"\x1f\x8b"
-BEGINNINGS = {
+PACKED_AS = {
     _GZIP: "gzip",
     b"PK\x03\x04": "a zip archive or a spreadsheet (data=excel)",
     b"BZh": "bzip2",
@@ -79,7 +79,7 @@ def read_text(path: Path, setting: str = "data.path", encoding: str | None = Non
     if content.startswith(_GZIP):
         content = _unpacked(path, content, setting)
     kind = _kind(content)
-    if (kind and kind != BEGINNINGS[_UNIVERSAL]) or path.suffix.lower() in _PACKED:
+    if (kind and kind != PACKED_AS[_UNIVERSAL]) or path.suffix.lower() in _PACKED:
         hint = f"it is {kind}: unpack it, or {_SAVE_AS}" if kind else f"unpack it, and {_SAVE_AS}"
         raise InputError(setting, path, "a text file", hint)
     given = (
@@ -146,7 +146,7 @@ def damaged(path: Path, expected: str, reason: str) -> InputError:
 
 
 def _kind(content: bytes) -> str:
-    return next((kind for start, kind in BEGINNINGS.items() if content.startswith(start)), "")
+    return next((kind for start, kind in PACKED_AS.items() if content.startswith(start)), "")
 
 
 def _line(path: Path, content: bytes, place: int) -> str:

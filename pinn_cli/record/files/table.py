@@ -17,9 +17,9 @@ from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.legal_values import LARGEST, SMALLEST, USABLE
 
 # What an error says of the names of columns at most.
-_NAMES, _NAME_LENGTH = 20, 60
+_NAMES_TOLD, _NAME_LENGTH = 20, 60
 # What a column of times should be called, and may be, in large letters or small ones: T is a temperature.
-TIMES, _ALSO_TIMES = "t", (
+TIME_COLUMN, _ALSO_TIMES = "t", (
     "time", "zeit", "timestamp", "zeitstempel", "datetime", "date/time", "date time", "date_time", "datum/zeit",
     "datum uhrzeit", "uhrzeit", "elapsed time", "relative time", "time stamp", "x_value", "seconds", "date", "datum",
 )  # fmt: skip
@@ -36,7 +36,7 @@ _WRITTEN_AS = (
     (re.compile(r"=|[+-]?[A-Za-z]\w*\("), "it looks like a formula, and pinn-run evaluates none: save its value"),
 )
 # m/s² is m/s^2, and both letters that are written for micro are u.
-_PLAIN = str.maketrans({"\N{SUPERSCRIPT TWO}": "2", "\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"})
+_PLAIN_LETTERS = str.maketrans({"\N{SUPERSCRIPT TWO}": "2", "\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"})
 _LEFT_OUT = "leave gaps out with data.start and data.stop"
 # Dates and times of day.
 _DAY = r"(\d{1,4})[-./](\d{1,2})[-./](\d{1,4})"
@@ -63,7 +63,7 @@ class SensorHint:
     place: str = ""
 
     def __post_init__(self) -> None:
-        plain = self.unit.strip().strip("[]()").strip().translate(_PLAIN)
+        plain = self.unit.strip().strip("[]()").strip().translate(_PLAIN_LETTERS)
         object.__setattr__(self, "unit", re.sub(r"(?<=[A-Za-z])(?=\d)", "^", plain))
 
 
@@ -196,7 +196,7 @@ def _rank(column: str) -> int | None:
     """How many better names of times there are than that of a column; None: it is none. Groups stand before it."""
     name = bare(column)
     for last in (name, re.split(r"[/.]", name)[-1].strip()):
-        if last == TIMES:
+        if last == TIME_COLUMN:
             return 0
         if last.casefold() in _ALSO_TIMES:
             return 1 + _ALSO_TIMES.index(last.casefold())
@@ -206,7 +206,7 @@ def _rank(column: str) -> int | None:
 def column_of_times(names: Collection[str]) -> str:
     """That which is called as it should be; else the one with the best of the other names, the first of several."""
     ranked = [(rank, name) for name in names if (rank := _rank(name)) is not None]
-    return min(ranked, key=lambda one: one[0])[1] if ranked else TIMES
+    return min(ranked, key=lambda one: one[0])[1] if ranked else TIME_COLUMN
 
 
 def asked_for(path: Path, wanted: Mapping[str, str], names: Collection[str], otherwise: str = "") -> dict[str, str]:
@@ -264,8 +264,8 @@ def same_length(path: Path, columns: Mapping[str, np.ndarray]) -> None:
 def listed(names: Iterable[str]) -> str:
     """The first of the names, shortened and in quotes, and how many more there are; ``no columns`` of none."""
     every: Sequence[str] = list(names)
-    more = f" and {len(every) - _NAMES} more" if len(every) > _NAMES else ""
-    return ", ".join(map(shortened, every[:_NAMES])) + more or "no columns"
+    more = f" and {len(every) - _NAMES_TOLD} more" if len(every) > _NAMES_TOLD else ""
+    return ", ".join(map(shortened, every[:_NAMES_TOLD])) + more or "no columns"
 
 
 def shortened(text: str) -> str:

@@ -20,10 +20,10 @@ _MARK = b"    -1"
 _GENERAL, _TIME_RESPONSE = 0, 1
 _UNKNOWN, _TIME = 0, 17
 _FUNCTIONS = {2: "auto spectra", 3: "cross spectra", 4: "frequency response functions", 6: "coherences", 9: "PSDs"}
-_QUANTITIES = {8: "displacement", 9: "force", 11: "velocity", 12: "acceleration", 13: "force"}
+_QUANTITY_CODES = {8: "displacement", 9: "force", 11: "velocity", 12: "acceleration", 13: "force"}
 _DIRECTIONS = ("", "X", "Y", "Z", "RX", "RY", "RZ")
 # Units of length and force by the code of data set 164.
-_UNITS = {1: ("m", "N"), 2: ("ft", "lbf"), 5: ("mm", "mN"), 6: ("cm", "cN"), 7: ("in", "lbf"), 10: ("mm", "N")}
+_UNIT_CODES = {1: ("m", "N"), 2: ("ft", "lbf"), 5: ("mm", "mN"), 6: ("cm", "cN"), 7: ("in", "lbf"), 10: ("mm", "N")}
 _OF_QUANTITY = {"displacement": "{0}", "velocity": "{0}/s", "acceleration": "{0}/s^2", "force": "{1}"}
 
 
@@ -95,13 +95,13 @@ def _variable(path: Path, name: str, one: Mapping[str, Any], code: int) -> Varia
 
     quantity, label = _quantity(one), str(one.get("ordinate_axis_units_lab", "")).strip()
     unit = "" if label.upper() in ("", "NONE") else label
-    if not unit and code in _UNITS and quantity:
-        unit = _OF_QUANTITY[quantity].format(*_UNITS[code])
+    if not unit and code in _UNIT_CODES and quantity:
+        unit = _OF_QUANTITY[quantity].format(*_UNIT_CODES[code])
     return Variable((len(values), 1), read, hint=SensorHint(unit, quantity, _place(one)), time=time)
 
 
 def _quantity(one: Mapping[str, Any]) -> str:
-    return _QUANTITIES.get(one["ordinate_spec_data_type"], "")
+    return _QUANTITY_CODES.get(one["ordinate_spec_data_type"], "")
 
 
 def _place(one: Mapping[str, Any]) -> str:

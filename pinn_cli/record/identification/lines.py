@@ -11,7 +11,7 @@ from pinn_cli.system.priors import HALF_WIDTH_90
 # A band reaches so many half widths of its mode to either side, and this part of its frequency at most.
 HALF_WIDTHS, WIDEST = 10.0, 0.3
 # What is added to the factor on a variance where a half-power width has one line: measured, see `widened`.
-FEW = 2.0
+FEW_LINES = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +141,7 @@ def widened(covariance: np.ndarray, pole: Pole, duration: float, factors: tuple[
         factors: On the variances of both, where a half-power width has many lines.
     """
     lines = 2.0 * pole.damping * pole.frequency * duration
-    factor = np.sqrt(np.array(factors) + FEW / max(lines, 0.5))
+    factor = np.sqrt(np.array(factors) + FEW_LINES / max(lines, 0.5))
     return np.asarray(covariance * np.outer(factor, factor))
 
 

@@ -18,7 +18,7 @@ from pinn_cli.record.identification.response_fit import ResponseFit
 from pinn_cli.record.identification.subspace import MOST_DAMPED, Stabilisation, assurance, stabilisation
 
 # Logarithm of the probability that chance makes a mode; part of the motion at its peak that is its own, at least.
-CHANCE, LEAST_EXPLAINED = -16.0, 0.5
+CHANCE, LEAST_OF_ITS_OWN = -16.0, 0.5
 # Relative deviations of a frequency and of a damping ratio that is determined; lines in a half-power width, at least.
 MOST_UNCERTAIN, MOST_UNCERTAIN_DAMPING, NARROWEST = 0.02, 0.7, 0.5
 # Modes nearer than this part of their half-power width are one, unless their shapes differ.
@@ -122,5 +122,5 @@ def _holds(mode: RecordMode, start: Pole, lines: Lines) -> bool:
         and 0.0 < of_damping**0.5 < MOST_UNCERTAIN_DAMPING
         and mode.damping < MOST_DAMPED
         and 2.0 * mode.damping * mode.frequency * lines.duration > NARROWEST
-        and mode.explained > LEAST_EXPLAINED
+        and mode.explained > LEAST_OF_ITS_OWN
     )

@@ -19,17 +19,17 @@ import numpy as np
 from pinn_cli.record.identification.lines import Lines, Pole, RecordMode, normalised, widened
 
 # Lines of a band at least; the sensors' other motion is taken to be even in this part; lines that tell of it.
-FEWEST_LINES, SHRUNK, FEWEST_OUTSIDE = 40, 0.05, 4
+FEWEST_IN_BAND_FIT, SHRUNK, FEWEST_OUTSIDE = 40, 0.05, 4
 # What a model of the power is at least, of the band's least.
-LEAST_LEVEL, STEPS = 0.02, 60
+LEAST_OF_POWER, SCORING_STEPS = 0.02, 60
 # An envelope that is so steady is a machine's, where a mode's would have changed so often.
 STEADY, FEWEST_TIMES = 1.4, 25.0
 # A line counts for the shape by this power of the mode's part in it.
-OWN = 6
+OWN_POWER = 6
 # Part of the lines that is independent under Hann's window.
 HANN = 18.0 / 35.0
 # What the variances of a frequency and a damping ratio are of those to first order: measured, see `widened`.
-WIDENED = 1.3, 1.0
+WIDENED_POWER = 1.3, 1.0
 # An edge has so many lines to either side; of the logarithm of the likelihood, by how much a mode is better than one.
 EDGE_LINES, LIKELIER = 4, 15.0
 
@@ -45,7 +45,7 @@ class PowerFit:
     """
 
     def __init__(self, lines: Lines, pole: Pole, beside: Sequence[Pole], shape: np.ndarray) -> None:
-        self.band, self.pole = lines.around(pole, FEWEST_LINES), pole
+        self.band, self.pole = lines.around(pole, FEWEST_IN_BAND_FIT), pole
         f = self.band.frequency
         reach = f[-1] - f[0]
         self.free = tuple(other for other in beside if f[0] < other.frequency < f[-1])
@@ -103,7 +103,7 @@ class PowerFit:
     def _scored(self, poles: list[Pole], moving: int) -> tuple[list[Pole], np.ndarray, float, np.ndarray]:
         """Fisher scoring; the first ``moving`` poles are free."""
         background = self._background()
-        floor = LEAST_LEVEL * float(np.quantile(self.power, 0.2)) + 1e-9
+        floor = LEAST_OF_POWER * float(np.quantile(self.power, 0.2)) + 1e-9
         linear = np.concatenate((self._shapes(poles), background), axis=1)
         size = np.maximum(np.max(np.abs(linear), axis=0), 1e-300)
         values = np.zeros(linear.shape[1])
@@ -122,7 +122,7 @@ class PowerFit:
 
         expected = level(values, linear)
         now = cost(expected)
-        for _ in range(STEPS):
+        for _ in range(SCORING_STEPS):
             moved = [s for i in range(moving) for s in self._slopes(poles[i], values[2 * i : 2 * i + 2])]
             jacobian = np.concatenate((np.stack(moved, axis=1), linear), axis=1) if moved else linear
             scaled = jacobian / expected[:, None]
@@ -164,7 +164,7 @@ class PowerFit:
         grouped = inverse @ (scores.T @ scores) @ inverse / np.outer(norm, norm)
         even = inverse / np.outer(norm, norm)
         covariance = (even if np.trace(even[:2, :2]) > np.trace(grouped[:2, :2]) else grouped)[:2, :2]
-        covariance = widened(covariance, poles[0], self.band.duration, WIDENED)
+        covariance = widened(covariance, poles[0], self.band.duration, WIDENED_POWER)
         peak = self._shapes(poles[:1]) @ values[:2]
         own = np.clip(peak / expected, 0.0, 1.0)
         top = int(np.argmax(peak))
@@ -191,7 +191,7 @@ class PowerFit:
         rough = self.shape / ((self.weights @ self.shape) or 1.0)
         off = np.sum(np.abs(y - coordinate[:, None] * rough) ** 2, axis=1)  # large where a machine runs
         usual = float(np.median(off)) + 1e-300
-        weight = own[1:-1] ** OWN / expected[1:-1] * (usual / (usual + off)) ** 2
+        weight = own[1:-1] ** OWN_POWER / expected[1:-1] * (usual / (usual + off)) ** 2
         size = max(float(np.sum(weight * np.abs(coordinate) ** 2)), 1e-140)
         shape = (weight * coordinate.conj()) @ y / size
         left = y - coordinate[:, None] * shape

@@ -19,9 +19,9 @@ from pinn_cli.record.identification.lines import Lines, Pole, RecordMode, normal
 
 # Degree of the polynomials; lines for every column; and inputs have so many more lines of power than columns.
 DEGREE, LINES_OF_COLUMN, MORE_LINES = 3, 3.0, 3.0
-STEPS, LARGEST_LEVERAGE = 30, 0.7
+FIT_STEPS, LARGEST_LEVERAGE = 30, 0.7
 # What the variances of a frequency and a damping ratio are of those to first order: measured, see `widened`.
-WIDENED = 1.1, 1.1
+WIDENED_RESPONSE = 1.1, 1.1
 
 
 class ResponseFit:
@@ -95,7 +95,7 @@ class ResponseFit:
             size = np.sqrt(np.mean(np.abs(left) ** 2, axis=0))
             weights = 1.0 / np.maximum(size, 1e-9)
             cost = float(np.sum(np.abs(left * weights) ** 2))
-            for _ in range(STEPS):
+            for _ in range(FIT_STEPS):
                 jacobian, left, *_ = self._linearised(poles)
                 step = _solve(jacobian * weights[:, None], left * weights)
                 step *= min(1.0, 0.5 / max(float(np.max(np.abs(step[1::2]), initial=0.0)), 1e-300))
@@ -165,7 +165,7 @@ class ResponseFit:
         near = np.abs(self.band.frequency - poles[0].frequency) <= width
         own, other = (np.sum(np.abs(x[near]) ** 2, axis=0) for x in (mode, self.y - mode))
         part = float(np.max(own / np.maximum(own + other, 1e-300)))
-        covariance = widened(covariance[:2, :2], poles[0], self.band.duration, WIDENED)
+        covariance = widened(covariance[:2, :2], poles[0], self.band.duration, WIDENED_RESPONSE)
         return RecordMode(poles[0].frequency, poles[0].damping, covariance, shape, noise, part)
 
 

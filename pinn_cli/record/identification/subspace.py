@@ -18,10 +18,10 @@ import numpy as np
 from pinn_cli.record.spectrum import decimate
 
 # Lags of a block: between these, and in all with the sensors as many rows; the highest order, of how many states.
-FEWEST_LAGS, MOST_LAGS, ROWS, HIGHEST_ORDER = 10, 30, 80, 24
+FEWEST_LAGS, MOST_LAGS, BLOCK_ROWS, HIGHEST_ORDER = 10, 30, 80, 24
 # Samples of a scale at least, and of every row of the two blocks; the part of its sampling rate in which poles are
 # read: of the slowest one the lower.
-FEWEST_SAMPLES, SAMPLES_OF_A_ROW, LOWEST_PART, HIGHEST_PART, LOWEST_OF_LAST = 160, 3.0, 0.16, 0.45, 0.02
+FEWEST_OF_SCALE, SAMPLES_OF_A_ROW, LOWEST_PART, HIGHEST_PART, LOWEST_OF_LAST = 160, 3.0, 0.16, 0.45, 0.02
 # Two orders have the same pole, relative in frequency, in damping ratio, and by the modal assurance criterion.
 SAME_FREQUENCY, SAME_DAMPING, SAME_RATIO, SAME_SHAPE = 0.01, 0.25, 0.002, 0.9
 # Damping ratios of a vibration; part of the orders in which a stable pole is there; more sensors are taken together.
@@ -112,7 +112,7 @@ def stabilisation(outputs: np.ndarray, inputs: np.ndarray, step: float) -> Stabi
 
 def _scales(values: np.ndarray, step: float) -> Iterator[tuple[np.ndarray, float, float]]:
     """The channels at their own rate, at half of it, and so on; the step, and from where on poles are read, Hz."""
-    while len(values) >= 2 * FEWEST_SAMPLES:
+    while len(values) >= 2 * FEWEST_OF_SCALE:
         yield values, step, LOWEST_PART / step
         values, step = decimate(values, 2), 2.0 * step
     yield values, step, LOWEST_OF_LAST / step
@@ -126,7 +126,7 @@ def _by_order(values: np.ndarray, sensors: int, step: float) -> Iterator[tuple[i
         directions = np.linalg.svd(np.cov(moving.T), hermitian=True)[0][:, :MOST_SENSORS]
         moving, back, sensors = moving @ directions, size[:, None] * directions, MOST_SENSORS
     values = np.concatenate((moving, values[:, len(size) :]), axis=1)
-    lags = min(ROWS / sensors, len(values) / (SAMPLES_OF_A_ROW * values.shape[1]), MOST_LAGS)
+    lags = min(BLOCK_ROWS / sensors, len(values) / (SAMPLES_OF_A_ROW * values.shape[1]), MOST_LAGS)
     observability = _observability(values, sensors, max(int(lags), FEWEST_LAGS))
     if observability is None:
         return

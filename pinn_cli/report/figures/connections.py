@@ -25,7 +25,7 @@ MOVING, HARMONICS = 0.95, 4.0
 CLASSES = 24  # of equal size, whose means tell whether the force follows something
 MOST_DOTS = 4000  # of a longer record, evenly chosen
 
-_PEAK: style.Look = {"color": style.VERMILLION, "linestyle": "none", "marker": "o", "markersize": 3.5}
+_PEAK_MARK: style.Look = {"color": style.VERMILLION, "linestyle": "none", "marker": "o", "markersize": 3.5}
 _TRUE_PEAK: style.Look = {
     "color": style.BLACK, "linestyle": "none", "marker": "D", "markersize": 5.0, "markerfacecolor": "none",
     "markeredgewidth": 0.8,
@@ -51,7 +51,7 @@ def drift_figure(drifts: Histories, truth_label: str = "truth", shown_s: tuple[f
         factor = histories.draw_column(panels[:, 0], drifts, shown, window, histories.looks(true=truth_label))
         for axes, place in zip(panels[:, 0], shown, strict=True):
             if window.start <= sample[place] < window.stop:
-                axes.plot(drifts.time[sample[place]], factor * estimate[sample[place], place], **_PEAK)
+                axes.plot(drifts.time[sample[place]], factor * estimate[sample[place], place], **_PEAK_MARK)
             name = drifts.places[place]
             axes.set_ylabel(f"connection {name}" if name.isdecimal() else name)  # a number alone would not say of what
         figure.align_ylabels(list(panels[:, 0]))
@@ -72,7 +72,7 @@ def _draw_peaks(axes: Axes, drifts: Histories, factor: float) -> None:
     found = drifts.peak_estimates()
     place = np.arange(len(found.estimate))
     known = np.isfinite(found.std).all()
-    dot = {**_PEAK, "markersize": 2.0} if known else _PEAK
+    dot = {**_PEAK_MARK, "markersize": 2.0} if known else _PEAK_MARK
     axes.plot(factor * found.estimate, place, **dot, label="peak, 90 % interval" if known else "peak")
     if known:
         ends = factor * np.maximum(found.interval, 0.0)

@@ -19,12 +19,12 @@ from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.report.estimates import Histories, dof_histories, ground_history
 from pinn_cli.report.figures import style
 from pinn_cli.report.results import Results
+from pinn_cli.system.priors import HALF_WIDTH_95
 from pinn_cli.training.estimate import Estimate
 
-BAND = 1.96  # standard deviations to either side of the estimate: 95 %
-POINTS = 400  # observations drawn in a panel at most
+POINTS_DRAWN = 400  # observations drawn in a panel at most
 PERIODS_IN_FULL, PERIODS_SHOWN = 100, 20  # a longer record shows a stretch, else it is a block of ink
-ROWS_IN_FULL = 6  # more DOFs than these: the first two and the last two, as in the paper
+DOFS_IN_FULL = 6  # more DOFs than these: the first two and the last two, as in the paper
 PIXELS = 400  # columns of a map
 
 Looks = Mapping[str, style.Look]
@@ -100,7 +100,7 @@ def band(histories: Histories, place: int, window: slice) -> tuple[np.ndarray, n
     """Lower and upper edge: those that were found, or 1.96 standard deviations about the estimate; NaN of neither."""
     if "lower" in histories.found:
         return histories.found["lower"][window, place], histories.found["upper"][window, place]
-    estimate, spread = histories.of("estimate")[window, place], BAND * histories.of("std")[window, place]
+    estimate, spread = histories.of("estimate")[window, place], HALF_WIDTH_95 * histories.of("std")[window, place]
     return estimate - spread, estimate + spread
 
 
@@ -124,7 +124,7 @@ def _limits(histories: Histories, place: int, window: slice) -> tuple[float, flo
 
 def thinned(samples: int) -> int:
     """Every how many samples an observation is drawn."""
-    return -(-samples // POINTS)
+    return -(-samples // POINTS_DRAWN)
 
 
 def window_between(time: np.ndarray, shown: tuple[float, float]) -> slice:
@@ -152,17 +152,17 @@ def window_about(
 
 def shown_dofs(ndof: int) -> list[int]:
     """The DOFs with a row, as indices from 0."""
-    return list(range(ndof)) if ndof <= ROWS_IN_FULL else [0, 1, ndof - 2, ndof - 1]
+    return list(range(ndof)) if ndof <= DOFS_IN_FULL else [0, 1, ndof - 2, ndof - 1]
 
 
 def response_figure(results: Results) -> Figure:
     """Rows are DOFs, an asterisk marks those without a response sensor; columns are u, its two time derivatives, and f.
 
-    Drawn are the estimate with its band of 95 %, the truth where it is known, observations as points (at most `POINTS`
-    of a channel), the true response of the equivalent linear system, and that of the baseline. Where the ground moves,
-    its acceleration stands in a last row. The force has one scale for all DOFs, so that an estimated force where there
-    is none is seen in proportion; its root mean square is written there. Of a record with too many periods, those
-    about the largest measured force or motion of the ground: a hammer's blow is among them.
+    Drawn are the estimate with its band of 95 %, the truth where it is known, observations as points (at most
+    `POINTS_DRAWN` of a channel), the true response of the equivalent linear system, and that of the baseline. Where the
+    ground moves, its acceleration stands in a last row. The force has one scale for all DOFs, so that an estimated
+    force where there is none is seen in proportion; its root mean square is written there. Of a record with too many
+    periods, those about the largest measured force or motion of the ground: a hammer's blow is among them.
     """
     record, run, estimate = results.record, results.run, results.estimate.response
     rows = shown_dofs(record.ndof)

@@ -21,15 +21,15 @@ from pinn_cli.training.estimate import ParameterEstimate
 
 Truth = Mapping[str, np.ndarray] | None  # values (members,) by kind, where known
 LEGEND = 4.6  # inch, of a legend with all that there is
-REACH = 1.0  # heights of a panel that a start may be away from all else; further off it would squash the scale
+START_REACH = 1.0  # heights of a panel that a start may be away from all else; further off it would squash the scale
 NAMED = 20  # names below a panel, at most
 TICKS_IN_FULL = 8  # of values in a panel: up to these, exactly their connections are marked
 ANNOTATED, LABELLED = 16, 60  # parameters up to which every cell of a matrix has its number, and every row its name
-COLUMNS, MOST_OVER_TIME = 3, 24  # of panels over records
-MOST_MODES, IN_A_ROW, MOST_DOF_LABELS = 12, 4, 16  # of more modes, the lowest
+PANELS_IN_A_ROW, MOST_OVER_TIME = 3, 24  # of panels over records
+MODES_DRAWN, IN_A_ROW, MOST_DOF_LABELS = 12, 4, 16  # of more modes, the lowest
 
 _ESTIMATE: style.Look = {"color": style.VERMILLION, "markersize": 3, "zorder": 3}
-_BARS: style.Look = {"elinewidth": 0.9, "capsize": 2, "capthick": 0.9}
+_ERROR_BARS: style.Look = {"elinewidth": 0.9, "capsize": 2, "capthick": 0.9}
 _TRUE: style.Look = {
     "linestyle": "none", "marker": "D", "markersize": 4.5, "markerfacecolor": "none", "markeredgecolor": style.BLACK,
     "markeredgewidth": 0.8, "zorder": 2, "label": "truth",
@@ -81,7 +81,7 @@ def _draw_values(axes: Axes, group: Sequence[ParameterEstimate], true: Truth) ->
     start, place = factor * np.array([given.start for given in group]), _draw_group(axes, group, factor * values)
     bottom, top = float(np.nanmin(factor * values)), float(np.nanmax(factor * values))
     height = max(top - bottom, 2e-6 * max(abs(bottom), abs(top))) or 2.0
-    below, above = start < bottom - REACH * height, start > top + REACH * height
+    below, above = start < bottom - START_REACH * height, start > top + START_REACH * height
     near, look = start[~(below | above)], style.Look(linestyle="none", color=style.GREY, zorder=1)
     if near.size:
         axes.plot(place[~(below | above)], near, "x", markersize=4.5, markeredgewidth=0.9, label="start", **look)
@@ -126,8 +126,8 @@ def _draw_group(axes: Axes, group: Sequence[ParameterEstimate], values: np.ndarr
     middle, reach = (lower + upper) / 2.0, np.abs(upper - lower) / 2.0
     axes.plot(place, estimate, "o", **_ESTIMATE, label="" if np.isfinite(reach).any() else "estimate")
     if np.isfinite(reach).any():
-        axes.errorbar(place, middle, yerr=reach, fmt="none", ecolor=style.VERMILLION, zorder=3, **_BARS)
-        axes.errorbar([], [], yerr=[], fmt="o", **_ESTIMATE, **_BARS, label="estimate, 90 % interval")
+        axes.errorbar(place, middle, yerr=reach, fmt="none", ecolor=style.VERMILLION, zorder=3, **_ERROR_BARS)
+        axes.errorbar([], [], yerr=[], fmt="o", **_ESTIMATE, **_ERROR_BARS, label="estimate, 90 % interval")
     if np.isfinite(truth).any():
         axes.plot(place, truth, **_TRUE)
     axes.set_xlim(place.min() - 0.6, place.max() + 0.6)
@@ -194,8 +194,8 @@ def over_time_figure(table: pd.DataFrame, of: str = "Record") -> Figure:
     best = sorted(names, key=lambda name: (name not in changed, relative.get(name, np.inf)))[:MOST_OVER_TIME]
     shown = [name for name in names if name in best]
     with style.look():
-        rows = -(-len(shown) // COLUMNS)
-        figure, panels = style.panels(rows, COLUMNS, 1.05, margins=(0.6, 0.08, 0.45, 0.4), gaps=(0.6, 0.32))
+        rows = -(-len(shown) // PANELS_IN_A_ROW)
+        figure, panels = style.panels(rows, PANELS_IN_A_ROW, 1.05, margins=(0.6, 0.08, 0.45, 0.4), gaps=(0.6, 0.32))
         for axes in panels.flat[len(shown) :]:
             axes.remove()
         for axes, name in zip(panels.flat, shown, strict=False):
@@ -230,9 +230,9 @@ def modes_figure(modes: ModeEstimates, truth_label: str = "truth") -> Figure:
     """A panel per mode: its shape over the DOFs; above it frequency and damping ratio with their 90 % intervals.
 
     Of a chain the shape begins at the fixed end, and DOF 1 is the lowest. The DOFs of another structure stand in their
-    own order, as points. Of more than `MOST_MODES` modes the lowest are drawn.
+    own order, as points. Of more than `MODES_DRAWN` modes the lowest are drawn.
     """
-    dofs, shown = modes.dofs, min(modes.count, MOST_MODES)
+    dofs, shown = modes.dofs, min(modes.count, MODES_DRAWN)
     columns = min(shown, IN_A_ROW)
     width = style.PAGE_WIDTH if columns > 2 else 2.6 + 1.3 * columns
     left = 0.42 + 0.055 * min(max(map(len, dofs)), 16)  # inch, with room for the names of the DOFs

@@ -34,11 +34,11 @@ IN_PAIRS, IN_TRACES, CHAINS_SHOWN = 8, 12, 8  # parameters in either figure, and
 REGIONS = (0.9, 0.7, 0.5, 0.3, 0.1)
 RANK_BINS = 20
 TAIL = 0.0005  # one draw in a thousand may widen an axis to no purpose
-MARGIN = 0.06  # of the span, on either side
+SPAN_MARGIN = 0.06  # of the span, on either side
 TRUTH_WITHIN = 2.0  # spans: a truth that is further off is left out, else the draws would be a line
-PERIODS_SHOWN = 10  # of the fitted force
+FORCE_PERIODS_SHOWN = 10  # of the fitted force
 
-_TRUE: style.Look = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (4, 2)), "label": "true value"}
+_TRUE_LINE: style.Look = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (4, 2)), "label": "true value"}
 _BLUES = [to_hex(colour) for colour in colormaps["Blues"](np.linspace(0.22, 0.95, len(REGIONS)))]
 _TAILS, _BARS = _BLUES[0], _BLUES[2]
 
@@ -86,7 +86,7 @@ def posterior_pairs_figure(
         if len(shown) > 1:
             regions = f"regions holding {', '.join(f'{100 * share:.0f}' for share in reversed(REGIONS))} %"
             handles.append(Patch(facecolor=_BLUES[1], edgecolor=style.BLUE, linewidth=0.5, label=regions))
-        handles += [Line2D([], [], **_TRUE)] if any(math.isfinite(value) for _, value in limits.values()) else []
+        handles += [Line2D([], [], **_TRUE_LINE)] if any(math.isfinite(value) for _, value in limits.values()) else []
         note = f"the {len(shown)} of {len(moving)} parameters that are most correlated with another"
         _finish(figure, handles, note if len(shown) < len(moving) else "")
     return figure
@@ -114,7 +114,7 @@ def _limits(values: np.ndarray, true: float) -> tuple[tuple[float, float], float
     if not lower - TRUTH_WITHIN * span <= true <= upper + TRUTH_WITHIN * span:
         true = math.nan
     lower, upper = np.fmin(lower, true), np.fmax(upper, true)
-    margin = MARGIN * ((upper - lower) or 1.0)
+    margin = SPAN_MARGIN * ((upper - lower) or 1.0)
     return (float(lower - margin), float(upper + margin)), true
 
 
@@ -130,7 +130,7 @@ def _dress_axis(
     if limits is not None:
         (panel.set_xlim if horizontal else panel.set_ylim)(*limits)
     if math.isfinite(true):
-        (panel.axvline if horizontal else panel.axhline)(true, **_TRUE)
+        (panel.axvline if horizontal else panel.axhline)(true, **_TRUE_LINE)
     magnitude = float(np.abs(values).max())
     power = 0 if 1e-2 <= magnitude < 1e4 or magnitude == 0.0 else 3 * math.floor(math.log10(magnitude) / 3.0)
     unit = [rf"$10^{{{power}}}$"] * bool(power) + [style.raised(parameter.unit)] * bool(parameter.unit)
@@ -257,7 +257,7 @@ def force_predictive_figure(predictive: ForcePredictive, record: Record, dofs: n
     forces = Histories("force", "dof", places, record.time[predictive.samples], found)
     held = np.mean((observed >= lower) & (observed <= upper), axis=0)
     rows = histories.shown_dofs(len(dofs))
-    window = histories.window_about(len(median) // 2, median[:, rows], PERIODS_SHOWN, PERIODS_SHOWN)
+    window = histories.window_about(len(median) // 2, median[:, rows], FORCE_PERIODS_SHOWN, FORCE_PERIODS_SHOWN)
     looks = histories.looks(estimate="predictive median", band="90 % band", observed="observed")
     looks["observed"] |= {"color": style.BLACK, "zorder": 2.3}
     with style.look():

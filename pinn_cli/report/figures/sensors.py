@@ -11,15 +11,15 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 from pinn_cli.record.channels import Channel, channels, every_channel
 from pinn_cli.record.cross_spectra import CrossSpectra
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import periodogram
 from pinn_cli.report.estimates import Histories
 from pinn_cli.report.figures import histories, style
-from pinn_cli.report.figures.histories import BAND
 from pinn_cli.report.fitness import autocorrelation, nmse_percent
 from pinn_cli.report.free_run import ValidationRun
 from pinn_cli.system.modes import modes_of
-from pinn_cli.system.quantities import FORCE
+from pinn_cli.system.priors import HALF_WIDTH_95
+from pinn_cli.system.quantities import FORCE, GROUND
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.verdict.sensor_findings import noise_found
@@ -30,11 +30,11 @@ BINS = 300  # of a spectrum: more frequencies than these are averaged
 DECADES = 9  # that a spectrum shows at most, if that is enough to see the residual
 # Sensors whose frequency response is shown, and lines of the spectrum that are averaged to one measured value.
 MOST, AVERAGED = 6, 3
-MARKED, LINES = 60, ("-", "--", "-.", ":")  # iterations up to which each is marked; of a term of the loss
+MARKED_ITERATIONS, LINES = 60, ("-", "--", "-.", ":")  # iterations up to which each is marked; of a term of the loss
 WITH_NOISE, WITHOUT_NOISE = "95 % with noise", "95 %, noise unknown"
 ROUND_OFF = 1e-9  # of the largest value of a sensor: what is left of one that the estimate was given
 # What the terms of a loss are called.
-TERMS = {
+TERM_LABELS = {
     "physics": "equation of motion", "ridge": "regularisation", "unforced": "DOFs without a force",
     "forced": "DOFs with a force",
 }  # fmt: skip
@@ -64,9 +64,9 @@ def residuals_figure(estimate: Estimate, record: Record) -> Figure:
             signal, sigma = channel.measured, noise_found(estimate, channel)
             left = signal - channel.of(estimate.response)
             largest = float(np.max(np.abs(left)))
-            reach = max(largest, 1.2 * BAND * sigma) if sigma <= 10.0 * largest else largest
+            reach = max(largest, 1.2 * HALF_WIDTH_95 * sigma) if sigma <= 10.0 * largest else largest
             factor, prefix = style.unit_prefix(reach, kilo=channel.quantity == FORCE)
-            edge = np.full(len(left), factor * BAND * sigma)
+            edge = np.full(len(left), factor * HALF_WIDTH_95 * sigma)
             _draw_residual(history, record.time, factor * left, edge, labels)
             history.set_ylim(-1.1 * factor * (reach or 1.0), 1.1 * factor * (reach or 1.0))
             history.set_title(f"({style.unit(channel.quantity, prefix)})", loc="left", fontsize=7, pad=2)
@@ -118,7 +118,7 @@ def validation_figure(run: ValidationRun, estimate: Estimate) -> Figure:
             history.set_title(f"({style.unit(name, prefix)})", loc="left", fontsize=7, pad=2)
             left, known = (measured - found)[:, 0], np.isfinite(measured[:, 0])
             noise = noise_found(estimate, channel)
-            edge = BAND * np.hypot(std[:, 0], np.nan_to_num(noise))
+            edge = HALF_WIDTH_95 * np.hypot(std[:, 0], np.nan_to_num(noise))
             labels = "error", WITH_NOISE if np.isfinite(noise) else WITHOUT_NOISE
             factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(left), initial=0.0)))
             _draw_residual(error, time[known], factor * left[known], factor * edge[known], labels)
@@ -174,7 +174,7 @@ def _binned(frequency: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _draw_correlation(axes: Axes, left: np.ndarray) -> None:
-    lags, bound = min(LAGS_SHOWN, len(left) - 1), BAND / np.sqrt(len(left))
+    lags, bound = min(LAGS_SHOWN, len(left) - 1), HALF_WIDTH_95 / np.sqrt(len(left))
     correlation = autocorrelation(left, lags)
     axes.axhspan(-bound, bound, color=style.ORANGE, alpha=0.3, linewidth=0, zorder=0, label="white noise, 95 %")
     axes.axhline(0.0, color=style.GREY, linewidth=0.5)
@@ -259,12 +259,12 @@ def history_figure(history: pd.DataFrame) -> Figure:
                 if not kept.size:
                     continue
                 kept = kept[style.line_indices(np.log(values[kept]))]
-                place, marker = terms.index(term), "o" if len(iterations) <= MARKED else "none"
+                place, marker = terms.index(term), "o" if len(iterations) <= MARKED_ITERATIONS else "none"
                 look: style.Look = {
                     "color": style.CYCLE[place % len(style.CYCLE)],
                     "linestyle": LINES[place % len(LINES)],
                 }
-                label = TERMS.get(term, term.replace("_", " "))
+                label = TERM_LABELS.get(term, term.replace("_", " "))
                 axes.plot(iterations[kept], values[kept], **look, marker=marker, markersize=2.2, label=label)
             axes.set_yscale("log")
             axes.set_ylabel(titles[start])

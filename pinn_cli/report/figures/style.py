@@ -23,9 +23,9 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.font_manager import fontManager
 from matplotlib.ticker import MaxNLocator
 
-from pinn_cli.record.response import UNITS
 from pinn_cli.runs.reading import printable
 from pinn_cli.runs.writing import replacing
+from pinn_cli.system.quantities import UNITS
 
 PAGE_WIDTH = 7.2  # inch, the two columns of a journal's page
 

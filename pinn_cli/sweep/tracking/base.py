@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 # How a run may end.
 FINISHED, FAILED, INTERRUPTED = "finished", "failed", "interrupted"
 # Not copied: what only this program reads, and is large or gone when the run is, and what other trackers wrote.
-LEFT_OUT = ("checkpoint.pt", "checkpoint.previous.pt", FILE, LOCK, "tensorboard", "chains")
+NOT_COPIED = ("checkpoint.pt", "checkpoint.previous.pt", FILE, LOCK, "tensorboard", "chains")
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Outcome:
                 whose = "" if row["estimator"] == "pinn" else f"{row['estimator']}/"
                 found |= {f"{whose}{column}/{row[of]}": row[column] for column in columns}
         metrics = {name: float(value) for name, value in found.items() if pd.notna(value)}
-        files = [entry for entry in sorted(directory.iterdir()) if entry.name not in LEFT_OUT]
+        files = [entry for entry in sorted(directory.iterdir()) if entry.name not in NOT_COPIED]
         return cls(metrics, sorted((directory / "figures").glob("*.png")), files)
 
 

@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from mlflow.tracking import MlflowClient
 
 SQLITE, SERVERS = "sqlite:///", ("http", "https")
-ALLOWED = "a SQLite file, sqlite:///FILE, or a server, http://HOST:PORT"
+STORES_ALLOWED = "a SQLite file, sqlite:///FILE, or a server, http://HOST:PORT"
 # How a database begins; one that was only just made is empty.
 SQLITE_HEADER = b"SQLite format 3\0"
 # Some of the tables that every store of MLflow has.
-TABLES = {"experiments", "runs", "metrics", "params", "tags", "alembic_version"}
+MLFLOW_TABLES = {"experiments", "runs", "metrics", "params", "tags", "alembic_version"}
 # A server is waited for so long, s, for each of two tries, and a file that another program has locked; of a server what
 # the user's environment says counts more.
 ANSWER_S = 10
@@ -43,11 +43,11 @@ DEFAULTS = {
     "MLFLOW_LOGGING_LEVEL": "WARNING",
 }
 # A run that is being told is KILLED until all is told: should the process be killed, it does not run for ever.
-STATUS, HALF_TOLD = {FINISHED: "FINISHED", FAILED: "FAILED"}, "KILLED"
+MLFLOW_STATUS, HALF_TOLD = {FINISHED: "FINISHED", FAILED: "FAILED"}, "KILLED"
 # Tag with the key that the run's directory has.
 KEY = "key"
 # What MLflow takes in one request, and how long a text may be.
-MOST_METRICS, MOST_PARAMS, LONGEST = 1000, 100, 500
+MOST_METRICS, MOST_PARAMS, LONGEST_TEXT = 1000, 100, 500
 
 
 class MlflowTracking(Tracking):
@@ -86,7 +86,7 @@ class MlflowTracking(Tracking):
         self.database = located(file, start) if file.strip(" /") else None
         self.address = _address(given)
         if self.database is None and self.address is None:
-            raise InputError("tracking.uri", uri, ALLOWED)
+            raise InputError("tracking.uri", uri, STORES_ALLOWED)
         self.uri = uri if self.database is None else f"{SQLITE}{self.database}"
         if not isinstance(experiment, str) or not experiment.strip():
             raise InputError("tracking.experiment", experiment, "a text")
@@ -161,11 +161,16 @@ class MlflowTracker(Tracker):
             for before in client.search_runs(everywhere, f"tags.{KEY} = '{self.key}'"):
                 client.delete_run(before.info.run_id)
             tags = {name: str(value) for name, value in self.run.labels.items()}
-            tags |= {"directory": str(self.run.directory), KEY: self.key, "status": status, "reason": reason[:LONGEST]}
+            tags |= {
+                "directory": str(self.run.directory),
+                KEY: self.key,
+                "status": status,
+                "reason": reason[:LONGEST_TEXT],
+            }
             run = client.create_run(experiment, tags=tags, run_name=self.run.name).info.run_id
             client.set_terminated(run, HALF_TOLD)
             settings = {n.replace("[", ".").replace("]", ""): value for n, value in self.run.settings.items()}
-            for params in _parts([Param(name, value[:LONGEST]) for name, value in settings.items()], MOST_PARAMS):
+            for params in _parts([Param(name, value[:LONGEST_TEXT]) for name, value in settings.items()], MOST_PARAMS):
                 client.log_batch(run, params=params)
             now, rows = int(1000 * time.time()), [(row, int(row["iteration"])) for row in self._rows]
             rows += [] if outcome is None else [(outcome.metrics, 0)]
@@ -175,7 +180,7 @@ class MlflowTracker(Tracker):
             for file in outcome.files if outcome is not None and self.tracking.files else ():
                 log, place = (client.log_artifacts, file.name) if file.is_dir() else (client.log_artifact, None)
                 log(run, str(file), artifact_path=place)
-            client.set_terminated(run, STATUS[status])
+            client.set_terminated(run, MLFLOW_STATUS[status])
 
 
 def _client(uri: str) -> MlflowClient:
@@ -227,7 +232,7 @@ def _check_database(uri: str, database: Path) -> None:
         if database.is_file():
             with database.open("rb") as file:
                 beginning = file.read(len(SQLITE_HEADER))
-            if not beginning or (beginning == SQLITE_HEADER and _tables(database) >= TABLES):
+            if not beginning or (beginning == SQLITE_HEADER and _tables(database) >= MLFLOW_TABLES):
                 return
             whose = "is there is the database of another program" if beginning == SQLITE_HEADER else whose
     except DatabaseError as error:
@@ -235,7 +240,7 @@ def _check_database(uri: str, database: Path) -> None:
         raise _unusable(uri, hint) from error
     except OSError as error:
         raise _unusable(uri, getattr(error, "strerror", None) or str(error)) from error
-    raise _unusable(uri, f"what {whose}, and is left alone", ALLOWED)
+    raise _unusable(uri, f"what {whose}, and is left alone", STORES_ALLOWED)
 
 
 def _tables(database: Path) -> set[str]:

@@ -16,9 +16,9 @@ from pinn_cli.sweep.tracking.base import Outcome, TrackedRun, Tracker, Tracking,
 if TYPE_CHECKING:
     from torch.utils.tensorboard.writer import SummaryWriter
 
-FOLDER = "tensorboard"
+BOARDS_FOLDER = "tensorboard"
 # Seconds from one batch of rows on the disk to the next.
-EVERY_S = 5
+BATCH_EVERY_S = 5
 
 
 class TensorboardTracking(Tracking):
@@ -42,7 +42,7 @@ class TensorboardTracking(Tracking):
 
     def open(self, run: TrackedRun, key: str, before: str) -> TensorboardTracker:
         """See :meth:`Tracking.open`."""
-        place = run.directory / FOLDER if self.directory is None else self.directory / run.name
+        place = run.directory / BOARDS_FOLDER if self.directory is None else self.directory / run.name
         tracker = TensorboardTracker(place, run, key)
         try:
             place.mkdir(parents=True, exist_ok=True)
@@ -76,7 +76,9 @@ class TensorboardTracker(Tracker):
 
         _take_away(self.place, self.key)
         # Who looks on while the run goes on forgets what it has read of the earlier file.
-        self.writer = SummaryWriter(str(self.place), purge_step=0, flush_secs=EVERY_S, filename_suffix=f".{self.key}")
+        self.writer = SummaryWriter(
+            str(self.place), purge_step=0, flush_secs=BATCH_EVERY_S, filename_suffix=f".{self.key}"
+        )
         table = ["| setting | value |", "| --- | --- |", *(f"| {n} | {v} |" for n, v in self.run.settings.items())]
         self.writer.add_text("settings", "\n".join(table))
         self.writer.flush()

@@ -29,7 +29,7 @@ from pinn_cli.verdict.finding import WORDS, Finding, Verdict
 FINAL = ("parameters.csv", "correlation.csv", "identifiability.csv", "modes.csv", MODEL)
 # Of every window.
 STACKED = ("residuals.csv", "drift.csv", "energy.csv", "free_run.csv", "history.csv")
-COLUMNS = ("window", "start", "hand_over", "stop", "verdict", "changed", "sigma_discrepancy")
+WINDOW_COLUMNS = ("window", "start", "hand_over", "stop", "verdict", "changed", "sigma_discrepancy")
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ class WindowedRun:
         entries = pd.DataFrame(self._entries()).rename(columns={"number": "window"})
         entries["changed"] = entries["changed"].map(" ".join)
         entries["sigma_discrepancy"] = [training.get("sigma_discrepancy") for training in entries["training"]]
-        write_table(entries.reindex(columns=COLUMNS), self.directory / "windows.csv")
+        write_table(entries.reindex(columns=WINDOW_COLUMNS), self.directory / "windows.csv")
 
     def _entries(self) -> list[dict[str, Any]]:
         """What is known of all windows; the last one hands over to none yet."""

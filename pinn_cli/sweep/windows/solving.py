@@ -29,7 +29,7 @@ from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.whittle.spectral_model import is_spectral
 from pinn_cli.verdict.finding import Verdict
 
-SETTING = "data.window"
+WINDOW_SETTING = "data.window"
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,9 +180,11 @@ def _check_sensors(problem: Problem) -> None:
     for parameter in problem.uncertain:
         if parameter.kind in CALIBRATION_UNITS and parameter.kind not in OF_ONE_CHANNEL:
             setting = f"data.channels.{parameter.label}.{parameter.kind}"
-            hint = f"learn it from a part of the record: data.start, data.stop, without {SETTING}"
-            raise InputError(setting, "in doubt", f"a number with {SETTING}", hint)
+            hint = f"learn it from a part of the record: data.start, data.stop, without {WINDOW_SETTING}"
+            raise InputError(setting, "in doubt", f"a number with {WINDOW_SETTING}", hint)
     for gauge in problem.record.gauges:
         if gauge.filter_order:
             hint = "each window would begin with another state of its filter"
-            raise InputError(f"data.channels.{gauge.name}.{HIGH_PASS}", "given", f"left out with {SETTING}", hint)
+            raise InputError(
+                f"data.channels.{gauge.name}.{HIGH_PASS}", "given", f"left out with {WINDOW_SETTING}", hint
+            )

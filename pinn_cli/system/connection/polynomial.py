@@ -12,7 +12,7 @@ from pinn_cli.system.connection.base import Nonlinearity
 
 LEAST_ORDER, MOST_ORDER = 2, 7
 # One that is not the same in both directions, and one that is.
-LOWEST = (2, 3)
+LOWEST_ORDERS = (2, 3)
 _ORDINALS = ("Quadratic", "Cubic", "Quartic", "Quintic", "Sextic", "Septic")
 
 
@@ -20,7 +20,7 @@ class Polynomial(Nonlinearity):
     """Polynomial spring, r_n = k_2 e^2 + k_3 e^3 + ... + k_7 e^7, k_j in N/m^j.
 
     Args:
-        orders: Those that the spring has; None: those whose coefficients are given, else `LOWEST`.
+        orders: Those that the spring has; None: those whose coefficients are given, else `LOWEST_ORDERS`.
 
     Raises:
         InputError: ``orders`` are no different whole numbers from 2 to 7.
@@ -36,11 +36,11 @@ class Polynomial(Nonlinearity):
         self.units = {f"k_{order}": f"N/m^{order}" for order in self.orders or ()}
 
     def of_given(self, given: Collection[str]) -> Polynomial:
-        """See :meth:`Nonlinearity.of_given`; where nothing is known of any order, `LOWEST`."""
+        """See :meth:`Nonlinearity.of_given`; where nothing is known of any order, `LOWEST_ORDERS`."""
         if self.orders is not None:
             return self
         orders = [order for order in range(LEAST_ORDER, MOST_ORDER + 1) if f"k_{order}" in given]
-        return Polynomial(orders or LOWEST)
+        return Polynomial(orders or LOWEST_ORDERS)
 
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`."""

@@ -20,7 +20,7 @@ from pinn_cli.settings.legal_values import (
 from pinn_cli.system.model_error.base import ModelError
 from pinn_cli.system.structure import Structure
 
-DRAWS = ("independent", "authors")
+KINDS_OF_DRAWS = ("independent", "authors")
 # So that the seeds of a thousand connections are still seeds.
 MOST_STRIDE = 10**6
 
@@ -49,11 +49,11 @@ class PerturbedModelError(ModelError):
         self,
         seed: int = 0,
         bounds: Sequence[float] = (0.05, 0.10),
-        draws: Annotated[str, DRAWS] = "independent",
+        draws: Annotated[str, KINDS_OF_DRAWS] = "independent",
         seed_stride: int = 1,
     ) -> None:
         self.low, self.high = _checked_bounds(bounds)
-        self.draws = one_of("model_error.draws", draws, DRAWS)
+        self.draws = one_of("model_error.draws", draws, KINDS_OF_DRAWS)
         most = LARGEST_LEGACY_SEED if draws == "authors" else LARGEST_WHOLE
         self.seed = whole_number("model_error.seed", seed, most=most)
         self.seed_stride = whole_number("model_error.seed_stride", seed_stride, most=MOST_STRIDE)

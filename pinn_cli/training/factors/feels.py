@@ -14,11 +14,10 @@ import numpy as np
 from torch import Tensor
 
 from pinn_cli.record.gauge import Gauge
-from pinn_cli.record.response import GROUND
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import ParameterVector
-from pinn_cli.system.quantities import CONNECTION_FORCE, TILT
+from pinn_cli.system.quantities import CONNECTION_FORCE, GROUND, TILT
 from pinn_cli.training.factors.channel_at_point import Part
 
 

@@ -20,7 +20,7 @@ from pinn_cli.training.stepwise import Stepwise
 
 # Noise levels follow the residuals once a loss is what the linearised residuals promised, up to a factor, or falls no
 # further than by a part in one iteration.
-KEPT_PROMISE, SETTLED_ENOUGH = 1.5, 0.7
+AS_PROMISED, SETTLED_ENOUGH = 1.5, 0.7
 # Most that a level may fall or rise at once: the linearisation reaches no further.
 LARGEST_FALL, LARGEST_RISE = 0.1, 4.0
 # Relative change below which levels have settled. Without model error the discrepancy may fall for ever; then this many
@@ -81,7 +81,7 @@ class FunctionSpaceSearch(Stepwise):
         after, promised, least = descent.loss, before - descent.promised, (1.0 - self.tolerance) * before
         if descent.steps == 0:
             self.stop_reason = "no step improves it"
-        elif after < KEPT_PROMISE * promised or after > (1.0 - SETTLED_ENOUGH) * before:
+        elif after < AS_PROMISED * promised or after > (1.0 - SETTLED_ENOUGH) * before:
             settled = self._settle(descent.chord, losses)
             self._judge(after > least, promised > least, settled)
         if self.iteration == self.iterations and not self.stop_reason:

@@ -16,7 +16,7 @@ from pinn_cli.training.gradient.training import GradientTraining, Optimiser
 
 # torch's L-BFGS learns no curvature below an absolute 1e-10. Losses get there; a power of two changes no digit. In
 # float32 the square of a gradient must stay a number.
-UNITS = {torch.float32: 2.0**30, torch.float64: 2.0**100}
+LOSS_UNITS = {torch.float32: 2.0**30, torch.float64: 2.0**100}
 # Reasons to stop, for run.json.
 NOTHING_LOWER = "line search found nothing lower"
 GRADIENT_VANISHED = "gradient vanished"
@@ -78,7 +78,7 @@ class LbfgsSteps(Optimiser):
         self.objective, self.memory, self.tolerance, self.warm_up = objective, memory, tolerance, warm_up
         self.adam = AdamSteps(objective.variables, lr=learning_rate)
         self.weights: dict[str, float] = {}
-        self.unit = UNITS[objective.variables[0].dtype]
+        self.unit = LOSS_UNITS[objective.variables[0].dtype]
         self.lbfgs = self._fresh()
 
     def _fresh(self) -> torch.optim.LBFGS:

@@ -30,7 +30,7 @@ from pinn_cli.training.learned_parameters import LearnedParameters
 # Points that follow this much of a channel's power leave out a tenth of its amplitude at most.
 BULK_OF_THE_POWER = 0.99
 # The paper's. Those of physics are of the DOFs whose force is measured, and of the others too unless they are given.
-FIXED: dict[str, float | None] = {"observation": 1.0, "continuity": 10.0, "physics": 100.0, "unforced": None}
+PAPER_WEIGHTS: dict[str, float | None] = {"observation": 1.0, "continuity": 10.0, "physics": 100.0, "unforced": None}
 EQUALISED = "equalised"
 # The terms of the equations of motion, whose weights grow from stage to stage.
 PHYSICS = ("forced", "unforced")
@@ -142,11 +142,11 @@ def checked_weights(given: Mapping[str, float | None] | str | None) -> dict[str,
     if given == EQUALISED:
         return EQUALISED
     if given is not None and not isinstance(given, Mapping):
-        raise InputError("training.weights", given, f"{EQUALISED}, or numbers for {', '.join(FIXED)}")
-    weights = dict(FIXED)
+        raise InputError("training.weights", given, f"{EQUALISED}, or numbers for {', '.join(PAPER_WEIGHTS)}")
+    weights = dict(PAPER_WEIGHTS)
     for name, value in (given or {}).items():
-        if name not in FIXED:
-            raise InputError(f"training.weights.{name}", value, f"one of {', '.join(FIXED)}")
+        if name not in PAPER_WEIGHTS:
+            raise InputError(f"training.weights.{name}", value, f"one of {', '.join(PAPER_WEIGHTS)}")
         if name != "unforced" or value is not None:
             non_negative_number(f"training.weights.{name}", value)
         weights[name] = value
@@ -173,7 +173,7 @@ def equalised_weights(losses: Losses, network: Network, parameters: LearnedParam
     so again and again; here it is done once, since quasi-Newton methods and line searches need one loss. A term without
     a gradient (continuity, where a network begins at zero) keeps its fixed weight, and so does the prior.
     """
-    weights, norms = fixed_weights(FIXED), {}
+    weights, norms = fixed_weights(PAPER_WEIGHTS), {}
     for name, term in losses.terms(network, parameters).items():
         if term.requires_grad:
             parts = torch.autograd.grad(

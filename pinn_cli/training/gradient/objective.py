@@ -12,7 +12,14 @@ from torch.nn.utils import parameters_to_vector
 
 from pinn_cli.network.base import Network
 from pinn_cli.settings.errors import DivergenceError
-from pinn_cli.training.gradient.losses import EQUALISED, FIXED, PHYSICS, Losses, equalised_weights, fixed_weights
+from pinn_cli.training.gradient.losses import (
+    EQUALISED,
+    PAPER_WEIGHTS,
+    PHYSICS,
+    Losses,
+    equalised_weights,
+    fixed_weights,
+)
 from pinn_cli.training.learned_parameters import LearnedParameters
 
 # Residuals are over the largest measured value, so this loss is some million times what any start gives.
@@ -61,7 +68,7 @@ class Objective:
     ) -> None:
         self.losses, self.network, self.parameters = losses, network, parameters
         self.equalised = weights == EQUALISED
-        self.weights = fixed_weights(FIXED if isinstance(weights, str) else weights)
+        self.weights = fixed_weights(PAPER_WEIGHTS if isinstance(weights, str) else weights)
         self.physics_factor = 1.0
         self._known: Evaluation | None = None
 

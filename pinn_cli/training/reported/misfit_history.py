@@ -24,11 +24,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from pinn_cli.model.knowledge import Misfit
 from pinn_cli.record.inputs import input_force
-from pinn_cli.record.response import GROUND
 from pinn_cli.record.spectrum import visible_floor
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import MASS
-from pinn_cli.system.quantities import FORCE
+from pinn_cli.system.quantities import FORCE, GROUND
 from pinn_cli.training.doubts.left_spectra import MOVING
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 

@@ -17,8 +17,9 @@ from scipy.sparse import csr_matrix
 from pinn_cli.model.knowledge import ParameterKnowledge
 from pinn_cli.physics import estimated_response
 from pinn_cli.record.gauge import GAUGE
-from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES, Response
+from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.quantities import GROUND
 from pinn_cli.training.acting_force import acting_force, sensor_share
 from pinn_cli.training.covariance import ReadoutPosterior
 from pinn_cli.training.doubts.doubts import doubts

@@ -28,7 +28,7 @@ from pinn_cli.training.parameter_spread import updated_spread
 from pinn_cli.training.whittle.spectral_model import ExpectedSpectra, SpectralModel, is_spectral, spectra_in_band
 
 # Steps of Fisher scoring at most, and the decrease of -log p below which nothing is gained.
-STEPS, NEGLIGIBLE_DECREASE = 60, 1e-3
+WHITTLE_STEPS, NEGLIGIBLE_DECREASE = 60, 1e-3
 # Most that a logarithm may change in one step.
 LARGEST_STEP = 2.0
 # Damping of a step, relative to the diagonal of the information: first, largest.
@@ -217,7 +217,7 @@ class Whittle:
         here, damping = self.scored(x, precision), FIRST_FISHER_DAMPING
         if here is None:
             return None
-        for _ in range(STEPS):
+        for _ in range(WHITTLE_STEPS):
             held = (x <= self.lower) & (here.gradient > 0.0)
             while True:
                 moved = np.maximum(x + self._limited(_step(here, damping, held)), self.lower)
