@@ -24,10 +24,10 @@ from hydra import compose, initialize_config_module
 
 from benchmarks.written import ROOT, markdown, write
 from pinn_cli.cli.config import RunConfig
-from pinn_cli.posterior.base import PosteriorSamples
 from pinn_cli.posterior.conditional import Conditional
 from pinn_cli.posterior.laplace import Laplace
 from pinn_cli.posterior.marginal import Marginal
+from pinn_cli.posterior.posterior import PosteriorSamples
 from pinn_cli.posterior.result import diagnose
 from pinn_cli.record.record import Truth
 from pinn_cli.report.parameters import true_value

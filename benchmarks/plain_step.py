@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from pinn_cli.network.base import States
 from pinn_cli.network.mlp import MlpNetwork
+from pinn_cli.network.network import States
 
 ACTIVATIONS = {"silu": functional.silu, "tanh": torch.tanh, "sine": torch.sin}
 

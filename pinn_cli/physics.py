@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pinn_cli.network.base import States
+from pinn_cli.network.network import States
 from pinn_cli.record.between_samples import refined, refined_times
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES, Response

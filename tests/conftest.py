@@ -64,7 +64,9 @@ def make_case() -> Callable[..., Case]:
 @pytest.fixture
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Files are read in this process, where what a bad one does to its reader is not what a test is about."""
-    monkeypatch.setattr("pinn_cli.record.files.base.read_apart", lambda own, path, wanted: own.tables(path, wanted))
+    monkeypatch.setattr(
+        "pinn_cli.record.files.file_format.read_apart", lambda own, path, wanted: own.tables(path, wanted)
+    )
 
 
 @pytest.fixture

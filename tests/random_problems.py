@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.sparse import csc_matrix, diags
 
 from pinn_cli.model.knowledge import EndState, Levels
-from pinn_cli.network.base import CONTINUITIES
 from pinn_cli.network.fourier import Fourier
+from pinn_cli.network.network import CONTINUITIES
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.data_channels import FELT_BY
 from pinn_cli.record.gauge import GAUGE, Calibration, Gauge
@@ -25,7 +25,7 @@ from pinn_cli.system.reduction import WholeModel, reduced_model
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.substructures import Parts
 from pinn_cli.system.topology import build_structure, connected
-from pinn_cli.training.base import built
+from pinn_cli.training.estimator import built
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point

@@ -17,7 +17,7 @@ from pinn_cli.report.estimates import connection_forces, dissipated_energy, drif
 from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import InputError
-from pinn_cli.training.base import TrainedNetwork
+from pinn_cli.training.estimator import TrainedNetwork
 from pinn_cli.training.gauss_newton import GaussNewton
 
 

@@ -6,14 +6,14 @@ import torch
 from calls import SMALL, PinnRun
 from small_problems import QUANTITIES, accelerations, measured, relative_error, small_chain
 
-from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.mlp import Mlp
+from pinn_cli.network.network import NetworkDesign
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.base import Training
 from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.estimator import Training
 from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.gradient.adam import Adam
 from pinn_cli.training.gradient.lbfgs import Lbfgs

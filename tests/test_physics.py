@@ -7,7 +7,7 @@ import pytest
 import torch
 from small_problems import NONLINEARITIES, QUANTITIES, excitation, measured, relative_error, small_chain
 
-from pinn_cli.network.base import States
+from pinn_cli.network.network import States
 from pinn_cli.physics import (
     estimated_response,
     hold_delay,

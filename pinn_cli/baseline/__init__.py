@@ -6,8 +6,8 @@ import logging
 
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import DivergenceError
-from pinn_cli.training.base import Estimator
 from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.estimator import Estimator
 
 log = logging.getLogger(__name__)
 

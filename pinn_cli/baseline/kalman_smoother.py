@@ -14,7 +14,7 @@ from pinn_cli.baseline.iterated_smoother import IteratedSmoother, Pass
 from pinn_cli.baseline.noise_levels import most_probable, stiffened, widened
 from pinn_cli.baseline.state_space import StateSpace
 from pinn_cli.model.truncated_gaussian import TruncatedGaussian
-from pinn_cli.network.base import States
+from pinn_cli.network.network import States
 from pinn_cli.physics import estimated_response
 from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
 from pinn_cli.record.steps import has_stiff_law
@@ -23,9 +23,9 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
 from pinn_cli.system.parameters import FACTOR
-from pinn_cli.training.base import Estimator
 from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
+from pinn_cli.training.estimator import Estimator
 
 
 def smoothed_estimate(space: StateSpace, last: Pass, history: pd.DataFrame, summary: dict[str, Any]) -> Estimate:

@@ -26,18 +26,18 @@ from pinn_cli.settings.legal_values import positive_number, true_or_false, whole
 
 if TYPE_CHECKING:
     from pinn_cli.model.knowledge import Model
-    from pinn_cli.network.base import NetworkDesign
-    from pinn_cli.posterior.base import Posterior
+    from pinn_cli.network.network import NetworkDesign
+    from pinn_cli.posterior.posterior import Posterior
     from pinn_cli.record.record import Record
     from pinn_cli.report.export import Export
     from pinn_cli.report.results import RunDescription
-    from pinn_cli.scheme.base import Scheme
-    from pinn_cli.sweep.tracking.base import Tracking
+    from pinn_cli.scheme.scheme import Scheme
+    from pinn_cli.sweep.tracking.tracking import Tracking
     from pinn_cli.system.building import ModesSought
     from pinn_cli.system.model_error import ModelError
     from pinn_cli.system.structure import Structure
-    from pinn_cli.training.base import Estimator, TrainedNetwork, Training
-    from pinn_cli.validation.base import Validation
+    from pinn_cli.training.estimator import Estimator, TrainedNetwork, Training
+    from pinn_cli.validation.validation import Validation
 
 VALUES = ("case", "seed", "device", "threads", "resume", "figures", "strict", "model")
 NODES = (
@@ -172,7 +172,7 @@ class RunConfig:
     @property
     def estimator(self) -> TrainedNetwork:
         """The network, and how it is trained."""
-        from pinn_cli.training.base import TrainedNetwork
+        from pinn_cli.training.estimator import TrainedNetwork
 
         if self.scheme.predicts and self.model is not None:
             from pinn_cli.scheme.predict import Predict

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pinn_cli.inspection.report import InspectionReport
     from pinn_cli.record.clock import MeasuredFiles
     from pinn_cli.record.data_channels import DataChannel
-    from pinn_cli.record.files.base import FileFormat
+    from pinn_cli.record.files.file_format import FileFormat
     from pinn_cli.record.signal import Signal
     from pinn_cli.system.modes import NaturalModes
 

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from pinn_cli.scheme.joint_problem import JointProblem
     from pinn_cli.sweep.windows.run import WindowedRun
     from pinn_cli.training.estimate import Estimate, RunContext, Watch
-    from pinn_cli.validation.base import Setup
+    from pinn_cli.validation.validation import Setup
 
 Found = TypeVar("Found", bound="LookReport")
 
@@ -153,7 +153,7 @@ def _prepared(
         from pinn_cli.report.results import checked_times
         from pinn_cli.runs.checkpoint import open_checkpoints
         from pinn_cli.training.estimate import RunContext
-        from pinn_cli.validation.base import Setup
+        from pinn_cli.validation.validation import Setup
     context = RunContext(config.device, config.seed, directory, progress=terminal.shows_progress and not in_sweep)
     draws = not in_sweep if config.figures is None else config.figures
     if config.source.windows is not None:
@@ -193,7 +193,7 @@ def _tracked(
     """Make the run, or tell of one that had finished, under the eyes of its tracker; what is left to print."""
     directory = Path(HydraConfig.get().runtime.output_dir)
     with stages("imports"):  # after the configuration has limited the threads, and not for --help
-        from pinn_cli.sweep.tracking.base import TrackedRun, follow
+        from pinn_cli.sweep.tracking.tracking import TrackedRun, follow
     name, which = f"{config.case}/{directory.name}", config.identity.configuration
     tracked_run = TrackedRun(directory, name, flattened(composed), config.description.labels_of("pinn"), which)
     with follow(config.tracking, tracked_run, resuming) as tracked:

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from pinn_cli.scheme.joint_problem import JointProblem
     from pinn_cli.sweep.windows.run import WindowedRun
     from pinn_cli.system.structure import Structure
-    from pinn_cli.training.base import Estimator, TrainedNetwork
     from pinn_cli.training.estimate import RunContext
-    from pinn_cli.validation.base import Validation
+    from pinn_cli.training.estimator import Estimator, TrainedNetwork
+    from pinn_cli.validation.validation import Validation
 
 
 @dataclass(frozen=True, eq=False)

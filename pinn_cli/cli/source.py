@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from pinn_cli.record.record import Measurements, Record
     from pinn_cli.record.validation_data import ValidationData, ValidationRecord
     from pinn_cli.record.windows import RecordWindows
-    from pinn_cli.scheme.base import Scheme
+    from pinn_cli.scheme.scheme import Scheme
     from pinn_cli.system.building import ModesSought
     from pinn_cli.system.model_error import ModelError
     from pinn_cli.system.parameters import Labels
     from pinn_cli.system.structure import Structure
-    from pinn_cli.validation.base import Validation
+    from pinn_cli.validation.validation import Validation
 
 SIMULATED = "pinn_cli.record.simulated.Simulated"
 # The structure whose modes a record tells.

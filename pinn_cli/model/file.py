@@ -24,7 +24,7 @@ from pinn_cli.runs.writing import write_bytes
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import located
 from pinn_cli.system.building import law_called
-from pinn_cli.system.connection.base import Nonlinearity
+from pinn_cli.system.connection.nonlinearity import Nonlinearity
 from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.damping import MassProportional, ModalRatios, StiffnessProportional, StructuralDamping
 from pinn_cli.system.incidence import Incidence, Pairs

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pinn_cli.network.base import CONTINUITIES, Continuity, NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.network.network import CONTINUITIES, Continuity, NetworkDesign
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
 from pinn_cli.settings.errors import InputError
@@ -66,7 +66,7 @@ class Fourier(NetworkDesign):
             hidden DOFs and higher harmonics of a nonlinearity lie beyond what the sensors show.
         period_margin: Period over the record's length; above 1 so that nothing need be periodic.
         harmonics: Number of harmonics; None: chosen by the margins.
-        continuity: See :class:`pinn_cli.network.base.Network`.
+        continuity: See :class:`pinn_cli.network.network.Network`.
 
     Raises:
         InputError: A setting outside its range.

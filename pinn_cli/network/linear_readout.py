@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor, nn
 
-from pinn_cli.network.base import Continuity, Network
+from pinn_cli.network.network import Continuity, Network
 
 
 @dataclass(frozen=True, eq=False)

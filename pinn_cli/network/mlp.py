@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pinn_cli.network.activation import ACTIVATIONS, propagate
-from pinn_cli.network.base import CONTINUITIES, Continuity, Network, NetworkDesign
+from pinn_cli.network.network import CONTINUITIES, Continuity, Network, NetworkDesign
 from pinn_cli.record.channels import motion_amplitudes, record_band, slowest_motion
 from pinn_cli.record.record import Record
 from pinn_cli.settings.legal_values import one_of, whole_number
@@ -301,7 +301,7 @@ class Mlp(NetworkDesign):
         activation: ``silu`` (paper, sparse recovery), ``tanh`` (paper, elsewhere) or ``sine``.
         embedding: What the first layer gets: the time (``none``, paper), or Fourier features of it over the record's
             band (``fourier``).
-        continuity: See :class:`pinn_cli.network.base.Network`.
+        continuity: See :class:`pinn_cli.network.network.Network`.
 
     Raises:
         InputError: A setting outside its range.

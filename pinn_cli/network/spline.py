@@ -10,8 +10,8 @@ import torch
 from scipy.interpolate import BSpline
 from torch import Tensor
 
-from pinn_cli.network.base import CONTINUITIES, Continuity, NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.network.network import CONTINUITIES, Continuity, NetworkDesign
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
 from pinn_cli.settings.errors import InputError
@@ -115,7 +115,7 @@ class Spline(NetworkDesign):
             None: `KNOTS_PER_PERIOD`, `REFINED_KNOTS_PER_PERIOD` where parameters are unknown, `KNOTS_WITHIN_BAND` where
             forces are.
         intervals: Number of knot intervals; None: chosen by ``knots_per_period``.
-        continuity: See :class:`pinn_cli.network.base.Network`.
+        continuity: See :class:`pinn_cli.network.network.Network`.
         least_knots: Knots in one period where ``knots_per_period`` leaves them to be chosen.
 
     Raises:

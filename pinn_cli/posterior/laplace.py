@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.posterior.base import Posterior, PosteriorSamples
+from pinn_cli.posterior.posterior import Posterior, PosteriorSamples
 from pinn_cli.posterior.target import Target
 from pinn_cli.settings.legal_values import whole_number
 from pinn_cli.system.priors import Prior

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from tqdm import tqdm
 
-from pinn_cli.posterior.base import Posterior, PosteriorSamples
+from pinn_cli.posterior.posterior import Posterior, PosteriorSamples
 from pinn_cli.posterior.target import Target
 from pinn_cli.settings.legal_values import fraction, whole_number
 from pinn_cli.system.priors import Prior

@@ -17,7 +17,7 @@ import pandas as pd
 from pinn_cli.training.bounded_estimates import CENTRAL_90
 
 if TYPE_CHECKING:
-    from pinn_cli.posterior.base import Posterior, PosteriorSamples
+    from pinn_cli.posterior.posterior import Posterior, PosteriorSamples
     from pinn_cli.scheme.joint_problem import JointProblem
     from pinn_cli.training.estimate import Estimate, RunContext
     from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihoods

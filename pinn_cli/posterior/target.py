@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize
 
-from pinn_cli.posterior.base import PosteriorSamples
+from pinn_cli.posterior.posterior import PosteriorSamples
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.priors import Prior, stacked
 from pinn_cli.training.likelihood import ParameterLikelihood

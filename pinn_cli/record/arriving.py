@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from pinn_cli.record.clock import Clock, MeasuredFiles, format_of
-from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.csv import CsvFormat
+from pinn_cli.record.files.file_format import FileFormat
 from pinn_cli.record.files.table import Table
 from pinn_cli.settings.errors import InputError
 

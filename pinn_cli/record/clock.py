@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pinn_cli.record.files.base import ArrayFormat, FileFormat
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.excel import ExcelFormat
+from pinn_cli.record.files.file_format import ArrayFormat, FileFormat
 from pinn_cli.record.files.hdf5 import Hdf5Format
 from pinn_cli.record.files.mat import MatFormat
 from pinn_cli.record.files.netcdf import NetcdfFormat

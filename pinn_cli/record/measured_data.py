@@ -15,8 +15,8 @@ from pinn_cli.record.arriving import Arriving
 from pinn_cli.record.between_samples import BETWEEN_SAMPLES, FIRST_ORDER_HOLD
 from pinn_cli.record.clock import TIME_UNITS, Clock, MeasuredFiles
 from pinn_cli.record.data_channels import DataChannel, data_channels
-from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.csv import CsvFormat
+from pinn_cli.record.files.file_format import FileFormat
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Measurements, Record, Truth, check_frame, dof_mask
 from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, Response

@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 
 from pinn_cli.record.between_samples import INTERSAMPLE_OF_HOLD
-from pinn_cli.record.excitation.base import Excitation
+from pinn_cli.record.excitation.excitation import Excitation
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Measurements, Record, Truth, check_frame
 from pinn_cli.record.response import MEASURED_QUANTITIES, QUANTITIES, Repeats, Response
 from pinn_cli.record.simulation import Simulation

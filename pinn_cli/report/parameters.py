@@ -19,7 +19,7 @@ from pinn_cli.training.estimate import Estimate, ParameterEstimate, Story
 
 if TYPE_CHECKING:
     from pinn_cli.model.knowledge import Model
-    from pinn_cli.posterior.base import PosteriorSamples
+    from pinn_cli.posterior.posterior import PosteriorSamples
     from pinn_cli.system.parameters import Parameter
 
 ESTIMATE = ("estimate", "std", "lower_90", "upper_90")

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pinn_cli.scheme.problem import Problem
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate
-    from pinn_cli.validation.base import Score
+    from pinn_cli.validation.validation import Score
 
 LABELS = ("case", "estimator", "scheme", "ndof", "nonlinearity", "model_error", "snr_db", "seed")
 

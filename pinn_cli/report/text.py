@@ -19,7 +19,7 @@ from pinn_cli.system.quantities import GROUND, SUPPORT, UNITS
 if TYPE_CHECKING:
     from pinn_cli.report.free_run import FreeRun, ValidationRun
     from pinn_cli.training.estimate import Changes, Peak, Story
-    from pinn_cli.validation.base import Score
+    from pinn_cli.validation.validation import Score
     from pinn_cli.verdict.finding import Verdict
 
 WIDTH, MARK = 100, "! "

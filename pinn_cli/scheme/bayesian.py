@@ -15,12 +15,12 @@ import numpy as np
 from omegaconf import OmegaConf
 
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.base import Beginning, EstimationScheme, Through, UnknownForce
 from pinn_cli.scheme.calibration import calibrated_starts
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import FREE, Problem
+from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, UnknownForce
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import Start, Starts
 from pinn_cli.scheme.unknowns import (
@@ -138,7 +138,7 @@ class Bayesian(EstimationScheme):
         priors: See :func:`pinn_cli.scheme.bayesian.read_priors`; parameters without one get a wide one on the
             record's own scale.
         positive: Kinds of parameters whose wide priors end at zero.
-        acceleration_through, initial_motion, unknown_force: See :class:`pinn_cli.scheme.base.EstimationScheme`.
+        acceleration_through, initial_motion, unknown_force: See :class:`pinn_cli.scheme.scheme.EstimationScheme`.
 
     Raises:
         InputError: A setting outside its range.

@@ -11,11 +11,11 @@ import numpy as np
 from pinn_cli.model.knowledge import Model
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.inputs import FREE as FREE_FORCE
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.of_model import given, problem_of_model
 from pinn_cli.scheme.problem import FREE, REST
+from pinn_cli.scheme.scheme import Scheme
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_finite_number, true_or_false, whole_number
 from pinn_cli.system.structure import Structure

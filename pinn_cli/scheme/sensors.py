@@ -88,7 +88,7 @@ class Sensors:
         return cls(quantities, has_load_cells(sensors or {}), fraction, unobserved)
 
     def observe(self, record: Record) -> Record:
-        """See :meth:`pinn_cli.scheme.base.Scheme.observe`."""
+        """See :meth:`pinn_cli.scheme.scheme.Scheme.observe`."""
         hidden = unobserved_dofs(record.ndof, self.fraction, self.unobserved)
         observed = [dof for dof in range(1, record.ndof + 1) if dof not in hidden]
         kept = record.keep(dict.fromkeys(self.quantities, observed))

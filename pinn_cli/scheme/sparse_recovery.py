@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 
 from pinn_cli.model.knowledge import Model
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.base import Beginning, EstimationScheme, Through, UnknownForce
 from pinn_cli.scheme.calibration import calibrated_starts, sensor_parameters
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import FREE
+from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, UnknownForce
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import Starts
 from pinn_cli.scheme.unknowns import believed_parameters, checked_uncertainty
@@ -27,7 +27,7 @@ class SparseRecovery(EstimationScheme):
         sensors: What an observed DOF of a simulated record has sensors for.
         parameter_uncertainty: Relative prior standard deviation of every prescribed parameter but the masses; 0 holds
             them fixed, as the paper does.
-        acceleration_through, initial_motion, unknown_force: See :class:`pinn_cli.scheme.base.EstimationScheme`.
+        acceleration_through, initial_motion, unknown_force: See :class:`pinn_cli.scheme.scheme.EstimationScheme`.
         model: A finished run whose structure and parameters are taken instead of prescribed ones; None: there is none.
 
     Raises:

@@ -14,13 +14,13 @@ import torch
 
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.base import Beginning, EstimationScheme, Through, UnknownForce
 from pinn_cli.scheme.calibration import calibrated_starts
 from pinn_cli.scheme.inputs import FREE as FREE_FORCE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import FREE
+from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, UnknownForce
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import AUTO, Start, Starts, checked_starts
 from pinn_cli.scheme.unknowns import (
@@ -62,7 +62,7 @@ class StateParameter(EstimationScheme):
             enough to leave the answer to the record.
         parameter_uncertainty: Relative prior standard deviation of every other parameter but the masses; 0 holds them
             fixed, as the paper does.
-        acceleration_through, initial_motion, unknown_force: See :class:`pinn_cli.scheme.base.EstimationScheme`.
+        acceleration_through, initial_motion, unknown_force: See :class:`pinn_cli.scheme.scheme.EstimationScheme`.
 
     Raises:
         InputError: A setting outside its range.

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 
 from pinn_cli.model.knowledge import Model
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.base import Beginning, EstimationScheme, Through, UnknownForce
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.of_model import check_updatable, given
 from pinn_cli.scheme.problem import FREE
+from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, UnknownForce
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.system.structure import Structure
 
@@ -22,7 +22,7 @@ class Update(EstimationScheme):
         model: The finished run.
         unobserved_fraction, unobserved, sensors: Of a simulated record, see
             :class:`pinn_cli.scheme.sparse_recovery.SparseRecovery`.
-        acceleration_through, initial_motion, unknown_force: See :class:`pinn_cli.scheme.base.EstimationScheme`.
+        acceleration_through, initial_motion, unknown_force: See :class:`pinn_cli.scheme.scheme.EstimationScheme`.
 
     Raises:
         InputError: A setting outside its range, or no model.

@@ -20,8 +20,8 @@ from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.instantiation import construct, plugins_of
 from pinn_cli.settings.legal_values import USABLE, entries, is_finite_number, is_usable_number, whole_number
 from pinn_cli.system import connection
-from pinn_cli.system.connection.base import Nonlinearity
 from pinn_cli.system.connection.linear import Linear
+from pinn_cli.system.connection.nonlinearity import Nonlinearity
 from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.damping import MassProportional, ModalRatios, StiffnessProportional, StructuralDamping
 from pinn_cli.system.incidence import Incidence

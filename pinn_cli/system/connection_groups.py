@@ -10,7 +10,7 @@ import torch
 from scipy.sparse import csr_matrix
 
 from pinn_cli.system.array_namespace import Array
-from pinn_cli.system.connection.base import Nonlinearity
+from pinn_cli.system.connection.nonlinearity import Nonlinearity
 from pinn_cli.system.damping import StructuralDamping
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.parameters import MASS, Parameter

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from pinn_cli.system.array_namespace import Array
-from pinn_cli.system.connection.base import Hysteresis
+from pinn_cli.system.connection.nonlinearity import Hysteresis
 from pinn_cli.system.structure import Structure
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from scipy.optimize import linear_sum_assignment
 
-from pinn_cli.system.connection.base import Hysteresis
+from pinn_cli.system.connection.nonlinearity import Hysteresis
 from pinn_cli.system.parameters import MASS, Parameter
 from pinn_cli.system.structure import Structure
 

@@ -13,8 +13,8 @@ from scipy.sparse import csr_matrix, hstack, vstack
 from scipy.sparse.linalg import norm as sparse_norm
 
 from pinn_cli.system.array_namespace import Array, namespace
-from pinn_cli.system.connection.base import Hysteresis, Nonlinearity
 from pinn_cli.system.connection.linear import Linear
+from pinn_cli.system.connection.nonlinearity import Hysteresis, Nonlinearity
 from pinn_cli.system.connection_groups import ConnectionGroup, GroupPart, Linearisation, carriers, group_parts, slopes
 from pinn_cli.system.damping import StructuralDamping
 from pinn_cli.system.incidence import Incidence, Pairs

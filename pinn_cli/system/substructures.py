@@ -20,8 +20,8 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_finite_number
 from pinn_cli.system.array_namespace import Array
 from pinn_cli.system.building import check_name
-from pinn_cli.system.connection.base import Nonlinearity
 from pinn_cli.system.connection.linear import Linear
+from pinn_cli.system.connection.nonlinearity import Nonlinearity
 from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.matrix_files import read_matrices

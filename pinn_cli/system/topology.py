@@ -15,7 +15,7 @@ from scipy.sparse import csr_matrix
 from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.legal_values import USABLE, entries, is_finite_number, is_usable_number
 from pinn_cli.system.building import FIXED_GROUND, check_name, checked_names, damped, law_called, law_settings
-from pinn_cli.system.connection.base import Nonlinearity
+from pinn_cli.system.connection.nonlinearity import Nonlinearity
 from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.coupling import loose_dofs
 from pinn_cli.system.incidence import Incidence, Pairs

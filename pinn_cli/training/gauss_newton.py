@@ -12,17 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.network.network import NetworkDesign
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
-from pinn_cli.training.base import Training, built
 from pinn_cli.training.doubts.damping_score import scored_damping
 from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.estimator import Training, built
 from pinn_cli.training.function_space.training import MOST_RESIDUALS, FunctionSpaceGaussNewton
 from pinn_cli.training.history import History
 from pinn_cli.training.inference import infer

@@ -25,8 +25,8 @@ from pinn_cli.system.parameters import MASS
 from pinn_cli.system.priors import HALF_WIDTH_90
 from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE, GROUND, UNITS
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.base import TrainedNetwork
 from pinn_cli.training.estimate import ConnectionHistories, Estimate, ParameterEstimate, Peak, RunContext
+from pinn_cli.training.estimator import TrainedNetwork
 from pinn_cli.training.record_scales import force_and_velocity_scale
 from pinn_cli.training.sensor_samples import SensorSamples
 

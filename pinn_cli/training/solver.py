@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pinn_cli.model.knowledge import DiscrepancyEvidence
-from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.network.network import NetworkDesign
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.training.base import built
 from pinn_cli.training.estimate import Rival
+from pinn_cli.training.estimator import built
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.history import History
 from pinn_cli.training.levels import ROUNDS, settled

@@ -12,9 +12,9 @@ import numpy as np
 from pinn_cli.model.knowledge import ParameterKnowledge
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import JointPrior, Problem
-from pinn_cli.training.base import TrainedNetwork
 from pinn_cli.training.changes import found_changes, left_open, released
 from pinn_cli.training.estimate import Changes, Estimate, RunContext
+from pinn_cli.training.estimator import TrainedNetwork
 from pinn_cli.training.parameter_spread import updated_spread
 
 # Rounds at most, and the relative change below which a spread has settled.

@@ -7,7 +7,7 @@ import pandas as pd
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.estimate import Estimate
-from pinn_cli.validation.base import Score, Setup, Validation
+from pinn_cli.validation.validation import Score, Setup, Validation
 
 
 class EvidenceScore(Validation):

@@ -19,7 +19,7 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import fraction, whole_number
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.estimated_structure import estimated_structure
-from pinn_cli.validation.base import Setup, Withheld, channel_noise, compared
+from pinn_cli.validation.validation import Setup, Withheld, channel_noise, compared
 
 # The forecast begins this share of what was seen before its end, where the ends of splines do not show.
 LEAD = 1 / 32

@@ -18,7 +18,7 @@ from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_whole_number
 from pinn_cli.training.estimate import Estimate
-from pinn_cli.validation.base import Setup, Withheld, channel_noise, compared
+from pinn_cli.validation.validation import Setup, Withheld, channel_noise, compared
 
 
 class HeldOut(Withheld):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.training.estimate import Estimate
-from pinn_cli.validation.base import Setup, Validation
+from pinn_cli.validation.validation import Setup, Validation
 
 
 class NoValidation(Validation):

@@ -13,7 +13,7 @@ from pinn_cli.record.free_run import is_linear
 from pinn_cli.record.identification.modes import identify
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import periodogram, reaches_nyquist
-from pinn_cli.system.connection.base import Hysteresis
+from pinn_cli.system.connection.nonlinearity import Hysteresis
 from pinn_cli.system.modes import modes_of
 from pinn_cli.system.parameters import MASS, Parameter
 from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT

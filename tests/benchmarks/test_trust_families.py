@@ -12,10 +12,10 @@ from benchmarks.trust.families import drawn, nonlinear
 from benchmarks.trust.families.finite_elements import Mesh, assembled
 from benchmarks.trust.structures import Connection, Structure, damping_matrix, linear_motion, simulated, sinusoids
 from benchmarks.trust.waves import random_waves
-from pinn_cli.system.connection.base import Hysteresis
 from pinn_cli.system.connection.bouc_wen import BoucWen
 from pinn_cli.system.connection.duffing import Duffing
 from pinn_cli.system.connection.friction import Friction
+from pinn_cli.system.connection.nonlinearity import Hysteresis
 from pinn_cli.system.connection.polynomial import Polynomial
 from pinn_cli.system.connection.power_damping import PowerDamping
 from pinn_cli.system.connection.van_der_pol import VanDerPol

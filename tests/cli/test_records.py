@@ -17,7 +17,7 @@ from pinn_cli.runs.identity import Identity
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.parameters import Labels
-from pinn_cli.training.base import TrainedNetwork
+from pinn_cli.training.estimator import TrainedNetwork
 from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.gradient.adam import Adam
 from pinn_cli.validation.evidence import EvidenceScore

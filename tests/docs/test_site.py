@@ -47,7 +47,7 @@ def test_equations_need_no_script(pages: dict[str, str]) -> None:
 
 def test_classes_are_told_by_their_docstrings(pages: dict[str, str]) -> None:
     html = pages["reference/python.html"]
-    for name in ("pinn_cli.system.connection.base.Nonlinearity", "pinn_cli.scheme.base.Scheme"):
+    for name in ("pinn_cli.system.connection.nonlinearity.Nonlinearity", "pinn_cli.scheme.scheme.Scheme"):
         assert f'id="{name}"' in html
     assert "Raises" in html
 

@@ -6,10 +6,10 @@ import pytest
 import torch
 from small_problems import accelerations, measured, small_chain, sped_up
 
-from pinn_cli.network.base import Network
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.mlp import Mlp
+from pinn_cli.network.network import Network
 from pinn_cli.network.spline import Spline, SplineNetwork
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record

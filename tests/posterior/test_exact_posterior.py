@@ -12,10 +12,10 @@ from small_problems import small_chain
 from solved_records import model
 
 from pinn_cli.network.spline import Spline
-from pinn_cli.posterior.base import PosteriorSamples
 from pinn_cli.posterior.conditional import Conditional
 from pinn_cli.posterior.laplace import Laplace
 from pinn_cli.posterior.marginal import Marginal
+from pinn_cli.posterior.posterior import PosteriorSamples
 from pinn_cli.posterior.result import diagnose
 from pinn_cli.posterior.target import S_STD
 from pinn_cli.scheme.bayesian import Bayesian

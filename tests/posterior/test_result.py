@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fake_posteriors import make_samples
 
-from pinn_cli.posterior.base import PosteriorSamples
+from pinn_cli.posterior.posterior import PosteriorSamples
 from pinn_cli.posterior.result import (
     PREDICTED_DRAWS,
     PREDICTED_SAMPLES,

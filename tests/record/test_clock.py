@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from refusals import refusal
 
-from pinn_cli.record.files.base import FileFormat
+from pinn_cli.record.files.file_format import FileFormat
 from pinn_cli.record.files.table import Table
 from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.settings.errors import InputError

@@ -9,7 +9,7 @@ from scipy.fft import ifft
 
 from pinn_cli.record.excitation import banded_noise
 from pinn_cli.record.excitation.banded_noise import BandedNoise, sum_of_sinusoids
-from pinn_cli.record.excitation.base import Excitation
+from pinn_cli.record.excitation.excitation import Excitation
 from pinn_cli.record.excitation.impulse import Impulse
 from pinn_cli.record.excitation.sine_sweep import SineSweep
 from pinn_cli.settings.instantiation import build

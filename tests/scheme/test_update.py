@@ -15,9 +15,9 @@ from pinn_cli.scheme.update import Update
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
-from pinn_cli.training.base import TrainedNetwork
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.estimator import TrainedNetwork
 from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.record_scales import force_and_velocity_scale
 from pinn_cli.training.updating import UpdatedNetwork

@@ -11,8 +11,8 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.functions import Inputs
-from pinn_cli.training.base import built
 from pinn_cli.training.covariance import ReadoutPosterior
+from pinn_cli.training.estimator import built
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.starting_noise import starting_noise
 

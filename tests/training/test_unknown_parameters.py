@@ -12,7 +12,7 @@ from solved_records import by_spline
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Measurements
 from pinn_cli.report.fitness import fitness_percent
-from pinn_cli.scheme.base import Scheme
+from pinn_cli.scheme.scheme import Scheme
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.building import build_chain

@@ -6,7 +6,7 @@ from small_problems import measured as measured_record
 from small_problems import small_chain
 
 from pinn_cli.record.channels import channels
-from pinn_cli.validation.base import channel_noise, compared
+from pinn_cli.validation.validation import channel_noise, compared
 
 NOISE, SAMPLES = 0.1, 200_000
 

@@ -20,12 +20,12 @@ from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.base import TrainedNetwork, Training
 from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.validation.base import Setup
+from pinn_cli.training.estimator import TrainedNetwork, Training
 from pinn_cli.validation.evidence import EvidenceScore
 from pinn_cli.validation.forecast import Forecast
 from pinn_cli.validation.heldout import HeldOut
+from pinn_cli.validation.validation import Setup
 
 SHORT = ("excitation.band=[0.2,0.8]", "threads=1")
 # Two sensors, so that one can be spared, and a single one.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 from scipy.fft import ifft
 
-from pinn_cli.record.excitation.base import Excitation, checked_band
+from pinn_cli.record.excitation.excitation import Excitation, checked_band
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import LARGEST_LEGACY_SEED, LARGEST_WHOLE, one_of, positive_number, whole_number
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pinn_cli.record.excitation.base import Excitation
+from pinn_cli.record.excitation.excitation import Excitation
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import finite_number, is_finite_number, positive_number
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
-from pinn_cli.record.excitation.base import Excitation, checked_band
+from pinn_cli.record.excitation.excitation import Excitation, checked_band
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, positive_number
 

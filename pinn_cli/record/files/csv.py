@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.files.base import FileFormat
+from pinn_cli.record.files.file_format import FileFormat
 from pinn_cli.record.files.on_disk import check_size, read_text
 from pinn_cli.record.files.table import Table, asked_for, is_called_times
 from pinn_cli.settings.errors import InputError

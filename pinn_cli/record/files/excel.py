@@ -10,8 +10,8 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pinn_cli.record.files.base import ArrayFormat
 from pinn_cli.record.files.csv import CsvFormat
+from pinn_cli.record.files.file_format import ArrayFormat
 from pinn_cli.record.files.table import Table
 from pinn_cli.record.files.variables import Variable
 from pinn_cli.settings.errors import InputError, suggestion

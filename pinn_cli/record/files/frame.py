@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pinn_cli.record.files.base import FileFormat
+from pinn_cli.record.files.file_format import FileFormat
 from pinn_cli.record.files.table import IN_BRACKETS, TIME_COLUMN, SensorHint, Table, asked_for, bare, is_called_times
 from pinn_cli.settings.errors import InputError
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from pinn_cli.record.files.base import ArrayFormat
+from pinn_cli.record.files.file_format import ArrayFormat
 from pinn_cli.record.files.table import SensorHint
 from pinn_cli.record.files.variables import Variable, content_of
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.record.files.base import ArrayFormat
+from pinn_cli.record.files.file_format import ArrayFormat
 from pinn_cli.record.files.table import SensorHint
 from pinn_cli.record.files.variables import Variable
 from pinn_cli.settings.errors import InputError

@@ -22,7 +22,16 @@ from pinn_cli.runs.lock import locked
 from pinn_cli.runs.writing import replacing
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import located, true_or_false
-from pinn_cli.sweep.tracking.base import FAILED, FINISHED, INTERRUPTED, Outcome, TrackedRun, Tracker, Tracking, require
+from pinn_cli.sweep.tracking.tracking import (
+    FAILED,
+    FINISHED,
+    INTERRUPTED,
+    Outcome,
+    TrackedRun,
+    Tracker,
+    Tracking,
+    require,
+)
 
 if TYPE_CHECKING:
     from mlflow.tracking import MlflowClient

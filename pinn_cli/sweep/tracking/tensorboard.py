@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import located
-from pinn_cli.sweep.tracking.base import Outcome, TrackedRun, Tracker, Tracking, require
+from pinn_cli.sweep.tracking.tracking import Outcome, TrackedRun, Tracker, Tracking, require
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard.writer import SummaryWriter

@@ -16,16 +16,16 @@ from pinn_cli.report.run_record import model_of, observed_digest, write_run_mode
 from pinn_cli.report.run_report import RecordReport, write_tables
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import write_table
-from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.scheme import Scheme
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.sweep.windows.store import WindowStore
 from pinn_cli.system.quantities import CALIBRATION_UNITS, HIGH_PASS, OF_ONE_CHANNEL
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.base import Estimator
 from pinn_cli.training.calibrated_record import as_calibrated
 from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.estimator import Estimator
 from pinn_cli.training.whittle.spectral_model import is_spectral
 from pinn_cli.verdict.finding import Verdict
 

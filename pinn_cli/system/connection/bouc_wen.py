@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from pinn_cli.system.array_namespace import Array, namespace
-from pinn_cli.system.connection.base import Hysteresis
+from pinn_cli.system.connection.nonlinearity import Hysteresis
 
 # Part of the elongation's inverse that beta starts at, and the scale of n about one.
 FIRST_BEND, N_SCALE = 0.3, 0.05

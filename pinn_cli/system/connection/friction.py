@@ -8,7 +8,7 @@ import numpy as np
 
 from pinn_cli.settings.legal_values import positive_number
 from pinn_cli.system.array_namespace import Array, namespace
-from pinn_cli.system.connection.base import Nonlinearity
+from pinn_cli.system.connection.nonlinearity import Nonlinearity
 
 # Of a contact that sticks, m/s: a load of 0.8 F_c makes it creep by 0.1 um in a second.
 STUCK = 1e-7

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from pinn_cli.settings.legal_values import one_of, positive_number
 from pinn_cli.system.array_namespace import Array
-from pinn_cli.system.connection.base import Nonlinearity
+from pinn_cli.system.connection.nonlinearity import Nonlinearity
 
 # Part of the motion at which an unknown gap starts.
 CLOSES_WITHIN = 0.3

@@ -8,7 +8,7 @@ import numpy as np
 
 from pinn_cli.settings.legal_values import positive_number
 from pinn_cli.system.array_namespace import Array, namespace
-from pinn_cli.system.connection.base import Hysteresis
+from pinn_cli.system.connection.nonlinearity import Hysteresis
 
 # Part of the motion within which a contact sticks that k_t starts at.
 STICKS_WITHIN = 0.05

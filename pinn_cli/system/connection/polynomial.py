@@ -8,7 +8,7 @@ from typing import Any
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_whole_number
 from pinn_cli.system.array_namespace import Array
-from pinn_cli.system.connection.base import Nonlinearity
+from pinn_cli.system.connection.nonlinearity import Nonlinearity
 
 LEAST_ORDER, MOST_ORDER = 2, 7
 # One that is not the same in both directions, and one that is.

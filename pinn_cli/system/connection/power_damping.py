@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_finite_number
 from pinn_cli.system.array_namespace import Array, namespace
-from pinn_cli.system.connection.base import Nonlinearity
+from pinn_cli.system.connection.nonlinearity import Nonlinearity
 
 
 class PowerDamping(Nonlinearity):

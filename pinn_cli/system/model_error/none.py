@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pinn_cli.system.model_error.base import ModelError
+from pinn_cli.system.model_error.model_error import ModelError
 from pinn_cli.system.structure import Structure
 
 

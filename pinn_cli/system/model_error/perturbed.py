@@ -17,7 +17,7 @@ from pinn_cli.settings.legal_values import (
     one_of,
     whole_number,
 )
-from pinn_cli.system.model_error.base import ModelError
+from pinn_cli.system.model_error.model_error import ModelError
 from pinn_cli.system.structure import Structure
 
 KINDS_OF_DRAWS = ("independent", "authors")

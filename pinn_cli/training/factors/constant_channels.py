@@ -13,8 +13,8 @@ import torch
 from scipy.sparse import csr_matrix, diags
 from torch import Tensor
 
-from pinn_cli.network.base import States
 from pinn_cli.network.linear_readout import Segments
+from pinn_cli.network.network import States
 from pinn_cli.record.channels import channel_name
 from pinn_cli.system.functions import Jet
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint

@@ -12,8 +12,8 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from pinn_cli.network.base import States
 from pinn_cli.network.linear_readout import LinearReadout, Segments
+from pinn_cli.network.network import States
 from pinn_cli.network.spline import POINTS_PER_INTERVAL, SplineNetwork
 from pinn_cli.physics import targets
 from pinn_cli.record.record import Record

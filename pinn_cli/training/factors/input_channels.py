@@ -25,8 +25,8 @@ from scipy.ndimage import minimum_filter1d
 from scipy.sparse import csr_matrix
 from torch import Tensor
 
-from pinn_cli.network.base import States
 from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.network.network import States
 from pinn_cli.record.between_samples import refined, refined_times
 from pinn_cli.record.channels import channel_name
 from pinn_cli.record.spectrum import noise_level

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
-from pinn_cli.network.base import States
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.network.mlp import MlpNetwork
+from pinn_cli.network.network import States
 from pinn_cli.physics import Targets, observation_masks
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.factors.constant_channels import ResponseChannels

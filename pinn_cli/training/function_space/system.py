@@ -24,8 +24,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from pinn_cli.network.activation import ACTIVATIONS, propagate
-from pinn_cli.network.base import States
 from pinn_cli.network.mlp import MlpNetwork
+from pinn_cli.network.network import States
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.function_space.block_cholesky import BlockCholesky, BlockPattern, Blocks
 

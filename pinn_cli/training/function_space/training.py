@@ -16,9 +16,9 @@ import torch
 from torch import Tensor
 
 from pinn_cli.model.truncated_gaussian import TruncatedGaussian
-from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.network.mlp import BAND_MARGIN, Mlp
+from pinn_cli.network.network import NetworkDesign
 from pinn_cli.physics import Targets, estimated_response, targets
 from pinn_cli.record.between_samples import evenly_spaced
 from pinn_cli.record.response import QUANTITIES, Response
@@ -149,7 +149,7 @@ class FunctionSpaceGaussNewton:
     most_residuals: int = MOST_RESIDUALS
 
     def solve(self, problem: JointProblem, design: NetworkDesign, run: RunContext) -> Estimate:
-        """See :meth:`pinn_cli.training.base.Training.solve`."""
+        """See :meth:`pinn_cli.training.estimator.Training.solve`."""
         if not isinstance(design, Mlp):
             hint = f"network={design.name} has neither a linear readout nor layers"
             raise InputError("training", "gauss_newton", "adam or lbfgs for this network", hint)

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pinn_cli.network.base import Network, States
+from pinn_cli.network.network import Network, States
 from pinn_cli.physics import hold_delay, observation_residuals, physics_residual, targets
 from pinn_cli.record.between_samples import evenly_spaced
 from pinn_cli.record.channels import motion_amplitudes

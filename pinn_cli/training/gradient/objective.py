@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector
 
-from pinn_cli.network.base import Network
+from pinn_cli.network.network import Network
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.gradient.losses import (
     EQUALISED,

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
-from pinn_cli.network.base import Network, NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.network.network import Network, NetworkDesign
 from pinn_cli.physics import estimated_response, targets
 from pinn_cli.record.channels import motion_amplitudes
 from pinn_cli.record.record import Record
@@ -24,8 +24,8 @@ from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, positive_number, whole_number
-from pinn_cli.training.base import Training
 from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.estimator import Training
 from pinn_cli.training.gradient.losses import Losses, checked_weights
 from pinn_cli.training.gradient.objective import Evaluation, Objective, check_finite
 from pinn_cli.training.history import History

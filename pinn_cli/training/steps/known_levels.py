@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.network.network import NetworkDesign
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.quantities import FORCE

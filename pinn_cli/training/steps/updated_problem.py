@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from pinn_cli.network.base import NetworkDesign
+from pinn_cli.network.network import NetworkDesign
 from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem, TurningPoints

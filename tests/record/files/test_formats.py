@@ -213,7 +213,7 @@ def test_a_format_whose_package_is_missing(tmp_path, choice, monkeypatch):
     name, _, write, settings = CASES[choice]
     write(tmp_path / name)
 
-    monkeypatch.setattr("pinn_cli.record.files.base.find_spec", lambda module: None)
+    monkeypatch.setattr("pinn_cli.record.files.file_format.find_spec", lambda module: None)
     told = message(tmp_path, name, "csv", settings)
     assert told.startswith(f"data.format={choice}: must be a format whose package is installed; {choice} needs ")
     assert told.endswith(f"; pip install 'pinn-cli[{choice}]'")

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from refusals import refusal
 
-from pinn_cli.record.files import base as process
+from pinn_cli.record.files import file_format as process
 
 READER = """
 import ctypes, os, sys, time
 import numpy as np
-from pinn_cli.record.files.base import ArrayFormat
+from pinn_cli.record.files.file_format import ArrayFormat
 from pinn_cli.record.files.variables import Variable
 
 

@@ -14,8 +14,8 @@ from interrupted_runs import ADAM, Steps, assert_same_numbers, without_figures
 from pinn_cli.runs.resume import TRACKING as FILE
 from pinn_cli.runs.resume import TrackingState
 from pinn_cli.settings.errors import DivergenceError, InputError
-from pinn_cli.sweep.tracking.base import Followed, Outcome, TrackedRun, Tracker, Tracking, follow
 from pinn_cli.sweep.tracking.tensorboard import TensorboardTracking
+from pinn_cli.sweep.tracking.tracking import Followed, Outcome, TrackedRun, Tracker, Tracking, follow
 
 
 class Notes(Tracker):

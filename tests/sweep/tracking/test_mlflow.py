@@ -18,8 +18,8 @@ from interrupted_runs import in_a_child, without_figures
 
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.sweep.tracking import mlflow as mlflow_tracking
-from pinn_cli.sweep.tracking.base import TrackedRun, follow
 from pinn_cli.sweep.tracking.mlflow import MlflowTracking
+from pinn_cli.sweep.tracking.tracking import TrackedRun, follow
 
 pytest.importorskip("mlflow", reason="the extra mlflow is not installed")
 pytest.importorskip("sqlalchemy", reason="the extra mlflow is not installed")
@@ -31,7 +31,7 @@ PROCESSES = 4
 ONE_PROCESS = """
 import sys
 from pathlib import Path
-from pinn_cli.sweep.tracking.base import TrackedRun, follow
+from pinn_cli.sweep.tracking.tracking import TrackedRun, follow
 from pinn_cli.sweep.tracking.mlflow import MlflowTracking
 for number in range(3):
     place = Path(sys.argv[1], str(number))

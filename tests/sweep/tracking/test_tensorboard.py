@@ -97,8 +97,8 @@ def test_a_disk_that_is_full_is_told_in_one_line(tmp_path: Path, capfd: pytest.C
     """TensorBoard writes in a thread of its own, which would print a traceback."""
     import resource
 
-    from pinn_cli.sweep.tracking.base import TrackedRun, follow
     from pinn_cli.sweep.tracking.tensorboard import TensorboardTracking
+    from pinn_cli.sweep.tracking.tracking import TrackedRun, follow
 
     job = TrackedRun(tmp_path, "run", {"case": "x" * 3000}, {}, "")
 

@@ -13,7 +13,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.inputs import inputs_of
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.base import built
+from pinn_cli.training.estimator import built
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point

@@ -13,8 +13,8 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.functions import Inputs
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.base import built
 from pinn_cli.training.covariance import ReadoutPosterior
+from pinn_cli.training.estimator import built
 from pinn_cli.training.factors import frame
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations

@@ -10,7 +10,7 @@ from pinn_cli.scheme.inputs import inputs_of
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Linear
-from pinn_cli.training.base import built
+from pinn_cli.training.estimator import built
 from pinn_cli.training.factors.input_channels import InputChannels
 from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
 from pinn_cli.training.normal_equations import NormalEquations

@@ -11,8 +11,8 @@ from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
-from pinn_cli.training.base import TrainedNetwork
 from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.estimator import TrainedNetwork
 from pinn_cli.training.gauss_newton import GaussNewton
 
 STRUCTURE = build_chain(3, Linear(), m=M.tolist(), c=(1.04 * C).tolist(), k=(1.1 * K).tolist())

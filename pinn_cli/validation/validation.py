@@ -16,12 +16,12 @@ from pinn_cli.record.channels import Channel, record_band
 from pinn_cli.record.free_run import NoFreeRunError
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import white_level
-from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.joint_problem import JointProblem
+from pinn_cli.scheme.scheme import Scheme
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.base import Estimator
 from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.estimator import Estimator
 
 log = logging.getLogger(__name__)
 
