@@ -136,7 +136,7 @@ class Seen:
     high: float
 
 
-def twins(structure: Structure, free: Sequence[Parameter], seen: Seen, most: int) -> list[dict[Parameter, float]]:
+def rivals_of(structure: Structure, free: Sequence[Parameter], seen: Seen, most: int) -> list[dict[Parameter, float]]:
     """The masses and stiffnesses of other structures that nobody who sees no more can tell from this one.
 
     Args:
@@ -169,7 +169,7 @@ class _Match:
     """The difference of two responses, by the logarithms of the free parameters over their values.
 
     Args:
-        structure, free, seen: See :func:`twins`.
+        structure, free, seen: See :func:`rivals_of`.
     """
 
     def __init__(self, structure: Structure, free: Sequence[Parameter], seen: Seen) -> None:

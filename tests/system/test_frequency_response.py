@@ -8,7 +8,7 @@ import torch
 
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Linear
-from pinn_cli.system.frequency_response import Acting, FrequencyResponse, Seen, twins
+from pinn_cli.system.frequency_response import Acting, FrequencyResponse, Seen, rivals_of
 from pinn_cli.system.parameters import Parameter
 
 OMEGA = np.array([0.7, 1.9, 5.0])
@@ -65,7 +65,7 @@ def frequencies(k: list[float]) -> np.ndarray:
 
 
 def test_the_roof_of_a_shaken_frame_has_a_twin_with_the_same_frequencies():
-    (other,) = twins(FRAME, SPRINGS, seen(ROOF), 3)
+    (other,) = rivals_of(FRAME, SPRINGS, seen(ROOF), 3)
     k = [other[p] for p in SPRINGS]
     assert k[0] > 1.5 * 8e6
     np.testing.assert_allclose(frequencies(k), frequencies([8e6, 7.2e6, 5.6e6]), rtol=1e-6)
@@ -75,17 +75,17 @@ def test_on_a_support_that_moves_it_has_the_twin_that_it_has_on_moving_ground():
     """The roof moves as the support does and as the frame does beside it: both are told by the same frequencies."""
     acting = Acting.of([(np.zeros(3), np.zeros(3), np.array([-1.0, 0.0, 0.0]))], 3)
     carried = replace(seen(ROOF), acting=acting)
-    ((on_support,), (on_ground,)) = (twins(FRAME, SPRINGS, one, 3) for one in (carried, seen(ROOF)))
+    ((on_support,), (on_ground,)) = (rivals_of(FRAME, SPRINGS, one, 3) for one in (carried, seen(ROOF)))
     np.testing.assert_allclose([on_support[p] for p in SPRINGS], [on_ground[p] for p in SPRINGS], rtol=1e-4)
 
 
 @pytest.mark.parametrize("looked_at", [seen(EVERY), seen(np.eye(3)[[0]], shaken=False)], ids=["all floors", "driven"])
 def test_what_sensors_tell_apart_has_no_twin(looked_at: Seen):
-    assert twins(FRAME, SPRINGS, looked_at, 3) == []
+    assert rivals_of(FRAME, SPRINGS, looked_at, 3) == []
 
 
 def test_parameters_that_are_held_leave_no_room_for_a_twin():
-    assert twins(FRAME, SPRINGS[:1], seen(ROOF), 3) == []
+    assert rivals_of(FRAME, SPRINGS[:1], seen(ROOF), 3) == []
 
 
 def test_behind_a_spring_of_no_stiffness_nothing_is_felt_and_nothing_breaks():
@@ -94,4 +94,4 @@ def test_behind_a_spring_of_no_stiffness_nothing_is_felt_and_nothing_breaks():
     one = np.eye(3)
     seen = Seen(one[[0, 2]], Acting.forces(one[:, [0]]), 0.5, 4.0)
     free = [p for p in structure.every_parameter() if p.kind == "k"]
-    assert all(np.isfinite(list(other.values())).all() for other in twins(structure, free, seen, 3))
+    assert all(np.isfinite(list(other.values())).all() for other in rivals_of(structure, free, seen, 3))

@@ -15,7 +15,7 @@ from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.settings.errors import DivergenceError
-from pinn_cli.system.frequency_response import Acting, Seen, twins
+from pinn_cli.system.frequency_response import Acting, Seen, rivals_of
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE
 from pinn_cli.system.structure import Structure
@@ -61,7 +61,7 @@ def _others(found: Inference) -> list[dict[Parameter, float]]:
     if not unknown or problem.structure.is_modal:
         return []
     structure = problem.structure.with_values({p: x for p, x in values.items() if p.kind not in CALIBRATION_UNITS})
-    others = twins(structure, unknown, seen_by(structure, [own.record for own in problem]), MOST_WEIGHED)
+    others = rivals_of(structure, unknown, seen_by(structure, [own.record for own in problem]), MOST_WEIGHED)
     return [other | _dampers(values, other) for other in others]
 
 
