@@ -154,8 +154,10 @@ def judge(
     causes = lacks if told and follows else []
     if not causes and not is_sound and not follows_well:
         causes = fitted_causes(problem, _believed(problem, estimate), structure, excused)
-    # Elsewhere it is what explains most of what the model leaves out, or wrong damping.
-    if told and not causes and (lacks[0].kind == "damping" or estimate.doubts[0].share > MOST_EXPLAINED):
+    # Elsewhere it is what explains most of what the model leaves out, or wrong damping; and whatever is small, of which
+    # the estimated structure, held fixed, says less than one whose parameters are free.
+    explains = told and (lacks[0].kind == "damping" or estimate.doubts[0].share > MOST_EXPLAINED)
+    if not causes and (explains or follows_well):
         causes = lacks
     if not causes and prediction is not None:
         causes = channel_faults(prediction, excused)

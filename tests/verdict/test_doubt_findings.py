@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from frame_records import altered
 
 from pinn_cli.training.estimate import Doubt
 from pinn_cli.verdict.judge import judge
@@ -35,3 +36,11 @@ def test_what_moves_nothing_is_told_of_a_sound_run(right_estimate):
     verdict = judge(problem, replace(estimate, doubts=(doubt,)))
     assert verdict.word == "sound"
     assert [reason.kind for reason in verdict.reasons] == ["friction"]
+
+
+def test_what_is_small_is_told_by_the_structure_whose_parameters_are_free(right_estimate):
+    problem, estimate = right_estimate
+    problem = replace(problem, record=altered(problem.record, 2, lambda x: 1.1 * x))
+    assert judge(problem, estimate).reasons[0].suspect == "acceleration of DOF 2"
+    doubt = Doubt("delay", "force on DOF 3", 3.0, 0.2, "s", 40.0, 5.0, "k_1")
+    assert judge(problem, replace(estimate, doubts=(doubt,))).reasons[0].suspect == "force on DOF 3"
