@@ -54,10 +54,11 @@ def with_stories(found: Inference, estimate: Estimate) -> Estimate:
 def of_free_running(found: Inference, free: FreeRunning, estimate: Estimate) -> Estimate:
     """The same motion, with the parameters of the structure that runs free, and the force that it then takes.
 
-    No record averages out how the parameters vary.
+    No record averages out how the parameters vary, nor what the other story says of them.
     """
-    equations, varying = found.evidence.equations, (free.varying, np.ones(len(free.varying)))
-    parameters, correlation, known = parameter_posterior(equations, free.trained, varying, free.covariance)
+    equations, varying = found.evidence.equations, np.hypot(free.varying, apart(found, free, estimate))
+    misfit = varying, np.ones(len(varying))
+    parameters, correlation, known = parameter_posterior(equations, free.trained, misfit, free.covariance)
     if not any(p.held for p in parameters):
         # A mean that a bound moves is no longer what makes the structure run; of one on its bound there is no other.
         modes = free.trained.solution.point.parameters.numpy() * equations.scale
@@ -70,6 +71,20 @@ def of_free_running(found: Inference, free: FreeRunning, estimate: Estimate) -> 
     )
     changed = ("parameters", "correlation", "known", "records", "misfit")
     return replace(estimate, **{name: getattr(changed_estimate, name) for name in changed})
+
+
+def apart(found: Inference, free: FreeRunning, estimate: Estimate) -> np.ndarray:
+    """(p,), how far the story of a force is from that of a free run, in prior deviations, beyond what both allow for.
+
+    A spring that changes with time moves the one by a part of what it moves the other: both cannot be right.
+    """
+    at, scale = free.trained.solution.point.parameters.numpy(), found.evidence.equations.scale
+    allowed, apart = np.diag(free.covariance) + free.varying**2, np.zeros(len(at))
+    for i, p in enumerate(estimate.parameters):
+        off = p.parameter.value(float(at[i] * scale[i])) - p.estimate
+        beyond = (off / scale[i]) ** 2 - (p.std / scale[i]) ** 2 - allowed[i]
+        apart[i] = max(beyond, 0.0) ** 0.5
+    return apart
 
 
 def _at_mode(found: ParameterEstimate, mode: float) -> ParameterEstimate:
