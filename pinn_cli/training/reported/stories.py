@@ -76,7 +76,7 @@ def of_free_running(found: Inference, free: FreeRunning, estimate: Estimate) -> 
 def apart(found: Inference, free: FreeRunning, estimate: Estimate) -> np.ndarray:
     """(p,), how far the story of a force is from that of a free run, in prior deviations, beyond what both allow for.
 
-    A spring that changes with time moves the one by a part of what it moves the other: both cannot be right.
+    A spring that changes with time moves the one by a small part of what it moves the other: both cannot be right.
     """
     at, scale = free.trained.solution.point.parameters.numpy(), found.evidence.equations.scale
     allowed, apart = np.diag(free.covariance) + free.varying**2, np.zeros(len(at))
