@@ -5,6 +5,8 @@ from collections import defaultdict
 from functools import cache
 from pathlib import Path
 
+from benchmarks.trust.constants import capitals
+
 PACKAGE = Path(__file__).parents[1] / "pinn_cli"
 # From the ground up. A room may import those before it, and itself. Three pages that lie in no room stand among them.
 ROOMS = (
@@ -21,10 +23,15 @@ FILES = {module_name(file): file for file in PACKAGE.rglob("*.py")}
 
 
 @cache
+def tree(module):
+    return ast.parse(FILES[module].read_text(encoding="utf-8"))
+
+
+@cache
 def imports(module):
     """Modules of the package that a module imports, those for its annotations and those within functions included."""
     modules = set()
-    for node in ast.walk(ast.parse(FILES[module].read_text(encoding="utf-8"))):
+    for node in ast.walk(tree(module)):
         if isinstance(node, ast.Import):
             found = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -70,23 +77,10 @@ def test_no_files_import_each_other_in_a_circle():
     assert sorted(arrows) == []
 
 
-def constants(module):
-    """Name and value, as it is written, of every assignment in capitals at the top of a module."""
-    for statement in ast.parse(FILES[module].read_text(encoding="utf-8")).body:
-        if isinstance(statement, ast.Assign | ast.AnnAssign) and statement.value is not None:
-            targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
-            for target in targets:
-                values = [(target, statement.value)]
-                if isinstance(target, ast.Tuple) and isinstance(statement.value, ast.Tuple):
-                    values = list(zip(target.elts, statement.value.elts, strict=True))
-                for name, value in values:
-                    if isinstance(name, ast.Name) and name.id.isupper() and "TypeVar" not in ast.unparse(value):
-                        yield name.id, ast.unparse(value)
-
-
 def test_a_name_in_capitals_has_one_value():
     values = defaultdict(set)
     for module in FILES:
-        for name, value in constants(module):
-            values[name].add(value)
+        for name, value in capitals(tree(module)):
+            if "TypeVar" not in ast.unparse(value):
+                values[name.id].add(ast.unparse(value))
     assert {name for name, own in values.items() if len(own) > 1} == set()

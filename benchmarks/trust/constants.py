@@ -105,19 +105,20 @@ def constants() -> list[Constant]:
 
 def named_values(tree: ast.Module) -> Iterator[tuple[ast.Name, ast.expr]]:
     """Names in capitals at the top of a module, and the arithmetic of numbers that each is."""
+    return ((name, value) for name, value in capitals(tree) if _is_number(value))
+
+
+def capitals(tree: ast.Module) -> Iterator[tuple[ast.Name, ast.expr]]:
+    """Names in capitals at the top of a module, and what each is."""
     for statement in tree.body:
-        if isinstance(statement, ast.Assign) and len(statement.targets) == 1:
-            target, value = statement.targets[0], statement.value
-        elif isinstance(statement, ast.AnnAssign) and statement.value is not None:
-            target, value = statement.target, statement.value
-        else:
+        if not isinstance(statement, ast.Assign | ast.AnnAssign) or statement.value is None:
             continue
-        pairs = [(target, value)]
-        if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
-            pairs = list(zip(target.elts, value.elts, strict=True))
-        for name, one in pairs:
-            if isinstance(name, ast.Name) and name.id == name.id.upper() and _is_number(one):
-                yield name, one
+        value = statement.value
+        for target in statement.targets if isinstance(statement, ast.Assign) else [statement.target]:
+            pairs = [(target, value)]
+            if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
+                pairs = list(zip(target.elts, value.elts, strict=True))
+            yield from ((name, one) for name, one in pairs if isinstance(name, ast.Name) and name.id.isupper())
 
 
 def _is_number(value: ast.expr) -> bool:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _OF_DOFS = ("force", "displacement", "velocity", "acceleration")
 _GROUND = "ground_acceleration"
 # What says itself which column is what; names then say nothing.
-_CHANNEL_SETTINGS = tuple(f"data.{name}" for name in (*_OF_DOFS, _GROUND, "channels", "records"))
+_NAMED_COLUMNS = tuple(f"data.{name}" for name in (*_OF_DOFS, _GROUND, "channels", "records"))
 _CLOCKS = ("data.time", "data.sampling_rate")
 # force.1, acceleration_3, velocity 2; a DOF's name after a point only: acceleration.roof.
 _CHANNEL = re.compile(rf"({'|'.join(_OF_DOFS)})(?:[._ ]?(\d+)|\.(\w+))")
@@ -76,9 +76,7 @@ def settings_of(
             table = named_by_content(table_of_sep005(one, name)) if is_sep005(one) else table_of(columns, name)
             stack.enter_context(held(table))
             found = _settings(table, own)
-            if not any(
-                f"{setting_of(o)}.".startswith(f"{channel}.") for o in overrides for channel in _CHANNEL_SETTINGS
-            ):
+            if not any(f"{setting_of(o)}.".startswith(f"{channel}.") for o in overrides for channel in _NAMED_COLUMNS):
                 channels = channels_of(table)
                 if not channels:
                     nameless(table.columns)

@@ -27,7 +27,7 @@ SITE, MAX_TREE_DEPTH = "q", 10
 OVERDISPERSION = 2.0
 CHAINS_FOLDER, FORMAT = "chains", 1
 # Whose versions decide which numbers are drawn.
-SAMPLING_PACKAGES = ("pinn-cli", "pyro-ppl", "torch", "numpy")
+DRAWN_WITH = ("pinn-cli", "pyro-ppl", "torch", "numpy")
 # Places at which a likelihood is asked what it says, to know it again.
 PROBES = 4
 # Names and types of what is noted about a transition; the names are ArviZ's.
@@ -223,13 +223,7 @@ def _digest(target: Target, settings: NutsSettings, seed: int) -> str:
     The likelihood is a black box: what it says at its peak and at a few probes about the mode stands for it.
     """
     likelihood = target.likelihood
-    said = [
-        seed,
-        settings,
-        likelihood.names,
-        target.priors,
-        [(name, package_version(name)) for name in SAMPLING_PACKAGES],
-    ]
+    said = [seed, settings, likelihood.names, target.priors, [(name, package_version(name)) for name in DRAWN_WITH]]
     probes = np.random.default_rng(0).standard_normal((PROBES, target.size))
     answers = [np.append(slope, value) for value, slope in map(target.potential, probes)]
     numbers = [likelihood.sigma_force, likelihood.peak, likelihood.curvature, target.mode, target.precision, *answers]

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.legal_values import positive_number
+from pinn_cli.settings.legal_values import NUMERAL, positive_number
 from pinn_cli.system.quantities import GROUND, MOTION, SUPPORT, UNITS
 
 if TYPE_CHECKING:
     from pint import UnitRegistry
 
-A_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 # Of an accelerometer g is no gram, and Gal no gallon.
 GRAVITY_UNITS = {"g": "g_0", "mg": "mg_0", "ug": "ug_0", "gal": "Gal", "mgal": "mGal"}
 
@@ -55,7 +53,7 @@ def factor(setting: str, unit: Any, own: str, sensor: str) -> float:
     allowed = f"a unit such as {own}, or the number of {own} that one is"
     if not isinstance(unit, str) or not unit.strip():
         raise InputError(setting, unit, allowed)
-    if A_NUMBER.fullmatch(unit.strip()):
+    if NUMERAL.fullmatch(unit.strip()):
         return float(positive_number(setting, float(unit)))
     import pint
 

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.record.response import QUANTITIES
-from pinn_cli.runs.workbook import ROWS_OF_SHEET, write_workbook
+from pinn_cli.runs.workbook import SHEET_ROWS, write_workbook
 from pinn_cli.runs.writing import replacing, write_bytes, write_table
 from pinn_cli.settings.errors import InputError
 
@@ -66,9 +66,9 @@ def write_csv(dataset: xr.Dataset, path: Path) -> None:
 def write_xlsx(dataset: xr.Dataset, path: Path) -> None:
     """The columns of `_table`, a sheet ``response``; what has no place on it goes on in ``response 2`` and so on."""
     table = _table(dataset)
-    parts = range(0, len(table), ROWS_OF_SHEET - 1)
+    parts = range(0, len(table), SHEET_ROWS - 1)
     names = [f"response {i}" if i > 1 else "response" for i, _ in enumerate(parts, start=1)]
-    write_workbook({name: table.iloc[at : at + ROWS_OF_SHEET - 1] for name, at in zip(names, parts, strict=True)}, path)
+    write_workbook({name: table.iloc[at : at + SHEET_ROWS - 1] for name, at in zip(names, parts, strict=True)}, path)
 
 
 def write_mat(dataset: xr.Dataset, path: Path) -> None:

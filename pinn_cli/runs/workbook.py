@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 SUFFIX = ".xlsx"
 # What a sheet holds, and how long its name may be.
-ROWS_OF_SHEET, COLUMNS_OF_SHEET, LONGEST_SHEET_NAME = 2**20, 2**14, 31
+SHEET_ROWS, SHEET_COLUMNS, LONGEST_SHEET_NAME = 2**20, 2**14, 31
 
 
 def write_workbook(tables: Mapping[str, pandas.DataFrame], path: str | os.PathLike[str]) -> Path:
@@ -39,12 +39,10 @@ def write_workbook(tables: Mapping[str, pandas.DataFrame], path: str | os.PathLi
     if find_spec("openpyxl") is None:
         raise InputError("path", path, "written where openpyxl is installed", "pip install 'pinn-cli[excel]'")
     for name, table in tables.items():
-        if len(table) >= ROWS_OF_SHEET or len(table.columns) > COLUMNS_OF_SHEET:
+        if len(table) >= SHEET_ROWS or len(table.columns) > SHEET_COLUMNS:
             shown = f"{name} of {len(table)} rows and {len(table.columns)} columns"
             hint = f"{name}.csv has all of it"
-            raise InputError(
-                "path", shown, f"tables of less than {ROWS_OF_SHEET} rows and {COLUMNS_OF_SHEET} columns", hint
-            )
+            raise InputError("path", shown, f"tables of less than {SHEET_ROWS} rows and {SHEET_COLUMNS} columns", hint)
     from openpyxl import Workbook
 
     book = Workbook(write_only=True)

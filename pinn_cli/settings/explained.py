@@ -6,9 +6,7 @@ import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-SETTING_LINE = re.compile(
-    r"(?P<indent> *)(?P<name>\w+):(?:\s+(?P<value>[^#\s].*?|\"#.*?))??(?:\s+#\s?(?P<comment>.*))?$"
-)
+ENTRY_LINE = re.compile(r"(?P<indent> *)(?P<name>\w+):(?:\s+(?P<value>[^#\s].*?|\"#.*?))??(?:\s+#\s?(?P<comment>.*))?$")
 COMMENT = re.compile(r" *#\s?(?P<comment>.*)$")
 # What the file is made of, rather than what it sets.
 STRUCTURE = ("defaults", "hydra", "_target_", "_convert_", "_partial_", "_recursive_", "kind")
@@ -39,7 +37,7 @@ def read(file: Path) -> SettingsFile:
     path: list[tuple[int, str]] = []
     top: list[str] = []
     for line in file.read_text(encoding="utf-8").splitlines():
-        entry, comment = SETTING_LINE.fullmatch(line), COMMENT.fullmatch(line)
+        entry, comment = ENTRY_LINE.fullmatch(line), COMMENT.fullmatch(line)
         if entry:
             depth = len(entry["indent"])
             if -1 < skipped < depth:

@@ -6,12 +6,16 @@ A bool is no number here, although Python thinks so: ``system.ndof=true`` is a m
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
 from pinn_cli.settings.errors import InputError
+
+# A number as people write it.
+NUMERAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 # Magnitudes that no quantity in SI units has, and whose squares and cubes are still numbers.
 LARGEST, SMALLEST = 1e30, 1e-30

@@ -30,16 +30,16 @@ from omegaconf.errors import OmegaConfBaseException
 
 from pinn_cli.runs.identity import is_left_out
 from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import NUMERAL
 from pinn_cli.settings.override_syntax import setting_of
 
 # Jobs of a sweep, unless more are asked for: a range with some zeros too many would fill the memory with their names.
 MOST_JOBS = 10_000
 # File systems allow 255 bytes, of which Hydra, the tables and the figures want none; people want fewer.
-LONGEST_JOB_NAME = 100
+LONGEST_OF_JOB = 100
 _DIGEST = 8
 # Configurations without their numbers, of a sweep.
 _KEPT = 64
-_A_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
 
 
 @lru_cache(maxsize=4096)
@@ -115,8 +115,8 @@ def job_name(overrides: Iterable[str], swept: Collection[str]) -> str:
     own = ",".join(override for override in kept if setting_of(override) in swept) or "job"
     shared = [override for override in kept if setting_of(override) not in swept]
     safe = re.sub(r"[^\w.+=,~-]", "_", own, flags=re.ASCII)
-    if safe != own or len(own) > LONGEST_JOB_NAME:
-        return f"{safe[: LONGEST_JOB_NAME - _DIGEST - 1]}_{_digest(kept)}"
+    if safe != own or len(own) > LONGEST_OF_JOB:
+        return f"{safe[: LONGEST_OF_JOB - _DIGEST - 1]}_{_digest(kept)}"
     return f"{own}_{_digest(shared)}" if shared else own
 
 
@@ -124,9 +124,7 @@ def sweep_name(overrides: Iterable[str], params: dict[str, Any]) -> str:
     """Of a sweep, by its overrides and its sweeper's `params`: the swept settings and a digest of all."""
     kept = sorted(override for override in overrides if not is_left_out(setting_of(override)))
     short = "-".join(re.split(r"[./@]", name)[-1] for name in swept_settings(kept, params))
-    return (
-        f"{short[: LONGEST_JOB_NAME - _DIGEST - 1] or 'sweep'}_{_digest([*kept, json.dumps(params, sort_keys=True)])}"
-    )
+    return f"{short[: LONGEST_OF_JOB - _DIGEST - 1] or 'sweep'}_{_digest([*kept, json.dumps(params, sort_keys=True)])}"
 
 
 def _digest(parts: list[str]) -> str:
@@ -197,7 +195,7 @@ class _NotASettingError(Exception):
 
 def is_number(override: str) -> bool:
     """Whether the override gives a setting a number, as `seed=3` and `+seed=3` do and `scheme=bayesian` does not."""
-    return _A_NUMBER.fullmatch(override.partition("=")[2]) is not None
+    return NUMERAL.fullmatch(override.partition("=")[2]) is not None
 
 
 def own_numbers(overrides: Sequence[str]) -> list[str]:

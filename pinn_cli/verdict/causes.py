@@ -34,13 +34,7 @@ if TYPE_CHECKING:
     from pinn_cli.system.structure import Structure
 
 # Seconds that the unit of the time axis may be long.
-SECONDS_OF_UNITS = {
-    1e-3: "milliseconds",
-    1e-6: "microseconds",
-    1e3: "thousands of seconds",
-    60.0: "minutes",
-    1 / 60: "1/60 s",
-}
+SECONDS = {1e-3: "milliseconds", 1e-6: "microseconds", 1e3: "thousands of seconds", 60.0: "minutes", 1 / 60: "1/60 s"}
 # Part of the cross spectra that a structure may miss and need no cause; what a cause may leave of it, and of what is
 # missed without it.
 NEEDS_NO_CAUSE, LEFT, EXPLAINED = 0.01, 0.3, 0.5
@@ -222,8 +216,8 @@ def every_cause(
 ) -> Iterator[Cause]:
     """All that are asked, of suspected sensors, of masses and springs that are held, and of dampers that are."""
     acting = [*channels(record, (FORCE,)), *channels(record, (GROUND,))]
-    for seconds in SECONDS_OF_UNITS:
-        reason = f"the structure does what was measured if the time is in {SECONDS_OF_UNITS[seconds]}"
+    for seconds in SECONDS:
+        reason = f"the structure does what was measured if the time is in {SECONDS[seconds]}"
         told = Finding("time_unit", "time", f"{reason}; multiply the time column by {seconds:.6g}", "failed")
         yield Cause(replace(record, time=record.time * seconds), _always(told))
     for channel in (*sensors, *acting):

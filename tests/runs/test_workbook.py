@@ -35,7 +35,7 @@ def test_what_is_refused_leaves_nothing(tmp_path: Path, monkeypatch: pytest.Monk
     table = pd.DataFrame({"a": [1, 2, 3]})
     with pytest.raises(InputError, match=r"path=.*x.csv: must be a file whose name ends with .xlsx"):
         write_workbook({"x": table}, tmp_path / "x.csv")
-    monkeypatch.setattr(workbook, "ROWS_OF_SHEET", 3)
+    monkeypatch.setattr(workbook, "SHEET_ROWS", 3)
     with pytest.raises(InputError, match=r"path=x of 3 rows and 1 columns: must be tables of less than 3 rows"):
         write_workbook({"x": table}, tmp_path / "x.xlsx")
     monkeypatch.setattr(workbook, "find_spec", lambda name: None)

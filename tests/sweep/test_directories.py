@@ -3,7 +3,7 @@
 import pytest
 
 from pinn_cli.settings.override_syntax import setting_of
-from pinn_cli.sweep.composing import LONGEST_JOB_NAME, job_name, sweep_name, swept_settings
+from pinn_cli.sweep.composing import LONGEST_OF_JOB, job_name, sweep_name, swept_settings
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ def test_a_name_is_a_file_name_and_unmistakable(value: str) -> None:
     one, other = (job_name([f"case={value}{more}"], ["case"]) for more in ("", "_"))
     assert one != other
     for name in (one, other):
-        assert len(name.encode()) <= LONGEST_JOB_NAME
+        assert len(name.encode()) <= LONGEST_OF_JOB
         assert not set(name) & set("/ '[]*?\"\\")
 
 

@@ -170,12 +170,8 @@ class MlflowTracker(Tracker):
             for before in client.search_runs(everywhere, f"tags.{KEY} = '{self.key}'"):
                 client.delete_run(before.info.run_id)
             tags = {name: str(value) for name, value in self.run.labels.items()}
-            tags |= {
-                "directory": str(self.run.directory),
-                KEY: self.key,
-                "status": status,
-                "reason": reason[:LONGEST_TEXT],
-            }
+            told = {"status": status, "reason": reason[:LONGEST_TEXT]}
+            tags |= {"directory": str(self.run.directory), KEY: self.key, **told}
             run = client.create_run(experiment, tags=tags, run_name=self.run.name).info.run_id
             client.set_terminated(run, HALF_TOLD)
             settings = {n.replace("[", ".").replace("]", ""): value for n, value in self.run.settings.items()}

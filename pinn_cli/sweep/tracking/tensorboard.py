@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 BOARDS_FOLDER = "tensorboard"
 # Seconds from one batch of rows on the disk to the next.
-BATCH_EVERY_S = 5
+BATCH_S = 5
 
 
 class TensorboardTracking(Tracking):
@@ -76,9 +76,7 @@ class TensorboardTracker(Tracker):
 
         _take_away(self.place, self.key)
         # Who looks on while the run goes on forgets what it has read of the earlier file.
-        self.writer = SummaryWriter(
-            str(self.place), purge_step=0, flush_secs=BATCH_EVERY_S, filename_suffix=f".{self.key}"
-        )
+        self.writer = SummaryWriter(str(self.place), purge_step=0, flush_secs=BATCH_S, filename_suffix=f".{self.key}")
         table = ["| setting | value |", "| --- | --- |", *(f"| {n} | {v} |" for n, v in self.run.settings.items())]
         self.writer.add_text("settings", "\n".join(table))
         self.writer.flush()

@@ -9,7 +9,7 @@ from typing import Any
 
 from pinn_cli.model.knowledge import Model
 from pinn_cli.record.record import Measurements, Record
-from pinn_cli.record.windows import Window
+from pinn_cli.record.windows import WINDOW_SETTING, Window
 from pinn_cli.report.parameters import OVER_TIME, identifiability_warnings, window_rows
 from pinn_cli.report.results import Results, RunDescription
 from pinn_cli.report.run_record import model_of, observed_digest, write_run_model
@@ -28,8 +28,6 @@ from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.estimator import Estimator
 from pinn_cli.training.whittle.spectral_model import is_spectral
 from pinn_cli.verdict.finding import Verdict
-
-WINDOW_SETTING = "data.window"
 
 
 @dataclass(frozen=True, eq=False)

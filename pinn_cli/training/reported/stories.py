@@ -79,12 +79,12 @@ def apart(found: Inference, free: FreeRunning, estimate: Estimate) -> np.ndarray
     A spring that changes with time moves the one by a small part of what it moves the other: both cannot be right.
     """
     at, scale = free.trained.solution.point.parameters.numpy(), found.evidence.equations.scale
-    allowed, apart = np.diag(free.covariance) + free.varying**2, np.zeros(len(at))
-    for i, p in enumerate(estimate.parameters):
-        off = p.parameter.value(float(at[i] * scale[i])) - p.estimate
-        beyond = (off / scale[i]) ** 2 - (p.std / scale[i]) ** 2 - allowed[i]
-        apart[i] = max(beyond, 0.0) ** 0.5
-    return apart
+    # A first state is no parameter, and comes last.
+    own = slice(len(estimate.parameters))
+    told = np.array([(p.estimate - p.parameter.prescribed, p.std) for p in estimate.parameters]).T / scale[own]
+    beyond = np.zeros(len(at))
+    beyond[own] = (at[own] - told[0]) ** 2 - told[1] ** 2 - (np.diag(free.covariance) + free.varying**2)[own]
+    return np.sqrt(np.maximum(beyond, 0.0))
 
 
 def _at_mode(found: ParameterEstimate, mode: float) -> ParameterEstimate:
