@@ -52,8 +52,9 @@ test: venv ## lint, and every test that is not slow
 quick-tests: venv ## every test that is not slow
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n logical --maxprocesses 8 --dist loadscope -m "not slow" </dev/null
 
+KILLS := tests/test_kills.py tests/sweep/test_killed_searches.py
 test-all: lint $(RAY) ## lint, then every test but those of `make kills`
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n logical --maxprocesses 8 --dist loadscope --ignore tests/test_kills.py
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n logical --maxprocesses 8 --dist loadscope $(addprefix --ignore ,$(KILLS))
 
 fuzz: venv ## bad inputs of every family, 90 each, counted: each is told in one line or has a sound result (25 minutes)
 	PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python -m fuzz $(ARGS)
@@ -64,8 +65,8 @@ stored: venv ## tests/stored/VERSION.zip: small runs as this release leaves them
 audit: ## known holes of the versions in constraints.txt; needs a network
 	VENV=$(VENV) PYTHON=$(PYTHON) .ci/audit
 
-kills: venv ## kill 100 runs and 30 sweeps and fill 10 disks: the same command ends with the same numbers (long)
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n logical -rP -m slow tests/test_kills.py
+kills: venv ## kill 100 runs, 30 sweeps and 5 searches and fill 10 disks: the same command ends with the same numbers (long)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n logical -rP -m slow $(KILLS)
 
 trust: venv ## how often is it right? random structures by other code, by the real command (hours; ARGS=--quick: 20 minutes; ARGS=--help)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.trust $(ARGS)
