@@ -17,7 +17,6 @@ from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.sweep.jobs import FINISHED, STORED, Job, Sweep
 
 if TYPE_CHECKING:
-    import arviz
     import pandas as pd
     import xarray as xr
 
@@ -182,16 +181,16 @@ class Result(_Tables):
         return response_as_sep005(self.response)
 
     @cached_property
-    def posterior(self) -> arviz.InferenceData | None:
-        """Draws of the parameters; None but with ``scheme=bayesian``."""
+    def posterior(self) -> xr.DataTree | None:
+        """Draws of the parameters, in ArviZ's groups; None but with ``scheme=bayesian``."""
         file = self.directory / "posterior.nc"
         if not file.is_file():
             return None
-        import arviz
+        import xarray as xr
 
         with undamaged("directory", self.directory):
             check_regular(file, math.inf)
-            return arviz.from_netcdf(str(file), engine="h5netcdf")
+            return xr.load_datatree(file, engine="h5netcdf")
 
     @cached_property
     def settings(self) -> dict[str, Any]:

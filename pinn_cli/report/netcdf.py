@@ -1,7 +1,6 @@
 """``response.nc``, the labelled time histories of a run, and ``posterior.nc``, its sampled posterior.
 
-The second holds ArviZ's InferenceData, for ``arviz.from_netcdf``. It is written group by group with xarray: ArviZ
-itself takes seconds to import.
+The second has the groups of ArviZ, for ``arviz.from_netcdf``.
 """
 
 from __future__ import annotations
@@ -130,7 +129,7 @@ def netcdf_attributes(given: Mapping[str, object]) -> dict[str, object]:
 def posterior_groups(
     findings: PosteriorResult, record: Record, parameters: Sequence[Parameter], attributes: Mapping[str, object]
 ) -> dict[str, xr.Dataset]:
-    """The groups of an InferenceData.
+    """The groups, as ArviZ names them.
 
     Args:
         findings: The draws and, where there is one, the force's posterior predictive.

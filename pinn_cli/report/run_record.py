@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 NOTED_PACKAGES = (
     "pinn-cli", "torch", "numpy", "scipy", "pandas", "xarray", "h5netcdf", "matplotlib", "hydra-core", "pyro-ppl",
-    "arviz",
+    "arviz-stats",
 )  # fmt: skip
 
 _log = logging.getLogger(__name__)

@@ -1,16 +1,16 @@
-"""Figures of a sampled posterior: by ArviZ pairs of parameters, traces and ranks of the chains; the fitted force.
-
-ArviZ takes two seconds to import and brings pyplot along: it waits until a figure is drawn.
-"""
+"""Figures of a sampled posterior: pairs of parameters, traces and ranks of the chains; the fitted force."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy  # its `stats` is imported where it is first named: half a second
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.axis import Axis, XAxis
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
-from pinn_cli.posterior.result import ForcePredictive, import_arviz, two_chains
+from pinn_cli.posterior.result import ForcePredictive, two_chains
 from pinn_cli.record.record import Record
 from pinn_cli.report.estimates import Histories
 from pinn_cli.report.figures import histories, style
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 IN_PAIRS, IN_TRACES, CHAINS_SHOWN = 8, 12, 8  # parameters in either figure, and chains, at most
 REGIONS = (0.9, 0.7, 0.5, 0.3, 0.1)
+DENSITY_DRAWS, DENSITY_GRID = 1000, 50  # of a joint density: draws that it is worked out from, places along an axis
 RANK_BINS = 20
 TAIL = 0.0005  # one draw in a thousand may widen an axis to no purpose
 SPAN_MARGIN = 0.06  # of the span, on either side
@@ -66,14 +67,12 @@ def posterior_pairs_figure(
         figure, panels = style.panels(
             len(shown), len(shown), side, width=width, margins=(left, left - 0.54, 0.3, 0.42), gaps=(0.05, 0.05)
         )
-        _draw_pairs(draws[[p.name for p in shown]], panels)
         for row, vertical in enumerate(shown):
-            lower, upper = np.quantile(pooled[vertical], CENTRAL_90)
-            for bar in panels[row, row].containers[0]:
-                if not lower <= bar.get_x() + bar.get_width() / 2.0 <= upper:
-                    bar.set_facecolor(_TAILS)
-            panels[row, row].set(yticks=[], ylabel="")
+            _draw_histogram(panels[row, row], pooled[vertical])
             for column, horizontal in enumerate(shown[: row + 1]):
+                if column < row:
+                    _draw_density(panels[row, column], pooled[horizontal], pooled[vertical])
+                    panels[column, row].remove()
                 _dress_axis(panels[row, column].xaxis, pooled[horizontal], horizontal, *limits[horizontal])
                 if column < row:
                     _dress_axis(panels[row, column].yaxis, pooled[vertical], vertical, *limits[vertical])
@@ -92,19 +91,31 @@ def posterior_pairs_figure(
     return figure
 
 
-def _draw_pairs(draws: xr.Dataset, panels: np.ndarray) -> None:
-    """Densities below the diagonal and histograms on it; ArviZ takes the panels above it away."""
-    arviz, histogram = import_arviz(), {"kind": "hist", "hist_kwargs": {"bins": 40, "rwidth": 1.0, "color": _BARS}}
-    if len(draws.data_vars) == 1:
-        (values,) = draws.data_vars.values()
-        arviz.plot_dist(values.to_numpy().ravel(), ax=panels[0, 0], **histogram)
+def _draw_histogram(panel: Axes, values: np.ndarray) -> None:
+    """Of draws (draws,), pale outside the central 90 % interval."""
+    lower, upper = np.quantile(values, CENTRAL_90)
+    counts, edges = np.histogram(values, bins=40)
+    middles = (edges[1:] + edges[:-1]) / 2.0
+    colours = [_BARS if lower <= middle <= upper else _TAILS for middle in middles]
+    panel.bar(edges[:-1], counts, np.diff(edges), align="edge", color=colours)
+    panel.set(yticks=[])
+
+
+def _draw_density(panel: Axes, across: np.ndarray, up: np.ndarray) -> None:
+    """Contours of the joint density of draws (draws,) that hold the `REGIONS`; draws on one line are dots."""
+    drawn = np.stack((across, up))[:, :: -(-len(across) // DENSITY_DRAWS)]
+    try:
+        density = scipy.stats.gaussian_kde(drawn)
+    except np.linalg.LinAlgError:
+        panel.plot(*drawn, ".", color=_BARS, markersize=1.0)
         return
-    contours = {"colors": ["none", *_BLUES]}
-    lines = {"colors": [style.BLUE] + ["none"] * len(REGIONS), "linewidths": 0.5}
-    densities = {"hdi_probs": REGIONS, "fill_last": False, "contourf_kwargs": contours, "contour_kwargs": lines}
-    arviz.plot_pair(
-        draws, kind="kde", marginals=True, ax=panels, textsize=8, kde_kwargs=densities, marginal_kwargs=histogram
-    )
+    margins = 0.1 * np.ptp(drawn, axis=1)
+    grid = np.linspace(drawn.min(axis=1) - margins, drawn.max(axis=1) + margins, DENSITY_GRID).T
+    heights = density(np.stack(np.meshgrid(*grid)).reshape(2, -1)).reshape(DENSITY_GRID, DENSITY_GRID)
+    # What is denser than a tenth of the draws are is the region that holds 90 %.
+    levels = np.unique(np.quantile(density(drawn), 1.0 - np.asarray(REGIONS)))
+    panel.contourf(*grid, heights, levels=levels, colors=_BLUES, extend="max")
+    panel.contour(*grid, heights, levels=levels[:1], colors=[style.BLUE], linewidths=0.5)
 
 
 def _limits(values: np.ndarray, true: float) -> tuple[tuple[float, float], float]:
@@ -163,7 +174,7 @@ def most_correlated(correlation: np.ndarray, most: int) -> list[int]:
 def trace_figure(draws: xr.Dataset, statistics: xr.Dataset, parameters: Sequence[Parameter], number: int) -> Figure:
     """One row per parameter: its density and its draws over the iterations after warm-up, chain by chain.
 
-    Divergent iterations are marked at the foot of every panel.
+    Divergent iterations are marked at the foot of every trace.
 
     Args:
         draws: The group ``posterior``, whose attribute ``tuning_steps`` counts the iterations of the warm-up.
@@ -171,28 +182,31 @@ def trace_figure(draws: xr.Dataset, statistics: xr.Dataset, parameters: Sequence
         parameters: That have a row, of so many in all.
         number: Of all parameters.
     """
-    arviz, count, shown = import_arviz(), draws.sizes["chain"], _moving(draws, parameters)
-    iteration = draws["draw"] + 1 + draws.attrs.get("tuning_steps", 0)
-    groups = [group.assign_coords(draw=iteration).isel(chain=slice(CHAINS_SHOWN)) for group in (draws, statistics)]
+    count, shown = draws.sizes["chain"], _moving(draws, parameters)
+    iteration = draws["draw"].to_numpy() + 1 + draws.attrs.get("tuning_steps", 0)
+    divergent = (
+        iteration[np.nonzero(statistics["diverging"].to_numpy())[1]] if "diverging" in statistics else iteration[:0]
+    )
+    mark: style.Look = {"color": "k", "marker": "|", "linestyle": "none", "markersize": 6}
     with style.look():
         figure, panels = _rows(len(shown), 0.8, width_ratios=(1, 3))
-        data = arviz.InferenceData(posterior=groups[0], sample_stats=groups[1])
-        arviz.plot_trace(
-            data, [p.name for p in shown], axes=panels, compact=False,
-            divergences="bottom", chain_prop={"color": style.CYCLE}, plot_kwargs={"textsize": 7, "linewidth": 0.8},
-            trace_kwargs={"alpha": 0.8, "linewidth": 0.4, "rasterized": True},
-        )  # fmt: skip
         for (density, trace), parameter in zip(panels, shown, strict=True):
+            chains = draws[parameter.name].to_numpy()[:CHAINS_SHOWN]
+            for chain, colour in zip(chains, cycle(style.CYCLE), strict=False):
+                if chain.min() < chain.max():
+                    places = np.linspace(chain.min(), chain.max(), DENSITY_GRID)
+                    density.plot(places, scipy.stats.gaussian_kde(chain)(places), color=colour, linewidth=0.8)
+                trace.plot(iteration, chain, color=colour, alpha=0.8, linewidth=0.4, rasterized=True)
             for axis in (trace.yaxis, density.xaxis):
-                _dress_axis(axis, draws[parameter.name].to_numpy(), parameter)
-            density.set(title="", xlabel="", ylabel=trace.get_ylabel())
-            trace.set(title="", ylabel="")
+                _dress_axis(axis, chains, parameter)
+            density.set(yticks=[], ylim=(0.0, None), xlabel="", ylabel=trace.get_ylabel())
+            trace.set(ylabel="", xlim=(iteration[0], iteration[-1]))
             trace.tick_params(labelbottom=trace is panels[-1, 1])
+            trace.plot(divergent, np.full(len(divergent), trace.get_ylim()[0]), **mark)
         panels[-1, 1].set_xlabel("Iteration")
-        chains = [Line2D([], [], color=c, label=f"chain {i}") for i, c in enumerate(style.CYCLE[:count], start=1)]
-        divergent = int(statistics["diverging"].sum()) if "diverging" in statistics else 0
-        mark = Line2D([], [], color="k", marker="|", linestyle="none", markersize=6, label=f"{divergent} divergent")
-        _finish(figure, [*chains, *[mark][:divergent]], _left_out(shown, number))
+        named = [Line2D([], [], color=c, label=f"chain {i}") for i, c in enumerate(style.CYCLE[:count], start=1)]
+        marked = Line2D([], [], **mark, label=f"{len(divergent)} divergent")
+        _finish(figure, [*named, *[marked][: len(divergent)]], _left_out(shown, number))
     return figure
 
 
@@ -210,11 +224,9 @@ def rank_figure(draws: xr.Dataset, parameters: Sequence[Parameter], number: int)
     chains = len(compared[shown[0].name])
     with style.look():
         figure, panels = _rows(-(-len(shown) // 2), 0.3 + 0.2 * chains)
-        look = {"bar_kwargs": {"alpha": 0.75, "linewidth": 0.0}, "ref_line_kwargs": {"linewidth": 0.6}}
-        colours = [style.CYCLE[i % len(style.CYCLE)] for i in range(chains)]
-        import_arviz().plot_rank(compared, bins=RANK_BINS, colors=colours, ax=panels.ravel()[: len(shown)], **look)
         for panel, parameter in zip(panels.ravel(), shown, strict=False):
-            panel.set(title="", xlabel="", ylabel=f"{parameter.symbol}, {kind}", yticklabels=range(1, chains + 1))
+            _draw_ranks(panel, compared[parameter.name])
+            panel.set(ylabel=f"{parameter.symbol}, {kind}")
         for panel in panels.ravel()[len(shown) :]:
             panel.remove()
         figure.supxlabel("Rank among all draws", fontsize=8, y=0.01)
@@ -241,6 +253,17 @@ def _finish(figure: Figure, handles: Sequence[Line2D | Patch], note: str) -> Non
     figure.align_labels()
     figure.legend(handles=list(handles), loc="upper center", ncols=len(handles), handlelength=2.2)
     style.note(figure, note)
+
+
+def _draw_ranks(panel: Axes, chains: np.ndarray) -> None:
+    """Histograms of the ranks of draws (chains, draws) among all, one above the other; dashed where all are alike."""
+    edges = np.linspace(0.5, chains.size + 0.5, RANK_BINS + 1)
+    counts = np.stack([np.histogram(ranks, edges)[0] for ranks in scipy.stats.rankdata(chains).reshape(chains.shape)])
+    feet = 1.1 * counts.max() * np.arange(len(chains))
+    for foot, heights, colour in zip(feet, counts, cycle(style.CYCLE), strict=False):
+        panel.bar(edges[:-1], heights, np.diff(edges), foot, align="edge", color=colour, alpha=0.75, linewidth=0.0)
+        panel.axhline(foot + chains.shape[1] / RANK_BINS, color=style.BLACK, linewidth=0.6, linestyle="--")
+    panel.set_yticks(feet + chains.shape[1] / RANK_BINS, [f"{i}" for i in range(1, len(chains) + 1)])
 
 
 def force_predictive_figure(predictive: ForcePredictive, record: Record, dofs: np.ndarray) -> Figure:
