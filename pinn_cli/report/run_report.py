@@ -22,6 +22,7 @@ from pinn_cli.report.export import Export
 from pinn_cli.report.fitness import FORMULAS, fitness_table, residual_table
 from pinn_cli.report.free_run import FreeRun, ValidationRun, free_run, free_run_table, validation_table, with_noise_of
 from pinn_cli.report.published import fitness_of
+from pinn_cli.report.restoring import restoring_curves, restoring_table
 from pinn_cli.report.results import Results, RunDescription, record_folder, with_labels
 from pinn_cli.report.run_record import run_record, write_run_model
 from pinn_cli.runs.side_by_side import beside, side_by_side
@@ -104,6 +105,8 @@ class RecordReport:
             "fitness": below(*[fitness for fitness, _ in self.tables]),
             "residuals": below(*self.residuals),
         }
+        if curves := restoring_curves(results):
+            tables["restoring"] = with_labels(restoring_table(curves), labels)
         for name, table in tables.items():
             write_table(table, self.directory / f"{name}.csv")
         dataset = response_dataset(results, self.free_run[0].response)

@@ -87,10 +87,17 @@ def unit_forces(structure: Structure, elongation: float, rate: float) -> dict[st
 
 @dataclass(frozen=True)
 class Start:
-    """Where one unknown parameter starts, and its order of magnitude."""
+    """Where one unknown parameter starts, and its order of magnitude.
+
+    Attributes:
+        value: Of the start.
+        scale: What it would be where it matters.
+        prior_scale: What its prior is counted in; None: the same.
+    """
 
     value: float
     scale: float
+    prior_scale: float | None = None
 
 
 def checked_starts(starts: Any) -> int | None:
@@ -243,8 +250,8 @@ class Starts:
                 continue
             of_law = {} if kind == MASS else _of_law(prescribed, parameter, linear["k"], typical["k"], size)
             if kind in of_law:
-                value, scale = of_law[kind]
-                out[parameter] = Start(given.get(parameter, value), scale)
+                value, *sizes = of_law[kind]
+                out[parameter] = Start(given.get(parameter, value), *sizes)
             elif kind in (MASS, "k"):
                 value = float(linear[kind][index])
                 out[parameter] = Start(value, max(abs(value), float(usual[index]) if kind == "k" else typical[MASS]))
@@ -328,7 +335,7 @@ def _median_size(values: np.ndarray, otherwise: float) -> float:
 
 def _of_law(
     prescribed: Structure, parameter: Parameter, linear: np.ndarray, typical: float, size: float
-) -> dict[str, tuple[float, float]]:
+) -> Mapping[str, tuple[float, ...]]:
     """Starts of the parameters of a connection that its law has a say in, by kind."""
     connection = int(prescribed.members[parameter.kind][parameter.index])
     return prescribed.laws[connection].starts(max(abs(float(linear[connection])), typical), size)

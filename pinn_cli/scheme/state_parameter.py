@@ -58,8 +58,8 @@ class StateParameter(EstimationScheme):
         starts: ``auto``, or the number of starts at most, of which the most probable solution is kept; ``given``:
             exactly where ``initial`` says.
         positive: Kinds of parameters that cannot be negative.
-        prior_width: Prior standard deviation of an unknown parameter over its scale, which is where it starts: wide
-            enough to leave the answer to the record.
+        prior_width: Prior standard deviation of an unknown parameter over its scale, which is where it starts, or what
+            its law says: wide enough to leave the answer to the record.
         parameter_uncertainty: Relative prior standard deviation of every other parameter but the masses; 0 holds them
             fixed, as the paper does.
         acceleration_through, initial_motion, unknown_force: See :class:`pinn_cli.scheme.scheme.EstimationScheme`.
@@ -166,7 +166,7 @@ class StateParameter(EstimationScheme):
         return replace(
             parameter,
             prescribed=start.value,
-            prior_std=self.prior_width * start.scale,
+            prior_std=self.prior_width * (start.prior_scale or start.scale),
             scale=start.scale,
             said=said,
             unknown=True,

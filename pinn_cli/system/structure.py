@@ -344,7 +344,12 @@ class Structure:
 
     def linearise(self, u: torch.Tensor, v: torch.Tensor, parameters: Mapping[str, torch.Tensor]) -> Linearisation:
         """The connections linearised about displacements u and velocities v (..., n)."""
-        e, de = self.elongation(u), self.elongation(v)
+        return self.linearise_connections(self.elongation(u), self.elongation(v), parameters)
+
+    def linearise_connections(
+        self, e: torch.Tensor, de: torch.Tensor, parameters: Mapping[str, torch.Tensor]
+    ) -> Linearisation:
+        """The same about elongations e and their rates de (..., C)."""
         own = [part.own(parameters) for part in self.parts]
 
         def force(e: torch.Tensor, de: torch.Tensor, *values: torch.Tensor) -> torch.Tensor:

@@ -35,6 +35,8 @@ LARGE_SPREAD = 4.0
 # damping and nonlinearity show less in a record, and are asked for less closely.
 IDENTIFIED, ROUGHLY_IDENTIFIED = 0.1, 0.5
 PARAMETERS_NAMED = 4
+# Spans of laws over what occurs: one that is worth a word, and what is proposed.
+TOO_WIDE, SPARE = 1.5, 1.1
 # Times that finer features may narrow a deviation: what coarser ones cannot follow of a motion is noise to them.
 NARROWED = 2.0
 # Standard deviations of a difference from a baseline, or of a record from all together, and the least one worth a word,
@@ -56,7 +58,8 @@ def parameter_findings(problem: Problem, estimate: Estimate, structure: Structur
     of_each = (f for p in unknown for f in (_far_from_believed(p), _undetermined(p, kinds.get(p.name, ""))))
     found = [f for f in of_each if f is not None]
     return (
-        found
+        _beyond_laws(structure, estimate)
+        + found
         + _narrowed(estimate)
         + _beyond_bounds(estimate)
         + _rivals(estimate)
@@ -168,6 +171,24 @@ def _spread(estimate: Estimate) -> list[Finding]:
         return []
     text = f"the prescribed parameters are off by {spread:.3g} times what was believed (scheme.parameter_uncertainty)"
     return [Finding("spread", "parameters", f"{text}; check them, the masses and the units")]
+
+
+def _beyond_laws(structure: Structure, estimate: Estimate) -> list[Finding]:
+    """Connections that move further than their law goes, a guess there, or far less, which tells too little."""
+    found = []
+    for place, law in enumerate(structure.laws):
+        for over, span in law.spans.items():
+            motion = estimate.response.stretching[("elongation", "speed").index(over)]
+            history = structure.elongation(motion)[:, place]
+            low, high = float(history.min()), float(history.max())
+            if low < span[0] or high > span[1] or span[1] - span[0] > TOO_WIDE * (high - low):
+                name = structure.labels.connection(place)
+                text = (
+                    f"the {over} of connection {name} goes from {low:.3g} to {high:.3g}, its law from {span[0]:.3g} to "
+                )
+                text += f"{span[1]:.3g}; give it {over}: [{SPARE * low:.3g}, {SPARE * high:.3g}]"
+                found.append(Finding("law", f"connection {name}", text, "sound"))
+    return found
 
 
 def _frequencies(structure: Structure, record: Record, loose: Sequence[int]) -> list[Finding]:

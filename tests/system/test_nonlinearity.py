@@ -4,7 +4,7 @@ import torch
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain, build_partial_chain
-from pinn_cli.system.connection import Duffing, Friction, Gap, Linear, Polynomial, PowerDamping, VanDerPol
+from pinn_cli.system.connection import Duffing, Friction, Gap, Linear, Polynomial, PowerDamping, Spline, VanDerPol
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.2, 1.5, 2.0, 2.5, 3.0])
@@ -33,6 +33,7 @@ def test_units():
         (Polynomial([7, 2]), {"k_2": "N/m^2", "k_7": "N/m^7"}),
         (Friction(0.1), {"F_c": "N"}),
         (Gap(), {"k_g": "N/m", "gap": "m"}),
+        (Spline(speed=0.3, terms=1), {"h_1": "N"}),
     ):
         assert build_chain(2, kind, m=1.0, c=1.0, k=1.0, **dict.fromkeys(own, 1.0)).units == units | own
 
@@ -55,6 +56,39 @@ def test_a_gap_pushes_where_it_is_closed_alone(sides, gap):
 def test_a_gap_has_sides_that_there_are():
     with pytest.raises(InputError, match=r"system\.nonlinearity\.sides=left: must be one of both, positive, negative"):
         Gap("left")
+
+
+@pytest.mark.parametrize("span", [0.02, (-0.01, 0.03)])
+@pytest.mark.parametrize("over", ["elongation", "speed"])
+def test_functions_of_a_curve_are_no_spring_and_none_at_rest(over, span):
+    law, (low, high) = Spline(**{over: span}, terms=6), span if isinstance(span, tuple) else (-span, span)
+    at, rest = np.linspace(low, high, 4001)[:, None], np.zeros((4001, 1))
+
+    def force(at, kind):
+        values = {each: np.array([float(each == kind)]) for each in law.parameters}
+        return law.force(*((at, 0.0 * at) if over == "elongation" else (0.0 * at, at)), values)[:, 0]
+
+    functions = np.stack([force(at, kind) for kind in law.parameters], -1)
+    np.testing.assert_allclose(functions.T @ functions / len(at), np.eye(6), atol=2e-3)
+    np.testing.assert_allclose(at[:, 0] @ functions / len(at), 0.0, atol=2e-3 * high)
+    np.testing.assert_allclose(force(rest[:1], law.parameters[3]), 0.0, atol=1e-12)
+    bends = [np.abs(np.diff(function, 2)).max() for function in functions.T]
+    assert sorted(bends) == bends
+    outside = force(high * np.array([[1.0], [2.0], [3.0]]), law.parameters[1])
+    assert outside[2] - outside[1] == pytest.approx(outside[1] - outside[0])
+    ones = dict.fromkeys(law.parameters, np.ones(1))
+    slope = (law.stiffness_at_rest if over == "elongation" else law.damping_at_rest)(ones)
+    step = np.array([[-1e-7], [1e-7]])
+    difference = np.diff([sum(force(step[i : i + 1], kind)[0] for kind in law.parameters) for i in (0, 1)])
+    np.testing.assert_allclose(slope, difference / 2e-7, rtol=1e-5)
+
+
+@pytest.mark.parametrize("span", [-1.0, 0.0, [0.1, 0.2], [-0.1], "wide"])
+def test_a_curve_goes_from_below_zero_to_above(span):
+    with pytest.raises(InputError, match=r"system\.nonlinearity\.elongation"):
+        Spline(span)
+    with pytest.raises(InputError, match=r"system\.nonlinearity\.elongation=None: must be given"):
+        Spline()
 
 
 @pytest.mark.parametrize("orders", [[2], [3], [7], [2, 3], [2, 5, 7], [2, 3, 4, 5, 6, 7]])

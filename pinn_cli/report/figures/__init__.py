@@ -13,7 +13,13 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from pinn_cli.report.estimates import ModeEstimates, connection_forces, drifts
-from pinn_cli.report.figures.connections import Discrepancy, discrepancy_figure, drift_figure, hysteresis_figure
+from pinn_cli.report.figures.connections import (
+    Discrepancy,
+    discrepancy_figure,
+    drift_figure,
+    hysteresis_figure,
+    restoring_figure,
+)
 from pinn_cli.report.figures.histories import error_map_figure, response_figure, shown_dofs
 from pinn_cli.report.figures.parameters import correlation_figure, modes_figure, over_time_figure, parameters_figure
 from pinn_cli.report.figures.posterior import (
@@ -33,6 +39,7 @@ from pinn_cli.report.figures.sensors import (
 from pinn_cli.report.figures.structure import structure_figure
 from pinn_cli.report.figures.style import save
 from pinn_cli.report.parameters import worst_sampled
+from pinn_cli.report.restoring import restoring_curves
 from pinn_cli.report.results import Results, record_folder
 from pinn_cli.runs.side_by_side import shared_out
 from pinn_cli.training.estimated_structure import estimated_structure
@@ -106,6 +113,8 @@ def record_drawings(results: Results, directory: Path) -> list[Drawing]:
         found["drift"] = 2 * rows, partial(drift_figure, stretched, label, results.shown)
     if (discrepancy := Discrepancy.of(results)) is not None:
         found["discrepancy"] = 4, partial(discrepancy_figure, discrepancy)
+    if curves := restoring_curves(results):
+        found["restoring"] = len(curves), partial(restoring_figure, curves, label)
     if forces is not None and len(prescribed.memory):
         memory = np.searchsorted(prescribed.added, prescribed.memory)
         found["hysteresis"] = rows, partial(hysteresis_figure, stretched, forces, memory, label)

@@ -1,7 +1,8 @@
-"""Connections: their drifts and peak drifts, loops of those that have memory, and the force that one leaves out."""
+"""Connections: their drifts, loops of those with memory, laws that were sought, and the force that one leaves out."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +13,10 @@ from matplotlib.ticker import MaxNLocator
 from pinn_cli.record.spectrum import periodogram
 from pinn_cli.report.estimates import Histories
 from pinn_cli.report.figures import histories, style
+from pinn_cli.report.restoring import OVER, RestoringCurve
 from pinn_cli.report.results import Results
 from pinn_cli.system.modes import NaturalModes
+from pinn_cli.system.priors import HALF_WIDTH_95
 from pinn_cli.training.estimated_structure import estimated_structure
 
 ROWS_IN_FULL, LOOPS_IN_FULL = 8, 6  # more connections than these: those with the largest drifts, or forces
@@ -120,6 +123,44 @@ def hysteresis_figure(drifts: Histories, forces: Histories, memory: np.ndarray, 
         for axes in panels[-1]:
             axes.set_xlabel(f"Elongation ({style.unit('displacement', prefix)})", labelpad=2)
         style.legend(figure)
+    return figure
+
+
+def restoring_figure(curves: Sequence[RestoringCurve], truth_label: str = "truth") -> Figure:
+    """A row for each connection whose law was sought: its force over its elongation and over its speed, 95 % bands.
+
+    Where nine tenths of the samples lie is shaded: outside, few samples tell anything. Of more than `LOOPS_IN_FULL`
+    connections, those with the largest forces.
+    """
+    rows = [list(curves[i : i + len(OVER)]) for i in range(0, len(curves), len(OVER))]
+    largest = np.array([max(float(np.abs(curve.force.estimate).max()) for curve in row) for row in rows])
+    shown = style.largest(largest, LOOPS_IN_FULL)
+    of_force, prefix = style.unit_prefix(float(largest[shown].max()), kilo=True)
+    looks = histories.looks(true=truth_label)
+    # Dashes let the truth show through.
+    solid: style.Look = {} if np.isfinite(curves[0].force.true).all() else {"linestyle": "-"}
+    with style.look():
+        figure, panels = style.panels(len(shown), 2, 1.5, margins=(0.62, 0.1, 0.42, 0.42), gaps=(0.62, 0.45))
+        for row, place in zip(panels, shown, strict=True):
+            for axes, curve in zip(row, rows[place], strict=True):
+                factor, own = style.unit_prefix(float(np.abs(curve.at).max()))
+                at, force = factor * curve.at, curve.force
+                spread = HALF_WIDTH_95 * force.std
+                axes.axvspan(*(factor * x for x in curve.usual), color=style.GREY, alpha=0.12, linewidth=0)
+                if np.isfinite(force.true).all():
+                    axes.plot(at, of_force * force.true, **looks["true"])
+                axes.plot(at, of_force * force.estimate, **looks["estimate"] | solid)
+                limits = axes.get_ylim()
+                axes.fill_between(
+                    at, *(of_force * (force.estimate + side * spread) for side in (-1, 1)), **looks["band"]
+                )
+                axes.set_ylim(limits)
+                quantity = dict(zip(OVER, ("displacement", "velocity"), strict=True))[curve.over]
+                axes.set_xlabel(f"{curve.over.capitalize()} ({style.unit(quantity, own)})", labelpad=2)
+            row[0].set_title(curve.connection, pad=3)
+            row[0].set_ylabel(f"Force ({style.unit('force', prefix)})", labelpad=2)
+        style.legend(figure)
+        style.note(figure, "grey: nine tenths of the samples")
     return figure
 
 

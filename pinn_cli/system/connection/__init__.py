@@ -9,6 +9,7 @@ from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.connection.nonlinearity import Hysteresis, Nonlinearity
 from pinn_cli.system.connection.polynomial import Polynomial
 from pinn_cli.system.connection.power_damping import PowerDamping
+from pinn_cli.system.connection.spline import Spline
 from pinn_cli.system.connection.van_der_pol import VanDerPol
 
 __all__ = [
@@ -22,5 +23,6 @@ __all__ = [
     "Nonlinearity",
     "Polynomial",
     "PowerDamping",
+    "Spline",
     "VanDerPol",
 ]

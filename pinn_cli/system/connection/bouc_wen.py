@@ -52,7 +52,7 @@ class BoucWen(Hysteresis):
         """See :meth:`Hysteresis.creates_energy`: all but beta >= 0 and -beta <= gamma <= beta."""
         return np.abs(parameters["gamma"]) > parameters["beta"]
 
-    def starts(self, stiffness: float, elongation: float) -> dict[str, tuple[float, float]]:
+    def starts(self, stiffness: float, elongation: float) -> Mapping[str, tuple[float, ...]]:
         """See :meth:`Nonlinearity.starts`: half of the spring is hidden, and it yields at the elongation that there is.
 
         With gamma at zero the loop is thickest; A and the spring beside it cannot be told apart without any.

@@ -51,6 +51,6 @@ class Gap(Nonlinearity):
             pushed = pushed + (e + side * (((side * e - gap) ** 2 + width) ** 0.5 - at_rest)) / 2.0
         return parameters["k_g"] * pushed
 
-    def starts(self, stiffness: float, elongation: float) -> dict[str, tuple[float, float]]:
+    def starts(self, stiffness: float, elongation: float) -> Mapping[str, tuple[float, ...]]:
         """See :meth:`Nonlinearity.starts`: a gap within the motion, and a contact as stiff as it seems without."""
         return {"k_g": (stiffness, stiffness), "gap": (CLOSES_WITHIN * elongation, elongation)}

@@ -55,7 +55,7 @@ class Jenkins(Hysteresis):
         """See :meth:`Hysteresis.creates_energy`: it never does."""
         return np.zeros(np.shape(parameters["F_c"]), dtype=bool)
 
-    def starts(self, stiffness: float, elongation: float) -> dict[str, tuple[float, float]]:
+    def starts(self, stiffness: float, elongation: float) -> Mapping[str, tuple[float, ...]]:
         """See :meth:`Nonlinearity.starts`: a contact that sticks within a small part of the motion."""
         force = STICKS_WITHIN * stiffness * elongation
         return {"k_t": (stiffness, stiffness), "F_c": (force, stiffness * elongation)}

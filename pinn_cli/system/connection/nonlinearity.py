@@ -26,6 +26,7 @@ class Nonlinearity(ABC):
         units: Unit of each of its parameters, powers as ``m^3``; one that is left out is printed without.
         nonnegative: Parameters that make no physical sense below zero.
         optional: Parameters that a connection may be without, beyond ``parameters``.
+        spans: Between which elongations, m, and which speeds, m/s, the law is one; beyond, it is a guess.
         reversal_speed: Speed of the elongation over which the force turns when the motion does, m/s, 0 where it has a
             corner there; None: the force is smooth. A simulation divides the steps in which that happens.
         is_stiff: Whether a simulation takes implicit steps, however slow the motion is.
@@ -40,6 +41,7 @@ class Nonlinearity(ABC):
     units: Mapping[str, str] = {}
     nonnegative: ClassVar[tuple[str, ...]] = ("c", "k")
     optional: ClassVar[tuple[str, ...]] = ()
+    spans: Mapping[str, tuple[float, float]] = {}
     reversal_speed: float | None = None
     is_stiff: bool = False
 
@@ -67,8 +69,10 @@ class Nonlinearity(ABC):
         """dr_n/d(de) of a connection at rest, N s/m, which with c says how long the steps of a simulation may be."""
         return 0.0
 
-    def starts(self, stiffness: float, elongation: float) -> dict[str, tuple[float, float]]:
+    def starts(self, stiffness: float, elongation: float) -> Mapping[str, tuple[float, ...]]:
         """Kind to where an unknown parameter starts, and its order of magnitude: k's too. Others start at zero.
+
+        A third number is what the prior is counted in, where that is less.
 
         Args:
             stiffness: Of a linear connection that comes near, N/m.

@@ -1,0 +1,91 @@
+"""What the connections whose law was sought pull with, over the elongations and the speeds that occurred."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import torch
+
+from pinn_cli.report.estimates import Estimates, drifts
+from pinn_cli.report.results import Results
+from pinn_cli.training.estimated_structure import estimated_structure
+
+CURVE_PLACES = 101  # of a curve
+OVER = ("elongation", "speed")
+
+
+@dataclass(frozen=True, eq=False)
+class RestoringCurve:
+    """The force r of one connection, over its elongation at rest, or over its speed where it is not stretched.
+
+    Attributes:
+        connection: Its name, or its number from 1.
+        over: ``elongation``, m, or ``speed``, m/s.
+        at: (`CURVE_PLACES`,), from the least that occurred to the most.
+        force: Of as many, N; known to be true of a simulated record.
+        usual: Between which nine tenths of the samples lie, in the unit of ``at``.
+    """
+
+    connection: str
+    over: str
+    at: np.ndarray
+    force: Estimates
+    usual: tuple[float, float]
+
+
+def restoring_curves(results: Results) -> list[RestoringCurve]:
+    """Two for every connection without memory of whose law a parameter was unknown."""
+    structure, estimate = estimated_structure(results.prescribed, results.estimate.parameters), results.estimate
+    of_laws = [p.parameter for p in estimate.parameters if p.unknown and p.kind in structure.members]
+    of_laws = [p for p in of_laws if p.kind not in ("c", "k")]
+    sought = {int(structure.members[p.kind][p.index]) for p in of_laws}
+    stretched = drifts(results.prescribed, estimate, results.truth.response)
+    curves = []
+    for place, connection in enumerate(structure.added.tolist()):
+        if connection not in sought or structure.laws[connection].has_memory:
+            continue
+        elongation = stretched.of("estimate")[:, place]
+        for over, history in zip(OVER, (elongation, np.gradient(elongation, stretched.time)), strict=True):
+            at = np.linspace(history.min(), history.max(), CURVE_PLACES)
+            low, high = np.quantile(history, (0.05, 0.95)).tolist()
+            force = _force(results, connection, *(at if over == own else 0.0 * at for own in OVER))
+            curves.append(RestoringCurve(stretched.places[place], over, at, force, (low, high)))
+    return curves
+
+
+def _force(results: Results, connection: int, elongation: np.ndarray, speed: np.ndarray) -> Estimates:
+    """What a connection pulls with at elongations and speeds (L,); deviations are those of a linearised force."""
+    structure, estimate = estimated_structure(results.prescribed, results.estimate.parameters), results.estimate
+    e, de = (torch.zeros(len(x), len(structure.laws), dtype=torch.float64) for x in (elongation, speed))
+    e[:, connection], de[:, connection] = torch.as_tensor(elongation), torch.as_tensor(speed)
+    slope = structure.linearise_connections(e, de, structure.parameters_like(e))
+    by = np.zeros((len(elongation), len(estimate.parameters)))
+    for i, found in enumerate(estimate.parameters):
+        connections, members = structure.carriers.get(found.kind, (np.zeros(0), np.zeros(0)))
+        own = np.flatnonzero((connections == connection) & (members == found.parameter.index))
+        if own.size:
+            by[:, i] = slope.by_parameter[found.kind][:, own[0]].numpy()
+    has = by.any(axis=0)
+    unknown, truth = np.full(len(elongation), np.nan), results.truth.parameters
+    std = unknown
+    if estimate.correlation is not None:
+        spread = by[:, has] * np.array([p.std for p in estimate.parameters])[has]
+        std = np.sqrt(np.einsum("li,ij,lj->l", spread, estimate.correlation[np.ix_(has, has)], spread))
+    true = unknown
+    if truth is not None and set(truth) == set(structure.parameters):
+        true = results.prescribed.connection_force(e.numpy(), de.numpy(), truth)[:, connection]
+    names = tuple(f"{x:.6g}" for x in elongation + speed)
+    return Estimates(names, slope.force[:, connection].numpy(), std, true)
+
+
+def restoring_table(curves: list[RestoringCurve]) -> pd.DataFrame:
+    """One row per place of a curve (the content of ``restoring.csv``)."""
+    tables = []
+    for curve in curves:
+        table = curve.force.table("at", "force", "true_force").drop(columns="error_percent")
+        table["at"] = curve.at
+        tables.append(table.assign(connection=curve.connection, over=curve.over))
+    columns = ["connection", "over", "at", "force", "std", "lower_90", "upper_90", "true_force"]
+    return pd.concat(tables, ignore_index=True)[columns] if tables else pd.DataFrame(columns=columns)

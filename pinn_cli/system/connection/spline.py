@@ -1,0 +1,145 @@
+"""A law that nobody knows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.linalg import eigh, null_space
+
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import entries, is_finite_number, whole_number
+from pinn_cli.system.array_namespace import Array, namespace
+from pinn_cli.system.connection.nonlinearity import Nonlinearity
+
+MOST_TERMS = 30
+# Of what there is a curve over: the letter of its terms, and the unit.
+LETTERS = {"elongation": "g", "speed": "h"}
+SPAN_UNITS = {"elongation": "m", "speed": "m/s"}
+# At which functions are compared with one another, over a span that goes from -1 to 1.
+PLACES = np.linspace(-1.0, 1.0, 2001)
+
+
+class Spline(Nonlinearity):
+    """A force that nobody has a law for, r_n = g(e) + h(de): what is neither there at rest, nor a spring or a damper.
+
+    Each curve is a natural cubic spline, g = g_1 phi_1(e) + g_2 phi_2(e) + ..., in N. Each function is rougher than the
+    one before. It is zero at rest, has no part in k e, and over the span a root mean square of one; there it ends above
+    zero, and goes on as a straight line. A term may be the smaller the rougher its function is, which is the prior of a
+    smoothing spline (Wahba, Spline Models for Observational Data, 1990, chapter 1) in the functions of Demmler and
+    Reinsch.
+
+    Args:
+        elongation: Over which g is a curve, m: up to a number either way, or from one to another; None: there is no g.
+        speed: Of the elongation, over which h is a curve, m/s, likewise.
+        terms: Of each curve.
+
+    Raises:
+        InputError: Neither span is given, or one does not go from below zero to above it; ``terms`` is no number from 1
+            to 30.
+    """
+
+    name = "spline"
+
+    def __init__(
+        self,
+        elongation: float | Sequence[float] | None = None,
+        speed: float | Sequence[float] | None = None,
+        terms: int = 10,
+    ) -> None:
+        self.terms = whole_number("system.nonlinearity.terms", terms, least=1, most=MOST_TERMS)
+        given = {"elongation": elongation, "speed": speed}
+        self.spans: Mapping[str, tuple[float, float]] = {k: _span(k, x) for k, x in given.items() if x is not None}
+        self.curves = {LETTERS[k]: _Curve(LETTERS[k], span, self.terms) for k, span in self.spans.items()}
+        if not self.curves:
+            allowed, hint = "given in m, or speed in m/s", "the force is a curve up to there: the largest that occurs"
+            raise InputError("system.nonlinearity.elongation", None, allowed, hint)
+        self.parameters = tuple(kind for curve in self.curves.values() for kind in curve.kinds)
+        self.titles: Mapping[str, str] = {kind: f"Term {kind[2:]} of the curve" for kind in self.parameters}
+        self.units: Mapping[str, str] = dict.fromkeys(self.parameters, "N")
+
+    def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
+        """See :meth:`Nonlinearity.force`."""
+        total = 0.0 * e
+        for letter, curve in self.curves.items():
+            total = total + curve.force(e if letter == "g" else de, parameters)
+        return total
+
+    def starts(self, stiffness: float, elongation: float) -> Mapping[str, tuple[float, ...]]:
+        """See :meth:`Nonlinearity.starts`: no curve; what counts is the spring's force, and rough terms are smaller."""
+        force = stiffness * elongation
+        pairs = [pair for curve in self.curves.values() for pair in zip(curve.kinds, curve.smaller, strict=True)]
+        return {kind: (0.0, force, force * smaller) for kind, smaller in pairs}
+
+    def stiffness_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray | float:
+        """See :meth:`Nonlinearity.stiffness_at_rest`."""
+        return self.curves["g"].slope_at_rest(parameters) if "g" in self.curves else 0.0
+
+    def damping_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray | float:
+        """See :meth:`Nonlinearity.damping_at_rest`."""
+        return self.curves["h"].slope_at_rest(parameters) if "h" in self.curves else 0.0
+
+
+class _Curve:
+    """Over one of the two.
+
+    Args:
+        letter: Of its terms.
+        span: From where to where.
+        terms: How many.
+
+    Attributes:
+        kinds: Of the terms.
+        smaller: (terms,), how large each may be over the first.
+    """
+
+    def __init__(self, letter: str, span: tuple[float, float], terms: int) -> None:
+        self.kinds = tuple(f"{letter}_{i}" for i in range(1, terms + 1))
+        low, high = span
+        self._middle, self._half = (low + high) / 2.0, (high - low) / 2.0
+        # Of so many functions of the knots, two and two more fall to what is asked of them.
+        self._knots = np.linspace(-1.0, 1.0, terms + 2)
+        rest = np.array([-self._middle / self._half])
+        raw, at_rest = (np.concatenate([np.stack((x**0, x), -1), _cubes(x, self._knots)], -1) for x in (PLACES, rest))
+        bent = np.pad(6.0 * np.maximum(PLACES[:, None] - self._knots, 0.0), ((0, 0), (2, 0)))
+        beyond = np.pad([self._knots**0, self._knots], ((0, 0), (2, 0)))
+        free = null_space(np.stack((*beyond, at_rest[0], (PLACES - rest) @ raw / len(PLACES))))
+        roughness, own = eigh(*(f.T @ f / len(PLACES) for f in (bent @ free, raw @ free)))
+        # What each function is made of (terms, 2 + knots): one, x, and the knots' cubes.
+        self._made_of = (free @ (own * np.sign(raw[-1] @ free @ own))).T
+        self.smaller = np.sqrt(roughness[0] / roughness)
+        self._slopes = self._made_of @ np.r_[0.0, 1.0, 3.0 * np.maximum(rest - self._knots, 0.0) ** 2] / self._half
+
+    def force(self, at: Array, parameters: Mapping[str, Array]) -> Array:
+        """At elongations, or at speeds (..., C), N."""
+        x = (at - self._middle) / self._half
+        weights = namespace(at).stack([parameters[kind] for kind in self.kinds], -1) @ _like(self._made_of, at)
+        cubes = _cubes(x, _like(self._knots, at))
+        curve: Array = weights[..., 0] + weights[..., 1] * x + (weights[..., 2:] * cubes).sum(-1)
+        return curve
+
+    def slope_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray:
+        """(C,), N/m or N s/m."""
+        slope: np.ndarray = np.stack([parameters[kind] for kind in self.kinds], -1) @ self._slopes
+        return slope
+
+
+def _span(name: str, given: Any) -> tuple[float, float]:
+    ends = [-given, given] if is_finite_number(given) else entries(given)
+    if len(ends) != 2 or not all(map(is_finite_number, ends)) or not ends[0] < 0.0 < ends[1]:
+        allowed = f"a number > 0, or two, the first below zero and the second above, in {SPAN_UNITS[name]}"
+        raise InputError(f"system.nonlinearity.{name}", given, allowed)
+    return float(ends[0]), float(ends[1])
+
+
+def _cubes(x: Array, knots: Array) -> Array:
+    """(..., knots), of what is beyond each knot."""
+    beyond = x[..., None] - knots
+    return ((beyond + abs(beyond)) / 2.0) ** 3
+
+
+def _like(values: np.ndarray, x: Array) -> Any:
+    """An array where x is one, a tensor where x is."""
+    return values if isinstance(x, np.ndarray) else torch.as_tensor(values, dtype=x.dtype, device=x.device)
