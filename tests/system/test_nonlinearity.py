@@ -69,12 +69,12 @@ def test_functions_of_a_curve_are_no_spring_and_none_at_rest(over, span):
         return law.force(*((at, 0.0 * at) if over == "elongation" else (0.0 * at, at)), values)[:, 0]
 
     functions = np.stack([force(at, kind) for kind in law.parameters], -1)
-    np.testing.assert_allclose(functions.T @ functions / len(at), np.eye(6), atol=2e-3)
+    np.testing.assert_allclose(functions.T @ functions / len(at), np.eye(6), atol=5e-3)
     np.testing.assert_allclose(at[:, 0] @ functions / len(at), 0.0, atol=2e-3 * high)
     np.testing.assert_allclose(force(rest[:1], law.parameters[3]), 0.0, atol=1e-12)
     bends = [np.abs(np.diff(function, 2)).max() for function in functions.T]
     assert sorted(bends) == bends
-    outside = force(high * np.array([[1.0], [2.0], [3.0]]), law.parameters[1])
+    outside = force(high * np.array([[2.0], [3.0], [4.0]]), law.parameters[1])
     assert outside[2] - outside[1] == pytest.approx(outside[1] - outside[0])
     ones = dict.fromkeys(law.parameters, np.ones(1))
     slope = (law.stiffness_at_rest if over == "elongation" else law.damping_at_rest)(ones)

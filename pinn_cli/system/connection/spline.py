@@ -19,7 +19,7 @@ MOST_TERMS = 30
 LETTERS = {"elongation": "g", "speed": "h"}
 SPAN_UNITS = {"elongation": "m", "speed": "m/s"}
 # At which functions are compared with one another, over a span that goes from -1 to 1.
-PLACES = np.linspace(-1.0, 1.0, 2001)
+OVER_SPAN = np.linspace(-1.0, 1.0, 2001)
 
 
 class Spline(Nonlinearity):
@@ -27,9 +27,9 @@ class Spline(Nonlinearity):
 
     Each curve is a natural cubic spline, g = g_1 phi_1(e) + g_2 phi_2(e) + ..., in N. Each function is rougher than the
     one before. It is zero at rest, has no part in k e, and over the span a root mean square of one; there it ends above
-    zero, and goes on as a straight line. A term may be the smaller the rougher its function is, which is the prior of a
-    smoothing spline (Wahba, Spline Models for Observational Data, 1990, chapter 1) in the functions of Demmler and
-    Reinsch.
+    zero, and beyond it becomes a straight line. A term may be the smaller the rougher its function is, which is the
+    prior of a smoothing spline (Wahba, Spline Models for Observational Data, 1990, chapter 1) in the functions of
+    Demmler and Reinsch.
 
     Args:
         elongation: Over which g is a curve, m: up to a number either way, or from one to another; None: there is no g.
@@ -99,14 +99,18 @@ class _Curve:
         self.kinds = tuple(f"{letter}_{i}" for i in range(1, terms + 1))
         low, high = span
         self._middle, self._half = (low + high) / 2.0, (high - low) / 2.0
-        # Of so many functions of the knots, two and two more fall to what is asked of them.
-        self._knots = np.linspace(-1.0, 1.0, terms + 2)
+        # Of so many functions of the knots, two and two more fall to what is asked of them. The ends, where the curve
+        # becomes straight, lie outside the span: within it most laws are not.
+        end = 1.0 + 2.0 / (terms + 1)
+        self._knots = np.linspace(-end, end, terms + 2)
         rest = np.array([-self._middle / self._half])
-        raw, at_rest = (np.concatenate([np.stack((x**0, x), -1), _cubes(x, self._knots)], -1) for x in (PLACES, rest))
-        bent = np.pad(6.0 * np.maximum(PLACES[:, None] - self._knots, 0.0), ((0, 0), (2, 0)))
+        raw, at_rest = (
+            np.concatenate([np.stack((x**0, x), -1), _cubes(x, self._knots)], -1) for x in (OVER_SPAN, rest)
+        )
+        bent = np.pad(6.0 * np.maximum(end * OVER_SPAN[:, None] - self._knots, 0.0), ((0, 0), (2, 0)))
         beyond = np.pad([self._knots**0, self._knots], ((0, 0), (2, 0)))
-        free = null_space(np.stack((*beyond, at_rest[0], (PLACES - rest) @ raw / len(PLACES))))
-        roughness, own = eigh(*(f.T @ f / len(PLACES) for f in (bent @ free, raw @ free)))
+        free = null_space(np.stack((*beyond, at_rest[0], (OVER_SPAN - rest) @ raw / len(OVER_SPAN))))
+        roughness, own = eigh(*(f.T @ f / len(OVER_SPAN) for f in (bent @ free, raw @ free)))
         # What each function is made of (terms, 2 + knots): one, x, and the knots' cubes.
         self._made_of = (free @ (own * np.sign(raw[-1] @ free @ own))).T
         self.smaller = np.sqrt(roughness[0] / roughness)
