@@ -10,7 +10,7 @@ import torch
 
 from pinn_cli.report.estimates import Estimates, drifts
 from pinn_cli.report.results import Results
-from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.estimated_structure import estimated_structure, sought_laws
 
 CURVE_PLACES = 101  # of a curve
 OVER = ("elongation", "speed")
@@ -38,9 +38,7 @@ class RestoringCurve:
 def restoring_curves(results: Results) -> list[RestoringCurve]:
     """Two for every connection without memory of whose law a parameter was unknown."""
     structure, estimate = estimated_structure(results.prescribed, results.estimate.parameters), results.estimate
-    of_laws = [p.parameter for p in estimate.parameters if p.unknown and p.kind in structure.members]
-    of_laws = [p for p in of_laws if p.kind not in ("c", "k")]
-    sought = {int(structure.members[p.kind][p.index]) for p in of_laws}
+    sought = sought_laws(structure, estimate.parameters)
     stretched = drifts(results.prescribed, estimate, results.truth.response)
     curves = []
     for place, connection in enumerate(structure.added.tolist()):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from pinn_cli.system.parameters import LINEAR_UNITS
 from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import ParameterEstimate
@@ -25,3 +26,9 @@ def estimated_structure(prescribed: Structure, parameters: Iterable[ParameterEst
             raise ValueError(f"the chain of {prescribed.ndof} DOFs has no parameter {found.name}")
         values[found.parameter] = found.estimate
     return prescribed.with_values(values)
+
+
+def sought_laws(structure: Structure, parameters: Iterable[ParameterEstimate]) -> set[int]:
+    """The connections, from 0, of whose law a parameter was unknown."""
+    of_laws = [p for p in parameters if p.unknown and p.kind in structure.members and p.kind not in LINEAR_UNITS]
+    return {int(structure.members[p.kind][p.parameter.index]) for p in of_laws}

@@ -13,10 +13,11 @@ import numpy as np
 
 from pinn_cli.system.coupling import loose_dofs
 from pinn_cli.system.modes import modes_of
+from pinn_cli.training.estimated_structure import sought_laws
 from pinn_cli.verdict.finding import Finding, failed_if
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from pinn_cli.posterior.result import PosteriorResult
     from pinn_cli.record.record import Record
@@ -35,8 +36,8 @@ LARGE_SPREAD = 4.0
 # damping and nonlinearity show less in a record, and are asked for less closely.
 IDENTIFIED, ROUGHLY_IDENTIFIED = 0.1, 0.5
 PARAMETERS_NAMED = 4
-# Spans of laws over what occurs: one that is worth a word, and what is proposed.
-TOO_WIDE, SPARE = 1.5, 1.1
+# Span of a law over what occurs.
+SPARE = 1.1
 # Times that finer features may narrow a deviation: what coarser ones cannot follow of a motion is noise to them.
 NARROWED = 2.0
 # Standard deviations of a difference from a baseline, or of a record from all together, and the least one worth a word,
@@ -58,7 +59,7 @@ def parameter_findings(problem: Problem, estimate: Estimate, structure: Structur
     of_each = (f for p in unknown for f in (_far_from_believed(p), _undetermined(p, kinds.get(p.name, ""))))
     found = [f for f in of_each if f is not None]
     return (
-        _beyond_laws(structure, estimate)
+        _spans(structure, estimate, {f.suspect for f in found if f.kind == "not_identified"})
         + found
         + _narrowed(estimate)
         + _beyond_bounds(estimate)
@@ -173,15 +174,16 @@ def _spread(estimate: Estimate) -> list[Finding]:
     return [Finding("spread", "parameters", f"{text}; check them, the masses and the units")]
 
 
-def _beyond_laws(structure: Structure, estimate: Estimate) -> list[Finding]:
-    """Connections that move further than their law goes, a guess there, or far less, which tells too little."""
-    found = []
+def _spans(structure: Structure, estimate: Estimate, undetermined: Collection[str]) -> list[Finding]:
+    """Connections that move further than their law goes, a guess there, or less, which leaves terms undetermined."""
+    found, untold = [], sought_laws(structure, [p for p in estimate.parameters if p.name in undetermined])
     for place, law in enumerate(structure.laws):
         for over, span in law.spans.items():
             motion = estimate.response.stretching[("elongation", "speed").index(over)]
             history = structure.elongation(motion)[:, place]
             low, high = float(history.min()), float(history.max())
-            if low < span[0] or high > span[1] or span[1] - span[0] > TOO_WIDE * (high - low):
+            too_wide = place in untold and span[1] - span[0] > SPARE * (high - low)
+            if low < span[0] or high > span[1] or too_wide:
                 name = structure.labels.connection(place)
                 text = (
                     f"the {over} of connection {name} goes from {low:.3g} to {high:.3g}, its law from {span[0]:.3g} to "
