@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,24 +67,22 @@ def _force(results: Results, connection: int, elongation: np.ndarray, speed: np.
         if own.size:
             by[:, i] = slope.by_parameter[found.kind][:, own[0]].numpy()
     has = by.any(axis=0)
-    unknown, truth = np.full(len(elongation), np.nan), results.truth.parameters
-    std = unknown
+    std = true = np.full(len(elongation), np.nan)
     if estimate.correlation is not None:
         spread = by[:, has] * np.array([p.std for p in estimate.parameters])[has]
         std = np.sqrt(np.einsum("li,ij,lj->l", spread, estimate.correlation[np.ix_(has, has)], spread))
-    true = unknown
+    truth = results.truth.parameters
     if truth is not None and set(truth) == set(structure.parameters):
         true = results.prescribed.connection_force(e.numpy(), de.numpy(), truth)[:, connection]
-    names = tuple(f"{x:.6g}" for x in elongation + speed)
-    return Estimates(names, slope.force[:, connection].numpy(), std, true)
+    return Estimates((), slope.force[:, connection].numpy(), std, true)
 
 
-def restoring_table(curves: list[RestoringCurve]) -> pd.DataFrame:
+def restoring_table(curves: Sequence[RestoringCurve]) -> pd.DataFrame:
     """One row per place of a curve (the content of ``restoring.csv``)."""
-    tables = []
-    for curve in curves:
-        table = curve.force.table("at", "force", "true_force").drop(columns="error_percent")
-        table["at"] = curve.at
-        tables.append(table.assign(connection=curve.connection, over=curve.over))
-    columns = ["connection", "over", "at", "force", "std", "lower_90", "upper_90", "true_force"]
-    return pd.concat(tables, ignore_index=True)[columns] if tables else pd.DataFrame(columns=columns)
+    return pd.concat([_rows(curve) for curve in curves], ignore_index=True)
+
+
+def _rows(curve: RestoringCurve) -> pd.DataFrame:
+    force, (lower, upper) = curve.force, curve.force.interval
+    found = {"force": force.estimate, "std": force.std, "lower_90": lower, "upper_90": upper, "true_force": force.true}
+    return pd.DataFrame({"connection": curve.connection, "over": curve.over, "at": curve.at} | found)
