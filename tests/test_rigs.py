@@ -9,7 +9,7 @@ import pytest
 
 RIG = Path(__file__).parents[1].parent / "shared" / "tools" / "rig.py"
 # One to eight storeys; stiffnesses are unknown and prescribed up to a decade off in the second experiment.
-SEEDS = ("4", "6", "7", "8", "10")
+SEEDS = ("6", "8")
 
 pytestmark = [
     pytest.mark.slow,
