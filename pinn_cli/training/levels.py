@@ -196,7 +196,7 @@ def _usual_levels(evidence: RecordEvidence, noise: NoiseModel) -> dict[str, np.n
             mass, (cell, level) = float(equations.prescribed["m"][sensor.dof]), cells[sensor.dof]
             if level > 0 and mass > 0:
                 out[name][i] = min(sensor.most, BESIDE_LOAD_CELL * cell.most / mass)
-    return {name: np.nan_to_num(level) for name, level in out.items()}
+    return {name: np.nan_to_num(level, posinf=0.0) for name, level in out.items()}
 
 
 def _forces(

@@ -29,7 +29,7 @@ ALIVE = "pinn-run: still running after "
 MOST_MEMORY = 12 * 2**30
 # A run that is over says one of these; a sweep, its tables; or what was asked about settings.
 SAID = re.compile(
-    r"^verdict: (sound|questionable|failed)|^finished before|^\d+ (samples from|peaks? with)|"
+    r"^verdict: (sound|questionable|failed)|\"verdict\": \"|^finished before|^\d+ (samples from|peaks? with)|"
     r"\bjobs?\b.*\b(done|failed|finished)|^== ",
     re.M,
 )
