@@ -24,6 +24,8 @@ AT_ONCE, LEAST_STEPS = 4_000, 128
 # Relative change of a state by which derivatives are taken, terms of their series, and how far the fastest motion goes
 # in the steps that one series stands for, rad.
 CHANGE, TAYLOR, ANGLE = 1e-6, 4, 0.3
+# Relative difference of derivatives from one time and piece to another, below which they are alike.
+LINEAR = 1e-6
 # Pieces meet when they are this close, relative to the largest state; above the other distance, relative to the last
 # one, derivatives are taken anew. Rounds at most.
 CLOSE, SLOW, PIECE_ROUNDS = 1e-12, 0.2, 30
@@ -190,19 +192,30 @@ class _Pieces:
         """(count, 2 n, 2 n), of the states that the pieces end with by those that they begin with, nearly.
 
         The equation linearised half-way through every few steps is followed by Taylor's series. What that is off makes
-        another round, and no error. None where following the steps one by one is no slower.
+        another round, and no error. A linear equation is the same everywhere: the series of one step is the method's
+        own, and its power serves all pieces. None where following the steps one by one is no slower.
         """
         steps, n = len(self.loads[0]), states.shape[-1]
-        few = self._steps_at_once(self._tangent(states, 0, size))
+        begin, later = (self._tangent(states, at, size) for at in (0, steps // 2))
+        one = np.eye(2 * n)[None]
+        if _largest(np.stack((begin, later)) - begin[0]) <= LINEAR * _largest(begin):
+            power = np.linalg.matrix_power(self._series(one, begin[:1], 1)[0], steps)
+            return np.broadcast_to(power, (self.count, 2 * n, 2 * n))
+        few = self._steps_at_once(begin)
         if n**3 > MOST_PRODUCTS * few:
             return None
-        out = np.broadcast_to(np.eye(2 * n), (self.count, 2 * n, 2 * n)).copy()
+        out = np.broadcast_to(one, (self.count, 2 * n, 2 * n))
         for first in range(0, steps, few):
             last = min(first + few, steps)
-            tangent, term = self._tangent(states, (first + last) // 2, size), out
-            for order in range(1, TAYLOR + 1):
-                term = np.concatenate((term[:, n:], tangent @ term), axis=1) * (self.step * (last - first) / order)
-                out = out + term
+            out = self._series(out, self._tangent(states, (first + last) // 2, size), last - first)
+        return out
+
+    def _series(self, out: np.ndarray, tangent: np.ndarray, steps: int) -> np.ndarray:
+        """What derivatives (count, 2 n, 2 n) are so many steps later, by the derivative of the accelerations."""
+        n, term = tangent.shape[1], out
+        for order in range(1, TAYLOR + 1):
+            term = np.concatenate((term[:, n:], tangent @ term), axis=1) * (self.step * steps / order)
+            out = out + term
         return out
 
     def _tangent(self, states: np.ndarray, at: int, size: np.ndarray) -> np.ndarray:
