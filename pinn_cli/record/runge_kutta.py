@@ -25,7 +25,7 @@ AT_ONCE, LEAST_STEPS = 4_000, 128
 # in the steps that one series stands for, rad.
 CHANGE, TAYLOR, ANGLE = 1e-6, 4, 0.3
 # Relative difference of derivatives from one time and piece to another, below which they are alike.
-LINEAR = 1e-6
+ALIKE_WITHIN = 1e-6
 # Pieces meet when they are this close, relative to the largest state; above the other distance, relative to the last
 # one, derivatives are taken anew. Rounds at most.
 CLOSE, SLOW, PIECE_ROUNDS = 1e-12, 0.2, 30
@@ -198,7 +198,7 @@ class _Pieces:
         steps, n = len(self.loads[0]), states.shape[-1]
         begin, later = (self._tangent(states, at, size) for at in (0, steps // 2))
         one = np.eye(2 * n)[None]
-        if _largest(np.stack((begin, later)) - begin[0]) <= LINEAR * _largest(begin):
+        if _largest(np.stack((begin, later)) - begin[0]) <= ALIKE_WITHIN * _largest(begin):
             power = np.linalg.matrix_power(self._series(one, begin[:1], 1)[0], steps)
             return np.broadcast_to(power, (self.count, 2 * n, 2 * n))
         few = self._steps_at_once(begin)
