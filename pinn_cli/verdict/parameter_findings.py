@@ -185,10 +185,8 @@ def _spans(structure: Structure, estimate: Estimate, undetermined: Collection[st
             too_wide = place in untold and span[1] - span[0] > SPARE * (high - low)
             if low < span[0] or high > span[1] or too_wide:
                 name = structure.labels.connection(place)
-                text = (
-                    f"the {over} of connection {name} goes from {low:.3g} to {high:.3g}, its law from {span[0]:.3g} to "
-                )
-                text += f"{span[1]:.3g}; give it {over}: [{SPARE * low:.3g}, {SPARE * high:.3g}]"
+                text = f"the {over} of connection {name} goes from {low:.3g} to {high:.3g}, its law from {span[0]:.3g}"
+                text += f" to {span[1]:.3g}; give it {over}: [{SPARE * low:.3g}, {SPARE * high:.3g}]"
                 found.append(Finding("law", f"connection {name}", text, "sound"))
     return found
 
