@@ -65,7 +65,7 @@ stored: venv ## tests/stored/VERSION.zip: small runs as this release leaves them
 audit: ## known holes of the versions in constraints.txt; needs a network
 	VENV=$(VENV) PYTHON=$(PYTHON) .ci/audit
 
-kills: venv ## kill 100 runs, 30 sweeps and 5 searches and fill 10 disks: the same command ends with the same numbers (long)
+kills: venv ## kill 100 runs, 30 sweeps and 5 searches and fill 10 disks: the same command ends with the same numbers (a quarter of an hour)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n logical -rP -m slow $(KILLS)
 
 trust: venv ## how often is it right? random structures by other code, by the real command (hours; ARGS=--quick: 20 minutes; ARGS=--help)
