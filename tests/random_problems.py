@@ -40,7 +40,7 @@ LAWS: dict[str, dict[str, Any]] = {
     "power_damping": {"exponent": 2.0, "mu": 0.7},
     "polynomial": {"k_2": 3.0, "k_3": 20.0},
     "friction": {"F_c": 1.4},
-    "bouc_wen": {"A": 9.0, "beta": 2.0, "gamma": -0.6, "n": 1.2},
+    "bouc_wen": {"A": 9.0, "beta": 2.0, "gamma": -0.6, "n": 1.8},  # below 1 it has a corner where it is nothing
     "jenkins": {"k_t": 9.0, "F_c": 2.5},
     "gap": {"k_g": 9.0, "gap": 0.4},
     "spline": {"elongation": 1.0} | {f"g_{i}": 4.0 / i for i in range(1, 11)},
