@@ -52,10 +52,8 @@ def figures(page: Path) -> dict[Path, str]:
     return {GALLERY / name: name.removeprefix(f"figures/{page.stem}-") for name in names}
 
 
-def performed(page: Path, place: Path, *further: str) -> tuple[str, Path]:
+def performed(page: Path, place: Path) -> tuple[str, Path]:
     """What the page's commands print in a folder with the records, and the directory of the last one's run.
-
-    A run has further overrides, a look has none.
 
     Raises:
         subprocess.CalledProcessError: A command failed.
@@ -64,8 +62,7 @@ def performed(page: Path, place: Path, *further: str) -> tuple[str, Path]:
         shutil.copy(record, place)
     printed = ""
     for command in commands(page):
-        beside = () if command[0] == "inspect" else further
-        called = [sys.executable, "-c", "from pinn_cli.main import main; main()", *command, *beside]
+        called = [sys.executable, "-c", "from pinn_cli.main import main; main()", *command]
         printed += subprocess.run(called, cwd=place, stdout=subprocess.PIPE, text=True, check=True).stdout
     return printed, place / printed.splitlines()[-1]
 

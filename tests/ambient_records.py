@@ -33,11 +33,11 @@ def frame(floors: int, first_frequency: float, damping: float = 0.02) -> tuple[n
     return m, 2.0 * damping / (2.0 * np.pi * first_frequency) * k, k
 
 
-def white_below(edge: float, times: int, floors: int, random: np.random.Generator) -> np.ndarray:
-    """Unit white noise up to a frequency, Hz, at the fine rate."""
-    spectrum = np.fft.rfft(random.standard_normal((times, floors)), axis=0)
-    spectrum[np.fft.rfftfreq(times, 1.0 / FINE_RATE) > edge] = 0.0
-    force = np.fft.irfft(spectrum, times, axis=0)
+def white_below(edge: float, rate: float, shape: tuple[int, ...], random: np.random.Generator) -> np.ndarray:
+    """Unit white noise up to a frequency, Hz, at a rate, over the first of its axes."""
+    spectrum = np.fft.rfft(random.standard_normal(shape), axis=0)
+    spectrum[np.fft.rfftfreq(shape[0], 1.0 / rate) > edge] = 0.0
+    force = np.fft.irfft(spectrum, shape[0], axis=0)
     return force / force.std()
 
 
@@ -72,7 +72,7 @@ def ambient_record(
     if edge is None:
         force = random.standard_normal((times, floors)) * np.sqrt(every)
     else:
-        force = white_below(edge, times, floors, random)
+        force = white_below(edge, FINE_RATE, (times, floors), random)
     if corner is not None:
         spectrum, frequency = np.fft.rfft(force, axis=0), np.fft.rfftfreq(times, step)
         force = np.fft.irfft(spectrum / np.sqrt(1.0 + (frequency / corner) ** 2)[:, None], times, axis=0)

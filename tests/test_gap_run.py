@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from ambient_records import white_below
 from calls import PinnRun
 from scipy.integrate import solve_ivp
 from scipy.interpolate import make_interp_spline
@@ -20,10 +21,7 @@ SYSTEM = (
 
 def written(path: Path, sides: str, gap: float) -> Path:
     rng, time = np.random.default_rng(7), np.arange(round(RATE * DURATION)) / RATE
-    spectrum = np.fft.rfft(rng.standard_normal(len(time)))
-    spectrum[np.fft.rfftfreq(len(time), 1.0 / RATE) > 12.0] = 0.0
-    force = np.fft.irfft(spectrum, len(time))
-    force *= 60.0 / force.std()
+    force = 60.0 * white_below(12.0, RATE, time.shape, rng)
     pushed = make_interp_spline(time, force, 5)
 
     def rates(t: float, state: np.ndarray) -> np.ndarray:

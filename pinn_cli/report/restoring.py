@@ -11,10 +11,11 @@ import torch
 
 from pinn_cli.report.estimates import Estimates, drifts
 from pinn_cli.report.results import Results
+from pinn_cli.system.connection.nonlinearity import OVER
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimated_structure import estimated_structure, sought_laws
 
 CURVE_PLACES = 101  # of a curve
-OVER = ("elongation", "speed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +50,16 @@ def restoring_curves(results: Results) -> list[RestoringCurve]:
         for over, history in zip(OVER, (elongation, np.gradient(elongation, stretched.time)), strict=True):
             at = np.linspace(history.min(), history.max(), CURVE_PLACES)
             low, high = np.quantile(history, (0.05, 0.95)).tolist()
-            force = _force(results, connection, *(at if over == own else 0.0 * at for own in OVER))
+            force = _force(results, structure, connection, *(at if over == own else 0.0 * at for own in OVER))
             curves.append(RestoringCurve(stretched.places[place], over, at, force, (low, high)))
     return curves
 
 
-def _force(results: Results, connection: int, elongation: np.ndarray, speed: np.ndarray) -> Estimates:
-    """What a connection pulls with at elongations and speeds (L,); deviations are those of a linearised force."""
-    structure, estimate = estimated_structure(results.prescribed, results.estimate.parameters), results.estimate
+def _force(
+    results: Results, structure: Structure, connection: int, elongation: np.ndarray, speed: np.ndarray
+) -> Estimates:
+    """What a connection of the estimated structure pulls with at elongations and speeds (L,); its force linearised."""
+    estimate = results.estimate
     e, de = (torch.zeros(len(x), len(structure.laws), dtype=torch.float64) for x in (elongation, speed))
     e[:, connection], de[:, connection] = torch.as_tensor(elongation), torch.as_tensor(speed)
     slope = structure.linearise_connections(e, de, structure.parameters_like(e))

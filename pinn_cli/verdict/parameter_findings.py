@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pinn_cli.system.connection.nonlinearity import OVER
 from pinn_cli.system.coupling import loose_dofs
 from pinn_cli.system.modes import modes_of
 from pinn_cli.training.estimated_structure import sought_laws
@@ -179,7 +180,7 @@ def _spans(structure: Structure, estimate: Estimate, undetermined: Collection[st
     found, untold = [], sought_laws(structure, [p for p in estimate.parameters if p.name in undetermined])
     for place, law in enumerate(structure.laws):
         for over, span in law.spans.items():
-            motion = estimate.response.stretching[("elongation", "speed").index(over)]
+            motion = estimate.response.stretching[OVER.index(over)]
             history = structure.elongation(motion)[:, place]
             low, high = float(history.min()), float(history.max())
             too_wide = place in untold and span[1] - span[0] > SPARE * (high - low)

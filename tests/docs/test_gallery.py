@@ -67,8 +67,10 @@ def test_the_command_and_python_are_given_the_same(page: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("page", all_pages(), ids=lambda page: page.stem)
 def test_an_example_prints_what_its_page_quotes(page: Path, tmp_path: Path) -> None:
-    printed, directory = performed(page, tmp_path, "figures=false")
+    printed, directory = performed(page, tmp_path)
     lines = printed.splitlines()
     for quoted in quoted_output(page):
         assert any(alike(quoted, line) for line in lines), quoted
+    for name in figures(page).values():
+        assert (directory / "figures" / name).is_file()
     in_python(page, lambda *overrides, **options: load(directory))

@@ -210,7 +210,8 @@ def stepped(slope, start, parts) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("kind", "n", "size"), [("duffing", 1, 0.3), ("van_der_pol", 2, 0.3), ("linear", 30, 1.0), ("duffing", 6, 0.3)]
+    ("kind", "n", "size"),
+    [("duffing", 1, 0.3), ("van_der_pol", 2, 0.3), ("linear", 2, 1.0), ("linear", 30, 1.0), ("duffing", 6, 0.3)],
 )
 def test_all_states_are_those_of_single_steps(kind, n, size):
     slope, start = StateEquation(small_chain(kind, n), False).slope, 0.01 * np.ones((2, n))

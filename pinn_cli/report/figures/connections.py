@@ -13,8 +13,9 @@ from matplotlib.ticker import MaxNLocator
 from pinn_cli.record.spectrum import periodogram
 from pinn_cli.report.estimates import Histories
 from pinn_cli.report.figures import histories, style
-from pinn_cli.report.restoring import OVER, RestoringCurve
+from pinn_cli.report.restoring import RestoringCurve
 from pinn_cli.report.results import Results
+from pinn_cli.system.connection.nonlinearity import OVER
 from pinn_cli.system.modes import NaturalModes
 from pinn_cli.system.priors import HALF_WIDTH_95
 from pinn_cli.training.estimated_structure import estimated_structure
@@ -136,9 +137,8 @@ def restoring_figure(curves: Sequence[RestoringCurve], truth_label: str = "truth
     largest = np.array([max(float(np.abs(curve.force.estimate).max()) for curve in row) for row in rows])
     shown = style.largest(largest, LOOPS_IN_FULL)
     of_force, prefix = style.unit_prefix(float(largest[shown].max()), kilo=True)
-    looks = histories.looks(true=truth_label)
-    # Dashes let the truth show through.
-    solid: style.Look = {} if np.isfinite(curves[0].force.true).all() else {"linestyle": "-"}
+    known = bool(np.isfinite(curves[0].force.true).all())
+    looks = histories.beside_truth(histories.looks(true=truth_label), known)
     with style.look():
         figure, panels = style.panels(len(shown), 2, 1.5, margins=(0.62, 0.1, 0.42, 0.42), gaps=(0.62, 0.45))
         for row, place in zip(panels, shown, strict=True):
@@ -147,9 +147,9 @@ def restoring_figure(curves: Sequence[RestoringCurve], truth_label: str = "truth
                 at, force = factor * curve.at, curve.force
                 spread = HALF_WIDTH_95 * force.std
                 axes.axvspan(*(factor * x for x in curve.usual), color=style.GREY, alpha=0.12, linewidth=0)
-                if np.isfinite(force.true).all():
+                if known:
                     axes.plot(at, of_force * force.true, **looks["true"])
-                axes.plot(at, of_force * force.estimate, **looks["estimate"] | solid)
+                axes.plot(at, of_force * force.estimate, **looks["estimate"])
                 limits = axes.get_ylim()
                 axes.fill_between(
                     at, *(of_force * (force.estimate + side * spread) for side in (-1, 1)), **looks["band"]

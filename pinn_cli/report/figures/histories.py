@@ -73,6 +73,11 @@ def draw(
     style.ticks(axes)
 
 
+def beside_truth(looks: Looks, known: bool) -> Looks:
+    """Dashes let the truth show through; where it is not known, the estimate has nothing to let through."""
+    return looks if known else {**looks, "estimate": {**looks["estimate"], "linestyle": "-"}}
+
+
 def draw_column(panels: np.ndarray, each: Histories, places: Sequence[int], window: slice, looks: Looks) -> float:
     """A panel for each place, with the time below and the quantity above; the factor to the unit that is shown.
 
@@ -83,10 +88,8 @@ def draw_column(panels: np.ndarray, each: Histories, places: Sequence[int], wind
         ends[:] = [np.nanmin(ends[:, 0]), np.nanmax(ends[:, 1])] if np.isfinite(ends).any() else [-1.0, 1.0]
     factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(ends), initial=0.0)), kilo=each.name == "force")
     for axes, place, (low, high) in zip(panels, places, ends, strict=True):
-        known = np.isfinite(each.of("true")[window, place]).all()
-        # Dashes let the truth show through; alone, the estimate has nothing to let through.
-        solid = looks if known else {**looks, "estimate": {**looks["estimate"], "linestyle": "-"}}
-        draw(axes, each, place, window, factor, solid)
+        known = bool(np.isfinite(each.of("true")[window, place]).all())
+        draw(axes, each, place, window, factor, beside_truth(looks, known))
         if np.isfinite(low):
             axes.set_ylim(factor * low, factor * high)
         axes.tick_params(labelbottom=axes is panels[-1])

@@ -10,6 +10,9 @@ import numpy as np
 
 from pinn_cli.system.array_namespace import Array
 
+# What stretches a connection, in the order in which a response has it; of what a law may be a function.
+OVER = ("elongation", "speed")
+
 
 class Nonlinearity(ABC):
     """The nonlinear part of a connection's internal force, r_i = c_i de_i + k_i e_i + r_n(e_i, de_i).
