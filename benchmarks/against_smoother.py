@@ -64,7 +64,7 @@ def measured(snr_db: float, seeds: int) -> Iterator[dict[str, object]]:
             yield {"estimator": name, "snr_db": snr_db, "seed": seed, **errors(ours, prepared.truth.response)}
         fixed.append(prepared)
         found = smoothed(prepared, seed)
-        levels.append(found.summary["sigma_discrepancy"])
+        levels.append(found.noise.discrepancy)
         yield {"estimator": "evidence", "snr_db": snr_db, "seed": seed, **errors(found, prepared.truth.response)}
     centre = float(np.exp(np.mean(np.log(levels))))
     for level in centre * np.array(FACTORS):

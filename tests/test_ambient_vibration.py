@@ -13,6 +13,7 @@ from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.topology import build_partial_structure, build_structure
 from pinn_cli.training.estimate import Estimate
+from pinn_cli.training.found_noise import FoundNoise
 from pinn_cli.training.whittle.whittle_estimate import known_parameters
 from pinn_cli.verdict.input_findings import input_findings
 from pinn_cli.verdict.judge import judge
@@ -43,7 +44,8 @@ def test_motion_and_forces_with_their_bands(first_frequency, rate, duration, edg
         assert 0.88 < held < 0.997, (quantity, held)
     # Flat forces come out as large as they are, and are not taken for the sensors' noise.
     assert estimate.summary["std_unknown_force"] == pytest.approx(truth.force.std(), rel=0.2)
-    sigma = np.array([s for s in estimate.summary["sigma_acceleration"] if s is not None])
+    sigma = estimate.noise.sensors["acceleration"]
+    sigma = sigma[np.isfinite(sigma)]
     assert np.all((sigma > 0.5 * made.noise) & (sigma < 4.0 * made.noise))
     assert judge(problem.alone, estimate).word == "sound"
 
@@ -142,6 +144,6 @@ def test_sensors_are_rightly_followed_where_as_many_forces_are_unknown(measured,
     pushed[:, measured] = made.truth.force[:, measured]
     problem = SparseRecovery(parameter_uncertainty=0.0).pose(made.structure, [replace(made.record, force=pushed)])
     samples = float(len(made.record.time))
-    summary = {"effective_parameters": {"acceleration": [samples, None, samples]}}
-    found = noise_findings(problem.alone, Estimate(made.truth, made.truth, [], pd.DataFrame(), summary))
+    noise = FoundNoise(taken={"acceleration": np.array([samples, np.nan, samples])})
+    found = noise_findings(problem.alone, Estimate(made.truth, made.truth, [], pd.DataFrame(), {}, noise=noise))
     assert free != any(finding.kind == "copied" for finding in found)

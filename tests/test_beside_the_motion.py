@@ -69,7 +69,7 @@ def test_the_ground(frame):
     assert inside(found.displacement, std.displacement, truth.displacement) > 0.85
     assert fitness_percent(found.ground_acceleration[:, None], truth.ground_acceleration[:, None])[0] > 97.0
     assert inside(found.ground_acceleration, std.ground_acceleration, truth.ground_acceleration) > 0.85
-    assert estimate.summary["sigma_ground_acceleration"][0] == pytest.approx(0.01 * np.std(shake(time)), rel=0.3)
+    assert estimate.noise.sensors["ground_acceleration"][0] == pytest.approx(0.01 * np.std(shake(time)), rel=0.3)
 
 
 def test_a_force_that_nobody_measured():

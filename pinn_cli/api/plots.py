@@ -32,6 +32,7 @@ from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS, GROUND
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import ConnectionHistories, Estimate, ParameterEstimate
+from pinn_cli.training.found_noise import FoundNoise
 
 # Those that figures are drawn from; others may lie in the directory, a user's own among them.
 DRAWN_TABLES = ("history", "parameters", "identifiability", "correlation")
@@ -129,9 +130,10 @@ def stored_results(directory: Path) -> Results:
     correlation = None
     if "correlation" in tables:
         correlation = tables["correlation"].set_index("parameter").to_numpy(dtype=np.float64)
+    trained = dict[str, Any](run["training"])
     estimate = Estimate(
-        _response(data, ""), _response(data, "_std"), parameters, history, _numbers(run["training"]), correlation,
-        connections=_connections(data),
+        _response(data, ""), _response(data, "_std"), parameters, history, trained, correlation,
+        connections=_connections(data), noise=FoundNoise.read(trained),
     )  # fmt: skip
     truth = Truth(_response(data, "_true"), true.parameters_like(np.empty(0)) if simulated else None)
     name = str(run.get("baseline", {}).get("name", "none"))
@@ -215,12 +217,3 @@ def _connections(data: xr.Dataset) -> ConnectionHistories | None:
     return ConnectionHistories(
         *(data[name].values for name in ("drift", "drift_std", "connection_force", "connection_force_std"))
     )
-
-
-def _numbers(summary: Any) -> Any:
-    """What ``run.json`` has as null is no number."""
-    if isinstance(summary, Mapping):
-        return {name: _numbers(value) for name, value in summary.items()}
-    if isinstance(summary, list):
-        return [_numbers(value) for value in summary]
-    return math.nan if summary is None else summary

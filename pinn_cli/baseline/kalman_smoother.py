@@ -26,6 +26,7 @@ from pinn_cli.system.parameters import FACTOR
 from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
 from pinn_cli.training.estimator import Estimator
+from pinn_cli.training.found_noise import FoundNoise
 
 
 def smoothed_estimate(space: StateSpace, last: Pass, history: pd.DataFrame, summary: dict[str, Any]) -> Estimate:
@@ -43,9 +44,9 @@ def smoothed_estimate(space: StateSpace, last: Pass, history: pd.DataFrame, summ
     share = 1.0 - np.where(space.measured, levels.discrepancy**2 / (space.sources @ levels.forces**2), 0.0)
     dofs = np.flatnonzero(space.measured)
     response.force[:, dofs] -= ((1.0 - share) * last.disturbances)[:, dofs]
-    levels_found = {"sigma_discrepancy": levels.discrepancy, "parameter_spread": levels.spread}
     std = _deviations(space, last, response, share)
-    return Estimate(response, std, _parameters(space, last), history, summary | levels_found)
+    summary, noise = summary | {"parameter_spread": levels.spread}, FoundNoise(discrepancy=levels.discrepancy)
+    return Estimate(response, std, _parameters(space, last), history, summary, noise=noise)
 
 
 class _Spread:

@@ -27,7 +27,6 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.record.spectrum import band_share, signal_edges
 from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
-from pinn_cli.verdict.sensor_findings import noise_found
 
 if TYPE_CHECKING:
     from pinn_cli.training.estimate import Estimate
@@ -142,7 +141,7 @@ def residual_table(estimate: Estimate, record: Record, free_run: Response | None
     3 / sqrt(samples)).
 
     Args:
-        estimate: Its response is compared with the sensors; its ``summary`` has the noise found.
+        estimate: Its response is compared with the sensors; its ``noise`` is what was found.
         record: The sensors.
         free_run: Of the estimated system under the measured force, (N, n) each; None where there is none.
     """
@@ -150,7 +149,7 @@ def residual_table(estimate: Estimate, record: Record, free_run: Response | None
     for channel in every_channel(record):
         signal, dof = channel.measured, channel.dof + 1 if channel.gauge is None else None
         left = signal - channel.of(estimate.response)
-        own, sampled, sigma = channel.sampled(left), channel.sampled(signal), noise_found(estimate, channel)
+        own, sampled, sigma = channel.sampled(left), channel.sampled(signal), estimate.noise.of(channel)
         rms, largest = float(np.sqrt(np.mean(own**2))), max(autocorrelation(left, LAGS), key=abs)
         low, high = signal_edges(signal, record.step)
         free = np.nan

@@ -31,13 +31,12 @@ from pinn_cli.record.validation_data import ValidationRecord
 from pinn_cli.report.fitness import fitness_percent, fitness_table, nmse_percent
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.priors import HALF_WIDTH_95
-from pinn_cli.system.quantities import UNITS
+from pinn_cli.system.quantities import FORCE, GROUND, UNITS
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.calibrated_record import as_felt, beside
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.training.prediction import drawn_structures, parameter_draws
-from pinn_cli.verdict.sensor_findings import noise_found
 
 REFERENCES = ("truth", "sensors", "estimate")
 
@@ -244,7 +243,7 @@ def validation_table(run: ValidationRun, estimate: Estimate) -> pd.DataFrame:
     rows, time = [], run.record.time
     for channel in channels(run.record, RESPONSE_QUANTITIES):
         measured, simulated, std = run.compared(channel)
-        error, sigma = measured - simulated, noise_found(estimate, channel)
+        error, sigma = measured - simulated, estimate.noise.of(channel)
         reach, spread = HALF_WIDTH_95 * np.hypot(std, sigma), std[np.isfinite(std)]
         known = np.isfinite(reach) & np.isfinite(error)
         inside = np.abs(error[known]) <= reach[known]
@@ -262,12 +261,14 @@ def validation_table(run: ValidationRun, estimate: Estimate) -> pd.DataFrame:
 
 def with_noise_of(estimate: Estimate, records: Sequence[Estimate]) -> Estimate:
     """The estimate of one record with the noise of sensors that only others of its structure's records had."""
-    summary = dict(estimate.summary)
-    for name in [f"sigma_{quantity}" for quantity in RESPONSE_QUANTITIES]:
-        every = [list(each.summary[name]) for each in (estimate, *records) if each.summary.get(name) is not None]
-        if every:
-            summary[name] = [next((x for x in of_dof if x is not None), None) for of_dof in zip(*every, strict=True)]
-    return replace(estimate, summary=summary)
+    sensors = dict(estimate.noise.sensors)
+    for quantity in RESPONSE_QUANTITIES:
+        for own in records:
+            other = own.noise.sensors.get(quantity)
+            if other is not None:
+                first = sensors.get(quantity, other)
+                sensors[quantity] = np.where(np.isnan(first), other, first)
+    return replace(estimate, noise=replace(estimate.noise, sensors=sensors))
 
 
 def _members(
@@ -297,8 +298,7 @@ def _members(
     normals = np.random.default_rng([seed, 3]).standard_normal((len(draws), len(state)))
     sources = _sources(structure, estimate, *records)
     parameters = drawn_structures(structure, estimate.parameters, draws)
-    levels = {quantity: estimate.summary.get(f"sigma_{quantity}") for quantity in records[1].supports}
-    errors = SupportErrors.of(records[1], {q: np.array(level, dtype=float) for q, level in levels.items() if level})
+    errors = SupportErrors.of(records[1], estimate.noise.sensors)
     return Members(parameters, state + deviation * normals, sources, seed, carried=errors)
 
 
@@ -307,16 +307,14 @@ def _sources(structure: Structure, estimate: Estimate, seen: Record, record: Rec
 
     The discrepancy has the same power at every frequency, whatever the rate that it is sampled at.
     """
-    n = structure.coordinates
-    level = estimate.summary.get("sigma_discrepancy")
-    rows = [] if level is None else [*(float(level) * np.sqrt(seen.step / record.step) * np.eye(n))]
+    n, noise = structure.coordinates, estimate.noise
+    level = noise.discrepancy
+    rows = [] if np.isnan(level) else [*(level * np.sqrt(seen.step / record.step) * np.eye(n))]
     felt = structure.shapes.matrix
-    for dof, sigma in enumerate(estimate.summary.get("sigma_force") or ()):
-        if sigma is not None and np.isfinite(sigma) and dof < len(felt) and not record.unforced[dof]:
-            rows.append(float(sigma) * felt[dof])
-    found = estimate.summary.get("sigma_ground_acceleration")
-    ground = next(iter(found), None) if isinstance(found, list | tuple | np.ndarray) else found
-    if ground is not None and record.ground_acceleration is not None:
-        mass = structure.parameters_like(np.empty(0))[MASS]
-        rows.append(float(ground) * mass * structure.with_ground)
+    for dof, sigma in enumerate(noise.sensors.get(FORCE, ())):
+        if np.isfinite(sigma) and dof < len(felt) and not record.unforced[dof]:
+            rows.append(sigma * felt[dof])
+    if record.ground_acceleration is not None:
+        moved = structure.parameters_like(np.empty(0))[MASS] * structure.with_ground
+        rows += [sigma * moved for sigma in noise.sensors.get(GROUND, ()) if np.isfinite(sigma)]
     return np.array(rows).reshape(-1, n)

@@ -47,18 +47,22 @@ _log = logging.getLogger(__name__)
 def run_record(results: Results, verdict: Verdict | None, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Seconds by stage, the training's summary (iterations, why it stopped, ...), and what it takes to run it again."""
     run, observed = results.run, observed_digest(own.record for own in results.by_record)
-    content = run_facts(run, results.estimate.summary, observed, seconds)
+    content = run_facts(run, _summary(results.estimate), observed, seconds)
     content["parameters"] = parameters_of(estimate_rows(results.estimate.parameters))
     if results.further:
-        content["records"] = [own.estimate.summary for own in results.by_record]
+        content["records"] = [_summary(own.estimate) for own in results.by_record]
     if results.baseline:
-        content["baseline"] = {"name": run.baseline, **results.baseline.summary}
+        content["baseline"] = {"name": run.baseline, **_summary(results.baseline)}
     if results.posterior:
         content["posterior"] = _sampling(results.posterior)
     if results.score is not None:
         content["validation"] = {"name": run.validation, "score": _finite(results.score.value)}
         content["validation"] |= {"reason": results.score.reason} if results.score.reason else {}
     return content | (verdict.record() if verdict else {})
+
+
+def _summary(estimate: Estimate) -> dict[str, Any]:
+    return estimate.summary | estimate.noise.summary
 
 
 def run_facts(
@@ -228,13 +232,9 @@ def _of_intervals(estimate: Estimate) -> ParameterKnowledge:
 
 
 def _levels(results: Results) -> Levels:
-    summary, record, sensors = results.estimate.summary, results.record, {}
-    supports = [(quantity, len(record.support_names)) for quantity in record.supports]
-    for quantity, channels in (*((quantity, record.ndof) for quantity in QUANTITIES), (GROUND, 1), *supports):
-        found = summary.get(f"sigma_{quantity}")
-        if isinstance(found, list) and len(found) == channels:
-            sensors[quantity] = np.array([np.nan if sigma is None else sigma for sigma in found], dtype=float)
+    noise, record = results.estimate.noise, results.record
+    columns = {*QUANTITIES, GROUND, *record.supports}
+    sensors = {quantity: found for quantity, found in noise.sensors.items() if quantity in columns}
     force = np.nan if results.problem is None else force_and_velocity_scale(results.problem)[0]
-    told = (summary.get(name) for name in ("sigma_discrepancy", "features_per_dof"))
-    discrepancy, features = (np.nan if found is None else float(found) for found in told)
-    return Levels(sensors, discrepancy, record.step, float(force), features / record.duration)
+    features = float(results.estimate.summary.get("features_per_dof", np.nan))
+    return Levels(sensors, noise.discrepancy, record.step, float(force), features / record.duration)

@@ -361,7 +361,7 @@ def records_table(each: Sequence[tuple[Results, pd.DataFrame, Verdict | None]]) 
     """
     rows = []
     for number, (results, residuals, verdict) in enumerate(each, start=1):
-        record, discrepancy = results.record, results.estimate.summary.get("sigma_discrepancy")
+        record, discrepancy = results.record, results.estimate.noise.discrepancy
         largest = residuals[["nmse_percent", "free_run_nmse_percent"]].max()
         counts = len(channels(record, MEASURED_QUANTITIES))
         shape = (len(record.time), record.duration, record.sampling_rate, counts, discrepancy)

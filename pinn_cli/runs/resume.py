@@ -51,6 +51,17 @@ class Trained(TypedDict, total=False):
     """What others read of what `run.json` says of a training."""
 
     model_log_evidence: float | None
+    effective_parameters: dict[str, list[float | None]]
+    sigma_discrepancy: float | None
+    sigma_displacement: list[float | None]
+    sigma_velocity: list[float | None]
+    sigma_acceleration: list[float | None]
+    sigma_force: list[float | None]
+    sigma_ground_acceleration: list[float | None]
+    sigma_support_displacement: list[float | None]
+    sigma_support_velocity: list[float | None]
+    sigma_support_acceleration: list[float | None]
+    sigma_gauge: list[float | None]
 
 
 class Found(TypedDict, total=False):

@@ -15,6 +15,7 @@ from pinn_cli.model.knowledge import EndState, HandOver, Misfit, ParameterKnowle
 from pinn_cli.record.response import Response
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.doubts.other_damping import DampingDoubt
+from pinn_cli.training.found_noise import FoundNoise
 
 if TYPE_CHECKING:
     from pinn_cli.runs.checkpoint import Checkpoints
@@ -258,7 +259,7 @@ class Estimate:
         parameters: The parameters that were uncertain, in the order of the connections.
         history: One row per iteration: ``iteration``, ``seconds``, every loss term ``loss_*`` and every weight
             ``weight_*``.
-        summary: Iterations, stop reason, noise levels and the like, for run.json.
+        summary: Iterations, stop reason and the like, for run.json.
         correlation: (p, p), posterior correlation of ``parameters``, None where the training gives none.
         likelihoods: Of the parameters, for a sampler; None where no posterior distribution was asked for.
         connections: Their elongations; None where the training gives no standard deviations of them.
@@ -279,6 +280,7 @@ class Estimate:
         stories: Of a record that the model does not quite explain, the one that ``parameters`` are of first.
         left: Name of a sensor with samples of its own to measured minus estimated, in what it feels, at these (J,); NaN
             where it felt no motion within the record. Empty where the training does not say.
+        noise: That was found.
         of_motion: The parameters that ``response`` goes with, where ``parameters`` are of another story; None: these.
     """
 
@@ -304,6 +306,7 @@ class Estimate:
     structure: Structure | None = None
     stories: tuple[Story, ...] = ()
     left: Mapping[str, np.ndarray] = field(default_factory=dict)
+    noise: FoundNoise = field(default_factory=FoundNoise)
     of_motion: tuple[ParameterEstimate, ...] | None = None
 
     def state_std(self, structure: Structure, sample: int) -> list[np.ndarray]:

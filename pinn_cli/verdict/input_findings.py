@@ -19,7 +19,6 @@ from pinn_cli.system.parameters import MASS, Parameter
 from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 from pinn_cli.verdict.finding import Finding, failed_if
 from pinn_cli.verdict.prediction import predicted
-from pinn_cli.verdict.sensor_findings import noise_found
 
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record
@@ -260,7 +259,7 @@ def _rare_ground(record: Record, estimate: Estimate, structure: Structure) -> li
     if ground is None or not record.assumed or not is_linear(structure):
         return []
     (channel,) = channels(record, (GROUND,))
-    if not reaches_nyquist(ground, record.step, float(np.nan_to_num(noise_found(estimate, channel)))):
+    if not reaches_nyquist(ground, record.step, float(np.nan_to_num(estimate.noise.of(channel)))):
         return []
     told = _told_apart(structure, record, replace(record, ground_acceleration=held_by_lines(ground)), estimate)
     if told < TOLD_APART:
@@ -280,7 +279,7 @@ def _told_apart(structure: Structure, record: Record, other: Record, estimate: E
         return 0.0
     told = [0.0]
     for channel in channels(record):
-        noise = noise_found(estimate, channel)
+        noise = estimate.noise.of(channel)
         if noise > 0:
             told.append(float(np.linalg.norm(channel.of(one.response) - channel.of(two.response)) / noise))
     return max(told)

@@ -5,9 +5,9 @@ What the inferred levels and the residuals say of an estimate: nothing explained
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.inputs import input_force
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import usable_periodogram
-from pinn_cli.system.quantities import GROUND, SUPPORT
+from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.finding import Finding, failed_if
 from pinn_cli.verdict.prediction import Comparison, comparisons, predicted
@@ -82,7 +82,7 @@ def _not_reproduced(c: Comparison) -> Finding:
 
 def _noise_share(c: Comparison, estimate: Estimate) -> float:
     """Of the sensor's noise in its mean square; what is called noise for half of it or more is no excuse."""
-    share = noise_found(estimate, c.channel) ** 2 / c.power
+    share = estimate.noise.of(c.channel) ** 2 / c.power
     return share if np.isfinite(share) and share < 0.25 else 0.0
 
 
@@ -110,7 +110,7 @@ def _disturbed(record: Record, estimate: Estimate, random: np.random.Generator) 
     force, ground = record.force.copy(), record.ground_acceleration
     supports = {quantity: values.copy() for quantity, values in record.supports.items()}
     for sensor in channels(record, ["force", GROUND, *SUPPORT]):
-        level = noise_found(estimate, sensor)
+        level = estimate.noise.of(sensor)
         noise = (level if np.isfinite(level) else 0.0) * random.normal(size=len(force))
         if sensor.quantity == GROUND:
             ground = sensor.measured + noise
@@ -149,19 +149,9 @@ def noise_findings(problem: Problem, estimate: Estimate) -> list[Finding]:
     return found + _discrepancy(problem, estimate) + copied + _unfinished(estimate)
 
 
-def noise_found(estimate: Estimate, channel: Channel) -> float:
-    """Standard deviation of a sensor's noise that the training found, in its unit; NaN where it gives none."""
-    levels = estimate.summary.get(f"sigma_{channel.quantity if channel.gauge is None else GAUGE}")
-    place = 0 if channel.quantity == GROUND and channel.gauge is None else channel.dof
-    value = levels[place] if isinstance(levels, list | tuple | np.ndarray) and place < len(levels) else None
-    if channel.quantity == GROUND and isinstance(levels, float):
-        value = levels
-    return float("nan") if value is None else float(value)
-
-
 def _level(channel: Channel, estimate: Estimate) -> Finding | None:
     rms = float(np.std(channel.measured))
-    level = noise_found(estimate, channel)
+    level = estimate.noise.of(channel)
     if not np.isfinite(level) or rms == 0:
         return None
     if level <= BOUND * rms:
@@ -196,7 +186,7 @@ def _colour(channel: Channel, record: Record, estimate: Estimate) -> Finding | N
 
 def _discrepancy(problem: Problem, estimate: Estimate) -> list[Finding]:
     """Against the rms of the measured forces, together; where the ground moves, of what moves the masses with it."""
-    levels, record = _numbers(estimate.summary.get("sigma_discrepancy")), problem.record
+    level, record = estimate.noise.discrepancy, problem.record
     variances = list(np.var(record.force[:, record.sensors("force")], axis=0))
     if record.ground_acceleration is not None:
         masses = problem.structure.parameters["m"].detach().cpu().numpy()
@@ -204,15 +194,15 @@ def _discrepancy(problem: Problem, estimate: Estimate) -> list[Finding]:
     if record.supports:
         pushed = np.var(input_force(problem.structure, record), axis=0)
         variances += list(pushed[pushed > 0.0])
-    if not levels or not variances:
+    if not np.isfinite(level) or not variances:
         return []
     rms = float(np.sqrt(np.mean(variances)))
-    ratio = max(levels) / rms if rms > 0 else 0.0
+    ratio = level / rms if rms > 0 else 0.0
     if ratio < LARGE_DISCREPANCY:
         return []
-    cell = _numbers(estimate.summary.get("sigma_force"))
+    cell = np.nanmax(estimate.noise.sensors.get(FORCE, np.empty(0)), initial=0.0)
     acting = "the measured force" if record.ground_acceleration is None else "what acts"
-    times_noise = f" and {max(levels) / max(cell):.3g} times the load cell's noise" if cell and max(cell) > 0 else ""
+    times_noise = f" and {level / cell:.3g} times the load cell's noise" if cell > 0 else ""
     text = f"the discrepancy of the model is {100 * ratio:.0f} % of {acting}{times_noise}"
     remedy = "the model does not hold; check masses, units and the law of the springs"
     # Of a free run that predicts the sensors nearly all is right.
@@ -223,20 +213,13 @@ def _discrepancy(problem: Problem, estimate: Estimate) -> list[Finding]:
 
 def _holds_within_noise(problem: Problem, estimate: Estimate) -> bool:
     """Whether the model is off by less than any measured input: then it is their noise that leaves the motion open."""
-    noise = _numbers(estimate.summary.get("sigma_force"))
+    sensors = estimate.noise.sensors
+    noise = sensors.get(FORCE, np.empty(0))
     if problem.record.ground_acceleration is not None:
         moved = problem.structure.parameters["m"].detach().cpu().numpy() * problem.structure.with_ground
-        noise += [float(x * level) for x in abs(moved) for level in _numbers(estimate.summary.get(f"sigma_{GROUND}"))]
-    levels, noise = _numbers(estimate.summary.get("sigma_discrepancy")), [x for x in noise if x > 0.0]
-    return bool(levels) and bool(noise) and max(levels) < min(noise)
-
-
-def _numbers(levels: Any) -> list[float]:
-    """The finite numbers in a level that may be one, a list by DOF, or named."""
-    if isinstance(levels, Mapping):
-        levels = list(levels.values())
-    flat = levels if isinstance(levels, list) else [levels]
-    return [float(x) for x in flat if isinstance(x, int | float) and np.isfinite(x)]
+        noise = np.concatenate((noise, *(abs(moved) * level for level in sensors.get(GROUND, ()))))
+    noise = noise[noise > 0.0]
+    return bool(noise.size) and estimate.noise.discrepancy < float(noise.min())
 
 
 def _copied(record: Record, estimate: Estimate) -> list[Finding]:
@@ -244,16 +227,14 @@ def _copied(record: Record, estimate: Estimate) -> list[Finding]:
 
     One accelerometer beside a poor load cell is rightly followed wherever it goes; all of them are not.
     """
-    by_quantity = estimate.summary.get("effective_parameters")
-    if not isinstance(by_quantity, Mapping):
-        return []
-    counts = [(count, len(record.time)) for q in RESPONSE_QUANTITIES for count in by_quantity.get(q, ())]
+    taken = estimate.noise.taken
+    counts = [(count, len(record.time)) for q in RESPONSE_QUANTITIES for count in taken.get(q, ())]
     counts += [
         (count, len(gauge.time))
-        for gauge, count in zip(record.gauges, by_quantity.get(GAUGE, ()), strict=False)
+        for gauge, count in zip(record.gauges, taken.get(GAUGE, ()), strict=False)
         if gauge.quantity in RESPONSE_QUANTITIES
     ]
-    followed, samples = np.sum([each for each in counts if each[0] is not None] or [(0, 1)], axis=0)
+    followed, samples = np.sum([each for each in counts if np.isfinite(each[0])] or [(0, 1)], axis=0)
     if followed < COPIED * samples:
         return []
     text = f"{followed:.0f} effective parameters follow the {samples:.0f} samples of all response sensors"

@@ -167,9 +167,7 @@ def test_a_structure_thirty_times_faster_gives_the_same() -> None:
 
 def test_a_given_process_noise_is_kept() -> None:
     record = accelerations(measured(small_chain(), snr_db=30.0).record)
-    assert solved(Problem(small_chain(), record), process_noise=0.01).summary["sigma_discrepancy"] == pytest.approx(
-        0.01
-    )
+    assert solved(Problem(small_chain(), record), process_noise=0.01).noise.discrepancy == pytest.approx(0.01)
 
 
 def test_a_load_cell_shares_what_the_motion_needs_with_the_model() -> None:

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import kstwo
 
 from pinn_cli.record.channels import clipped_percent, constant_percent
-from pinn_cli.record.gauge import Gauge
+from pinn_cli.record.gauge import GAUGE, Gauge
 from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report.figures import residuals_figure
 from pinn_cli.report.figures.sensors import compared_channels
@@ -25,6 +25,7 @@ from pinn_cli.report.fitness import (
     white_probability,
 )
 from pinn_cli.system.quantities import CONNECTION_FORCE
+from pinn_cli.training.found_noise import FoundNoise
 
 SIGNALS = Path(__file__).resolve().parents[3] / "shared" / "data" / "reference_signals"
 NOISE = 0.05
@@ -96,15 +97,16 @@ def noisy(case, seed=0):
     return replace(record, acceleration=np.where(record.observed, acceleration, np.nan), force=force)
 
 
-def exact(case, **summary):
-    return replace(case.estimate, response=case.truth.response, summary=summary)
+def exact(case, noise):
+    return replace(case.estimate, response=case.truth.response, noise=noise)
 
 
 def test_what_a_perfect_estimate_leaves_is_the_noise(make_case):
     case = make_case(ndof=3, observed=2, samples=2000)
-    sigma = {"sigma_acceleration": [NOISE, NOISE, None], "sigma_force": [0.1, None, None]}
+    nan = np.nan
+    noise = FoundNoise({"acceleration": np.array([NOISE, NOISE, nan]), "force": np.array([0.1, nan, nan])})
     record = noisy(case)
-    table = residual_table(exact(case, **sigma), record, case.truth.response)
+    table = residual_table(exact(case, noise), record, case.truth.response)
     # None of a force that is known to be zero.
     sensors = [("acceleration", 1), ("acceleration", 2), ("force", 1)]
     assert list(table[["quantity", "dof"]].itertuples(index=False, name=None)) == sensors
@@ -140,7 +142,7 @@ def test_a_row_for_sensors_that_fill_no_column(make_case):
         for gauge, x, sigma in zip(gauges, felt, size, strict=True)
     }
     record = replace(case.record, gauges=gauges, beside=shown)
-    estimate = replace(case.estimate, response=truth, summary={"sigma_gauge": size})
+    estimate = replace(case.estimate, response=truth, noise=FoundNoise({GAUGE: np.array(size)}))
     table = residual_table(estimate, record, truth).iloc[-2:]
     assert table["dof"].isna().all()
     assert list(table["channel"]) == ["displacement of sensor strain", "connection_force of sensor link"]
@@ -160,10 +162,10 @@ def test_a_wrong_estimate_leaves_what_is_not_white(make_case):
     assert seen["largest_autocorrelation"].min() > 0.5
 
 
-@pytest.mark.parametrize("summary", [{}, {"sigma_acceleration": [None, None]}, {"sigma_acceleration": 0.3}])
-def test_without_a_noise_level_its_cells_are_empty(summary, make_case):
+@pytest.mark.parametrize("sensors", [{}, {"acceleration": np.full(2, np.nan)}])
+def test_without_a_noise_level_its_cells_are_empty(sensors, make_case):
     case = make_case(ndof=2, observed=1)
-    table = residual_table(exact(case, **summary), noisy(case))
+    table = residual_table(exact(case, FoundNoise(sensors)), noisy(case))
     assert table[["sigma", "residual_over_sigma", "free_run_nmse_percent"]].isna().all(axis=None)
 
 
@@ -181,7 +183,7 @@ def test_a_dead_sensor_and_an_exact_estimate_have_a_row_and_nothing_to_draw(sign
 
 def test_the_figure_has_a_row_for_every_sensor_with_its_noise(make_case):
     case = make_case(ndof=3, observed=2, samples=400)
-    estimate = replace(case.estimate, summary={"sigma_acceleration": [0.02, None, None]})
+    estimate = replace(case.estimate, noise=FoundNoise({"acceleration": np.array([0.02, np.nan, np.nan])}))
     figure = residuals_figure(estimate, case.record)
     rows = np.array(figure.axes).reshape(-1, 3)
     assert [row[0].get_ylabel() for row in rows] == [r"$\ddot{u}$, DOF 1", r"$\ddot{u}$, DOF 2", "$f$, DOF 1"]

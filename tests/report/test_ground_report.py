@@ -19,6 +19,7 @@ from pinn_cli.report.netcdf import response_dataset
 from pinn_cli.report.text import sensors_text
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Linear
+from pinn_cli.training.found_noise import FoundNoise
 
 NOISE = 0.05
 
@@ -31,7 +32,8 @@ def shaken(make_case):
     measured = true + NOISE * np.random.default_rng(0).normal(size=len(true))
     response = replace(case.estimate.response, ground_acceleration=true + 0.001)
     std = replace(case.estimate.std, ground_acceleration=np.full(len(true), 0.002))
-    estimate = replace(case.estimate, response=response, std=std, summary={"sigma_ground_acceleration": [NOISE]})
+    noise = FoundNoise({"ground_acceleration": np.array([NOISE])})
+    estimate = replace(case.estimate, response=response, std=std, noise=noise)
     truth = replace(case.truth, response=replace(case.truth.response, ground_acceleration=true))
     return replace(case, estimate=estimate, record=replace(case.record, ground_acceleration=measured), truth=truth)
 

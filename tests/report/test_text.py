@@ -28,6 +28,7 @@ from pinn_cli.report.text import (
     table_lines,
 )
 from pinn_cli.training.estimate import ParameterEstimate
+from pinn_cli.training.found_noise import FoundNoise
 
 MANY = [f"{symbol}_{i}" for symbol in ("c", "k", "kappa") for i in range(1, 11)]
 
@@ -140,7 +141,7 @@ def test_sensors_have_a_line_each_with_units_and_no_dashes(make_case):
 
 def test_sensors_beside_a_baseline_fit_and_of_many_the_worst_are_shown(make_case):
     case = make_case(ndof=40, observed=40)
-    estimate = replace(case.estimate, summary={"sigma_acceleration": [1e-7] * 40, "sigma_force": [1e-7] * 40})
+    estimate = replace(case.estimate, noise=FoundNoise(dict.fromkeys(("acceleration", "force"), np.full(40, 1e-7))))
     text = sensors_text([[residuals(case, name, estimate) for name in ("pinn", "other")]], "kalman_smoother")
     assert fits(text)
     assert "kalman_smoother (%)" in text

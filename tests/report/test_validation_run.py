@@ -16,6 +16,7 @@ from pinn_cli.report.free_run import ValidationRun, validation_table
 from pinn_cli.report.text import validation_text
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
+from pinn_cli.training.found_noise import FoundNoise
 
 Z = 1.6448536
 
@@ -28,11 +29,10 @@ def estimated(structure, record, error: float, std: float, sigma: float = 0.0) -
         if p.kind == "k"
     ]
     n = structure.ndof
-    summary = {"sigma_acceleration": [sigma] * n, "sigma_displacement": [None] * n, "sigma_force": [None] * n}
+    levels = {"acceleration": sigma, "displacement": np.nan, "force": np.nan}
+    noise = FoundNoise({quantity: np.full(n, level) for quantity, level in levels.items()})
     none = replace(make_estimate().estimate.std, **{q: np.zeros((len(record.time), n)) for q in RESPONSE_QUANTITIES})
-    return replace(
-        make_estimate().estimate, parameters=parameters, correlation=np.ones((n, n)), summary=summary, std=none
-    )
+    return replace(make_estimate().estimate, parameters=parameters, correlation=np.ones((n, n)), noise=noise, std=none)
 
 
 def tried(error: float = 0.0, std: float = 0.05, nonlinearity: str = "duffing", sigma: float = 0.0):
@@ -74,10 +74,10 @@ def test_an_error_of_the_size_that_is_believed_lies_in_the_band():
 def test_the_discrepancy_and_the_load_cell_widen_the_band():
     structure, estimate, record, data = tried(std=1e-6)
     plain = ValidationRun.of(structure, estimate, record, data)
-    noise = {"sigma_discrepancy": 0.1, "sigma_force": [0.2, None, None]}
+    cells = {"force": np.array([0.2, np.nan, np.nan])}
     wide, cell = (
-        ValidationRun.of(structure, replace(estimate, summary=estimate.summary | more), record, data)
-        for more in (noise, {"sigma_force": [0.2, None, None]})
+        ValidationRun.of(structure, replace(estimate, noise=noise), record, data)
+        for noise in (FoundNoise(cells, 0.1), FoundNoise(cells))
     )
     for dof in range(3):
         assert np.mean(wide.std.displacement[50:, dof]) > np.mean(cell.std.displacement[50:, dof])
@@ -141,7 +141,7 @@ def test_without_deviations_there_is_no_band():
 
 def test_the_noise_of_a_sensor_that_was_held_out_is_unknown():
     structure, estimate, record, data = tried(sigma=0.1)
-    held_out = replace(estimate, summary=estimate.summary | {"sigma_acceleration": [0.1, None, None]})
+    held_out = replace(estimate, noise=FoundNoise({"acceleration": np.array([0.1, np.nan, np.nan])}))
     run = ValidationRun.of(structure, held_out, record, data)
     figure = validation_figure(run, held_out)
     texts = [text.get_text() for text in figure.legends[0].get_texts()]

@@ -32,12 +32,11 @@ def estimated(problem, network=TrainedNetwork) -> Estimate:
 
 def model_of(problem, estimate: Estimate) -> Model:
     """As a report writes it, without the file."""
-    summary, seen = estimate.summary, problem.alone.record
-    sensors = {q: np.array(summary[f"sigma_{q}"], dtype=float) for q in ("acceleration", "force")}
+    noise, seen = estimate.noise, problem.alone.record
+    sensors = {quantity: noise.sensors[quantity] for quantity in ("acceleration", "force")}
     force, _ = force_and_velocity_scale(problem.alone)
-    levels = Levels(
-        sensors, summary["sigma_discrepancy"], seen.step, force, summary["features_per_dof"] / seen.duration
-    )
+    features = estimate.summary["features_per_dof"] / seen.duration
+    levels = Levels(sensors, noise.discrepancy, seen.step, force, features)
     structure = estimated_structure(PRESCRIBED, estimate.parameters)
     parameters = tuple(p.parameter for p in estimate.parameters)
     return Model(structure, parameters, estimate.known, levels, estimate.end, "sound", "")

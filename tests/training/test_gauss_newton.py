@@ -100,7 +100,7 @@ def test_fixed_weights():
     estimate = recovered(weights=weights, iterations=40)
     truth = example().truth.response
     largest = np.abs(example().record.acceleration).max(axis=0)
-    np.testing.assert_allclose(estimate.summary["sigma_acceleration"][:2], largest[:2])
+    np.testing.assert_allclose(estimate.noise.sensors["acceleration"][:2], largest[:2])
     assert fitness_percent(estimate.response.acceleration, truth.acceleration)[0] > 80.0
 
 

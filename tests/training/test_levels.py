@@ -27,7 +27,7 @@ HIGHEST = 20.0  # Hz, of the frame's force
 
 def ratios(made: IndependentRecord, estimate: Estimate, quantity: str) -> np.ndarray:
     """Noise that was found over noise that was put in, of every sensor."""
-    found = np.array(estimate.summary[f"sigma_{quantity}"], dtype=float)
+    found = estimate.noise.sensors[quantity]
     there = made.record.sensors(quantity)
     assert np.isnan(found[~there]).all()
     return found[there] / made.noise[quantity][there]
@@ -46,7 +46,7 @@ def test_pooled_sensors_have_the_noise_that_is_common():
     made, rng = frame_record(rate=100.0, duration=15.0), np.random.default_rng(8)
     acceleration = made.truth.acceleration + 0.05 * rng.standard_normal(made.truth.acceleration.shape)
     problem = Problem(model(made), replace(made.record, acceleration=acceleration))
-    found = by_spline(problem, pooled=True).summary["sigma_acceleration"]
+    found = by_spline(problem, pooled=True).noise.sensors["acceleration"]
     assert len(set(found)) == 1
     assert found[0] == pytest.approx(0.05, rel=0.1)
 
@@ -70,7 +70,7 @@ def test_an_accelerometer_beside_a_poor_load_cell_has_the_noise_that_its_spectru
         rng, force = np.random.default_rng(50 + seed), made.truth.force
         noisy = force + 10.0 ** (-24.0 / 20.0) * force.std() * rng.standard_normal(force.shape)
         estimate = estimated(replace(made, record=replace(made.record, force=noisy)))
-        ratio.append(np.array(estimate.summary["sigma_acceleration"])[0] / made.noise["acceleration"][0])
+        ratio.append(estimate.noise.sensors["acceleration"][0] / made.noise["acceleration"][0])
         error = (estimate.response.acceleration - made.truth.acceleration) / estimate.std.acceleration
         z.append(np.sqrt((error**2).mean()))
     assert np.mean(ratio) > 0.75, ratio
@@ -121,10 +121,10 @@ def test_the_scatter_of_repeats_stays_what_it_is():
     structure = small_chain()
     source = Simulated(excitation(structure), Simulation(12.0, 257), Noise(20.0, repeats=4))
     record = source.measure(structure).record.keep({"acceleration": (1, 2)})
-    summary = by_spline(Problem(structure, record)).summary
+    sensors = by_spline(Problem(structure, record)).noise.sensors
     for quantity in ("acceleration", "force"):
         there = record.sensors(quantity)
-        found = np.array(summary[f"sigma_{quantity}"], dtype=float)[there]
+        found = sensors[quantity][there]
         np.testing.assert_allclose(found, record.repeats.noise_of_mean(quantity)[there])
 
 
@@ -136,6 +136,6 @@ def test_sensors_of_one_kind_and_very_different_noise_keep_their_own():
     acceleration = record.acceleration.copy()
     acceleration[:, 1] += extra * np.random.default_rng(9).standard_normal(len(acceleration))
     worse = replace(record, acceleration=acceleration)
-    summary = by_spline(Problem(model(made), worse)).summary
-    found = np.array(summary["sigma_acceleration"]) / noisy.noise["acceleration"]
+    sensors = by_spline(Problem(model(made), worse)).noise.sensors
+    found = sensors["acceleration"] / noisy.noise["acceleration"]
     np.testing.assert_allclose(found, [1.0, np.hypot(10.0, 1.0), 1.0], rtol=0.15)

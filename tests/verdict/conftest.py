@@ -13,6 +13,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Estimate
+from pinn_cli.training.found_noise import FoundNoise
 
 
 @pytest.fixture(scope="session")
@@ -28,8 +29,8 @@ def frame_record(frame: Structure) -> Record:
 @pytest.fixture(scope="session")
 def right_estimate(frame: Structure) -> tuple[Problem, Estimate]:
     """A problem whose stiffnesses are unknown, and an estimate that is the truth."""
-    found = measurements(frame)
-    record, truth = found.record.keep({"acceleration": (1, 2, 3)}), found.truth.response
+    simulated = measurements(frame)
+    record, truth = simulated.record.keep({"acceleration": (1, 2, 3)}), simulated.truth.response
     noise = [float(np.std(record.acceleration[:, i] - truth.acceleration[:, i])) for i in range(3)]
     cell = float(np.std(record.force[:, 2] - truth.force[:, 2]))
     std = Response(record.time, *(np.full(truth.force.shape, 1e-3 * np.std(truth.displacement)) for _ in range(4)))
@@ -38,8 +39,7 @@ def right_estimate(frame: Structure) -> tuple[Problem, Estimate]:
     parameters = [parameter_estimate(f"k_{i}", 10.0, 15.0, 0.01, 14.98, 15.02, 100.0, True) for i in (1, 2, 3)]
     parameters = [other_estimate(p, positive=True) for p in parameters]
     parameters += [parameter_estimate(f"c_{i}", 1.0, 1.0, 0.01, 0.98, 1.02, 0.075) for i in (1, 2, 3)]
-    summary = {
-        "stop_reason": "converged", "sigma_discrepancy": 1e-4, "parameter_spread": 0.5,
-        "sigma_force": [None, None, cell], "sigma_acceleration": noise,
-    }  # fmt: skip
-    return Problem(frame, record, unknown + believed), Estimate(truth, std, parameters, pd.DataFrame(), summary)
+    summary = {"stop_reason": "converged", "parameter_spread": 0.5}
+    levels = FoundNoise({"force": np.array([np.nan, np.nan, cell]), "acceleration": np.array(noise)}, 1e-4)
+    found = Estimate(truth, std, parameters, pd.DataFrame(), summary, noise=levels)
+    return Problem(frame, record, unknown + believed), found

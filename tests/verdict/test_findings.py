@@ -26,6 +26,12 @@ def with_summary(estimate, **entries):
     return replace(estimate, summary=estimate.summary | entries)
 
 
+def with_noise(estimate, sensors=(), **changes):
+    """With other levels of sensors, by quantity, or of anything else."""
+    every = {**estimate.noise.sensors, **{name: np.array(levels) for name, levels in dict(sensors).items()}}
+    return replace(estimate, noise=replace(estimate.noise, sensors=every, **changes))
+
+
 def with_parameter(given, which, **changes):
     parameters = [other_estimate(p, **changes) if p.name == which else p for p in given.parameters]
     return replace(given, parameters=parameters)
@@ -52,8 +58,8 @@ def test_a_right_estimate_has_none(right_estimate):
 )
 def test_noise_levels_that_were_not_found(right_estimate, share, kind, word):
     problem, estimate = right_estimate
-    sigma = [share * problem.record.acceleration[:, 0].std(), *estimate.summary["sigma_acceleration"][1:]]
-    (found,) = noise_findings(problem, with_summary(estimate, sigma_acceleration=sigma))
+    sigma = [share * problem.record.acceleration[:, 0].std(), *estimate.noise.sensors["acceleration"][1:]]
+    (found,) = noise_findings(problem, with_noise(estimate, {"acceleration": sigma}))
     assert (found.kind, found.suspect, found.word) == (kind, "acceleration of DOF 1", word)
 
 
@@ -73,24 +79,23 @@ def test_much_white_noise_is_no_fault(frame, right_estimate):
 
 
 @pytest.mark.parametrize(("share", "word"), [(0.3, "questionable"), (2.0, "failed")])
-@pytest.mark.parametrize("shape", [float, lambda x: [x, None, x / 10], lambda x: {"forced": x, "unforced": x / 10}])
-def test_a_discrepancy_of_the_size_of_the_force(right_estimate, share, word, shape):
+def test_a_discrepancy_of_the_size_of_the_force(right_estimate, share, word):
     problem, estimate = right_estimate
-    level = shape(share * problem.record.force[:, 2].std())
-    (found,) = noise_findings(problem, with_summary(estimate, sigma_discrepancy=level))
+    level = share * problem.record.force[:, 2].std()
+    (found,) = noise_findings(problem, with_noise(estimate, discrepancy=level))
     assert (found.kind, found.word) == ("discrepancy", word)
     assert f"{100 * share:.0f} % of the measured force" in found.text
 
 
 def test_a_channel_that_was_copied(right_estimate):
     problem, estimate = right_estimate
-    counts = {"acceleration": [0.95 * len(problem.record.time), 0.92 * len(problem.record.time), None]}
+    counts = {"acceleration": len(problem.record.time) * np.array([0.95, 0.92, np.nan])}
     force = problem.record.force[:, 2].std()
-    open_to = {"effective_parameters": counts, "sigma_discrepancy": 0.1 * force}
-    found = noise_findings(problem, with_summary(estimate, **open_to))
+    open_to = {"taken": counts, "discrepancy": 0.1 * force}
+    found = noise_findings(problem, with_noise(estimate, **open_to))
     assert kinds(found) == [("copied", "sensors")]
     # A lone accelerometer beside a poor load cell is rightly followed.
-    assert noise_findings(problem, with_summary(estimate, **open_to, sigma_force=[None, None, 0.2 * force])) == []
+    assert noise_findings(problem, with_noise(estimate, {"force": [np.nan, np.nan, 0.2 * force]}, **open_to)) == []
 
 
 def test_a_training_that_did_not_converge(right_estimate):

@@ -17,13 +17,13 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Duffing, Linear
 from pinn_cli.training.estimate import Estimate
+from pinn_cli.training.found_noise import FoundNoise
 from pinn_cli.verdict.causes import causes
 from pinn_cli.verdict.channel_faults import channel_faults
 from pinn_cli.verdict.input_findings import sampling_findings
 from pinn_cli.verdict.judge import judge
 from pinn_cli.verdict.prediction import predicted
 from pinn_cli.verdict.record_faults import record_faults
-from pinn_cli.verdict.sensor_findings import noise_found
 
 LINEAR = build_chain(3, Linear(), m=[2e3, 2e3, 1.5e3], c=6e3, k=[8e5, 7.2e5, 5.6e5])
 DUFFING = build_chain(3, Duffing(), m=[2e3, 2e3, 1.5e3], c=6e3, k=[8e5, 7.2e5, 5.6e5], kappa=2e8)
@@ -120,10 +120,11 @@ def test_a_wrong_mass_is_found_under_an_earthquake(record):
     assert causes(Problem(LINEAR, record, ()), LINEAR, LINEAR) == []
 
 
-def estimate(found: Measurements, **summary) -> Estimate:
-    """The truth itself."""
+def estimate(found: Measurements, discrepancy: float = np.nan, **sensors) -> Estimate:
+    """The truth itself, with levels of noise."""
     std = Response(found.record.time, *(np.full((SPAN["samples"], 3), 1e-5) for _ in range(4)))
-    return Estimate(found.truth.response, std, [], pd.DataFrame(), {"stop_reason": "converged", **summary})
+    noise = FoundNoise({quantity: np.array(levels) for quantity, levels in sensors.items()}, discrepancy)
+    return Estimate(found.truth.response, std, [], pd.DataFrame(), {"stop_reason": "converged"}, noise=noise)
 
 
 def test_a_right_estimate_is_sound_and_a_large_discrepancy_is_told():
@@ -131,18 +132,17 @@ def test_a_right_estimate_is_sound_and_a_large_discrepancy_is_told():
     left = found.record.acceleration - found.truth.response.acceleration
     noise = np.std(left, axis=0).tolist()
     problem = Problem(LINEAR, found.record, ())
-    sound = estimate(found, sigma_acceleration=noise, sigma_ground_acceleration=[0.02], sigma_discrepancy=1.0)
+    sound = estimate(found, 1.0, acceleration=noise, ground_acceleration=[0.02])
     assert judge(problem, sound).word == "sound"
-    loud = estimate(found, sigma_acceleration=noise, sigma_discrepancy=0.4 * 2e3 * 0.6)
+    loud = estimate(found, 0.4 * 2e3 * 0.6, acceleration=noise)
     (reason,) = judge(problem, loud).reasons
     assert "of what acts" in reason.text
 
 
-@pytest.mark.parametrize("levels", [[0.02], 0.02])
-def test_the_noise_found_of_the_ground(record, levels):
+def test_the_noise_found_of_the_ground(record):
     (ground,) = channels(record, ["ground_acceleration"])
-    assert noise_found(estimate(measured(), sigma_ground_acceleration=levels), ground) == 0.02
-    assert np.isnan(noise_found(estimate(measured()), ground))
+    assert estimate(measured(), ground_acceleration=[0.02]).noise.of(ground) == 0.02
+    assert np.isnan(estimate(measured()).noise.of(ground))
 
 
 # Of a sensor, m/s^2.
@@ -150,10 +150,10 @@ QUIET, LOUD = 1e-3, 1e3
 
 
 def asked(record: Record, noise: float = QUIET) -> list[str]:
-    sigma = [float("nan"), float("nan"), noise]
+    levels = FoundNoise({"acceleration": np.array([np.nan, np.nan, noise])})
     problem = Problem(LINEAR, record)
     motion = measured().truth.response
-    estimate = Estimate(motion, motion, [], pd.DataFrame(), {"sigma_acceleration": sigma})
+    estimate = Estimate(motion, motion, [], pd.DataFrame(), {}, noise=levels)
     return [finding.text for finding in sampling_findings(problem, estimate, LINEAR)]
 
 

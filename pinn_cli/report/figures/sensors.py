@@ -22,7 +22,6 @@ from pinn_cli.system.priors import HALF_WIDTH_95
 from pinn_cli.system.quantities import FORCE, GROUND
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Estimate
-from pinn_cli.verdict.sensor_findings import noise_found
 
 ROWS_IN_FULL = 8  # more sensors than these: those with the largest NMSE
 LAGS_SHOWN = 40
@@ -61,7 +60,7 @@ def residuals_figure(estimate: Estimate, record: Record) -> Figure:
             len(shown), 3, 1.05, margins=(0.62, 0.08, 0.56, 0.42), gaps=(0.5, 0.26), width_ratios=(1.3, 1.0, 0.8)
         )
         for (history, spectrum, correlation), channel in zip(panels, shown, strict=True):
-            signal, sigma = channel.measured, noise_found(estimate, channel)
+            signal, sigma = channel.measured, estimate.noise.of(channel)
             left = signal - channel.of(estimate.response)
             largest = float(np.max(np.abs(left)))
             reach = max(largest, 1.2 * HALF_WIDTH_95 * sigma) if sigma <= 10.0 * largest else largest
@@ -117,7 +116,7 @@ def validation_figure(run: ValidationRun, estimate: Estimate) -> Figure:
             histories.draw(history, each, 0, window, factor, looks)
             history.set_title(f"({style.unit(name, prefix)})", loc="left", fontsize=7, pad=2)
             left, known = (measured - found)[:, 0], np.isfinite(measured[:, 0])
-            noise = noise_found(estimate, channel)
+            noise = estimate.noise.of(channel)
             edge = HALF_WIDTH_95 * np.hypot(std[:, 0], np.nan_to_num(noise))
             labels = "error", WITH_NOISE if np.isfinite(noise) else WITHOUT_NOISE
             factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(left), initial=0.0)))

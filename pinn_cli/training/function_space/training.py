@@ -28,6 +28,7 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.training.acting_force import acting_force
 from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
+from pinn_cli.training.found_noise import FoundNoise
 from pinn_cli.training.function_space.collocation import collocate
 from pinn_cli.training.function_space.equations import NetworkEquations
 from pinn_cli.training.function_space.feature_system import follows_features
@@ -173,7 +174,8 @@ class FunctionSpaceGaussNewton:
         std = posterior.std(every.observation_time, every.physics_time, own.record.time)
         estimates, correlation = _parameters(search, posterior)
         summary = _summary(search) | {"device": run.device}
-        return Estimate(response, std, estimates, history.table(), summary, correlation)
+        found = FoundNoise(discrepancy=search.noise.discrepancy)
+        return Estimate(response, std, estimates, history.table(), summary, correlation, noise=found)
 
 
 @torch.no_grad()
@@ -208,7 +210,6 @@ def _summary(search: FunctionSpaceSearch) -> dict[str, Any]:
         "network_weights": len(search.point.unknowns),
         "collocation_points": len(equations.frame.target.physics_time),
         "solution": "dense" if equations.dense else "features",
-        "sigma_discrepancy": search.noise.discrepancy,
         "parameter_spread": search.noise.spread,
         "weight_precision": equations.precision,
     }

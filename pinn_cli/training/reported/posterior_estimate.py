@@ -19,12 +19,13 @@ from pinn_cli.physics import estimated_response
 from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.system.quantities import GROUND
+from pinn_cli.system.quantities import FORCE, GROUND
 from pinn_cli.training.acting_force import acting_force, sensor_share
 from pinn_cli.training.covariance import ReadoutPosterior
 from pinn_cli.training.doubts.doubts import doubts
 from pinn_cli.training.estimate import ConnectionHistories, Disagreement, Estimate, ParameterEstimate
 from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.found_noise import FoundNoise
 from pinn_cli.training.history import History
 from pinn_cli.training.levels import values_taken
 from pinn_cli.training.normal_equations import NormalEquations
@@ -97,11 +98,12 @@ def record_estimate(evidence: RecordEvidence, solution: RecordSolution) -> Estim
     summary = {
         "features_per_dof": equations.network.count,
         "operations_per_factorisation": solution.factor.readout.operations,
-        "effective_parameters": _effective_parameters(evidence, solution),
-        "sigma_discrepancy": solution.noise.discrepancy / equations.refinement**0.5,
-        "sigma_force": _listed(solution.noise.force[: equations.problem.record.ndof]),
-        **{f"sigma_{quantity}": _listed(sigma) for quantity, sigma in _noise_felt(equations, solution).items()},
     }
+    noise = FoundNoise(
+        {FORCE: solution.noise.force[: equations.problem.record.ndof], **_noise_felt(equations, solution)},
+        solution.noise.discrepancy / equations.refinement**0.5,
+        _values_taken(evidence, solution),
+    )
     summary |= _of_unknown_forces(equations, solution)
     if equations.known is not None:
         summary["spectral_misfit"] = equations.known.misfit
@@ -109,7 +111,16 @@ def record_estimate(evidence: RecordEvidence, solution: RecordSolution) -> Estim
     lacking = doubts(evidence, solution, std)
     left = {name: samples for own in equations.channels for name, samples in own.left(point).items()}
     return Estimate(
-        response, std, [], pd.DataFrame(), summary, connections=connections, misfit=misfit, doubts=lacking, left=left
+        response,
+        std,
+        [],
+        pd.DataFrame(),
+        summary,
+        noise=noise,
+        connections=connections,
+        misfit=misfit,
+        doubts=lacking,
+        left=left,
     )
 
 
@@ -206,15 +217,11 @@ def _share_force(
     return acting_force(response, filtered, noise), replace(std, force=force_std)
 
 
-def _effective_parameters(evidence: RecordEvidence, solution: RecordSolution) -> dict[str, list[float | None]]:
+def _values_taken(evidence: RecordEvidence, solution: RecordSolution) -> dict[str, np.ndarray]:
     """Name of sensors to how many values of each one's samples the solution has taken up."""
     taken = values_taken(evidence, solution).response
     every = evidence.equations.channels
-    return {own.name: _listed(np.where(own.there, taken[own.name], np.nan)) for own in every}
-
-
-def _listed(sigma: np.ndarray) -> list[float | None]:
-    return [None if np.isnan(s) else float(s) for s in sigma]
+    return {own.name: np.where(own.there, taken[own.name], np.nan) for own in every}
 
 
 def disagreements(evidence: Evidence, trained: Trained) -> tuple[Disagreement, ...]:

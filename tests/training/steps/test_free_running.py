@@ -106,4 +106,4 @@ def test_a_load_cell_of_an_unknown_delay_makes_no_second_story():
 def test_a_load_cell_is_no_noisier_than_its_spectrum_shows():
     shown = visible_floor(dragged(300.0).force[:, 0], 1.0 / RATE)
     assert shown is not None
-    assert identified(300.0).summary["sigma_force"][0] < 1.6 * shown
+    assert identified(300.0).noise.sensors["force"][0] < 1.6 * shown
