@@ -77,8 +77,7 @@ class Observer(Residuals):
             slope = frame.dynamics.linearise(frame.jet(self.segments, point, part), frame.parameters(point))
             acceleration = self._acceleration(point, part)
             rows = EquationRows.of(frame.pattern, slope, None, acceleration, frame.spread)
-            for each in rows.weighted(self.segments.part(part), residual * mass, weight / mass**2):
-                sums.add(each)
+            rows.add_to(sums, self.segments.part(part), residual * mass, weight / mass**2)
 
 
 class Continuity(Residuals):

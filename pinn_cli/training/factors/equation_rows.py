@@ -15,7 +15,7 @@ from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.normal_matrix.row_pattern import RowPattern
-from pinn_cli.training.normal_matrix.row_sums import Rows, Touched
+from pinn_cli.training.normal_matrix.row_sums import FullRows, Rows, RowSums, Touched
 from pinn_cli.training.subdomains import Subdomains
 
 # Numbers of rows, or of their products, that are held at once: a whole spline of a small chain, little enough for the
@@ -69,12 +69,18 @@ class EquationRows:
         out = (self.stiffness * beside(displacement) + self.damping * beside(velocity)).sum(-1)
         return out if self.mass is None else out + self.mass * acceleration
 
-    def weighted(
-        self, segments: Segments, residual: Tensor, weight: Tensor, averages: Subdomains | None = None
-    ) -> Iterator[Rows]:
-        """The rows by readout weights and parameters, times the roots of their weights.
+    def add_to(
+        self,
+        sums: RowSums,
+        segments: Segments,
+        residual: Tensor,
+        weight: Tensor,
+        averages: Subdomains | None = None,
+    ) -> None:
+        """Add the rows by readout weights and parameters, times the roots of their weights.
 
         Args:
+            sums: To which.
             segments: Of the points, I groups of S.
             residual: (I, S, n), or (I, 1, n) of averages.
             weight: (n,), or as large as the residual.
@@ -82,24 +88,26 @@ class EquationRows:
         """
         root = weight.broadcast_to(residual.shape).sqrt()
         root = root if averages is not None else root * segments.mask[..., None]
-        return (self._by_group if self.pattern.is_full else self._by_function)(segments, residual, root, averages)
+        if self.pattern.is_full:
+            for full in self._by_group(segments, residual, root, averages):
+                sums.add_full(full)
+        else:
+            for rows in self._by_function(segments, residual, root, averages):
+                sums.add(rows)
 
     def _by_group(
         self, segments: Segments, residual: Tensor, root: Tensor, averages: Subdomains | None
-    ) -> Iterator[Rows]:
+    ) -> Iterator[FullRows]:
         """Every row by all functions: those of all functions at once are as many rows of a group."""
         groups, features = segments.feature.shape
-        n = len(self.pattern.coupled)
-        chunk = max(1, ROW_NUMBERS_AT_ONCE // (features * n + self.pattern.count + 1) ** 2)
+        numbers = residual[0].numel() * (features * len(self.pattern.coupled) + self.pattern.count + 1)
+        chunk = max(features, ROW_NUMBERS_AT_ONCE // (features * numbers))
         for start in range(0, groups, chunk):
             part = slice(start, start + chunk)
             jacobian, parameter = self._by_every_function(segments, averages, part)
-            jacobian = (jacobian * root[part, ..., None, None]).permute(4, 3, 1, 2, 0).flatten(2, 3)
-            by = torch.cat((parameter, residual[part, ..., None]), -1) * root[part, ..., None]
-            by = by.permute(3, 1, 2, 0).flatten(1, 2)
-            touched = [Touched(0, 0, jacobian[..., None].cpu().numpy())]
-            places = np.arange(self.pattern.count)[:, None]
-            yield Rows(segments.feature[part], touched, places, by[..., None].cpu().numpy())
+            by_weight = (jacobian * root[part, ..., None, None]).flatten(1, 2)
+            by = (torch.cat((parameter, residual[part, ..., None]), -1) * root[part, ..., None]).flatten(1, 2)
+            yield FullRows(segments.feature[part], by_weight.numpy(), by.numpy(), self.pattern.reached)
 
     def _by_every_function(self, segments: Segments, averages: Subdomains | None, part: slice) -> tuple[Tensor, Tensor]:
         """Rows of some groups (I, S, n, B, n), or averages (I, 1, n, B, n); by the parameters (I, S, n, places)."""

@@ -78,8 +78,7 @@ class EquationsOfMotion(Residuals):
         for part, residual in self.residuals(point):
             averages = None if self.averages is None else self.averages.part(part)
             rows, weighed = self.rows(self.segments, point, part), weight if weight.ndim == 1 else weight[part]
-            for each in rows.weighted(self.segments.part(part), residual, weighed, averages):
-                sums.add(each)
+            rows.add_to(sums, self.segments.part(part), residual, weighed, averages)
 
     def moved(self, point: Point, steps: Sequence[Point]) -> Iterator[tuple[slice, list[Tensor]]]:
         """Window by window which groups, and how the residual changes with small steps.

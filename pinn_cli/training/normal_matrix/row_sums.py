@@ -17,6 +17,7 @@ from scipy.sparse import csr_matrix, spmatrix
 from torch import Tensor
 
 from pinn_cli.system.coupling import Coupling
+from pinn_cli.training.normal_matrix.block_sums import BlockSums, by_shift
 from pinn_cli.training.normal_matrix.diagonals import Diagonals
 
 
@@ -58,6 +59,25 @@ class Rows:
     by: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class FullRows:
+    """Linearised residuals that touch most functions, R in each of I groups of times.
+
+    All are multiplied by the roots of their weights.
+
+    Attributes:
+        feature: (I, B) long, the features alive in each group.
+        by_weight: (I, R, B, n), what they are by the readout weights of all functions in their order.
+        by: (I, R, p + 1), what they are by the parameters at all places; at last the residuals.
+        reached: (n, p) bool, which parameters stand in a row of which function.
+    """
+
+    feature: Tensor
+    by_weight: np.ndarray
+    by: np.ndarray
+    reached: np.ndarray
+
+
 class RowSums:
     """Sums over rows of weighted products.
 
@@ -86,21 +106,30 @@ class RowSums:
         # Of every parameter of rows: which place it has by the functions (lines, n), and its lines.
         self._border: dict[tuple[bytes, int, int, int], tuple[np.ndarray, np.ndarray]] = {}
         self.corner, self.slope = np.zeros((places, places)), np.zeros(places)
+        # Of rows that touch most functions.
+        self._count = count
+        self._full: BlockSums | None = None
 
     @property
     def main(self) -> np.ndarray:
         """(size,), the main diagonal."""
-        return self._blocks[self.reach, 0, self._inside]
+        own = self._blocks[self.reach, 0, self._inside]
+        return own if self._full is None else own + self._full.line(0)
 
     @property
     def band(self) -> Diagonals:
         """Of the readout weights against each other, (size, size)."""
         lines: dict[int, np.ndarray] = {0: self.main}
-        for apart in np.flatnonzero(self._used) - self.reach:
+        for apart in (np.flatnonzero(self._used) - self.reach).tolist():
             for shift in range(self.features):
-                offset, line = shift * self.n + int(apart), self._blocks[apart + self.reach, shift, self._inside]
+                offset, line = shift * self.n + apart, self._blocks[apart + self.reach, shift, self._inside]
                 if offset > 0:
                     lines[offset] = lines[offset] + line if offset in lines else line
+        if self._full is not None:
+            every = np.arange(self.features)[:, None] * self.n + np.arange(-self.reach, self.reach + 1)
+            for offset in np.unique(every).tolist():
+                if offset > 0:
+                    lines[offset] = lines.get(offset, 0.0) + self._full.line(offset)
         offsets = sorted(lines)
         return Diagonals(np.array(offsets), np.stack([lines[offset] for offset in offsets]))
 
@@ -108,7 +137,7 @@ class RowSums:
     def gradient(self) -> np.ndarray:
         """(size,), of the readout weights."""
         total: np.ndarray = self._gradient[:, self._inside].sum(axis=0)
-        return total
+        return total if self._full is None else total + self._full.border[..., -1].reshape(-1)
 
     def border(self, pick: np.ndarray) -> csr_matrix:
         """(size, p), of the readout weights against the parameters at some places (p,).
@@ -124,6 +153,10 @@ class RowSums:
                 at = np.flatnonzero(of_function >= 0)
                 values = line[self._inside].reshape(-1, self.n)[:, at]
                 entries.append((values, first + at, np.broadcast_to(of_function[at], values.shape)))
+        if self._full is not None:
+            function, place = np.nonzero(self._full.reached & (column[:-1] >= 0))
+            values = self._full.border[:, function, place]
+            entries.append((values, first + function, np.broadcast_to(column[place], values.shape)))
         values, row, to = (np.concatenate([x.reshape(-1) for x in part]) for part in zip(*entries, strict=True))
         return csr_matrix((values, (row, to)), shape=(self.size, len(pick)))
 
@@ -137,9 +170,25 @@ class RowSums:
             for one, other in pairs:
                 self._add_block(one, other, part, place)
 
+    def add_full(self, rows: FullRows) -> None:
+        """The same of rows that touch most functions."""
+        full = self._of_all
+        full.reached |= rows.reached
+        by = rows.by.reshape(-1, rows.by.shape[-1])
+        products = by[:, :-1].T @ by
+        self.corner += products[:, :-1]
+        self.slope += products[:, -1]
+        first = rows.feature[:, 0].numpy()
+        if (first == first[0]).all():
+            together = rows.by_weight.reshape(1, -1, *rows.by_weight.shape[2:])
+            full.add(int(first[0]), self._stride, together, by[None])
+            return
+        for part, _ in self._runs(rows.feature):
+            full.add(int(first[part.start]), self._stride, rows.by_weight[part], rows.by[part])
+
     def add_diagonal(self, weight: float | np.ndarray, unknowns: np.ndarray) -> None:
         """Add weights, (size,) or one of all, of the squares of the readout weights (size,)."""
-        self.main[:] += weight
+        self._blocks[self.reach, 0, self._inside] += weight
         self._gradient[0, self._inside] += weight * unknowns
 
     def add_constant(self, feature: Tensor, gram: np.ndarray, coupling: spmatrix) -> None:
@@ -152,15 +201,17 @@ class RowSums:
         """
         entries = coupling.tocoo()
         row, column = self.rank[entries.row], self.rank[entries.col]
-        for apart in np.unique(row - column).tolist():
-            here = row - column == apart
-            first = int(column[here].min())
-            weights = np.zeros(int(column[here].max()) + 1 - first)
-            np.add.at(weights, column[here] - first, entries.data[here])
-            for part, place in self._runs(feature):
-                products = gram[part].transpose(1, 2, 0)[..., None]
-                for b in range(self.features):
-                    self._add_column(products[None, b:, b] * weights, apart, place + b * self.n + first)
+        is_full = 2 * entries.nnz > self.n**2
+        weights = np.zeros((self.n, self.n))
+        np.add.at(weights, (column, row), entries.data)
+        lines = [] if is_full else [(apart, np.diagonal(weights, apart)) for apart in np.unique(row - column).tolist()]
+        for part, place in self._runs(feature):
+            first = place // self.n - 1
+            for shift, products in enumerate(by_shift(gram[part], self._stride)):
+                if is_full:
+                    self._of_all.add_products(first, shift, products, weights)
+                for apart, line in lines:
+                    self._add_line(products[:, None] * line, apart, shift, first)
 
     def add_moment(self, feature: Tensor, moment: np.ndarray) -> None:
         """Add features against residuals (I, B, functions) of all functions, as they come, to the gradient."""
@@ -170,6 +221,13 @@ class RowSums:
             for b in range(self.features):
                 cells = self._view(self._gradient, place + b * self.n, placed[part, b].shape, (self._step, 1))
                 cells += placed[part, b]
+
+    @property
+    def _of_all(self) -> BlockSums:
+        """Of rows that touch most functions, made when the first ones come."""
+        if self._full is None:
+            self._full = BlockSums(self.features, self._count, self.n, len(self.slope))
+        return self._full
 
     def _runs(self, feature: Tensor) -> Iterator[tuple[slice, int]]:
         """Groups whose features follow one another, and where the first of them has its first weight."""
@@ -208,6 +266,14 @@ class RowSums:
         line, strides = self._length, (self.features * self._length, self._length, self._step, 1)
         cells = self._view(self._blocks, at * self.features * line + column, products.shape, strides)
         cells += products
+
+    def _add_line(self, products: np.ndarray, apart: int, shift: int, first: int) -> None:
+        """Add (features, functions): all that have one in this distance, of the features from the first on."""
+        assert abs(apart) <= self.reach, "functions of one row stand within the band"
+        at = apart + self.reach
+        self._used[at] = True
+        cells = self._blocks[at, shift, self._inside].reshape(-1, self.n)[first : first + len(products)]
+        cells[:, max(0, -apart) : self.n - max(0, apart)] += products
 
     def _add_border(self, one: Touched, rows: Rows, part: slice, place: int) -> None:
         """Products of features with what the parameters do, and with the residual."""

@@ -1,0 +1,103 @@
+"""Normal equations of rows that touch most functions, by products of matrices.
+
+The block of features f and f + s is a sum over the groups of times that both are alive in. Every row of a group stands
+under each of its features, so that of a feature all rows of all its groups stand below one another: the block is one
+product of two such matrices.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+class BlockSums:
+    """Sums over rows of weighted products, of all functions with each other and with the parameters.
+
+    Args:
+        features: B, alive at once.
+        count: Of one function in all.
+        functions: n.
+        places: p, of parameters.
+
+    Attributes:
+        border: (count, n, p + 1), of the weights against the parameters, at last against the residuals.
+        reached: (n, p) bool, which parameters stand in a row of which function.
+    """
+
+    def __init__(self, features: int, count: int, functions: int, places: int) -> None:
+        # By feature and function, those that follow: of the feature itself first, then of the later ones.
+        self._later = np.zeros((count, functions, (features + 1) * functions))
+        self.border = np.zeros((count, functions, places + 1))
+        self.reached = np.zeros((functions, places), dtype=bool)
+
+    def add(self, first: int, stride: int, rows: np.ndarray, by: np.ndarray) -> None:
+        """Add the products of rows with themselves.
+
+        Args:
+            first: Feature of the first group; each group begins ``stride`` further on.
+            stride: See above.
+            rows: (I, R, B, n), of I groups, R each, by the weights.
+            by: (I, R, p + 1), by the parameters, and the residuals.
+        """
+        if len(rows) < rows.shape[2]:
+            for group, (own, beside) in enumerate(zip(rows, by, strict=True)):
+                self._add_group(first + group * stride, own, beside)
+            return
+        groups, each, features, functions = rows.shape
+        last = (groups - 1) * stride + 1
+        count = last - 1 + features
+        below, beside = (np.zeros((count, features, each, width)) for width in (functions, by.shape[2]))
+        for b in range(features):
+            below[b : b + last : stride, b], beside[b : b + last : stride, b] = rows[:, :, b], by
+        below, beside = (x.reshape(count, features * each, -1) for x in (below, beside))
+        across = below.swapaxes(1, 2)
+        self.border[first : first + count] += across @ beside
+        for shift in range(features):
+            # Rows under both: of the earlier feature all but the last groups, of the later one all but the first.
+            both = (features - shift) * each
+            products = across[: count - shift, :, :both] @ below[shift:, shift * each :]
+            self._block(shift)[first : first + count - shift] += products
+
+    def add_products(self, first: int, shift: int, products: np.ndarray, coupling: np.ndarray) -> None:
+        """Add those of features (F,), the first and following ones with later ones, times those of functions (n, n)."""
+        self._block(shift)[first : first + len(products)] += products[:, None, None] * coupling
+
+    def _add_group(self, first: int, rows: np.ndarray, by: np.ndarray) -> None:
+        """Of one group (R, B, n) by itself."""
+        features, functions = rows.shape[1:]
+        flat = rows.reshape(len(rows), -1)
+        self.border[first : first + features] += (flat.T @ by).reshape(features, functions, -1)
+        products = (flat.T @ flat).reshape(features, functions, features, functions)
+        for shift in range(features):
+            own = np.arange(features - shift)
+            self._block(shift)[first : first + features - shift] += products[own, :, own + shift]
+
+    def _block(self, shift: int) -> np.ndarray:
+        """(count, n, n), of every feature's functions with those of a later one."""
+        functions = self._later.shape[1]
+        return self._later[:, :, shift * functions : (shift + 1) * functions]
+
+    def line(self, offset: int) -> np.ndarray:
+        """(count n,), a diagonal of the lower half by its columns: so far below the main one."""
+        by_feature, by_function, one = self._later.strides
+        start = self._later[:, :, offset:]
+        shape, strides = self._later.shape[:2], (by_feature, by_function + one)
+        return np.lib.stride_tricks.as_strided(start, shape, strides, writeable=False).reshape(-1)
+
+
+def by_shift(gram: np.ndarray, stride: int) -> list[np.ndarray]:
+    """Sums of products of features (I, B, B), lower half, of I groups, each a stride further on.
+
+    For every shift from 0 to B - 1 those of the features (F,), from the first group's first one on, with later ones.
+    """
+    groups, features = gram.shape[:2]
+    last = (groups - 1) * stride + 1
+    out = [np.zeros(last - 1 + features - shift) for shift in range(features)]
+    for shift, total in enumerate(out):
+        if groups < features:
+            for group, own in enumerate(gram):
+                total[group * stride : group * stride + features - shift] += np.diagonal(own, -shift)
+        else:
+            for b in range(features - shift):
+                total[b : b + last : stride] += gram[:, b + shift, b]
+    return out
