@@ -28,6 +28,7 @@ from pinn_cli.record.response import Response
 from pinn_cli.record.simulation import LARGEST_STATE, OverflowsError, response_of, simulate
 from pinn_cli.record.steps import Force as History
 from pinn_cli.record.steps import TooStiffError, method_needed, with_slow_followers
+from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.coupling import loose_dofs
 from pinn_cli.system.modes import Modes, modes_of
 from pinn_cli.system.structure import Structure
@@ -174,8 +175,9 @@ def free_run_of(structure: Structure, record: Record, motion: Response, sample: 
 
 
 def is_linear(structure: Structure) -> bool:
-    """Whether every nonlinear parameter of a structure is zero."""
-    return not any(bool(value.any()) for name, value in structure.parameters.items() if name not in LINEAR)
+    """Whether all its laws are linear, or the parameters that make them others are zero."""
+    linear = {kind for group in structure.groups if isinstance(group.nonlinearity, Linear) for kind in group.kinds}
+    return not any(bool(x.any()) for kind, x in structure.parameters.items() if kind not in (*LINEAR, *linear))
 
 
 def affordable(structure: Structure, record: Record) -> Record:

@@ -21,7 +21,6 @@ from pinn_cli.settings.legal_values import is_finite_number
 from pinn_cli.system.array_namespace import Array
 from pinn_cli.system.building import check_name
 from pinn_cli.system.connection.linear import Linear
-from pinn_cli.system.connection.nonlinearity import Nonlinearity
 from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.matrix_files import read_matrices
@@ -32,10 +31,9 @@ from pinn_cli.system.reduction import RIGID_EIGENVALUE, ReducedModel
 NO_PART, PART_ROUNDING = 1e-10, 1e-6
 
 
-class Substructure(Nonlinearity):
+class Substructure(Linear):
     """The law of a part's connections: what its stiffness is more than the matrix says, r = (factor - 1) e."""
 
-    name = Linear.name
     parameters = (FACTOR,)
     titles: Mapping[str, str] = {FACTOR: "Stiffness factor"}
     nonnegative = (FACTOR,)
