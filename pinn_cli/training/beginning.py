@@ -14,14 +14,13 @@ import torch
 from torch import Tensor
 
 from pinn_cli.model.knowledge import EndState
+from pinn_cli.record.channels import FINEST
 from pinn_cli.scheme.problem import JointPrior, Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.quantities import INITIAL_STATE
 
 # Standard deviation of the motion about its first state, over that of the state: it adds a thousandth to its variance.
 TIE = 0.03
-# A state is known to this part of its size at best: rounding would be all that a better one tells.
-FINEST_STATE = 1e-6
 # Added to the joint correlation's diagonal: parameters and states may be correlated but for rounding.
 CORRELATION_JITTER = 1e-10
 
@@ -50,7 +49,7 @@ class Beginning:
             return None
         if prior is None:
             raise ValueError("a motion that goes on from an earlier record has the parameters' prior from it as well")
-        variance = np.maximum(np.diag(state.covariance), FINEST_STATE**2 * _size(state, problem) ** 2)
+        variance = np.maximum(np.diag(state.covariance), FINEST**2 * _size(state, problem) ** 2)
         std = np.sqrt(variance)
         own = tuple(
             Parameter(INITIAL_STATE, i, prescribed=float(mean), prior_std=float(s))

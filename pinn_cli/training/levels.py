@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pinn_cli.record.channels import FINEST
 from pinn_cli.record.gauge import GAUGE
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.evidence import Evidence, Trained
@@ -34,8 +35,6 @@ LARGEST_CHANGE = 10.0
 NEAR_LEVEL = 0.35
 # Values that are left of N at the least: where features follow every sample, rounding is all that N - gamma would be.
 FEWEST_LEFT = 1e-3
-# A discrepancy below this part of the force that acts makes no motion better known.
-FINEST_LEVEL = 1e-6
 # Part of the samples that a sensor's usual noise counts for where the record leaves it open, since the motion follows
 # it wherever it goes; it falls off with this power of the share of its values that the solution has taken up, to
 # nothing for a sensor that the model checks.
@@ -277,7 +276,7 @@ def floor(evidence: RecordEvidence, solution: RecordSolution) -> NoiseModel:
     per_force = evidence.problem.structure.shapes.scale
     force = max((per_force * cell.rms for cell in cells), default=noise.discrepancy)
     finest_of_inputs = negligible(evidence.equations, noise)
-    discrepancy = max(min(FINEST_LEVEL * force, noise.discrepancy), finest_of_inputs)
+    discrepancy = max(min(FINEST * force, noise.discrepancy), finest_of_inputs)
     response = dict(noise.response)
     for channels in evidence.equations.channels:
         # The sensor of an input has at least the noise that its spectrum shows. Where the motion does not tell a load

@@ -7,13 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
+from pinn_cli.record.channels import FINEST
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import FAR_BELOW, level_at_end, lowest_level, visible_floor
 
-# No sensor is taken to be better than this fraction of its channel's spread: below it, rounding and the splines' own
-# error rule.
-FINEST_SENSOR = 1e-6
 # Where a sensor's noise starts that no spectrum shows, over the spread of its channel, unless the emptiest part of its
 # spectrum has less.
 FIRST_SENSOR = 0.1
@@ -64,7 +62,7 @@ class SensorSamples:
     @property
     def finest(self) -> float:
         """The least noise that any sensor of such a signal has."""
-        return FINEST_SENSOR * self.spread
+        return FINEST * self.spread
 
     @cached_property
     def shown(self) -> float:

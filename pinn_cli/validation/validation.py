@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.channels import Channel, record_band
+from pinn_cli.record.channels import FINEST, Channel, record_band
 from pinn_cli.record.free_run import NoFreeRunError
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import white_level
@@ -27,8 +27,6 @@ log = logging.getLogger(__name__)
 
 # Of the 95 % band of a normal distribution.
 NINETY_FIVE_PERCENT = 1.959963984540054
-# No sensor is taken to be better than this fraction of its channel's rms: below it, rounding rules.
-FINEST_SENSOR = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,4 +183,4 @@ def channel_noise(record: Record, channel: Channel) -> float:
         found = float(record.repeats.noise_of_mean(channel.quantity)[channel.dof])
     else:
         found = white_level(channel.measured, record.step, 1.5 * record_band(record))
-    return max(found, FINEST_SENSOR * float(np.sqrt(np.mean(channel.measured**2))))
+    return max(found, FINEST * float(np.sqrt(np.mean(channel.measured**2))))

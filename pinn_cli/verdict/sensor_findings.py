@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.channels import Channel, channels, every_channel
+from pinn_cli.record.channels import FINEST, Channel, channels, every_channel
 from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.inputs import input_force
 from pinn_cli.record.response import RESPONSE_QUANTITIES
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 # square to within a factor of two or so. At half, nothing is reproduced.
 GOOD, ALLOWED, NOT_AT_ALL = 0.05, 4.0, 0.5
 EXCUSE_DRAWS = 2
-# Noise levels are kept above a millionth of the channel's rms: what is found there was not found.
-BOUND = 2e-6
 # A sensor with 10 dB of noise has a third of its rms; at this share there is more noise than motion.
 MOSTLY_NOISE = 0.8
 # Rms of the discrepancy over that of the measured force. A linear model of a Duffing chain has a tenth.
@@ -154,7 +152,7 @@ def _level(channel: Channel, estimate: Estimate) -> Finding | None:
     level = estimate.noise.of(channel)
     if not np.isfinite(level) or rms == 0:
         return None
-    if level <= BOUND * rms:
+    if level <= 2.0 * FINEST * rms:  # levels are kept above that: what is found there was not found
         text = f"the noise found in the {channel.name} is at its lower bound ({level:.2g}): the record was copied"
         remedy = "use fewer knots (network.knots_per_period) or more sensors"
         return Finding("noise_at_bound", channel.name, f"{text}; {remedy}")
