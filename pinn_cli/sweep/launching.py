@@ -39,6 +39,8 @@ from pinn_cli.sweep.jobs import DEFECT, FINISHED, UNFINISHED, Failure, Job, Swee
 
 # A Python that is started imports nothing from the current folder then, where a `numpy.py` may lie.
 SAFE_PATH = {"PYTHONSAFEPATH": "1"}
+# Workers that are ended leave locks behind, which joblib's own process takes away, and tells of on the terminal.
+QUIET_END = {"PYTHONWARNINGS": ",".join([*filter(None, [os.environ.get("PYTHONWARNINGS")]), "ignore:resource_tracker"])}
 # Why a job of joblib's has failed.
 _REASON = "its worker was killed, again when it ran alone: by the system for want of memory, perhaps"
 # Seconds from one look for the launcher to the next, and the exit status of a worker that has lost it.
@@ -284,7 +286,7 @@ class JoblibLauncher(WorkLauncher):
     def _at_once(self, jobs: Sequence[PendingJob]) -> dict[int, JobReturn]:
         calls = (delayed(_run_job)(self.work, job.overrides, job.number, self.processes) for job in jobs)
         # Hydra's state is the process's: threads would share it.
-        with usable_settings(self.settings):
+        with usable_settings(self.settings), environment(QUIET_END):
             returned = Parallel(n_jobs=self.processes, **{**self.settings, "backend": "loky"})(calls)
         return dict(zip((job.number for job in jobs), returned, strict=True))
 
