@@ -119,19 +119,21 @@ class RowSums:
     @property
     def band(self) -> Diagonals:
         """Of the readout weights against each other, (size, size)."""
-        lines: dict[int, np.ndarray] = {0: self.main}
-        for apart in (np.flatnonzero(self._used) - self.reach).tolist():
-            for shift in range(self.features):
-                offset, line = shift * self.n + apart, self._blocks[apart + self.reach, shift, self._inside]
-                if offset > 0:
-                    lines[offset] = lines[offset] + line if offset in lines else line
-        if self._full is not None:
-            every = np.arange(self.features)[:, None] * self.n + np.arange(-self.reach, self.reach + 1)
-            for offset in np.unique(every).tolist():
-                if offset > 0:
-                    lines[offset] = lines.get(offset, 0.0) + self._full.line(offset)
-        offsets = sorted(lines)
-        return Diagonals(np.array(offsets), np.stack([lines[offset] for offset in offsets]))
+        shifts, used = range(self.features), (np.flatnonzero(self._used) - self.reach).tolist()
+        own = [(shift * self.n + apart, shift, apart) for apart in used for shift in shifts]
+        apart = range(-self.reach, self.reach + 1) if self._full is not None else ()
+        full = {offset for shift in shifts for near in apart if (offset := shift * self.n + near) > 0}
+        offsets = sorted({0, *full, *(offset for offset, _, _ in own if offset > 0)})
+        place = {offset: line for line, offset in enumerate(offsets)}
+        values = np.zeros((len(offsets), self.size))
+        values[0] = self.main
+        for offset, shift, near in own:
+            if offset > 0:
+                values[place[offset]] += self._blocks[near + self.reach, shift, self._inside]
+        for offset in full:
+            assert self._full is not None
+            values[place[offset]] += self._full.line(offset)
+        return Diagonals(np.array(offsets), values)
 
     @property
     def gradient(self) -> np.ndarray:
