@@ -101,7 +101,7 @@ class EquationRows:
         """Every row by all functions: those of all functions at once are as many rows of a group."""
         groups, features = segments.feature.shape
         numbers = residual[0].numel() * (features * len(self.pattern.coupled) + self.pattern.count + 1)
-        chunk = max(features, ROW_NUMBERS_AT_ONCE // (features * numbers))
+        chunk = max(1, ROW_NUMBERS_AT_ONCE // (features * numbers))
         for start in range(0, groups, chunk):
             part = slice(start, start + chunk)
             jacobian, parameter = self._by_every_function(segments, averages, part)
