@@ -16,7 +16,7 @@ from pinn_cli.system.quantities import GROUND, SUPPORT
 
 # Part of a channel's spread, or of whatever else is estimated, to which it is known at best: below it rounding and the
 # splines' own error rule.
-FINEST = 1e-6
+FINEST_KNOWN = 1e-6
 # The DOF of the ground's channel, counted from 0; a reader, who counts from 1, sees it as 0.
 GROUND_DOF = -1
 # Equal samples in a row that noise and a converter's steps do not explain; and samples at an extreme value that may be

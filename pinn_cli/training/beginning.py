@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from pinn_cli.model.knowledge import EndState
-from pinn_cli.record.channels import FINEST
+from pinn_cli.record.channels import FINEST_KNOWN
 from pinn_cli.scheme.problem import JointPrior, Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.quantities import INITIAL_STATE
@@ -49,7 +49,7 @@ class Beginning:
             return None
         if prior is None:
             raise ValueError("a motion that goes on from an earlier record has the parameters' prior from it as well")
-        variance = np.maximum(np.diag(state.covariance), FINEST**2 * _size(state, problem) ** 2)
+        variance = np.maximum(np.diag(state.covariance), FINEST_KNOWN**2 * _size(state, problem) ** 2)
         std = np.sqrt(variance)
         own = tuple(
             Parameter(INITIAL_STATE, i, prescribed=float(mean), prior_std=float(s))

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pinn_cli.record.channels import FINEST
+from pinn_cli.record.channels import FINEST_KNOWN
 from pinn_cli.record.gauge import GAUGE
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.evidence import Evidence, Trained
@@ -276,7 +276,7 @@ def floor(evidence: RecordEvidence, solution: RecordSolution) -> NoiseModel:
     per_force = evidence.problem.structure.shapes.scale
     force = max((per_force * cell.rms for cell in cells), default=noise.discrepancy)
     finest_of_inputs = negligible(evidence.equations, noise)
-    discrepancy = max(min(FINEST * force, noise.discrepancy), finest_of_inputs)
+    discrepancy = max(min(FINEST_KNOWN * force, noise.discrepancy), finest_of_inputs)
     response = dict(noise.response)
     for channels in evidence.equations.channels:
         # The sensor of an input has at least the noise that its spectrum shows. Where the motion does not tell a load

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pinn_cli.record.channels import FINEST
+from pinn_cli.record.channels import FINEST_KNOWN
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import FAR_BELOW, level_at_end, lowest_level, visible_floor
@@ -62,7 +62,7 @@ class SensorSamples:
     @property
     def finest(self) -> float:
         """The least noise that any sensor of such a signal has."""
-        return FINEST * self.spread
+        return FINEST_KNOWN * self.spread
 
     @cached_property
     def shown(self) -> float:

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.channels import FINEST, Channel, record_band
+from pinn_cli.record.channels import FINEST_KNOWN, Channel, record_band
 from pinn_cli.record.free_run import NoFreeRunError
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import white_level
@@ -183,4 +183,4 @@ def channel_noise(record: Record, channel: Channel) -> float:
         found = float(record.repeats.noise_of_mean(channel.quantity)[channel.dof])
     else:
         found = white_level(channel.measured, record.step, 1.5 * record_band(record))
-    return max(found, FINEST * float(np.sqrt(np.mean(channel.measured**2))))
+    return max(found, FINEST_KNOWN * float(np.sqrt(np.mean(channel.measured**2))))

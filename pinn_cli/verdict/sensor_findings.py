@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.channels import FINEST, Channel, channels, every_channel
+from pinn_cli.record.channels import FINEST_KNOWN, Channel, channels, every_channel
 from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.inputs import input_force
 from pinn_cli.record.response import RESPONSE_QUANTITIES
@@ -152,7 +152,7 @@ def _level(channel: Channel, estimate: Estimate) -> Finding | None:
     level = estimate.noise.of(channel)
     if not np.isfinite(level) or rms == 0:
         return None
-    if level <= 2.0 * FINEST * rms:  # levels are kept above that: what is found there was not found
+    if level <= 2.0 * FINEST_KNOWN * rms:  # levels are kept above that: what is found there was not found
         text = f"the noise found in the {channel.name} is at its lower bound ({level:.2g}): the record was copied"
         remedy = "use fewer knots (network.knots_per_period) or more sensors"
         return Finding("noise_at_bound", channel.name, f"{text}; {remedy}")

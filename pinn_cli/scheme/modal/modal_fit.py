@@ -20,7 +20,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares, minimize
 from scipy.special import chdtrc
 
-from pinn_cli.record.channels import FINEST
+from pinn_cli.record.channels import FINEST_KNOWN
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.system.frequency_response import real_rows
@@ -359,7 +359,7 @@ def _noise(model: BandModel, x: np.ndarray, solved: Solved, response: np.ndarray
     count = 2 * lines * sensors
     freedom = max(count - solved.coefficients.size - len(x), 1) / count
     left = left / np.sqrt(freedom)
-    start = np.log(np.append(np.median(np.abs(left), axis=0) + FINEST, 1e-3))
+    start = np.log(np.append(np.median(np.abs(left), axis=0) + FINEST_KNOWN, 1e-3))
 
     def minus_log(levels: np.ndarray) -> float:
         variance = np.exp(2.0 * levels)
@@ -371,7 +371,7 @@ def _noise(model: BandModel, x: np.ndarray, solved: Solved, response: np.ndarray
         value += square.sum() - (variance[-1] * np.abs(along) ** 2 / whole).sum()
         return float(value)
 
-    bounds = [(np.log(FINEST), np.log(10.0))] * (sensors + 1)
+    bounds = [(np.log(FINEST_KNOWN), np.log(10.0))] * (sensors + 1)
     found = minimize(minus_log, start, method="L-BFGS-B", bounds=bounds)
     return Noise(np.exp(found.x[:-1]), float(np.exp(found.x[-1])))
 

@@ -17,9 +17,6 @@ from pinn_cli.system.incidence import padded
 from pinn_cli.system.parameters import MASS, ParameterVector
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
 
-# Rows whose functions stand apart are taken by all functions, up to so many: twice as fast with nine.
-FEW_FUNCTIONS = 20
-
 
 class RowPattern:
     """Where the entries of a structure's equations of motion stand.
@@ -40,8 +37,8 @@ class RowPattern:
         kinds: Of the parameters in the equations.
         places: (N, kinds, F), of each parameter's slot among the members of all the vector's kinds, -1 where unused.
         count: Members of all the vector's kinds.
-        is_full: Whether rows are taken by all functions: most are coupled with most others, or all are few and those
-            of a row stand apart.
+        is_full: Whether rows are taken by all functions: most are coupled with most others, or those of a row stand
+            apart in many distances.
     """
 
     _own: Tensor
@@ -62,8 +59,10 @@ class RowPattern:
         )
         self._by_offset = torch.as_tensor(coupling.by_offset).to(like)
         # Of functions that are all coupled, one product with a matrix (C, n D) is faster than a sum over its terms.
+        # So are rows whose functions stand apart in half as many distances as there are functions.
         count = len(self.coupled)
-        self.is_full = 2 * int(self.coupled.sum()) > count**2 or (len(self.runs) > 1 and count <= FEW_FUNCTIONS)
+        scattered = len(self.runs) > 1 and 2 * len(self.offsets) >= count
+        self.is_full = scattered or 2 * int(self.coupled.sum()) > count**2
         self._dense = torch.as_tensor(self._coefficients(coupling)).to(like) if self.is_full else None
 
     def _coefficients(self, coupling: Coupling) -> np.ndarray:
