@@ -260,6 +260,9 @@ class JoblibLauncher(WorkLauncher):
         threads = int(work.config.get("threads", 1))
         self.processes = jobs_at_once(threads) if n_jobs == -1 else effective_n_jobs(n_jobs)
         self.settings = settings
+        if self.processes == 1 and settings.get("timeout") is not None:  # joblib has no worker then
+            print("pinn-run: hydra.launcher.timeout holds for workers beside each other; there is one", file=sys.stderr)
+            self.settings = settings | {"timeout": None}
 
     def run(self, jobs: list[PendingJob]) -> dict[int, JobReturn]:
         """When a worker is killed, joblib ends all: the others go on, then those that it may have been, each alone."""

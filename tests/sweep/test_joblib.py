@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
@@ -15,7 +16,7 @@ from interrupted_runs import run_in_a_child
 from sweeps import start
 
 from pinn_cli.runs.machine import usable_cores
-from pinn_cli.sweep.launching import QUIET_END, pin, shares
+from pinn_cli.sweep.launching import QUIET_END, JoblibLauncher, pin, shares
 
 # Two jobs that finish and one that cannot; Adam is trained in steps and so has checkpoints.
 SWEEP = ("--multirun", *SMALL, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "seed=0,1", "hydra.sweep.dir=sweep")
@@ -87,7 +88,6 @@ def test_workers_import_nothing_from_the_current_folder(launcher: str, tmp_path:
     assert "2 jobs: 2 finished" in done.stdout
 
 
-@pytest.mark.slow
 def test_what_workers_leave_behind_is_taken_away_in_silence() -> None:
     text = "import warnings; warnings.warn('resource_tracker: There appear to be 3 leaked semlock objects')"
     for environment, told in (({}, True), (QUIET_END, False)):
@@ -97,6 +97,13 @@ def test_what_workers_leave_behind_is_taken_away_in_silence() -> None:
         assert bool(done.stderr) == told
 
 
+def test_a_lone_worker_has_no_limit_of_time(capfd: pytest.CaptureFixture[str]) -> None:
+    launcher = JoblibLauncher(SimpleNamespace(config={"threads": 1}), n_jobs=1, timeout=1.5)
+    assert launcher.settings["timeout"] is None
+    assert capfd.readouterr().err.startswith("pinn-run: hydra.launcher.timeout ")
+
+
+@pytest.mark.slow
 def test_a_killed_worker_takes_only_its_own_job_along(tmp_path: Path) -> None:
     (tmp_path / "sitecustomize.py").write_text(KILLS_ITS_WORKER)
     process = start(tmp_path, *SWEEP, "seed=0,1,2,3", env={"PYTHONPATH": str(tmp_path)})
