@@ -106,9 +106,7 @@ class RowSums:
         # Of every parameter of rows: which place it has by the functions (lines, n), and its lines.
         self._border: dict[tuple[bytes, int, int, int], tuple[np.ndarray, np.ndarray]] = {}
         self.corner, self.slope = np.zeros((places, places)), np.zeros(places)
-        # Of rows that touch most functions.
-        self._count = count
-        self._full: BlockSums | None = None
+        self._full: BlockSums | None = None  # of rows that touch most functions
 
     @property
     def main(self) -> np.ndarray:
@@ -119,20 +117,18 @@ class RowSums:
     @property
     def band(self) -> Diagonals:
         """Of the readout weights against each other, (size, size)."""
-        shifts, used = range(self.features), (np.flatnonzero(self._used) - self.reach).tolist()
-        own = [(shift * self.n + apart, shift, apart) for apart in used for shift in shifts]
-        apart = range(-self.reach, self.reach + 1) if self._full is not None else ()
-        full = {offset for shift in shifts for near in apart if (offset := shift * self.n + near) > 0}
-        offsets = sorted({0, *full, *(offset for offset, _, _ in own if offset > 0)})
+        apart = np.arange(-self.reach, self.reach + 1)[self._used | (self._full is not None)].tolist()
+        every = [(shift * self.n + near, shift, near) for near in apart for shift in range(self.features)]
+        offsets = sorted({0, *(offset for offset, _, _ in every if offset > 0)})
         place = {offset: line for line, offset in enumerate(offsets)}
         values = np.zeros((len(offsets), self.size))
         values[0] = self.main
-        for offset, shift, near in own:
-            if offset > 0:
+        for offset, shift, near in every:
+            if offset > 0 and self._used[near + self.reach]:
                 values[place[offset]] += self._blocks[near + self.reach, shift, self._inside]
-        for offset in full:
-            assert self._full is not None
-            values[place[offset]] += self._full.line(offset)
+        if self._full is not None:
+            for offset in offsets[1:]:
+                values[place[offset]] += self._full.line(offset)
         return Diagonals(np.array(offsets), values)
 
     @property
@@ -166,7 +162,8 @@ class RowSums:
         """Add the products of rows with themselves."""
         self._add_corner(rows)
         pairs = [(one, other) for one in rows.touched for other in rows.touched if _together(one, other)]
-        for part, place in self._runs(rows.feature):
+        for part, first in self._runs(rows.feature):
+            place = (first + 1) * self.n
             for one in rows.touched:
                 self._add_border(one, rows, part, place)
             for one, other in pairs:
@@ -180,13 +177,12 @@ class RowSums:
         products = by[:, :-1].T @ by
         self.corner += products[:, :-1]
         self.slope += products[:, -1]
-        first = rows.feature[:, 0].numpy()
-        if (first == first[0]).all():
+        if bool((rows.feature[:, 0] == rows.feature[0, 0]).all()):
             together = rows.by_weight.reshape(1, -1, *rows.by_weight.shape[2:])
-            full.add(int(first[0]), self._stride, together, by[None])
+            full.add(int(rows.feature[0, 0]), self._stride, together, by[None])
             return
-        for part, _ in self._runs(rows.feature):
-            full.add(int(first[part.start]), self._stride, rows.by_weight[part], rows.by[part])
+        for part, first in self._runs(rows.feature):
+            full.add(first, self._stride, rows.by_weight[part], rows.by[part])
 
     def add_diagonal(self, weight: float | np.ndarray, unknowns: np.ndarray) -> None:
         """Add weights, (size,) or one of all, of the squares of the readout weights (size,)."""
@@ -207,8 +203,7 @@ class RowSums:
         weights = np.zeros((self.n, self.n))
         np.add.at(weights, (column, row), entries.data)
         lines = [] if is_full else [(apart, np.diagonal(weights, apart)) for apart in np.unique(row - column).tolist()]
-        for part, place in self._runs(feature):
-            first = place // self.n - 1
+        for part, first in self._runs(feature):
             for shift, products in enumerate(by_shift(gram[part], self._stride)):
                 if is_full:
                     self._of_all.add_products(first, shift, products, weights)
@@ -219,24 +214,24 @@ class RowSums:
         """Add features against residuals (I, B, functions) of all functions, as they come, to the gradient."""
         placed = np.empty_like(moment)
         placed[..., self.rank] = moment
-        for part, place in self._runs(feature):
+        for part, first in self._runs(feature):
             for b in range(self.features):
-                cells = self._view(self._gradient, place + b * self.n, placed[part, b].shape, (self._step, 1))
+                cells = self._view(self._gradient, (first + 1 + b) * self.n, placed[part, b].shape, (self._step, 1))
                 cells += placed[part, b]
 
     @property
     def _of_all(self) -> BlockSums:
         """Of rows that touch most functions, made when the first ones come."""
         if self._full is None:
-            self._full = BlockSums(self.features, self._count, self.n, len(self.slope))
+            self._full = BlockSums(self.features, self.size // self.n, self.n, len(self.slope))
         return self._full
 
     def _runs(self, feature: Tensor) -> Iterator[tuple[slice, int]]:
-        """Groups whose features follow one another, and where the first of them has its first weight."""
+        """Groups whose features follow one another, and the first feature of the first of them."""
         first = (feature[:, 0] // self._stride).numpy()
         breaks = np.flatnonzero(np.diff(first) != 1) + 1
         for start, stop in pairwise([0, *breaks.tolist(), len(first)]):
-            yield slice(start, stop), int(first[start]) * self._step + self.n
+            yield slice(start, stop), int(feature[start, 0])
 
     def _add_corner(self, rows: Rows) -> None:
         by = rows.by.reshape(len(rows.by), -1, rows.by.shape[-1]).transpose(2, 0, 1)
