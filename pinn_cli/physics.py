@@ -108,7 +108,7 @@ def targets(
         tensor(record.time),
         tensor(refined_times(record.time, refinement) + hold_delay(record)),
         {quantity: tensor(values) for quantity, values in response.items()},
-        {quantity: tensor(record.sensors(quantity) & ~record.gauged(quantity)) for quantity in response},
+        {quantity: tensor(record.plain(quantity)) for quantity in response},
         dynamics.padded(tensor(points)),
         dynamics.padded(tensor(force - jump / 2.0)),
         dynamics.padded(tensor(measured)),

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.signal import bilinear, lfilter, lsim
 
-from pinn_cli.record.gauge import Calibration, Gauge
+from pinn_cli.record.channel import Calibration, Channel
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.scheme.calibration import sensor_parameters
@@ -122,13 +122,13 @@ def recorded(truth: Response, spoilt: Mapping[int, np.ndarray] | None = None, sn
     return Record(truth.time, absent, absent, noisy(shown), force, unforced=unforced, ground_acceleration=ground)
 
 
-def as_gauges(record: Record, filter_order: int = 0, **calibration: Calibration) -> Record:
-    """The same accelerometers as gauges of one calibration."""
+def calibrated_alike(record: Record, filter_order: int = 0, **calibration: Calibration) -> Record:
+    """The same accelerometers with one calibration."""
     of = calibration, -1, True, filter_order
-    gauges = tuple(
-        Gauge(f"a{i + 1}", "acceleration", {i: 1.0}, record.time, record.acceleration[:, i], *of) for i in range(3)
+    calibrated = tuple(
+        Channel(f"a{i + 1}", "acceleration", {i: 1.0}, record.time, record.acceleration[:, i], *of) for i in range(3)
     )
-    return replace(record, gauges=gauges)
+    return replace(record, calibrated=calibrated)
 
 
 def posed(record: Record, **prescribed: list[float]) -> Problem:

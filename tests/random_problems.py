@@ -12,8 +12,8 @@ from pinn_cli.model.knowledge import EndState, Levels
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.network import CONTINUITIES
 from pinn_cli.network.spline import Spline
+from pinn_cli.record.channel import CALIBRATED, Calibration, Channel
 from pinn_cli.record.data_channels import FELT_BY
-from pinn_cli.record.gauge import GAUGE, Calibration, Gauge
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.inputs import FREE, GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_problem import JointProblem
@@ -120,7 +120,7 @@ def reduced(draw: st.DrawFn) -> Structure:
 
 
 @st.composite
-def gauges(draw: st.DrawFn, structure: Structure, inputs: dict[str, list[int]], number: int) -> Gauge:
+def channels(draw: st.DrawFn, structure: Structure, inputs: dict[str, list[int]], number: int) -> Channel:
     """A sensor with samples of its own, of the motion, of inputs by the DOFs that they have, or of a connection."""
     rng, n = draw(generators()), structure.ndof
     quantity, weights, connection = (
@@ -140,12 +140,12 @@ def gauges(draw: st.DrawFn, structure: Structure, inputs: dict[str, list[int]], 
     calibration = {kind: CALIBRATION[kind] for kind in some(draw, doubts) + [HIGH_PASS] * (order > 0)}
     time = START + np.sort(rng.uniform(0.0, STEP * (SAMPLES - 1), 24))
     values, fills = rng.normal(size=len(time)), quantity != CONNECTION_FORCE
-    return Gauge(f"g{number}", quantity, weights, time, values, calibration, connection, fills, order)
+    return Channel(f"g{number}", quantity, weights, time, values, calibration, connection, fills, order)
 
 
 @st.composite
 def records(draw: st.DrawFn, structure: Structure, plain: bool) -> Record:
-    """Noise in any columns and gauges, one plain sensor of the motion at least; of plain ones no input is unknown."""
+    """Noise in any columns and channels, one plain sensor of the motion at least; of plain ones no input is unknown."""
     rng, n, time = draw(generators()), structure.ndof, START + STEP * np.arange(SAMPLES)
     forced, left_open = some(draw, range(n)), draw(st.integers(0, 3)) == 0
     moves = not plain and draw(st.booleans())
@@ -163,19 +163,19 @@ def records(draw: st.DrawFn, structure: Structure, plain: bool) -> Record:
     loads = [dof for dof in forced if np.isfinite(force[0, dof])]
     inputs = {} if plain else {FORCE: loads} if loads else {}
     inputs |= {GROUND: []} if moves else {}
-    every: list[Gauge] = []
+    every: list[Channel] = []
     for number in range(draw(st.integers(0 if plain else 1, 2))):
-        gauge = draw(gauges(structure, inputs, number))
-        others = [other for other in every if (other.quantity, other.dof) == (gauge.quantity, gauge.dof)]
-        shown = {**columns, FORCE: force, GROUND: ground}.get(gauge.quantity)
-        taken = gauge.quantity in MOTION and gauge.dof is not None and np.isfinite(shown[0, gauge.dof])
-        gauge = replace(gauge, fills=gauge.fills and not others and not taken)
-        if gauge.dof is not None:
-            shown[:, gauge.dof] = gauge.history(time)
-        every.append(gauge)
+        channel = draw(channels(structure, inputs, number))
+        others = [other for other in every if other.is_column and other.place == channel.place]
+        shown = {**columns, FORCE: force, GROUND: ground}.get(channel.quantity)
+        taken = channel.quantity in MOTION and channel.is_column and np.isfinite(shown[0, channel.dof])
+        channel = replace(channel, fills=channel.fills and not others and not taken)
+        if channel.is_column:
+            shown[:, channel.dof] = channel.history(time)
+        every.append(channel)
     held = not moves and not supports and not structure.is_modal and draw(st.booleans())
     return Record(
-        time, **columns, force=force, unforced=~np.isin(np.arange(n), forced), gauges=tuple(every),
+        time, **columns, force=force, unforced=~np.isin(np.arange(n), forced), calibrated=tuple(every),
         intersample="zero_order_hold" if held else "band_limited", ground_acceleration=ground[:, 0] if moves else None,
         frame=draw(st.sampled_from(("absolute", "relative"))) if moves else "absolute",
         supports=supports, support_names=structure.labels.supports,
@@ -224,10 +224,10 @@ def equations(draw: st.DrawFn, plain: bool) -> list[NormalEquations]:
     """
     problem = draw(problems(plain))
     designs = st.builds(Spline, degree=st.sampled_from((6, 6, 5)), intervals=st.sampled_from((5, 11)))
-    if not any(own.record.gauges for own in problem):
+    if not any(own.record.calibrated for own in problem):
         designs |= st.builds(Fourier, harmonics=st.just(4))
     design = draw(designs)
-    if plain and not any(own.record.gauges for own in problem):
+    if plain and not any(own.record.calibrated for own in problem):
         design = replace(design, continuity=draw(st.sampled_from(CONTINUITIES)))
     return [NormalEquations(built(design, own), own) for own in problem]
 
@@ -245,7 +245,7 @@ def noise_of(equations: NormalEquations, seed: Generator | int = 0) -> NoiseMode
         force=moved(noise.force),
         discrepancy=noise.discrepancy * rng.uniform(0.1, 1.0),
         innovation=None if noise.innovation is None else moved(noise.innovation),
-        taken_up=rng.uniform(0.0, 9.0, len(noise.response[GAUGE])) if GAUGE in noise.response else None,
+        taken_up=rng.uniform(0.0, 9.0, len(noise.response[CALIBRATED])) if CALIBRATED in noise.response else None,
     )
 
 

@@ -103,8 +103,8 @@ def settings_of_record(given: Record) -> tuple[dict[str, np.ndarray], dict[str, 
     """
     from pinn_cli.record.response import QUANTITIES
 
-    if given.gauges:
-        told = f"a record with the sensors {', '.join(gauge.name for gauge in given.gauges)}"
+    if given.calibrated:
+        told = f"a record with the sensors {', '.join(channel.key for channel in given.calibrated)}"
         raise InputError("data", told, "one whose sensors are columns", "give a frame")
     names = [given.dof_name(dof) for dof in range(given.ndof)]
     columns: dict[str, np.ndarray] = {"t": given.time}

@@ -17,6 +17,7 @@ from omegaconf import OmegaConf
 
 from pinn_cli.cli.config import resolved
 from pinn_cli.cli.source import SIMULATED, chosen_model, read_structure
+from pinn_cli.record.channel import Channel
 from pinn_cli.record.record import Record, Truth
 from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.report.figures import record_drawings, run_drawings
@@ -192,21 +193,19 @@ def _response(data: xr.Dataset, suffix: str) -> Response:
 def _record(data: xr.Dataset) -> Record:
     """Its sensors; what they missed is filled by straight lines, as in figures of the run."""
     seen, unforced = _response(data, "_observed"), data["unforced"].values.astype(bool)
-    missing = {}
+    felt = []
     for quantity in QUANTITIES:
         values = getattr(seen, quantity)
         gaps = np.isnan(values)
-        partly = gaps.any(axis=0) & ~gaps.all(axis=0)
-        for dof in np.flatnonzero(partly):
+        for dof in np.flatnonzero(gaps.any(axis=0) & ~gaps.all(axis=0)).tolist():
             there = ~gaps[:, dof]
             values[:, dof] = np.interp(seen.time, seen.time[there], values[there, dof])
-        if partly.any():
-            missing[quantity] = np.where(partly, gaps, False)
+            felt.append(Channel("", quantity, {dof: 1.0}, seen.time, values[:, dof], there=there))
     seen.force[:, unforced] = 0.0
     names = tuple(map(str, data["dof_name"].values)) if "dof_name" in data.coords else ()
     return Record(
         **seen.measurable, unforced=unforced, intersample=data.attrs["intersample"],
-        frame=data.attrs.get("frame", "absolute"), dofs=names, missing=missing,
+        frame=data.attrs.get("frame", "absolute"), dofs=names, felt=tuple(felt),
         responds=any(np.isfinite(getattr(seen, quantity)).any() for quantity in RESPONSE_QUANTITIES),
     )  # fmt: skip
 

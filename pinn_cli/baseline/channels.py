@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from torch import Tensor
 
 from pinn_cli.baseline.equations import Equations
-from pinn_cli.record.gauge import Gauge
+from pinn_cli.record.channel import Channel
 from pinn_cli.record.record import Record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.dynamics import Dynamics
@@ -22,12 +22,11 @@ ON_TIME = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Channel:
-    """One sensor: gain times what it feels, an offset and a drift.
+class ChannelRows:
+    """One channel: gain times what it feels, an offset and a drift.
 
     Attributes:
-        gauge: Which.
-        number: Its own among all gauges.
+        channel: Which.
         samples: Its noise by itself.
         feels: What it feels of the functions of time.
         shown: (N,), what it shows; 0 where it has no sample.
@@ -35,8 +34,7 @@ class Channel:
         since: (N,), time from which its drift counts, s.
     """
 
-    gauge: Gauge
-    number: int
+    channel: Channel
     samples: SensorSamples
     feels: Feels
     shown: np.ndarray
@@ -44,26 +42,27 @@ class Channel:
     since: np.ndarray
 
     @classmethod
-    def of(cls, gauge: Gauge, number: int, samples: SensorSamples, feels: Feels, time: np.ndarray) -> Channel:
-        """Of a gauge that :func:`check_gauges` passes, at the record's times (N,), s."""
-        place, off = _places(gauge, time)
+    def of(cls, samples: SensorSamples, feels: Feels, time: np.ndarray) -> ChannelRows:
+        """Of a channel that :func:`check_channels` passes, at the record's times (N,), s."""
+        channel = samples.channel
+        place, off = _places(channel, time)
         shown, there = np.zeros(len(time)), np.zeros(len(time), dtype=bool)
-        late = gauge.of("delay").value
+        late = channel.number("delay").value
         if off > ON_TIME:  # it misses no sample, and a spline through them tells what it shows between
-            shown[:] = gauge.history(time, {"gain": 1.0, "offset": 0.0, "drift": 0.0})
-            there[:] = (time + late >= gauge.time[0]) & (time + late <= gauge.time[-1])
+            shown[:] = channel.history(time, {"gain": 1.0, "offset": 0.0, "drift": 0.0})
+            there[:] = (time + late >= channel.time[0]) & (time + late <= channel.time[-1])
         else:
             inside = (place >= 0) & (place < len(time))
-            shown[place[inside]], there[place[inside]] = gauge.values[inside], True
-        return cls(gauge, number, samples, feels, np.where(there, shown, 0.0), there, time + late - gauge.start)
+            shown[place[inside]], there[place[inside]] = channel.measured[inside], True
+        return cls(channel, samples, feels, np.where(there, shown, 0.0), there, time + late - channel.start)
 
     def gain(self, parameters: Mapping[str, Tensor]) -> float:
         """Of what it shows over what it feels."""
-        return float(parameters["gain"][self.number])
+        return float(parameters["gain"][self.channel.index])
 
     def residual(self, jet: Jet, parameters: Mapping[str, Tensor]) -> np.ndarray:
         """(N,), what it shows minus what it would show of functions (N, F); 0 where it has no sample."""
-        offset, drift = (float(parameters[kind][self.number]) for kind in ("offset", "drift"))
+        offset, drift = (float(parameters[kind][self.channel.index]) for kind in ("offset", "drift"))
         felt = self.feels.value(jet, parameters).numpy()
         residual: np.ndarray = self.shown - (self.gain(parameters) * felt + offset + drift * self.since)
         return residual * self.there
@@ -87,29 +86,25 @@ class Channel:
         for column, (p, place) in enumerate(places, len(out[0]) - len(vector.moving)):
             if place in of_model:
                 out[:, column] += gain * p.prior_std * of_model[place].numpy()
-            if p.kind in own and p.index == self.number:
+            if p.kind in own and p.index == self.channel.index:
                 out[:, column] += p.prior_std * own[p.kind]
         return out * self.there[:, None]
 
 
-def gauges_of(record: Record, dynamics: Dynamics) -> list[tuple[Gauge, SensorSamples]]:
-    """Its gauges, and behind them its other columns: gauges about which nothing is in doubt."""
-    out = [(gauge, SensorSamples.of_gauge(gauge, record)) for gauge in record.gauges]
-    for quantity in dynamics.observed:
-        for channel in np.flatnonzero(record.sensors(quantity) & ~record.gauged(quantity)).tolist():
-            column = Gauge("", quantity, {channel: 1.0}, record.time, record.histories(quantity)[:, channel])
-            out.append((column, SensorSamples.of_column(record, quantity, channel)))
-    return out
+def channels_of(record: Record, dynamics: Dynamics) -> list[Channel]:
+    """Its calibrated channels, and behind them its other columns as if they were such, with nothing in doubt."""
+    plain = [record.column(q, i) for q in dynamics.observed for i in np.flatnonzero(record.plain(q)).tolist()]
+    return [replace(channel, index=index) for index, channel in enumerate((*record.calibrated, *plain))]
 
 
-def _places(gauge: Gauge, time: np.ndarray) -> tuple[np.ndarray, float]:
-    """The record's sample that every sample of a gauge is (J,), and how far they are off, in steps, at most."""
-    position = (gauge.time - gauge.of("delay").value - time[0]) / (time[1] - time[0])
+def _places(channel: Channel, time: np.ndarray) -> tuple[np.ndarray, float]:
+    """The record's sample that every sample of a channel is (J,), and how far they are off, in steps, at most."""
+    position = (channel.time - channel.number("delay").value - time[0]) / (time[1] - time[0])
     place = np.rint(position).astype(np.int64)
     return place, float(np.abs(position - place).max())
 
 
-def check_gauges(record: Record, name: str) -> None:
+def check_channels(record: Record, name: str) -> None:
     """Refuse sensors that the smoother has no rows for.
 
     Args:
@@ -119,19 +114,19 @@ def check_gauges(record: Record, name: str) -> None:
     Raises:
         InputError: A delay in doubt, a filter, samples between the record's times.
     """
-    for gauge in record.gauges:
-        reason = _unfit(gauge, record)
+    for channel in record.calibrated:
+        reason = _unfit(channel, record)
         if reason:
             allowed, why = reason
-            raise InputError("baseline", name, f"none where {allowed}", f"channel {gauge.name} {why}")
+            raise InputError("baseline", name, f"none where {allowed}", f"channel {channel.key} {why}")
 
 
-def _unfit(gauge: Gauge, record: Record) -> tuple[str, str] | None:
-    if not gauge.of("delay").is_known:
+def _unfit(channel: Channel, record: Record) -> tuple[str, str] | None:
+    if not channel.number("delay").is_known:
         return "a delay is in doubt", "is such: the smoother knows the motion at samples only"
-    if gauge.filter_order:
+    if channel.filter_order:
         return "a sensor is behind a filter", "is such: the smoother has no state of it"
-    whole = gauge.even_step is not None and gauge.even_step < (1.0 + ON_TIME) * record.step
-    if not whole and _places(gauge, record.time)[1] > ON_TIME:
+    whole = channel.even_step is not None and channel.even_step < (1.0 + ON_TIME) * record.step
+    if not whole and _places(channel, record.time)[1] > ON_TIME:
         return "samples lie between the record's times", "is such"
     return None

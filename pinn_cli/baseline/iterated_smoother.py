@@ -169,7 +169,7 @@ class IteratedSmoother:
         space = self.space
         out = np.zeros(filtered.mean.shape[2] - 1)
         gains = {p.index: i for i, p in enumerate(space.problem.uncertain) if p.kind == "gain" and not self.held[i]}
-        rows = {row: gains[s.number] for row, s in enumerate(space.sensors) if s.number in gains}
+        rows = {row: gains[s.channel.index] for row, s in enumerate(space.sensors) if s.channel.index in gains}
         if not rows:
             return out
         covariance, parameters = filtered.posterior()[0], space.parameters(trajectory)

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.sparse import csr_matrix
 
-from pinn_cli.baseline.channels import check_gauges
+from pinn_cli.baseline.channels import check_channels
 from pinn_cli.baseline.iterated_smoother import IteratedSmoother, Pass
 from pinn_cli.baseline.noise_levels import most_probable, stiffened, widened
 from pinn_cli.baseline.state_space import StateSpace
@@ -143,7 +143,7 @@ class KalmanSmoother(Estimator):
         if any(p.kind == FACTOR for p in problem.uncertain):
             hint = "the coordinates of a finite-element model follow the factors, and the smoother's stay what they are"
             raise InputError("baseline", self.name, "none where factors of parts are in doubt", hint)
-        check_gauges(problem.record, self.name)
+        check_channels(problem.record, self.name)
 
     def solve(self, problem: JointProblem, run: RunContext) -> Estimate:
         """See :meth:`Estimator.solve`."""

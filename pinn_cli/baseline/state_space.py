@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import block_diag
 
-from pinn_cli.baseline.channels import Channel, gauges_of
+from pinn_cli.baseline.channels import ChannelRows, channels_of
 from pinn_cli.baseline.equations import Equations
 from pinn_cli.baseline.linear_gaussian import LinearGaussian
 from pinn_cli.record.between_samples import between_samples
@@ -123,13 +123,13 @@ class StateSpace:
         self.problem, record = problem, problem.record
         self.step, self.inputs = record.step, inputs_of(problem.structure, record)
         self.dynamics = problem.dynamics if problem.inputs == self.inputs else Dynamics(problem.structure, self.inputs)
-        gauges = gauges_of(record, self.dynamics)
-        numbers = {kind: values.numpy() for kind, values in calibrations([gauge for gauge, _ in gauges]).items()}
+        channels = channels_of(record, self.dynamics)
+        numbers = {kind: values.numpy() for kind, values in calibrations(channels).items()}
         self.prescribed = problem.structure.parameters_like(np.empty(0)) | numbers
         self.vector = ParameterVector(self.prescribed, problem.uncertain)
         self.sensors = [
-            Channel.of(gauge, number, samples, felt_by(gauge, number, self.dynamics, self.vector), record.time)
-            for number, (gauge, samples) in enumerate(gauges)
+            ChannelRows.of(SensorSamples(one, record), felt_by(one, self.dynamics, self.vector), record.time)
+            for one in channels
         ]
         self.there = np.stack([sensor.there for sensor in self.sensors], axis=1)
         self.force_scale, self.velocity_scale = force_and_velocity_scale(problem)
@@ -137,7 +137,7 @@ class StateSpace:
         self.measured = np.zeros(self.dynamics.size, dtype=bool)
         if not self.dynamics.structure.is_modal and not self.inputs.loads:  # otherwise they are functions
             self.measured[: record.ndof] = record.sensors(FORCE)
-        self.cells = [SensorSamples.of_column(record, FORCE, int(dof)) for dof in np.flatnonzero(self.measured)]
+        self.cells = [SensorSamples(record.column(FORCE, int(dof)), record) for dof in np.flatnonzero(self.measured)]
         self.sources = self._sources()
         equations = self.equations(self.prescribed)
         self.size, self.second = equations.size, equations.second
@@ -194,7 +194,7 @@ class StateSpace:
         where it would take all noise for itself.
         """
         of_sensors = [
-            sensor.samples.shown if self.inputs.forces or sensor.gauge.quantity == FORCE else 0.0
+            sensor.samples.shown if self.inputs.forces or sensor.channel.quantity == FORCE else 0.0
             for sensor in self.sensors
         ]
         shown = [*of_sensors, 0.0, *(cell.shown for cell in self.cells)]

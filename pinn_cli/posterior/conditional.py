@@ -31,6 +31,6 @@ class Conditional(Marginal):
 
     def check(self, problem: Problem) -> None:
         """See :meth:`Posterior.check`: the force that a held motion takes says nothing about a sensor."""
-        if problem.record.gauges:
+        if problem.record.calibrated:
             allowed = "marginal or laplace where samples are missing or a sensor is in doubt"
-            raise InputError("posterior", self.name, allowed, f"channel {problem.record.gauges[0].name} is such")
+            raise InputError("posterior", self.name, allowed, f"channel {problem.record.calibrated[0].key} is such")

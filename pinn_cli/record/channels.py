@@ -1,24 +1,21 @@
-"""The channels of a record, one sensor each: their band, how large the motion is, what a sensor has not followed."""
+"""The channels of a record: their band, how large the motion is, what a sensor has not followed."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from pinn_cli.record.gauge import Gauge
+from pinn_cli.record.channel import Channel
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import MEASURED_QUANTITIES, QUANTITIES, RESPONSE_QUANTITIES, Response
+from pinn_cli.record.response import MEASURED_QUANTITIES, QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import LOWEST_BINS, USABLE_NYQUIST_FRACTION, periodogram, signal_band, visible_floor
 from pinn_cli.system.quantities import GROUND, SUPPORT
 
 # Part of a channel's spread, or of whatever else is estimated, to which it is known at best: below it rounding and the
 # splines' own error rule.
 FINEST_KNOWN = 1e-6
-# The DOF of the ground's channel, counted from 0; a reader, who counts from 1, sees it as 0.
-GROUND_DOF = -1
 # Equal samples in a row that noise and a converter's steps do not explain; and samples at an extreme value that may be
 # there by chance.
 CONSTANT_RUN, AT_EXTREME_BY_CHANCE = 8, 2
@@ -28,118 +25,23 @@ CONSTANT_RUN, AT_EXTREME_BY_CHANCE = 8, 2
 MAINS, LINE_PARTS, STEADY_LINE, FAINT, LEAST_HUM = (50.0, 60.0), 8, 50.0, 10.0, 0.05
 
 
-@dataclass(frozen=True, eq=False)
-class Channel:
-    """One sensor and what it measured.
-
-    Attributes:
-        quantity: displacement, velocity, acceleration, force, ground_acceleration, or that of a support.
-        dof: Counted from 0; `GROUND_DOF` of the ground; of a support its number.
-        measured: (N,), in the quantity's unit.
-        label: What the user calls the DOF; "": its number.
-        there: (N,) bool, where a sample was measured; None: everywhere.
-        gauge: Where it is no column: what it feels; its number among the record's gauges is then the DOF.
-    """
-
-    quantity: str
-    dof: int
-    measured: np.ndarray
-    label: str = ""
-    there: np.ndarray | None = None
-    gauge: Gauge | None = None
-
-    @property
-    def name(self) -> str:
-        """See :func:`named`."""
-        return named(self.quantity, self.where) if self.gauge is None else sensor_name(self.gauge)
-
-    @property
-    def where(self) -> str:
-        """Name of the DOF or of the sensor, or the DOF's number, counted from 1."""
-        return self.label or str(self.dof + 1)
-
-    @property
-    def place(self) -> tuple[str, int]:
-        """Quantity and column among those of the quantity, from 0."""
-        return self.quantity, max(self.dof, 0)
-
-    @property
-    def setting(self) -> str:
-        """Where a user gave it: ``data.acceleration, DOF 3``."""
-        if self.gauge is not None:
-            return f"data.channels.{self.where}"
-        if self.quantity in SUPPORT:
-            return f"data.channels, {self.name}"
-        return f"data.{GROUND}" if self.quantity == GROUND else f"data.{self.quantity}, DOF {self.where}"
-
-    @property
-    def order(self) -> int:
-        """How often the displacement is differentiated."""
-        quantity = SUPPORT.get(self.quantity, self.quantity)
-        return RESPONSE_QUANTITIES.index("acceleration" if quantity == GROUND else quantity)
-
-    def sampled(self, values: np.ndarray) -> np.ndarray:
-        """Those of the values (N,) that belong to a sample."""
-        return values if self.there is None else values[self.there]
-
-    def of(self, response: Response) -> np.ndarray:
-        """The same quantity of the same DOF in a response, (N,); NaN where it has none of ground or support."""
-        if self.gauge is not None:
-            return self.gauge.felt_in(response)
-        if self.quantity in SUPPORT:
-            moved = response.supports
-            return np.full(len(response.time), np.nan) if moved is None else moved[:, self.order, self.dof]
-        values: np.ndarray | None = getattr(response, self.quantity)
-        if self.quantity == GROUND:
-            return np.full(len(response.time), np.nan) if values is None else values
-        assert values is not None
-        return np.asarray(values[:, self.dof])
-
-
-def named(quantity: str, where: str) -> str:
-    """A channel as sentences have it: ``acceleration of DOF 3``, ``ground acceleration``."""
-    if quantity in SUPPORT:
-        return f"{SUPPORT[quantity]} of support {where}"
-    return "ground acceleration" if quantity == GROUND else f"{quantity} of DOF {where}"
-
-
-def sensor_name(gauge: Gauge) -> str:
-    """The same of a sensor that fills no column: ``displacement of sensor eps``."""
-    return f"{gauge.quantity} of sensor {gauge.name}"
-
-
-def channel_name(record: Record, quantity: str, number: int) -> str:
-    """The same of a column of a record; its number is counted from 0."""
-    return named(quantity, _label(record, quantity, number))
-
-
-def _label(record: Record, quantity: str, number: int) -> str:
-    return record.support_names[number] if quantity in SUPPORT else record.dof_name(number)
-
-
 def channels(
     record: Record, quantities: Sequence[str] = RESPONSE_QUANTITIES, excused: Sequence[str] = ()
 ) -> list[Channel]:
-    """Every sensor of a record, quantity by quantity, the ground's last; a force that is known to be zero is none."""
+    """Columns of a record, quantity by quantity, the ground's last; a force that is known to be zero is none."""
     asked = [quantity for quantity in quantities if quantity in QUANTITIES]
     asked += [quantity for quantity in record.supports if quantity in quantities]
+    asked += [GROUND] if GROUND in quantities and record.ground_acceleration is not None else []
     every = [
-        Channel(quantity, i, record.histories(quantity)[:, i], _label(record, quantity, i), record.there(quantity, i))
-        for quantity in asked
-        for i in np.flatnonzero(record.sensors(quantity)).tolist()
+        record.column(quantity, i) for quantity in asked for i in np.flatnonzero(record.sensors(quantity)).tolist()
     ]
-    if GROUND in quantities and record.ground_acceleration is not None:
-        every.append(Channel(GROUND, GROUND_DOF, record.ground_acceleration, there=record.there(GROUND, 0)))
     return [channel for channel in every if channel.name not in excused]
 
 
 def every_channel(record: Record, quantities: Sequence[str] = MEASURED_QUANTITIES) -> list[Channel]:
-    """The same, and behind them sensors that fill no column: of sums, of connections, a second one of a kind."""
+    """The same, and behind them sensors that have no column: of sums, of connections, a second one of a kind."""
     return channels(record, quantities) + [
-        Channel(gauge.quantity, number, column, gauge.name, there, gauge)
-        for number, gauge in enumerate(record.gauges)
-        if gauge.name in record.beside and np.isfinite(column := record.beside[gauge.name][0]).all()
-        for there in [record.beside[gauge.name][1]]
+        channel for channel in record.felt if not channel.is_column and np.isfinite(channel.measured).all()
     ]
 
 

@@ -16,8 +16,7 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from pinn_cli.record.channels import Channel
-from pinn_cli.record.gauge import Gauge
+from pinn_cli.record.channel import Channel
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import lowest_level
 from pinn_cli.system.quantities import FORCE, GROUND
@@ -99,7 +98,7 @@ class CrossSpectra(Generic[S]):
         """Of channels of a record, averaged over groups of neighbouring lines of its whole spectrum.
 
         Args:
-            record: Whose gauges may miss samples.
+            record: Whose channels may miss samples.
             sensors: Of the response.
             acting: What acts.
             edges: First line of every group, and the line behind the last one.
@@ -115,10 +114,10 @@ class CrossSpectra(Generic[S]):
             sums: np.ndarray = np.add.reduceat(lines[: edges[-1]], edges[:-1], axis=0)
             return sums / size.reshape(-1, *[1] * (lines.ndim - 1))
 
-        gaps = {(g.quantity, g.dof): g for g in record.gauges if g.dof is not None and misses_samples(g, record)}
+        gaps = {own.place: own for own in record.calibrated if misses_samples(own, record)}
         if references and gaps.keys() & {channel.place for channel in channels}:
             samples = [
-                Samples.of_gauge(gaps[channel.place], record, window)
+                Samples.at_own_times(gaps[channel.place], record, window)
                 if channel.place in gaps
                 else Samples.of_column(channel.measured, window)
                 for channel in channels
@@ -247,14 +246,14 @@ def band_edges(first: int, stop: int, most: int | None = None) -> list[int]:
         resolution *= 1.5
 
 
-def misses_samples(gauge: Gauge, record: Record) -> bool:
-    """Whether the column of a gauge shows more than its samples do.
+def misses_samples(channel: Channel, record: Record) -> bool:
+    """Whether the column of a calibrated channel shows more than its samples do.
 
     A load cell whose own samples are even is not counted: nothing better is known than that its band ends where these
     can follow it.
     """
-    step = gauge.even_step
-    return step is None or (step > MISSES_NONE * record.step and gauge.quantity not in (FORCE, GROUND))
+    step = channel.even_step
+    return step is None or (step > MISSES_NONE * record.step and channel.quantity not in (FORCE, GROUND))
 
 
 def _lines(values: np.ndarray, window: np.ndarray) -> np.ndarray:
@@ -283,10 +282,10 @@ class Samples:
         return cls(_doubled((column - column.mean()) * window), _doubled(window), window)
 
     @classmethod
-    def of_gauge(cls, gauge: Gauge, record: Record, window: np.ndarray) -> Samples:
-        """Of a gauge, as it is believed to be calibrated, at its own times."""
+    def at_own_times(cls, channel: Channel, record: Record, window: np.ndarray) -> Samples:
+        """Of a channel, as it is believed to be calibrated, at its own times."""
         count = len(window)
-        felt_at, felt = gauge.calibrated()
+        felt_at, felt = channel.calibrated()
         position = (felt_at - record.time[0]) / record.step
         place = np.rint(position).astype(np.int64)
         inside = (place >= 0) & (place < count)

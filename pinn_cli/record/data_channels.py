@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.record.gauge import Calibration, Gauge, unknown_calibration
+from pinn_cli.record.channel import Calibration, Channel, unknown_calibration
 from pinn_cli.record.own_sensor import as_channel
 from pinn_cli.record.units import si_factor
 from pinn_cli.settings.errors import InputError, suggestion
@@ -105,7 +105,7 @@ class DataChannel:
             return values if self.factor == 1.0 else self.factor * values
         return np.asarray(self.factor * (values - offset - drift * (time - time[0])) / gain)
 
-    def gauge(self, time: np.ndarray, values: np.ndarray, connections: Sequence[str], fills: bool) -> Gauge:
+    def with_samples(self, time: np.ndarray, values: np.ndarray, connections: Sequence[str], fills: bool) -> Channel:
         """A sensor with samples of its own.
 
         Args:
@@ -131,7 +131,7 @@ class DataChannel:
             raise InputError(f"{self.setting}.delay", late.value, allowed, "delays are in s")
         connection = -1 if self.connection is None else self._connection(connections)
         order = self.filter_order if HIGH_PASS in calibration else 0
-        return Gauge(self.name, self.sensor, self.weights, time, shown, calibration, connection, fills, order)
+        return Channel(self.name, self.sensor, self.weights, time, shown, calibration, connection, fills, order)
 
     def _connection(self, connections: Sequence[str]) -> int:
         if self.connection in connections:

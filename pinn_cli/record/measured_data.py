@@ -13,11 +13,11 @@ import numpy as np
 
 from pinn_cli.record.arriving import Arriving
 from pinn_cli.record.between_samples import BETWEEN_SAMPLES, FIRST_ORDER_HOLD
+from pinn_cli.record.channel import Channel
 from pinn_cli.record.clock import TIME_UNITS, Clock, MeasuredFiles
 from pinn_cli.record.data_channels import DataChannel, data_channels
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.file_format import FileFormat
-from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Measurements, Record, Truth, check_frame, dof_mask
 from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.record.sampled import Sampled, sampled
@@ -153,9 +153,9 @@ class MeasuredData:
             elif quantity != GROUND:
                 hidden = quantity in RESPONSE_QUANTITIES and dof in self.holdout
                 getattr(truth if hidden else seen, quantity)[:, dof - 1] = column
-        for gauge in found.gauges:
-            if gauge.quantity in RESPONSE_QUANTITIES and gauge.dof is not None and gauge.dof + 1 in self.holdout:
-                getattr(truth, gauge.quantity)[:, gauge.dof] = _scored_by(gauge, time, self.holdout)
+        for own in found.calibrated:
+            if own.quantity in RESPONSE_QUANTITIES and own.is_column and own.dof + 1 in self.holdout:
+                getattr(truth, own.quantity)[:, own.dof] = _scored_by(own, time, self.holdout)
         seen = replace(seen, ground_acceleration=found.columns.get((GROUND, 0)))
         record = Record(
             **seen.measurable,
@@ -163,7 +163,7 @@ class MeasuredData:
             intersample=found.intersample,
             assumed=found.assumed,
             frame=self.frame,
-            gauges=_not_held_out(found.gauges, self.holdout),
+            calibrated=_not_held_out(found.calibrated, self.holdout),
             responds=self.responds,
             band=found.band,
             supports=supports,
@@ -340,26 +340,26 @@ def _checked_holdout(holdout: Any) -> tuple[int, ...]:
     return tuple(dict.fromkeys(int(dof) for dof in dofs))
 
 
-def _not_held_out(gauges: Sequence[Gauge], holdout: Sequence[int]) -> tuple[Gauge, ...]:
-    """The gauges that an estimator may see, without any that feels a DOF which is held out and no other."""
+def _not_held_out(calibrated: Sequence[Channel], holdout: Sequence[int]) -> tuple[Channel, ...]:
+    """The channels that an estimator may see, without any that feels a DOF which is held out and no other."""
     dofs = {dof - 1 for dof in holdout}
-    held = [gauge for gauge in gauges if gauge.quantity in RESPONSE_QUANTITIES and dofs & set(gauge.weights)]
-    for gauge in held:
-        if not gauge.feels_one:
+    held = [own for own in calibrated if own.quantity in RESPONSE_QUANTITIES and dofs & set(own.weights)]
+    for channel in held:
+        if not channel.feels_one:
             allowed = "DOFs whose every channel measures that DOF alone"
-            raise InputError("data.holdout", list(holdout), allowed, f"channel {gauge.name} feels others too")
-    return tuple(gauge for gauge in gauges if gauge not in held)
+            raise InputError("data.holdout", list(holdout), allowed, f"channel {channel.key} feels others too")
+    return tuple(channel for channel in calibrated if channel not in held)
 
 
-def _scored_by(gauge: Gauge, time: np.ndarray, holdout: Sequence[int]) -> np.ndarray:
+def _scored_by(channel: Channel, time: np.ndarray, holdout: Sequence[int]) -> np.ndarray:
     """What a sensor that is held out knows of the truth (N,), by a known calibration; NaN where it has no sample."""
-    at, felt = gauge.calibrated()
+    at, felt = channel.calibrated()
     step = (time[-1] - time[0]) / (len(time) - 1)
     place = np.rint((at - time[0]) / step).astype(np.int64)
-    known = all(gauge.of(kind).is_known for kind in gauge.calibration)
-    if not known or gauge.of("delay").value or np.abs(at - time[0] - place * step).max() > OFF * step:
+    known = all(channel.number(kind).is_known for kind in channel.calibration)
+    if not known or channel.number("delay").value or np.abs(at - time[0] - place * step).max() > OFF * step:
         allowed = "DOFs whose channels have a known calibration, no delay, and samples at even times"
-        raise InputError("data.holdout", list(holdout), allowed, f"nothing else scores channel {gauge.name}")
+        raise InputError("data.holdout", list(holdout), allowed, f"nothing else scores channel {channel.key}")
     truth = np.full(len(time), np.nan)
     truth[place] = felt
     return truth

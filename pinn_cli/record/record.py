@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from pinn_cli.record.between_samples import INTERSAMPLE, Intersample
-from pinn_cli.record.gauge import Gauge
+from pinn_cli.record.channel import Channel, clock_rounding
 from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, Repeats, Response
 from pinn_cli.record.spectrum import BandPass, level_at_end
 from pinn_cli.settings.errors import InputError
@@ -45,18 +45,15 @@ class Record:
         simulated: Whether a simulation of the configured structure made it. What is prescribed for an unknown parameter
             is then the truth, and to be forgotten; of a measured record it is what the user knows.
         dofs: What the user calls the DOFs, n names; empty: they go by their numbers.
-        gauges: Sensors that take more to describe than a column. One of a single DOF fills its column as well, as it is
-            believed to be calibrated and by straight lines where samples are missing: for orders of magnitude, spectra
-            and figures. What it says is in its own samples (:meth:`gauged`).
-        missing: Quantity to (N, channels) bool, where a column shows something else for want of a sample, once that is
-            known; none where every sample is one.
+        calibrated: Channels with samples or a calibration of their own. One of a single DOF has a column as well, as it
+            is believed to be calibrated and by straight lines where samples are missing: for orders of magnitude,
+            spectra and figures. What it says is in its own samples. All other columns are channels as they stand.
+        felt: The same as they felt at the record's times, once that is known.
         responds: Whether a response was measured; otherwise it is what acts on a structure, and no more.
         supports: Name in :data:`pinn_cli.system.quantities.SUPPORT` to (N, S), what was measured of the motion of the
             structure's S supports; a column of NaN where it was not.
         support_names: What the user calls them.
         band: The filter that all channels went through; None: they are as measured.
-        beside: Name of a gauge that fills no column to what it felt at the record's times (N,), and to where it has a
-            sample there (N,) bool, once that is known.
         supports_begin: (2, S), displacement and velocity of the supports at the first sample, which no accelerometer
             tells; None: rest.
 
@@ -78,14 +75,13 @@ class Record:
     ground_acceleration: np.ndarray | None = None
     frame: Frame = "absolute"
     dofs: tuple[str, ...] = ()
-    gauges: tuple[Gauge, ...] = ()
-    missing: Mapping[str, np.ndarray] = field(default_factory=dict)
+    calibrated: tuple[Channel, ...] = ()
+    felt: tuple[Channel, ...] = ()
     responds: bool = True
     supports: Mapping[str, np.ndarray] = field(default_factory=dict)
     support_names: tuple[str, ...] = ()
     supports_begin: np.ndarray | None = None
     band: BandPass | None = None
-    beside: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("time", *QUANTITIES):
@@ -97,8 +93,10 @@ class Record:
         self._check_time()
         self._check_columns()
         self._check_ground()
-        felt = self.observed.any() or any(gauge.quantity in RESPONSE_QUANTITIES for gauge in self.gauges)
-        if self.responds and not felt:
+        numbered = (replace(c, index=i, label=self._label(c)) for i, c in enumerate(self.calibrated))
+        object.__setattr__(self, "calibrated", tuple(numbered))
+        of_others = [channel for channel in self.calibrated if channel.quantity in RESPONSE_QUANTITIES]
+        if self.responds and not self.observed.any() and not of_others:
             raise InputError("record", "no response sensor", "one with a displacement, velocity or acceleration sensor")
 
     def _check_time(self) -> None:
@@ -106,9 +104,7 @@ class Record:
             raise ValueError(f"time has shape {self.time.shape}; it must be ({MINIMUM_SAMPLES} or more,)")
         if not np.all(np.isfinite(self.time)) or self.step <= 0:
             raise ValueError("time must be finite and grow")
-        # Clock times since 1970 have few digits left for the step: allow them their rounding.
-        rounding = 4.0 * float(np.spacing(np.max(np.abs(self.time))))
-        if np.ptp(np.diff(self.time)) > 1e-6 * self.step + rounding:
+        if np.ptp(np.diff(self.time)) > 1e-6 * self.step + clock_rounding(self.time):
             raise ValueError("time must grow by one constant step")
 
     def _check_columns(self) -> None:
@@ -187,33 +183,39 @@ class Record:
         columns = (self.histories(q)[:, self.sensors(q)].T for q in (*self.response_quantities, FORCE))
         return all(level_at_end(column, self.step) is not None for every in columns for column in every if column.any())
 
-    def gauged(self, quantity: str) -> np.ndarray:
-        """(channels,) bool: those whose column only shows what a gauge is believed to have measured."""
-        gauged = np.zeros(self.histories(quantity).shape[1], dtype=bool)
-        gauged[[g.dof for g in self.gauges if g.quantity == quantity and g.dof is not None]] = True
-        return gauged
+    def _label(self, channel: Channel) -> str:
+        names = self.support_names if channel.quantity in SUPPORT else self.dofs
+        return names[channel.dof] if names and channel.weights else ""
 
-    def there(self, quantity: str, channel: int) -> np.ndarray | None:
-        """(N,) bool, where a channel has a sample; None: everywhere, as far as is known."""
-        missing = self.missing.get(quantity)
-        return None if missing is None or not missing[:, channel].any() else ~missing[:, channel]
+    def column(self, quantity: str, number: int) -> Channel:
+        """One column as a channel about which nothing is in doubt; its number is counted from 0."""
+        weights = {} if quantity == GROUND else {number: 1.0}
+        channel = Channel("", quantity, weights, self.time, self.histories(quantity)[:, number])
+        there = next((own.there for own in self.felt if own.place == channel.place), None)
+        return replace(channel, label=self._label(channel), there=there)
+
+    def plain(self, quantity: str) -> np.ndarray:
+        """(channels,) bool: the sensors whose column is all that there is of them."""
+        plain = self.sensors(quantity)
+        plain[[c.place[1] for c in self.calibrated if c.place[0] == quantity]] = False
+        return plain
+
+    def showing(self, felt: Iterable[Channel]) -> Record:
+        """The record whose columns show other histories of its calibrated channels, these (N,) at its times."""
+        columns: dict[str, Any] = {}
+        for channel in (channel for channel in felt if channel.is_column):
+            quantity, number = channel.place
+            columns.setdefault(quantity, self.histories(quantity).copy())[:, number] = channel.measured
+        if GROUND in columns:
+            columns[GROUND] = columns[GROUND][:, 0]
+        return replace(self, **columns)
 
     def started_at(self, calibrations: Mapping[str, Mapping[str, float]]) -> Record:
-        """The record whose gauges' unknown numbers start elsewhere; its columns show what they then say."""
-        if not {gauge.name for gauge in self.gauges} & set(calibrations):
+        """The record whose channels' unknown numbers start elsewhere; its columns show what they then say."""
+        if not {channel.key for channel in self.calibrated} & set(calibrations):
             return self
-        gauges = tuple(gauge.started_at(calibrations.get(gauge.name, {})) for gauge in self.gauges)
-        columns: dict[str, Any] = {
-            name: np.array(getattr(self, name)) for name in {g.quantity for g in gauges if g.dof is not None}
-        }
-        for gauge in gauges:
-            if gauge.dof is not None:
-                shown = gauge.history(self.time)
-                if gauge.quantity == GROUND:
-                    columns[GROUND] = shown
-                else:
-                    columns[gauge.quantity][:, gauge.dof] = shown
-        return replace(self, gauges=gauges, **columns)
+        again = tuple(channel.started_at(calibrations.get(channel.key, {})) for channel in self.calibrated)
+        return replace(self, calibrated=again).showing(c.at(self.time, c.history(self.time)) for c in again)
 
     @property
     def observed(self) -> np.ndarray:
@@ -238,14 +240,14 @@ class Record:
             kept = dof_mask(dofs_by_quantity.get(quantity, ()), self.ndof)
             return np.where(kept, getattr(self, quantity), np.nan)
 
-        def stays(gauge: Gauge) -> bool:
-            return gauge.quantity not in RESPONSE_QUANTITIES or all(
-                dof + 1 in dofs_by_quantity.get(gauge.quantity, ()) for dof in gauge.weights
+        def stays(channel: Channel) -> bool:
+            return channel.quantity not in RESPONSE_QUANTITIES or all(
+                dof + 1 in dofs_by_quantity.get(channel.quantity, ()) for dof in channel.weights
             )
 
         return replace(
             self,
-            gauges=tuple(gauge for gauge in self.gauges if stays(gauge)),
+            calibrated=tuple(filter(stays, self.calibrated)),
             displacement=blanked("displacement"),
             velocity=blanked("velocity"),
             acceleration=blanked("acceleration"),
@@ -253,8 +255,8 @@ class Record:
 
     def without_load_cells(self) -> Record:
         """The record in which the force on every forced DOF is unknown."""
-        gauges = tuple(gauge for gauge in self.gauges if gauge.quantity != "force")
-        return replace(self, force=np.where(self.unforced, self.force, np.nan), gauges=gauges)
+        others = tuple(channel for channel in self.calibrated if channel.quantity != FORCE)
+        return replace(self, force=np.where(self.unforced, self.force, np.nan), calibrated=others)
 
     def carried_by(self, motion: np.ndarray, first: int = 0) -> Record:
         """The record under another motion (N, 3, S) of the supports, for what begins at a sample."""
@@ -276,9 +278,8 @@ class Record:
             left = samples / repeats.samples
             repeats = replace(repeats, samples=samples, square={q: left * s for q, s in repeats.square.items()})
         ends = float(histories["time"][0]) if first else -np.inf, float(histories["time"][-1])
-        gauges = tuple(gauge.between(*ends) for gauge in self.gauges)
-        gauges = tuple(gauge for gauge in gauges if len(gauge.time))
-        return replace(self, **histories, repeats=repeats, gauges=gauges, supports=supports)
+        calibrated = tuple(own for channel in self.calibrated if len((own := channel.between(*ends)).time))
+        return replace(self, **histories, repeats=repeats, calibrated=calibrated, felt=(), supports=supports)
 
 
 @dataclass(frozen=True, eq=False)

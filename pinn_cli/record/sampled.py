@@ -1,4 +1,4 @@
-"""From the channels of a file to columns of a record, and to gauges where a column cannot hold what they say."""
+"""From the channels of a file to columns of a record, and to more where a column cannot hold what they say."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pinn_cli.record.between_samples import FIRST_ORDER_HOLD, Intersample, held_by_lines, samples_per_line
+from pinn_cli.record.channel import Channel
 from pinn_cli.record.clock import TIME_TOLERANCE, Clock
 from pinn_cli.record.data_channels import DataChannel
-from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import MINIMUM_SAMPLES
 from pinn_cli.record.spectrum import BandPass, decimate
 from pinn_cli.settings.errors import InputError
@@ -29,8 +29,8 @@ class Sampled:
 
     Attributes:
         time: (N,), s, uniform: the times of the columns.
-        columns: Quantity and DOF, counted from 1, to samples (N,); those of gauges as they are believed to be.
-        gauges: Channels with samples of their own.
+        columns: Quantity and DOF, counted from 1, to samples (N,); some as they are believed to be.
+        calibrated: Channels with samples or a calibration of their own.
         intersample: How the columns of what acts behave between their samples.
         assumed: Whether nobody said so, and nothing shows it.
         band: What all channels are filtered by.
@@ -38,7 +38,7 @@ class Sampled:
 
     time: np.ndarray
     columns: Mapping[tuple[str, int], np.ndarray]
-    gauges: tuple[Gauge, ...]
+    calibrated: tuple[Channel, ...]
     intersample: Intersample
     assumed: bool
     band: BandPass | None
@@ -54,7 +54,7 @@ def sampled(
 ) -> Sampled:
     """The channels of a window of a file.
 
-    Where all times are even, a channel without gaps whose calibration is known is a column. All others are gauges.
+    Where all times are even, a channel without gaps whose calibration is known is a column, and nothing else.
 
     Args:
         channels: Of the file.
@@ -145,8 +145,8 @@ def _on_lines(
 
 def _placed(
     channels: Sequence[DataChannel], time: np.ndarray, values: list[np.ndarray], even: bool, connections: Sequence[str]
-) -> tuple[np.ndarray, dict[tuple[str, int], np.ndarray], tuple[Gauge, ...]]:
-    """Times (N,), columns and gauges, see :class:`Sampled`."""
+) -> tuple[np.ndarray, dict[tuple[str, int], np.ndarray], tuple[Channel, ...]]:
+    """Times (N,), columns and calibrated channels, see :class:`Sampled`."""
     columns: dict[tuple[str, int], np.ndarray] = {}
     rest: list[tuple[DataChannel, np.ndarray]] = []
     axis = time if even else _even_axis(time, values)
@@ -159,16 +159,16 @@ def _placed(
             raise InputError(channel.setting, repr(channel.column), allowed)
         else:
             rest.append((channel, column))
-    gauges: list[Gauge] = []
+    calibrated: list[Channel] = []
     for channel, column in rest:
         there = ~np.isnan(column)
         fills = channel.place is not None and channel.place not in columns
-        gauge = channel.gauge(time[there], column[there], connections, fills)
-        gauges.append(gauge)
+        own = channel.with_samples(time[there], column[there], connections, fills)
+        calibrated.append(own)
         if channel.place is not None and fills:
-            columns[channel.place] = gauge.history(axis)
+            columns[channel.place] = own.history(axis)
         _tell(channel, column, time)
-    return axis, columns, tuple(gauges)
+    return axis, columns, tuple(calibrated)
 
 
 def _fills(axis: np.ndarray, time: np.ndarray) -> bool:

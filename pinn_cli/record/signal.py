@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pinn_cli.record.channels import named
+from pinn_cli.record.channel import named
 from pinn_cli.record.cross_spectra import CrossSpectra
 from pinn_cli.record.files.table import bare
 from pinn_cli.record.record import MINIMUM_SAMPLES

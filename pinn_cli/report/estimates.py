@@ -156,7 +156,10 @@ def observed(record: Record, quantity: str) -> np.ndarray:
     """(N, C), what sensors measured; NaN where there is none, and where one has no sample."""
     # A force that is known to be zero is 0 in the record; nobody has measured it.
     shown = np.where(record.sensors(quantity), record.histories(quantity), np.nan)
-    return np.where(record.missing[quantity], np.nan, shown) if quantity in record.missing else shown
+    for channel in record.felt:
+        if channel.place[0] == quantity and channel.there is not None:
+            shown[~channel.there, channel.place[1]] = np.nan
+    return shown
 
 
 def drifts(structure: Structure, estimate: Estimate, truth: Response) -> Histories:

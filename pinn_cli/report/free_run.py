@@ -20,7 +20,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.channels import Channel, channels
+from pinn_cli.record.channel import Channel
+from pinn_cli.record.channels import channels
 from pinn_cli.record.ensemble import Members, affordable_members, spread_of
 from pinn_cli.record.free_run import NoFreeRunError, free_run_of, is_linear
 from pinn_cli.record.free_run import free_run as motion_of

@@ -131,12 +131,12 @@ def observed_digest(records: Iterable[Record]) -> str:
         digest.update(f"{record.intersample} {record.frame}".encode())
         add("unforced", record.unforced)
         for quantity in (*QUANTITIES, *record.response_quantities[len(RESPONSE_QUANTITIES) :]):
-            measured = record.sensors(quantity) & ~record.gauged(quantity)
+            measured = record.plain(quantity)
             add(quantity, measured)
             add(quantity, record.histories(quantity)[:, measured])
-        for gauge in record.gauges:
-            add(gauge.name, gauge.time)
-            add(gauge.quantity, gauge.values)
+        for channel in record.calibrated:
+            add(channel.key, channel.time)
+            add(channel.quantity, channel.measured)
     return digest.hexdigest()[:16]
 
 

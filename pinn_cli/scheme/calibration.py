@@ -13,13 +13,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pinn_cli.record.channels import Channel
+from pinn_cli.record.channel import DELAYS_ALLOWED, WIDEST_DELAY, Channel
 from pinn_cli.record.cross_spectra import CrossSpectra
-from pinn_cli.record.gauge import DELAYS_ALLOWED, WIDEST_DELAY, Gauge
 from pinn_cli.record.record import Record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.system.quantities import CALIBRATION_UNITS, HIGH_PASS, OF_ONE_CHANNEL, SUPPORT, UNITS
+from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE, HIGH_PASS, OF_ONE_CHANNEL, UNITS
 
 # Delays that are tried within one period of the highest frequency.
 PER_PERIOD = 8
@@ -40,43 +39,42 @@ def calibrated_starts(record: Record, starts: Mapping[Parameter, float]) -> Reco
 
 
 def sensor_parameters(record: Record) -> tuple[Parameter, ...]:
-    """The calibrations that are not known, of every gauge of a record.
+    """The calibrations that are not known, of every channel of a record.
 
     Raises:
         InputError: No gain is known. Motions, forces and the noise found can then all be larger or smaller together.
     """
-    gauges = record.gauges
-    plain = any((record.sensors(q) & ~record.gauged(q)).any() for q in (*record.response_quantities, "force"))
-    if gauges and not plain and not any(gauge.of("gain").is_known for gauge in gauges):
+    plain = any(record.plain(quantity).any() for quantity in (*record.response_quantities, FORCE))
+    if record.calibrated and not plain and not any(channel.number("gain").is_known for channel in record.calibrated):
         allowed = "one channel at least whose gain is a number: the reference"
         hint = "with every gain in doubt nothing tells how large motions and forces are"
         raise InputError("data.channels", "gain in doubt on all", allowed, hint)
-    return tuple(parameter for number, gauge in enumerate(gauges) for parameter in _in_doubt(gauge, number))
+    return tuple(parameter for channel in record.calibrated for parameter in _in_doubt(channel))
 
 
-def calibrations(gauges: Sequence[Gauge]) -> dict[str, Tensor]:
-    """Kind to the numbers of all gauges as they are known or believed, (gauges,); none without gauges."""
-    if not gauges:
+def calibrations(channels: Sequence[Channel]) -> dict[str, Tensor]:
+    """Kind to the numbers of channels as they are known or believed, (channels,); none without channels."""
+    if not channels:
         return {}
-    values = {kind: [gauge.of(kind).value for gauge in gauges] for kind in CALIBRATION_UNITS}
+    values = {kind: [channel.number(kind).value for channel in channels] for kind in CALIBRATION_UNITS}
     return {kind: torch.tensor(of_kind, dtype=torch.float64) for kind, of_kind in values.items()}
 
 
-def _in_doubt(gauge: Gauge, number: int) -> tuple[Parameter, ...]:
-    """Of one gauge's calibration, those that are not known; ``number`` is its own among all gauges, from 0."""
+def _in_doubt(channel: Channel) -> tuple[Parameter, ...]:
+    """Of one channel's calibration, the numbers that are not known."""
     return tuple(
         Parameter(
             kind,
-            number,
-            prescribed=gauge.of(kind).value,
-            prior_std=gauge.of(kind).std,
-            unknown=gauge.of(kind).unknown,
-            unit=UNITS[gauge.quantity] + unit if kind in OF_ONE_CHANNEL else unit,
+            channel.index,
+            prescribed=number.value,
+            prior_std=number.std,
+            unknown=number.unknown,
+            unit=UNITS[channel.quantity] + unit if kind in OF_ONE_CHANNEL else unit,
             positive=kind == HIGH_PASS,
-            label=gauge.name,
+            label=channel.key,
         )
         for kind, unit in CALIBRATION_UNITS.items()
-        if not gauge.of(kind).is_known
+        if not (number := channel.number(kind)).is_known
     )
 
 
@@ -98,13 +96,13 @@ class Doubt:
 
 
 def doubts_of(records: Sequence[Record]) -> list[Doubt]:
-    """Gains and delays that are not known, of gauges in a column of a DOF; of those of one name the first one's."""
+    """Gains and delays that are not known, of channels in a column of a DOF; of those of one name the first one's."""
     found: dict[tuple[str, str], Doubt] = {}
     for record in records:
-        for gauge in (gauge for gauge in record.gauges if gauge.dof is not None and gauge.quantity not in SUPPORT):
-            for kind, number in (("gain", gauge.of("gain")), ("delay", gauge.of("delay"))):
-                if not number.is_known:
-                    found.setdefault((kind, gauge.name), Doubt(kind, gauge.name, number.value, number.std))
+        for channel in (channel for channel in record.calibrated if channel.is_column):
+            for kind in ("gain", "delay"):
+                if not (number := channel.number(kind)).is_known:
+                    found.setdefault((kind, channel.key), Doubt(kind, channel.key, number.value, number.std))
     return list(found.values())
 
 
@@ -129,9 +127,9 @@ class ChannelDoubts:
         self.omega, self.sensors, self.doubts = spectra.omega, len(spectra.sensors), tuple(doubts)
         channels = [*spectra.sensors, *spectra.acting]
         self.count = len(channels)
-        places: Mapping[tuple[str, int | None], int] = {channel.place: i for i, channel in enumerate(channels)}
+        places = {channel.place: i for i, channel in enumerate(channels)}
         of = {channel.name: i for i, channel in enumerate(channels)}
-        of |= {g.name: places[g.quantity, g.dof] for g in record.gauges if (g.quantity, g.dof) in places}
+        of |= {channel.key: places[channel.place] for channel in record.calibrated if channel.place in places}
         # Of every doubt the channel, of the sensors and then of what acts; None: it is in other records.
         self.channels = [of.get(doubt.sensor) for doubt in doubts]
 

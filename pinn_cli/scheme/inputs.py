@@ -36,10 +36,10 @@ def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIA
         _check_modal(structure.shapes, record, unknown_force)
     left_open = ~record.unforced & ~record.sensors("force")
     forces = tuple(int(dof) for dof in np.flatnonzero(left_open)) if unknown_force == GAUSSIAN_PROCESS else ()
-    functions = structure.is_modal or any(gauge.quantity == FORCE for gauge in record.gauges)
+    functions = structure.is_modal or any(channel.quantity == FORCE for channel in record.calibrated)
     loads = tuple(int(dof) for dof in np.flatnonzero(record.sensors(FORCE))) if functions else ()
-    filters = tuple(number for number, gauge in enumerate(record.gauges) if gauge.filter_order)
-    together = bool(filters) or not all(gauge.feels_one for gauge in record.gauges)
+    filters = tuple(channel.index for channel in record.calibrated if channel.filter_order)
+    together = bool(filters) or not all(channel.feels_one for channel in record.calibrated)
     if (
         not forces
         and not loads

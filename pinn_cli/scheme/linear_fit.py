@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from scipy.optimize import least_squares
 
-from pinn_cli.record.channels import Channel, channels, record_band
+from pinn_cli.record.channel import Channel
+from pinn_cli.record.channels import channels, record_band
 from pinn_cli.record.cross_spectra import CrossSpectra, band_edges
 from pinn_cli.record.inputs import measured_orders
 from pinn_cli.record.record import Record

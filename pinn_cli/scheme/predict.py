@@ -56,7 +56,7 @@ class Predict(Scheme):
     def observe(self, record: Record) -> Record:
         """See :meth:`Scheme.observe`: the force alone."""
         blank = {quantity: np.full_like(getattr(record, quantity), np.nan) for quantity in RESPONSE_QUANTITIES}
-        return replace(record, **blank, gauges=(), responds=False)
+        return replace(record, **blank, calibrated=(), responds=False)
 
     def pose(self, prescribed: Structure, records: Sequence[Record]) -> JointProblem:
         """See :meth:`Scheme.pose`.
@@ -65,7 +65,7 @@ class Predict(Scheme):
             InputError: A response was measured; or something acts that nobody knows.
         """
         record = self.only_one(records)
-        if record.observed.any() or record.gauges:
+        if record.observed.any() or record.calibrated:
             hint = "scheme.predict sees no response: data.holdout scores against a column"
             raise InputError("data", "columns of a response", "forces and the ground alone with scheme=predict", hint)
         unknown = np.flatnonzero(~record.unforced & ~record.sensors("force"))

@@ -93,7 +93,7 @@ class Candidate:
     Attributes:
         parameters: ``m`` to (n,); ``c``, ``k`` to (C,); ``loss``, of all springs, to (1,).
         misfit: Part of what forces and sensors have in common that it leaves unexplained, 0 to 1 and more.
-        calibration: Name of a gauge to its gain and its delay, s, where those are in doubt.
+        calibration: Name of a channel to its gain and its delay, s, where those are in doubt.
         unknowns: Of the fit that found it.
     """
 

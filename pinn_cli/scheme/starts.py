@@ -186,7 +186,7 @@ class Starts:
     @cached_property
     def _linear(self) -> list[Candidate]:
         """Linear structures that come near to the record."""
-        scattered = any(misses_samples(gauge, each) for each in self.records for gauge in each.gauges)
+        scattered = any(misses_samples(channel, each) for each in self.records for channel in each.calibrated)
         every = [] if self.most == 0 else self._screening.candidates()
         return [c for c in every if c.misfit < (NEARLY_NOTHING if scattered else HOPELESS)]
 

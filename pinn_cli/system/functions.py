@@ -38,11 +38,11 @@ class Inputs:
         rate: Of the record, 1/s, that rows of first order are divided by.
         edge: Of the band of the ground's acceleration and of loads, rad/s.
         loads: DOFs, counted from 0, whose measured force is a function to be found: where the coordinates are modes, or
-            a load cell is a gauge.
+            a load cell is a calibrated channel.
         together: Whether sensors feel functions that no equation of motion couples.
         damping_ratio: Of the process of unknown forces: at 0.7 its spectrum is flat up to an edge; with more it falls
             off from a corner below that.
-        filters: Gauges, counted from 0, behind a filter that has a state, whose equation is the gauge's own.
+        filters: Calibrated channels, counted from 0, behind a filter that has a state, whose equation is its own.
         supports: What sensors measure of the supports that move, names of :data:`pinn_cli.system.quantities.SUPPORT`.
     """
 

@@ -109,9 +109,11 @@ class TrainedNetwork(Estimator):
             raise InputError(
                 "network", self.design.name, "spline with training=gauss_newton where system.damping is given", hint
             )
-        if problem.record.gauges and not self.training.solves_inputs(self.design):
+        if problem.record.calibrated and not self.training.solves_inputs(self.design):
             allowed = "network=spline with training=gauss_newton where samples are missing or a sensor is in doubt"
-            raise InputError("network", self.design.name, allowed, f"channel {problem.record.gauges[0].name} is such")
+            raise InputError(
+                "network", self.design.name, allowed, f"channel {problem.record.calibrated[0].key} is such"
+            )
         if problem.prior is not None and not self.training.solves_inputs(self.design):
             allowed = "spline, with training=gauss_newton and inferred weights, where model=... says what is known"
             raise InputError("network", self.design.name, allowed, "other trainings know no correlated parameters")

@@ -9,10 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.record.channels import Channel
-from pinn_cli.record.gauge import GAUGE
-from pinn_cli.record.response import QUANTITIES
-from pinn_cli.system.quantities import GROUND, SUPPORT
+from pinn_cli.record.channel import CALIBRATED, Channel
+from pinn_cli.record.response import MEASURED_QUANTITIES
 
 # How levels are called in ``run.json``, before the name of what they are of.
 SIGMA, DISCREPANCY, TAKEN = "sigma_", "sigma_discrepancy", "effective_parameters"
@@ -23,8 +21,8 @@ class FoundNoise:
     """Standard deviations.
 
     Attributes:
-        sensors: Quantity (`GAUGE` of sensors that fill no column) to those of its sensors (C,), in the unit of what
-            they feel; NaN where there is none. Empty where the training finds none.
+        sensors: Quantity (`CALIBRATED` of calibrated channels) to those of its sensors (C,), in the unit of what they
+            feel; NaN where there is none. Empty where the training finds none.
         discrepancy: N, per sample, of the force that the model leaves out; NaN where the training has none.
         taken: Likewise of how many values of each sensor's samples the solution has taken up.
     """
@@ -36,7 +34,7 @@ class FoundNoise:
     @classmethod
     def read(cls, summary: Mapping[str, Any]) -> FoundNoise:
         """From what :attr:`summary` has left in ``run.json``."""
-        each = ((quantity, summary.get(f"{SIGMA}{quantity}")) for quantity in (*QUANTITIES, GROUND, *SUPPORT, GAUGE))
+        each = ((name, summary.get(f"{SIGMA}{name}")) for name in (*MEASURED_QUANTITIES, CALIBRATED))
         sensors = {quantity: _numbers(found) for quantity, found in each if found is not None}
         taken = {quantity: _numbers(found) for quantity, found in summary.get(TAKEN, {}).items()}
         discrepancy = summary.get(DISCREPANCY)
@@ -52,7 +50,7 @@ class FoundNoise:
     def of(self, channel: Channel) -> float:
         """That of one sensor; NaN where the training found none."""
         quantity, place = channel.place
-        found = self.sensors.get(quantity if channel.gauge is None else GAUGE, np.empty(0))
+        found = self.sensors.get(quantity, np.empty(0))
         return float(found[place]) if place < len(found) else math.nan
 
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pinn_cli.record.channel import CALIBRATED
 from pinn_cli.record.channels import FINEST_KNOWN
-from pinn_cli.record.gauge import GAUGE
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.force_residuals import ForceResiduals
@@ -160,7 +160,7 @@ def updated(evidence: RecordEvidence, solution: RecordSolution, least: NoiseMode
     for (name, i), cell in evidence.load_cell_channels.items():
         if cell.shown:
             response[name][i] = min(response[name][i], max(LOUDEST * cell.shown, least.response[name][i]))
-    noise = replace(noise, taken_up=taken.response.get(GAUGE))
+    noise = replace(noise, taken_up=taken.response.get(CALIBRATED))
     most = np.full(len(force), np.inf)
     for dof, cell in evidence.load_cells.items():
         if cell.shown:
@@ -177,22 +177,23 @@ def _usual_levels(evidence: RecordEvidence, noise: NoiseModel) -> dict[str, np.n
     """
     equations = evidence.equations
     sensors = evidence.sensors
-    cells: dict[int | None, tuple[SensorSamples, float]] = {}
+    cells: dict[int, tuple[SensorSamples, float]] = {}
     cells |= {dof: (cell, noise.force[dof]) for dof, cell in evidence.load_cells.items()}
-    cells |= {cell.dof: (cell, noise.response[q][i]) for (q, i), cell in evidence.load_cell_channels.items()}
+    of_columns = {at: cell for at, cell in evidence.load_cell_channels.items() if cell.channel.is_column}
+    cells |= {cell.channel.dof: (cell, noise.response[q][i]) for (q, i), cell in of_columns.items()}
     relative: defaultdict[str, dict[tuple[str, int], float]] = defaultdict(dict)
     for (name, i), sensor in sensors.items():
         if sensor.rms > 0:
-            relative[sensor.quantity][name, i] = noise.response[name][i] / sensor.rms
+            relative[sensor.channel.quantity][name, i] = noise.response[name][i] / sensor.rms
     out = {channels.name: np.zeros(len(channels.there)) for channels in equations.channels}
     for (name, i), sensor in sensors.items():
-        kin = relative[sensor.quantity]
+        kin, channel = relative[sensor.channel.quantity], sensor.channel
         if sensor.shown:
             out[name][i] = sensor.shown
         elif kin.keys() - {(name, i)}:
             out[name][i] = sensor.rms * np.median([level for key, level in kin.items() if key != (name, i)])
-        elif sensor.quantity == "acceleration" and sensor.dof is not None and sensor.dof in cells:
-            mass, (cell, level) = float(equations.prescribed["m"][sensor.dof]), cells[sensor.dof]
+        elif channel.quantity == "acceleration" and channel.is_column and channel.dof in cells:
+            mass, (cell, level) = float(equations.prescribed["m"][channel.dof]), cells[channel.dof]
             if level > 0 and mass > 0:
                 out[name][i] = min(sensor.most, BESIDE_LOAD_CELL * cell.most / mass)
     return {name: np.nan_to_num(level, posinf=0.0) for name, level in out.items()}

@@ -34,8 +34,8 @@ class NoiseModel:
         occupied: Share of the features' band that the discrepancy fills, 1 where it is taken for white.
         points_per_sample: Collocation points for every force sample: between the samples lies the noise of the samples,
             in the same band, and a point's own is so many times as large in variance.
-        taken_up: (gauges,), values of every gauge that the motion has taken up; None: not counted yet. See
-            :class:`pinn_cli.training.factors.calibrated_channels.Gains`.
+        taken_up: (channels,), values of every calibrated channel that the motion has taken up; None: not counted yet.
+            See :class:`pinn_cli.training.factors.calibrated_channels.Gains`.
         pushes: Name in ``response`` to the least that a unit of each sensor's noise puts into an equation of motion
             (channels,): of a load cell how far its DOF moves with a coordinate, of the ground the least mass that it
             moves, kg; NaN where it feels a motion.

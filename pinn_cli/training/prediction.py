@@ -237,7 +237,7 @@ def _input_noise(problem: Problem, model: Model) -> list[np.ndarray]:
         inputs.append((structure.parameters_like(np.empty(0))[MASS] * structure.with_ground, GROUND, 0))
     noise = []
     for column, quantity, channel in inputs:
-        sensor, found = SensorSamples.of_column(record, quantity, channel), levels.sensors.get(quantity, nothing)
+        sensor, found = SensorSamples(record.column(quantity, channel), record), levels.sensors.get(quantity, nothing)
         # White noise is nowhere less than in the emptiest part of a spectrum: an input that was computed has none.
         sigma = sensor.shown or np.minimum(found[channel], sensor.most)
         noise += [sigma * column] if np.isfinite(sigma) else []

@@ -162,8 +162,8 @@ class RecordEvidence:
     @cached_property
     def load_cells(self) -> dict[int, SensorSamples]:
         """DOF to the load cell whose force stands in the equations of motion, and is no channel."""
-        measured = np.flatnonzero(self.equations.target.measured_force.numpy()).tolist()
-        return {dof: SensorSamples.of_column(self.problem.record, FORCE, dof) for dof in measured}
+        record, measured = self.problem.record, np.flatnonzero(self.equations.target.measured_force.numpy()).tolist()
+        return {dof: SensorSamples(record.column(FORCE, dof), record) for dof in measured}
 
     @cached_property
     def sensors(self) -> dict[tuple[str, int], SensorSamples]:
@@ -178,7 +178,7 @@ class RecordEvidence:
     @cached_property
     def load_cell_channels(self) -> dict[tuple[str, int], SensorSamples]:
         """Those of :attr:`sensors` that are load cells."""
-        return {place: sensor for place, sensor in self.sensors.items() if sensor.quantity == FORCE}
+        return {place: sensor for place, sensor in self.sensors.items() if sensor.channel.quantity == FORCE}
 
     def log_evidence(self, point: Point, noise: NoiseModel, readout_log_determinant: float) -> float:
         """The record's own part, without the parameters' prior and without their share of the Hessian."""

@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
+from pinn_cli.record.channel import Channel
 from pinn_cli.record.channels import FINEST_KNOWN
-from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import FAR_BELOW, level_at_end, lowest_level, visible_floor
 
@@ -19,45 +19,37 @@ FIRST_SENSOR = 0.1
 
 @dataclass(frozen=True, eq=False)
 class SensorSamples:
-    """The samples of one sensor.
+    """The samples of one channel.
 
     Attributes:
-        quantity: What it measures.
-        dof: The channel of its quantity that it fills, counted from 0; None: it fills none.
-        values: (J,), SI units.
-        run: Samples in a row (R,) whose times are even, and the step, s; None: none are many enough to show its noise.
+        channel: Whose.
         record: That it belongs to.
-        scatter: Its noise as repeated measurements tell it; None: they do not.
     """
 
-    quantity: str
-    dof: int | None
-    values: np.ndarray
-    run: tuple[np.ndarray, float] | None
+    channel: Channel
     record: Record
-    scatter: float | None = None
 
-    @classmethod
-    def of_column(cls, record: Record, quantity: str, dof: int) -> SensorSamples:
-        """Of a column of the record."""
-        values, repeats = record.histories(quantity)[:, dof], record.repeats
-        scatter = None if repeats is None else float(repeats.noise_of_mean(quantity)[dof])
-        return cls(quantity, dof, values, (values, record.step), record, scatter)
+    @property
+    def scatter(self) -> float | None:
+        """Its noise as repeated measurements tell it; None: they do not."""
+        quantity, number = self.channel.place
+        repeats = self.record.repeats if self.channel.is_column else None
+        return None if repeats is None else float(repeats.noise_of_mean(quantity)[number])
 
-    @classmethod
-    def of_gauge(cls, gauge: Gauge, record: Record) -> SensorSamples:
-        """Of a channel with samples of its own."""
-        return cls(gauge.quantity, gauge.dof, gauge.values, gauge.even_run, record)
+    @cached_property
+    def run(self) -> tuple[np.ndarray, float] | None:
+        """See :attr:`Channel.even_run`."""
+        return self.channel.even_run
 
     @cached_property
     def rms(self) -> float:
         """Root mean square."""
-        return float(np.sqrt(np.mean(self.values**2)))
+        return float(np.sqrt(np.mean(self.channel.measured**2)))
 
     @cached_property
     def spread(self) -> float:
         """Standard deviation; of one value throughout, its size."""
-        return float(np.std(self.values)) or self.rms
+        return float(np.std(self.channel.measured)) or self.rms
 
     @property
     def finest(self) -> float:
@@ -95,5 +87,5 @@ def starting_levels(record: Record, quantity: str) -> np.ndarray:
     there = record.sensors(quantity)
     levels = np.full(len(there), np.nan)
     for dof in np.flatnonzero(there):
-        levels[dof] = SensorSamples.of_column(record, quantity, int(dof)).first
+        levels[dof] = SensorSamples(record.column(quantity, int(dof)), record).first
     return levels

@@ -12,7 +12,8 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.channels import FINEST_KNOWN, Channel, record_band
+from pinn_cli.record.channel import Channel
+from pinn_cli.record.channels import FINEST_KNOWN, record_band
 from pinn_cli.record.free_run import NoFreeRunError
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import white_level

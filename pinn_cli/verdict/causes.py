@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.channels import Channel, channels
+from pinn_cli.record.channel import Channel
+from pinn_cli.record.channels import channels
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.calibration import doubts_about
 from pinn_cli.scheme.linear_fit import WIDTHS, JointFit, LinearFit, LinearStructure, what_acts
@@ -113,17 +114,17 @@ def causes(problem: Problem, believed: Structure, estimated: Structure, excused:
 def _in_columns(record: Record, excused: Sequence[str]) -> Record | None:
     """The record as it looks, without sensors that are excused or in doubt; None: it tells nothing."""
     acts = record.force.any() or record.ground_acceleration is not None or record.supports
-    doubted = [gauge for gauge in record.gauges if not (gauge.of("gain").is_known and gauge.of("delay").is_known)]
+    doubted = [c for c in record.calibrated if not (c.number("gain").is_known and c.number("delay").is_known)]
     values = {quantity: getattr(record, quantity).copy() for quantity in RESPONSE_QUANTITIES}
-    without = [(gauge.quantity, gauge.dof) for gauge in doubted if gauge.dof is not None]
-    without += [(channel.quantity, channel.dof) for channel in channels(record) if channel.name in excused]
+    without = [channel.place for channel in doubted]
+    without += [channel.place for channel in channels(record) if channel.name in excused]
     for quantity, dof in without:
         if quantity in values:
             values[quantity][:, dof] = np.nan
     seen = any(np.isfinite(columns[0]).any() for columns in values.values())
-    if not acts or not seen or any(gauge.quantity in (FORCE, GROUND) for gauge in doubted):
+    if not acts or not seen or any(channel.quantity in (FORCE, GROUND) for channel in doubted):
         return None
-    own = replace(record, gauges=(), missing={}, **values)
+    own = replace(record, calibrated=(), felt=(), **values)
     return own if what_acts(own) else None
 
 

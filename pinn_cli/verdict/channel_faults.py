@@ -15,7 +15,7 @@ from pinn_cli.verdict.prediction import Comparison, compare, comparisons
 from pinn_cli.verdict.record_faults import DEVIATIONS, LEAST_OFFSET
 
 if TYPE_CHECKING:
-    from pinn_cli.record.channels import Channel
+    from pinn_cli.record.channel import Channel
     from pinn_cli.verdict.prediction import Prediction
 
 # NMSE up to which a channel counts as predicted. Sensors with 10 dB of noise are at 0.1 with a right chain; a lightly

@@ -6,14 +6,15 @@ factor, a delay, an offset, and what of the channel is left over.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
 
-from pinn_cli.record.channels import Channel, channels
+from pinn_cli.record.channel import Channel
+from pinn_cli.record.channels import channels
 from pinn_cli.record.free_run import NoFreeRunError, affordable, free_run, is_linear
 from pinn_cli.record.spectrum import mean_deviation
 from pinn_cli.system.coupling import loose_dofs
@@ -224,7 +225,7 @@ class Comparison:
 def compare(channel: Channel, prediction: Prediction, as_dof: int | None = None) -> Comparison:
     """A channel against what is predicted for its sensor, or for the same sensor on another DOF (from 0)."""
     record = prediction.record
-    place = Channel(channel.quantity, channel.dof if as_dof is None else as_dof, channel.measured)
+    place = channel if as_dof is None else replace(channel, weights={as_dof: 1.0})
     measured = channel.measured[: len(record.time)]
     basis = prediction.decays(place)
     columns = np.column_stack((measured, place.of(prediction.response), np.ones(len(measured))))

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.channels import Channel, channels, equal_runs, hum
+from pinn_cli.record.channel import Channel
+from pinn_cli.record.channels import channels, equal_runs, hum
 from pinn_cli.record.response import MEASURED_QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import mean_deviation
 from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT

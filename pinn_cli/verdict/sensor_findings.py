@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.channels import FINEST_KNOWN, Channel, channels, every_channel
-from pinn_cli.record.gauge import GAUGE
+from pinn_cli.record.channel import CALIBRATED, Channel
+from pinn_cli.record.channels import FINEST_KNOWN, channels, every_channel
 from pinn_cli.record.inputs import input_force
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import usable_periodogram
@@ -228,9 +228,9 @@ def _copied(record: Record, estimate: Estimate) -> list[Finding]:
     taken = estimate.noise.taken
     counts = [(count, len(record.time)) for q in RESPONSE_QUANTITIES for count in taken.get(q, ())]
     counts += [
-        (count, len(gauge.time))
-        for gauge, count in zip(record.gauges, taken.get(GAUGE, ()), strict=False)
-        if gauge.quantity in RESPONSE_QUANTITIES
+        (count, len(channel.time))
+        for channel, count in zip(record.calibrated, taken.get(CALIBRATED, ()), strict=False)
+        if channel.quantity in RESPONSE_QUANTITIES
     ]
     followed, samples = np.sum([each for each in counts if np.isfinite(each[0])] or [(0, 1)], axis=0)
     if followed < COPIED * samples:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from small_problems import measured, relative_error, small_chain
 
-from pinn_cli.baseline.channels import check_gauges
+from pinn_cli.baseline.channels import check_channels
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
 from pinn_cli.baseline.state_space import StateSpace
-from pinn_cli.record.gauge import Calibration, Gauge, unknown_calibration
+from pinn_cli.record.channel import Calibration, Channel, unknown_calibration
 from pinn_cli.record.record import Measurements, Record
 from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.joint_problem import JointProblem
@@ -35,15 +35,15 @@ def in_doubt(record: Record, kinds: tuple[str, ...] = ("gain", "offset")) -> Rec
     there = np.random.default_rng(0).random(len(time)) < 0.5
     shown = GAIN * record.acceleration[:, 1] + OFFSET
     load = LOAD_GAIN * record.force[:, 0] + LOAD_OFFSET
-    gauges = (
-        Gauge("a2", "acceleration", {1: 1.0}, time[there], shown[there], unknown(time, shown, *kinds)),
-        Gauge("drift", "displacement", {2: 1.0, 0: -1.0}, time, record.displacement[:, 2] - record.displacement[:, 0]),
-        Gauge("f", "force", {0: 1.0}, time, load, unknown(time, load, *kinds)),
+    calibrated = (
+        Channel("a2", "acceleration", {1: 1.0}, time[there], shown[there], unknown(time, shown, *kinds)),
+        Channel("drift", "displacement", {2: 1.0, 0: -1.0}, time, record.displacement @ [-1.0, 0.0, 1.0]),
+        Channel("f", "force", {0: 1.0}, time, load, unknown(time, load, *kinds)),
     )
     acceleration, force, nothing = record.acceleration.copy(), record.force.copy(), np.full(record.force.shape, np.nan)
-    acceleration[:, 1], force[:, 0] = gauges[0].history(time), gauges[2].history(time)
+    acceleration[:, 1], force[:, 0] = calibrated[0].history(time), calibrated[2].history(time)
     return replace(
-        record, acceleration=acceleration, force=force, displacement=nothing, velocity=nothing, gauges=gauges
+        record, acceleration=acceleration, force=force, displacement=nothing, velocity=nothing, calibrated=calibrated
     )
 
 
@@ -51,7 +51,7 @@ def test_a_sample_that_is_missing_tells_nothing() -> None:
     record = in_doubt(made().record)
     problem = Problem(small_chain("linear"), record, sensor_parameters(record))
     space = StateSpace(problem)
-    row = [sensor.gauge.name for sensor in space.sensors].index("a2")
+    row = [sensor.channel.key for sensor in space.sensors].index("a2")
     gone = ~space.there[:, row]
     assert 0.4 < gone.mean() < 0.6
     linearised = space.linearise(space.start())
@@ -83,8 +83,8 @@ def test_a_delay_that_is_known_is_taken_out() -> None:
     record = made().record
     time, late = record.time, {"delay": Calibration(2.4 * record.step)}
     shown = np.interp(time - 2.4 * record.step, time, record.acceleration[:, 1])
-    gauge = Gauge("a2", "acceleration", {1: 1.0}, time, shown, late)
-    channel = StateSpace(Problem(small_chain("linear"), replace(record, gauges=(gauge,)))).sensors[0]
+    channel = Channel("a2", "acceleration", {1: 1.0}, time, shown, late)
+    channel = StateSpace(Problem(small_chain("linear"), replace(record, calibrated=(channel,)))).sensors[0]
     seen = channel.there & (np.arange(len(time)) > 5)
     assert relative_error(channel.shown[seen], record.acceleration[seen, 1]) < 0.02
     assert not channel.there[-1]
@@ -99,9 +99,9 @@ def test_a_delay_that_is_known_is_taken_out() -> None:
 )
 def test_what_it_has_no_rows_for_is_refused_in_one_line(change: dict, expected: str) -> None:
     record = made().record
-    gauge = replace(Gauge("x", "acceleration", {1: 1.0}, record.time, record.acceleration[:, 1]), **change)
+    channel = replace(Channel("x", "acceleration", {1: 1.0}, record.time, record.acceleration[:, 1]), **change)
     with pytest.raises(InputError, match="baseline=kalman_smoother: must be none where") as error:
-        check_gauges(replace(record, gauges=(gauge,)), "kalman_smoother")
+        check_channels(replace(record, calibrated=(channel,)), "kalman_smoother")
     assert expected in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -109,6 +109,7 @@ def test_what_it_has_no_rows_for_is_refused_in_one_line(change: dict, expected: 
 def test_samples_that_stand_nowhere_are_refused() -> None:
     record = made().record
     there = np.random.default_rng(0).random(len(record.time)) < 0.5
-    gauge = Gauge("x", "acceleration", {0: 1.0}, record.time[there] + 0.3 * record.step, record.acceleration[there, 0])
+    time = record.time[there] + 0.3 * record.step
+    channel = Channel("x", "acceleration", {0: 1.0}, time, record.acceleration[there, 0])
     with pytest.raises(InputError, match="between the record's times"):
-        check_gauges(replace(record, gauges=(gauge,)), "kalman_smoother")
+        check_channels(replace(record, calibrated=(channel,)), "kalman_smoother")

@@ -8,22 +8,24 @@ import pytest
 from scipy.signal import csd
 from scipy.signal.windows import tukey
 
+from pinn_cli.record.channel import Calibration, Channel
 from pinn_cli.record.channels import channels
 from pinn_cli.record.cross_spectra import CrossSpectra, Samples, cross_spectrum, independent_part, misses_samples, taper
-from pinn_cli.record.gauge import Calibration, Gauge
 from pinn_cli.record.record import Record
 
 COUNT, STEP = 256, 0.01
 TIME = 3.0 + STEP * np.arange(COUNT)
 
 
-def record_of(column: np.ndarray, *gauges: Gauge) -> Record:
+def record_of(column: np.ndarray, *calibrated: Channel) -> Record:
     nothing = np.full((COUNT, 1), np.nan)
-    return Record(TIME, nothing, nothing, column[:, None], np.zeros((COUNT, 1)), np.array([True]), gauges=gauges)
+    return Record(
+        TIME, nothing, nothing, column[:, None], np.zeros((COUNT, 1)), np.array([True]), calibrated=calibrated
+    )
 
 
-def gauge_at(time: np.ndarray, values: np.ndarray, **calibration: Calibration) -> Gauge:
-    return Gauge("a1", "acceleration", {0: 1.0}, time, values, calibration)
+def channel_at(time: np.ndarray, values: np.ndarray, **calibration: Calibration) -> Channel:
+    return Channel("a1", "acceleration", {0: 1.0}, time, values, calibration)
 
 
 @dataclass(frozen=True)
@@ -86,8 +88,8 @@ def test_samples_that_are_there_give_the_sums_over_their_pairs():
     """Against sums over all pairs, lag by lag, which nothing but a pair that is there enters."""
     rng, nothing = np.random.default_rng(4), np.full((COUNT, 1), np.nan)
     a, f, there = *rng.standard_normal((2, COUNT)), rng.random(COUNT) < 0.7
-    gauge = gauge_at(TIME[there], a[there])
-    record = Record(TIME, nothing, nothing, a[:, None], f[:, None], np.zeros(1, bool), gauges=(gauge,))
+    channel = channel_at(TIME[there], a[there])
+    record = Record(TIME, nothing, nothing, a[:, None], f[:, None], np.zeros(1, bool), calibrated=(channel,))
     edges = list(range(10, 14))
     found = CrossSpectra.of_bands(record, channels(record), channels(record, ("force",)), edges)
     window, lags = np.hanning(COUNT), np.arange(1 - COUNT, COUNT)
@@ -105,11 +107,11 @@ def test_samples_that_are_there_give_the_sums_over_their_pairs():
 def test_samples_between_the_records_times_have_the_phases_of_their_own():
     rng = np.random.default_rng(1)
     at = TIME + STEP * rng.uniform(-0.5, 0.5, COUNT)
-    gauge = gauge_at(at, rng.standard_normal(COUNT))
-    found = Samples.of_gauge(gauge, record_of(gauge.values, gauge), np.hanning(COUNT))
+    channel = channel_at(at, rng.standard_normal(COUNT))
+    found = Samples.at_own_times(channel, record_of(channel.measured, channel), np.hanning(COUNT))
     place = np.rint((at - TIME[0]) / STEP).astype(int)
     inside = (place >= 0) & (place < COUNT)
-    at, felt, weight = at[inside], gauge.values[inside], np.hanning(COUNT)[place[inside]]
+    at, felt, weight = at[inside], channel.measured[inside], np.hanning(COUNT)[place[inside]]
     swing = weight * (felt - np.average(felt, weights=weight))
     phase = -1j * np.pi * np.arange(COUNT + 1)[:, None] / COUNT * (at - TIME[0]) / STEP
     np.testing.assert_allclose(found.values, np.exp(phase) @ swing, atol=1e-5 * np.abs(found.values).max())
@@ -128,9 +130,9 @@ def test_what_is_missing_scatters_and_does_not_shift(missing):
             "four of five": np.arange(COUNT) % 5 == 2,
             "a gap": np.abs(np.arange(COUNT) - 100) > 25,
         }[missing]
-        gauge = gauge_at(TIME[there], echo[there])
-        assert misses_samples(gauge, record_of(echo, gauge))
-        seen = Samples.of_gauge(gauge, record_of(echo, gauge), window)
+        channel = channel_at(TIME[there], echo[there])
+        assert misses_samples(channel, record_of(echo, channel))
+        seen = Samples.at_own_times(channel, record_of(echo, channel), window)
         total = total + cross_spectrum(seen, Samples.of_column(force, window)) / rounds
     turned = total * np.exp(2j * np.pi * np.fft.rfftfreq(COUNT) * late)
     assert np.abs(np.mean(turned[4:-4]) - 1.0) < 0.05
@@ -140,10 +142,11 @@ def test_what_is_missing_scatters_and_does_not_shift(missing):
 def test_a_channel_that_misses_none_has_the_spectra_of_its_column():
     """A delay that is known moves its samples off the record's times and loses none."""
     column = np.random.default_rng(5).standard_normal(COUNT)
-    late = gauge_at(TIME, column, delay=Calibration(2.3 * STEP))
+    late = channel_at(TIME, column, delay=Calibration(2.3 * STEP))
     record = record_of(late.history(TIME), late)
     assert not misses_samples(late, record)
-    with_gauge, without = (
-        CrossSpectra.of_bands(each, channels(each), [], [2, 5, 9], 1) for each in (record, replace(record, gauges=()))
+    with_channel, without = (
+        CrossSpectra.of_bands(each, channels(each), [], [2, 5, 9], 1)
+        for each in (record, replace(record, calibrated=()))
     )
-    np.testing.assert_array_equal(with_gauge.cross, without.cross)
+    np.testing.assert_array_equal(with_channel.cross, without.cross)

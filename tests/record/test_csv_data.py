@@ -106,9 +106,9 @@ def test_a_gap_outside_the_window_is_no_matter(rig):
     values.loc[150, "a1"] = np.nan
     values.drop(index=range(160, 165)).to_csv(rig / "rig.csv", index=False)
     assert len(read(rig, stop=1.0).record.time) == 101
-    assert not read(rig, stop=1.0).record.gauges
-    (gauge,) = read(rig, stop=1.55).record.gauges
-    assert (gauge.name, len(gauge.time)) == ("a1", 155)
+    assert not read(rig, stop=1.0).record.calibrated
+    (channel,) = read(rig, stop=1.55).record.calibrated
+    assert (channel.key, len(channel.time)) == ("a1", 155)
 
 
 @pytest.mark.parametrize("decimals", [3, 4, 6])

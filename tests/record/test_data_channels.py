@@ -49,13 +49,18 @@ def test_every_key(rig):
         f={"sensor": "force", "dof": 3, "unit": "kN", "gain": "unknown", "delay": {"value": 0.01, "uncertainty": 0.02}},
     )
     np.testing.assert_allclose(record.acceleration[:, 1], 9.80665 * A1)
-    drift, brace, force = record.gauges
-    assert (drift.name, drift.quantity, drift.weights, drift.dof) == ("u", "displacement", {1: 1.0, 0: -1.0}, None)
-    np.testing.assert_allclose(drift.values, 1e-3 * U)
+    drift, brace, force = record.calibrated
+    assert (drift.key, drift.quantity, drift.weights, drift.is_column) == (
+        "u",
+        "displacement",
+        {1: 1.0, 0: -1.0},
+        False,
+    )
+    np.testing.assert_allclose(drift.measured, 1e-3 * U)
     assert (brace.quantity, brace.connection, brace.weights) == ("connection_force", 1, {})
-    np.testing.assert_allclose(brace.values, 1e3 * A2)
-    assert (force.quantity, force.dof) == ("force", 2)
-    gain, delay = force.of("gain"), force.of("delay")
+    np.testing.assert_allclose(brace.measured, 1e3 * A2)
+    assert force.place == ("force", 2)
+    gain, delay = force.number("gain"), force.number("delay")
     assert (gain.value, gain.unknown, gain.std > 1) == (1.0, True, True)
     assert (delay.value, delay.std, delay.unknown) == (0.01, 0.02, False)
     assert record.unforced.tolist() == [True, True, False]
@@ -68,7 +73,7 @@ def test_short_and_long_form_are_the_same_record(rig):
     long = record_of(rig, f=force, a1={"sensor": "acceleration", "dof": 1}, roof=roof)
     for quantity in ("time", "force", "acceleration", "velocity", "displacement"):
         np.testing.assert_array_equal(getattr(long, quantity), getattr(short, quantity))
-    assert long.gauges == ()
+    assert long.calibrated == ()
 
 
 @pytest.mark.parametrize(
@@ -166,19 +171,23 @@ def test_what_a_sensor_feels(place, weights):
 
 def test_a_filter_has_a_corner_and_an_order(rig):
     shown = {"high_pass": {"frequency": "unknown", "order": 2}, "tilt": {"value": 0.0, "uncertainty": 2.0}}
-    (gauge,) = record_of(rig, a1={**ROOF, **shown}, f={"sensor": "force", "dof": 2}).gauges
-    assert (gauge.filter_order, gauge.of("high_pass").unknown, gauge.of("tilt").std) == (2, True, 2.0)
-    (gauge,) = record_of(rig, a1={**ROOF, "high_pass": 0.5}, f={"sensor": "force", "dof": 2}).gauges
-    assert (gauge.filter_order, gauge.of("high_pass").value, gauge.of("high_pass").is_known) == (1, 0.5, True)
+    (channel,) = record_of(rig, a1={**ROOF, **shown}, f={"sensor": "force", "dof": 2}).calibrated
+    assert (channel.filter_order, channel.number("high_pass").unknown, channel.number("tilt").std) == (2, True, 2.0)
+    (channel,) = record_of(rig, a1={**ROOF, "high_pass": 0.5}, f={"sensor": "force", "dof": 2}).calibrated
+    assert (channel.filter_order, channel.number("high_pass").value, channel.number("high_pass").is_known) == (
+        1,
+        0.5,
+        True,
+    )
 
 
 def test_what_is_known_of_a_calibration_is_taken_out(rig):
     """gain, offset and drift of a channel in its own unit: value = gain x + offset + drift (t - start)."""
     shown = {"sensor": "displacement", "dof": 1, "unit": "mm", "gain": 2.0, "offset": 0.5, "drift": -0.1}
     record = record_of(rig, u=shown)
-    assert record.gauges == ()
+    assert record.calibrated == ()
     np.testing.assert_allclose(record.displacement[:, 0], 1e-3 * (U - 0.5 + 0.1 * TIME) / 2.0, atol=1e-15)
-    (late,) = record_of(rig, u={**shown, "delay": 0.02}).gauges
+    (late,) = record_of(rig, u={**shown, "delay": 0.02}).calibrated
     at, felt = late.calibrated()
     np.testing.assert_allclose(at, TIME - 0.02)
     np.testing.assert_allclose(felt, record.displacement[:, 0], atol=1e-15)
@@ -193,17 +202,17 @@ def test_drift_counts_from_the_start_of_the_window(rig):
 def test_two_sensors_of_one_dof(rig):
     record = record_of(rig, a1=ROOF, a2={**ROOF, "gain": 1.1})
     np.testing.assert_array_equal(record.acceleration[:, 1], A1)
-    (second,) = record.gauges
-    assert (second.name, second.fills, second.dof) == ("a2", False, None)
-    assert not record.gauged("acceleration").any()
+    (second,) = record.calibrated
+    assert (second.key, second.fills, second.is_column) == ("a2", False, False)
+    assert record.plain("acceleration").tolist() == record.sensors("acceleration").tolist()
     np.testing.assert_allclose(second.calibrated()[1], A2 / 1.1)
 
 
 def test_the_plain_sensor_of_a_dof_fills_its_column_whatever_the_order(rig):
     record = record_of(rig, a1={**ROOF, "offset": "unknown"}, a2=ROOF)
     np.testing.assert_array_equal(record.acceleration[:, 1], A2)
-    (gauge,) = record.gauges
-    assert (gauge.name, gauge.fills) == ("a1", False)
+    (channel,) = record.calibrated
+    assert (channel.key, channel.fills) == ("a1", False)
 
 
 @pytest.mark.parametrize(
@@ -226,8 +235,10 @@ def test_what_does_not_fit_the_file_or_the_structure(rig, channels, expected):
 
 
 def test_a_connection_by_its_number(rig):
-    gauges = record_of(rig, ("storey", "brace"), a1=ROOF, f={"sensor": "connection_force", "connection": 2}).gauges
-    assert gauges[0].connection == 1
+    calibrated = record_of(
+        rig, ("storey", "brace"), a1=ROOF, f={"sensor": "connection_force", "connection": 2}
+    ).calibrated
+    assert calibrated[0].connection == 1
 
 
 def test_the_header_tells_the_unit_where_nobody_else_does():
@@ -259,7 +270,7 @@ class TestHoldout:
         table.loc[20:60, "a2"] = np.nan
         table.to_csv(rig / "rig.csv", index=False)
         found = self.measured(rig)
-        assert found.record.gauges == ()
+        assert found.record.calibrated == ()
         shown = found.truth.response.acceleration[:, 1]
         np.testing.assert_array_equal(np.isnan(shown), np.isnan(table["a2"]))
         np.testing.assert_array_equal(shown[61:], A2[61:])
@@ -267,7 +278,7 @@ class TestHoldout:
     def test_a_second_sensor_of_the_dof_is_not_shown_either(self, rig):
         channels = {"a1": {"sensor": "acceleration", "dof": 1}, "a2": ROOF, "f": {**ROOF, "gain": 2.0}}
         found = measured(rig, channels, holdout=[2]).measure(3)
-        assert found.record.gauges == ()
+        assert found.record.calibrated == ()
         np.testing.assert_array_equal(found.truth.response.acceleration[:, 1], A2)
 
     def test_a_load_cell_of_the_dof_stays(self, rig):
@@ -276,7 +287,7 @@ class TestHoldout:
             channels["f"] |= calibration
             found = measured(rig, channels, holdout=[2]).measure(3).record
             assert np.isfinite(found.force[:, 1]).all()
-            assert [gauge.name for gauge in found.gauges] == (["f"] if calibration else [])
+            assert [channel.key for channel in found.calibrated] == (["f"] if calibration else [])
 
     def test_a_sensor_that_feels_another_dof_too_is_refused(self, rig):
         channels = {"a1": {"sensor": "acceleration", "dof": 1}, "u": {"sensor": "displacement", "between": [2, 1]}}

@@ -64,9 +64,9 @@ def test_a_sample_of_the_ground_may_be_missing(tmp_path):
     values = table()
     values.loc[7, "ground"] = np.nan
     values.to_csv(tmp_path / "quake.csv", index=False)
-    (gauge,) = read(tmp_path).gauges
-    assert gauge.quantity == "ground_acceleration"
-    np.testing.assert_array_equal(gauge.values, values["ground"].dropna())
+    (channel,) = read(tmp_path).calibrated
+    assert channel.quantity == "ground_acceleration"
+    np.testing.assert_array_equal(channel.measured, values["ground"].dropna())
     with pytest.raises(InputError, match=r"data\.intersample=first_order_hold"):  # lines have no gaps
         read(tmp_path, intersample="first_order_hold")
 

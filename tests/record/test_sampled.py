@@ -1,4 +1,4 @@
-"""Records with gaps, several rates and jitter: what becomes a column, what a gauge, and what is told."""
+"""Records with gaps, several rates and jitter: what becomes a column, what is calibrated, and what is told."""
 
 import logging
 from pathlib import Path
@@ -44,13 +44,13 @@ def emptied(column: str, where: np.ndarray) -> pd.DataFrame:
 def test_missing_samples_of_one_channel(tmp_path, where):
     values = emptied("a1", where)
     record = read(tmp_path, values)
-    (gauge,) = record.gauges
-    np.testing.assert_allclose(gauge.time, TIME[~where], atol=1e-12)
-    np.testing.assert_array_equal(gauge.values, values["a1"][~where])
-    assert (gauge.name, gauge.dof, gauge.calibration) == ("a1", 0, {})
+    (channel,) = record.calibrated
+    np.testing.assert_allclose(channel.time, TIME[~where], atol=1e-12)
+    np.testing.assert_array_equal(channel.measured, values["a1"][~where])
+    assert (channel.key, channel.place, channel.calibration) == ("a1", ("acceleration", 0), {})
     np.testing.assert_allclose(record.acceleration[~where, 0], values["a1"][~where], atol=1e-12)
     assert np.isfinite(record.acceleration[:, 0]).all()
-    assert record.gauged("acceleration").tolist() == [True, False]
+    assert record.plain("acceleration").tolist() == [False, True]
     np.testing.assert_array_equal(record.acceleration[:, 1], values["a2"])
 
 
@@ -60,9 +60,9 @@ def test_jitter_leaves_every_sample_at_its_own_time(tmp_path, caplog, jitter):
     with caplog.at_level(logging.WARNING):
         record = read(tmp_path, table(time))
     assert "the times are uneven: every sample is used at its own time" in caplog.text
-    assert sorted(gauge.name for gauge in record.gauges) == ["a1", "a2", "f"]
-    for gauge in record.gauges:
-        np.testing.assert_array_equal(gauge.time, time)
+    assert sorted(channel.key for channel in record.calibrated) == ["a1", "a2", "f"]
+    for channel in record.calibrated:
+        np.testing.assert_array_equal(channel.time, time)
     assert (record.time[0], record.time[-1]) == (time[0], time[-1])
     assert np.ptp(np.diff(record.time)) < 1e-12
     np.testing.assert_allclose(record.acceleration[:, 0], np.cos(7 * record.time), atol=5e-3)
@@ -75,9 +75,9 @@ def test_several_files_whose_rates_do_not_divide_each_other(tmp_path):
     pd.DataFrame({"t": slow, "a2": np.sin(5 * slow)}).to_csv(tmp_path / "slow.csv", index=False)
     record = MeasuredData(["fast.csv", "slow.csv"], base=tmp_path, **SETTINGS).measure(2).record
     np.testing.assert_allclose(record.time, TIME, atol=1e-9)
-    (gauge,) = record.gauges
-    assert gauge.name == "a2"
-    np.testing.assert_allclose(gauge.time, slow)
+    (channel,) = record.calibrated
+    assert channel.key == "a2"
+    np.testing.assert_allclose(channel.time, slow)
     np.testing.assert_allclose(record.acceleration[:, 0], np.cos(7 * TIME), atol=1e-12)
 
 
@@ -107,7 +107,7 @@ def test_a_channel_with_too_few_samples_or_one_value_is_refused(tmp_path):
     constant = emptied("a1", np.arange(ROWS) % 2 == 0)
     constant["a1"] = constant["a1"].where(constant["a1"].isna(), 3.0)
     assert "a dead sensor?" in refusal(read, tmp_path, constant)
-    assert read(tmp_path, table().assign(f=0.0)).gauges == ()
+    assert read(tmp_path, table().assign(f=0.0)).calibrated == ()
 
 
 def test_what_is_held_out_at_uneven_times_scores_nothing(tmp_path):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import kstwo
 
+from pinn_cli.record.channel import CALIBRATED, Channel
 from pinn_cli.record.channels import clipped_percent, constant_percent
-from pinn_cli.record.gauge import GAUGE, Gauge
 from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report.figures import residuals_figure
 from pinn_cli.report.figures.sensors import compared_channels
@@ -131,18 +131,16 @@ def test_a_row_for_sensors_that_fill_no_column(make_case):
     rng, truth = np.random.default_rng(4), case.truth.response
     truth = replace(truth, connection_force=np.stack((truth.displacement[:, 0], truth.displacement[:, 1]), axis=1))
     own, empty = case.record.time, np.zeros(0)
-    gauges = (
-        Gauge("strain", "displacement", {0: 0.4, 1: -0.2}, own, empty),
-        Gauge("link", CONNECTION_FORCE, {}, own, empty, connection=1),
+    calibrated = (
+        Channel("strain", "displacement", {0: 0.4, 1: -0.2}, own, empty),
+        Channel("link", CONNECTION_FORCE, {}, own, empty, connection=1),
     )
     felt = 0.4 * truth.displacement[:, 0] - 0.2 * truth.displacement[:, 1], truth.displacement[:, 1]
     size = [0.01 * np.std(x) for x in felt]
-    shown = {
-        gauge.name: (x + sigma * rng.normal(size=len(own)), np.ones(len(own), bool))
-        for gauge, x, sigma in zip(gauges, felt, size, strict=True)
-    }
-    record = replace(case.record, gauges=gauges, beside=shown)
-    estimate = replace(case.estimate, response=truth, noise=FoundNoise({GAUGE: np.array(size)}))
+    record = replace(case.record, calibrated=calibrated)
+    shown = [x + sigma * rng.normal(size=len(own)) for x, sigma in zip(felt, size, strict=True)]
+    record = replace(record, felt=tuple(c.at(own, x) for c, x in zip(record.calibrated, shown, strict=True)))
+    estimate = replace(case.estimate, response=truth, noise=FoundNoise({CALIBRATED: np.array(size)}))
     table = residual_table(estimate, record, truth).iloc[-2:]
     assert table["dof"].isna().all()
     assert list(table["channel"]) == ["displacement of sensor strain", "connection_force of sensor link"]

@@ -8,7 +8,7 @@ import pytest
 from small_estimates import make_estimate
 from small_problems import measured, small_chain
 
-from pinn_cli.record.gauge import Calibration, Gauge
+from pinn_cli.record.channel import Calibration, Channel
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.validation_data import ValidationRecord
 from pinn_cli.report.figures.sensors import WITH_NOISE, WITHOUT_NOISE, validation_figure
@@ -102,9 +102,9 @@ def test_it_begins_where_the_estimate_was():
 
 def test_a_load_cell_s_gain_that_was_found_is_used():
     structure, estimate, record, _ = tried()
-    cell = Gauge("f", "force", {0: 1.0}, record.time, 1.25 * record.force[:, 0],
+    cell = Channel("f", "force", {0: 1.0}, record.time, 1.25 * record.force[:, 0],
                  {"gain": Calibration(1.0, 10.0, unknown=True)})  # fmt: skip
-    shown = replace(record, force=1.25 * record.force, gauges=(cell,))
+    shown = replace(record, force=1.25 * record.force, calibrated=(cell,))
     gain = ParameterEstimate(Parameter("gain", 0, 1.0, label="f"), 1.25, 0.001, 1.248, 1.252)
     parameters = [*estimate.parameters, gain]
     with_gain = replace(estimate, parameters=parameters, correlation=np.eye(4))
@@ -118,12 +118,12 @@ def test_what_a_tilt_that_was_found_adds_is_no_error():
     record, truth = measurements.record.keep({"acceleration": [1, 3]}), measurements.truth.response
     felt = truth.acceleration[:, 0] + 3.0 * truth.displacement[:, 0]
     unknown = {"tilt": Calibration(0.0, 40.0, unknown=True)}
-    tilts = Gauge("a1", "acceleration", {0: 1.0}, record.time, felt, unknown)
-    shown = replace(record, acceleration=np.where([True, False, False], tilts.values[:, None], record.acceleration))
+    tilts = Channel("a1", "acceleration", {0: 1.0}, record.time, felt, unknown)
+    shown = replace(record, acceleration=np.where([True, False, False], tilts.measured[:, None], record.acceleration))
     tilt = ParameterEstimate(Parameter("tilt", 0, 0.0, label="a1"), 3.0, 0.001, 2.998, 3.002)
     estimate = estimated(structure, record, 0.0, 0.01)
     found = replace(estimate, parameters=[*estimate.parameters, tilt], correlation=np.eye(4))
-    data = ValidationRecord(replace(shown, gauges=(tilts,)), 20, None)
+    data = ValidationRecord(replace(shown, calibrated=(tilts,)), 20, None)
     assert (validation_table(ValidationRun.of(structure, found, record, data), found)["nmse_percent"] < 1e-3).all()
 
 

@@ -8,7 +8,7 @@ import pytest
 from independent_records import IndependentRecord
 from storeys import RATE, record
 
-from pinn_cli.record.gauge import WIDEST_DELAY, WIDEST_GAIN, Calibration, Gauge, unknown_calibration
+from pinn_cli.record.channel import WIDEST_DELAY, WIDEST_GAIN, Calibration, Channel, unknown_calibration
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.calibration import calibrated_starts, sensor_parameters
@@ -28,11 +28,11 @@ def exact() -> IndependentRecord:
     return record(1, duration=20.0, snr_db=60.0)
 
 
-def changed(quantity: str, dof: int, gain: float, delay: int, kinds: tuple[str, ...] = ("gain", "delay")) -> Gauge:
+def changed(quantity: str, dof: int, gain: float, delay: int, kinds: tuple[str, ...] = ("gain", "delay")) -> Channel:
     """A channel with another gain, so many samples late; both unknown."""
     values = gain * np.roll(getattr(exact().record, quantity)[:, dof], delay)
     time = exact().record.time
-    return Gauge(
+    return Channel(
         f"{quantity[0]}{dof + 1}",
         quantity,
         {dof: 1.0},
@@ -42,11 +42,11 @@ def changed(quantity: str, dof: int, gain: float, delay: int, kinds: tuple[str, 
     )
 
 
-def with_gauges(*gauges: Gauge) -> Record:
+def with_channels(*calibrated: Channel) -> Record:
     columns = {q: getattr(exact().record, q).copy() for q in ("acceleration", "force")}
-    for gauge in gauges:
-        columns[gauge.quantity][:, gauge.dof] = gauge.values
-    return replace(exact().record, gauges=gauges, **columns)
+    for channel in calibrated:
+        columns[channel.quantity][:, channel.dof] = channel.measured
+    return replace(exact().record, calibrated=calibrated, **columns)
 
 
 def chain(k=1.4e5):
@@ -54,10 +54,10 @@ def chain(k=1.4e5):
     return build_chain(3, Linear(), m=structure.m.tolist(), c=structure.c.tolist(), k=np.broadcast_to(k, 3).tolist())
 
 
-def test_parameters_of_every_gauge_in_doubt():
-    roof = replace(changed("acceleration", 2, 1.0, 0), name="roof")
-    cell = replace(changed("force", 2, 1.0, 0), calibration=BELIEVED, name="cell")
-    found = sensor_parameters(with_gauges(roof, cell))
+def test_parameters_of_every_channel_in_doubt():
+    roof = replace(changed("acceleration", 2, 1.0, 0), key="roof")
+    cell = replace(changed("force", 2, 1.0, 0), calibration=BELIEVED, key="cell")
+    found = sensor_parameters(with_channels(roof, cell))
     assert [p.name for p in found] == ["gain_roof", "delay_roof", "gain_cell", "offset_cell"]
     assert [p.index for p in found] == [0, 0, 1, 1]
     assert [p.unknown for p in found] == [True, True, False, False]
@@ -69,23 +69,23 @@ def test_parameters_of_every_gauge_in_doubt():
 
 def test_one_gain_must_be_known():
     every = [changed("acceleration", dof, 1.0, 0) for dof in range(3)] + [changed("force", 2, 1.0, 0)]
-    believed = [replace(gauge, calibration=BELIEVED) for gauge in every]
+    believed = [replace(channel, calibration=BELIEVED) for channel in every]
     for doubtful in (every, believed):
         with pytest.raises(InputError) as error:
-            sensor_parameters(with_gauges(*doubtful))
+            sensor_parameters(with_channels(*doubtful))
         assert str(error.value).startswith("data.channels=gain in doubt on all: must be one channel at least whose")
-        sensor_parameters(with_gauges(*doubtful[1:]))
-        sensor_parameters(with_gauges(*doubtful[1:], replace(every[0], calibration={"gain": Calibration(1.1)})))
+        sensor_parameters(with_channels(*doubtful[1:]))
+        sensor_parameters(with_channels(*doubtful[1:], replace(every[0], calibration={"gain": Calibration(1.1)})))
 
 
 def test_bayesian_has_a_prior_for_what_is_in_doubt_of_a_sensor():
-    problem = Bayesian(unknown=["k_*"]).pose(chain(), [with_gauges(changed("acceleration", 0, 1.3, 3))]).alone
+    problem = Bayesian(unknown=["k_*"]).pose(chain(), [with_channels(changed("acceleration", 0, 1.3, 3))]).alone
     priors = {p.name: p.prior for p in problem.uncertain}
     assert priors["gain_a1"].mean == pytest.approx(1.3, rel=0.03)
     assert (priors["gain_a1"].std, priors["delay_a1"].std) == (WIDEST_GAIN, pytest.approx(WIDEST_DELAY / RATE))
     assert len(problem.priors) == len(problem.uncertain)
     believed = replace(changed("acceleration", 0, 1.0, 0), calibration=BELIEVED)
-    priors = {p.name: p.prior for p in Bayesian().pose(chain(), [with_gauges(believed)]).alone.uncertain}
+    priors = {p.name: p.prior for p in Bayesian().pose(chain(), [with_channels(believed)]).alone.uncertain}
     assert (priors["gain_a1"].mean, priors["gain_a1"].std, priors["offset_a1"].std) == (1.0, 0.05, 0.1)
 
 
@@ -95,13 +95,13 @@ DOUBTFUL = (("acceleration", 0, 1.3, 3), ("acceleration", 2, 0.8, -2), ("force",
 
 def test_springs_gains_and_delays_are_found_together():
     """They hide each other, and the guess of the springs is a decade off."""
-    doubtful = with_gauges(*(changed(*one) for one in DOUBTFUL))
+    doubtful = with_channels(*(changed(*one) for one in DOUBTFUL))
     problem = StateParameter(unknown=["k_*"]).pose(chain(), [doubtful]).alone
     start = {p.name: p.prescribed for p in problem.uncertain}
     for i, k in enumerate(exact().structure.k, 1):
         assert start[f"k_{i}"] == pytest.approx(k, rel=0.05)
-    (first, *_) = problem.record.gauges
-    assert first.of("delay").value == start["delay_a1"]
+    (first, *_) = problem.record.calibrated
+    assert first.number("delay").value == start["delay_a1"]
     assert problem.structure.parameters["k"][0] == start["k_1"]
     believed = SparseRecovery().pose(chain(exact().structure.k), [doubtful]).alone
     for found in (start, {p.name: p.prescribed for p in believed.uncertain}):
@@ -111,9 +111,11 @@ def test_springs_gains_and_delays_are_found_together():
 
 
 def test_what_is_believed_stays_where_it_is_believed():
-    gauge = replace(changed("acceleration", 0, 1.0, 0), calibration={**BELIEVED, "delay": Calibration(0.0, 0.05, True)})
-    own = with_gauges(gauge)
-    found = {Parameter("gain", 0, label=gauge.name): 2.0, Parameter("delay", 0, label=gauge.name): 0.02}
+    channel = replace(
+        changed("acceleration", 0, 1.0, 0), calibration={**BELIEVED, "delay": Calibration(0.0, 0.05, True)}
+    )
+    own = with_channels(channel)
+    found = {Parameter("gain", 0, label=channel.key): 2.0, Parameter("delay", 0, label=channel.key): 0.02}
     again = calibrated_starts(own, {**found, Parameter("k", 0): 5.0})
-    assert (again.gauges[0].of("gain").value, again.gauges[0].of("delay").value) == (1.0, 0.02)
+    assert (again.calibrated[0].number("gain").value, again.calibrated[0].number("delay").value) == (1.0, 0.02)
     assert calibrated_starts(own, {Parameter("k", 0): 5.0}) is own

@@ -12,7 +12,7 @@ from independent_records import Structure, measured
 from small_problems import small_chain
 from storeys import C, K, M, response
 
-from pinn_cli.record.gauge import Gauge
+from pinn_cli.record.channel import Channel
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulated import Noise
 from pinn_cli.record.simulation import simulate
@@ -181,21 +181,21 @@ def test_stiffnesses_are_found_from_the_samples_that_are_there():
     there[:, 0] = rng.random(count) < 0.5
     there[:, 1] = np.arange(count) % 5 == 0
     there[int(0.5 * count) : int(0.7 * count), 2] = False
-    gauges = tuple(
-        Gauge(f"a{i + 1}", "acceleration", {i: 1.0}, record.time[there[:, i]], record.acceleration[there[:, i], i])
+    channels = tuple(
+        Channel(f"a{i + 1}", "acceleration", {i: 1.0}, record.time[there[:, i]], record.acceleration[there[:, i], i])
         for i in range(3)
     )
-    columns = np.stack([gauge.history(record.time) for gauge in gauges], axis=1)
-    lost = replace(record, acceleration=columns, gauges=gauges)
+    columns = np.stack([channel.history(record.time) for channel in channels], axis=1)
+    lost = replace(record, acceleration=columns, calibrated=channels)
     assert np.abs(stiffnesses(lost) - 1.0).max() < 0.1
     # Straight lines through what is missing lead astray.
-    assert np.abs(stiffnesses(replace(lost, gauges=())) - 1.0).max() > 0.3
+    assert np.abs(stiffnesses(replace(lost, calibrated=())) - 1.0).max() > 0.3
 
 
 def test_a_load_cell_that_misses_samples_tells_stiffnesses_too():
     record = storeys(duration=60.0)
     there = np.random.default_rng(3).random(len(record.time)) < 0.6
-    cell = Gauge("f", "force", {2: 1.0}, record.time[there], record.force[there, 2])
+    cell = Channel("f", "force", {2: 1.0}, record.time[there], record.force[there, 2])
     force = record.force.copy()
     force[:, 2] = cell.history(record.time)
-    assert np.abs(stiffnesses(replace(record, force=force, gauges=(cell,))) - 1.0).max() < 0.05
+    assert np.abs(stiffnesses(replace(record, force=force, calibrated=(cell,))) - 1.0).max() < 0.05

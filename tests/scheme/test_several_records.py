@@ -10,7 +10,7 @@ from small_problems import accelerations, small_chain
 from small_problems import measured as simulated
 from storeys import C, K, M, response
 
-from pinn_cli.record.gauge import Calibration, Gauge, unknown_calibration
+from pinn_cli.record.channel import Calibration, Channel, unknown_calibration
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.joint_problem import JointProblem
@@ -86,19 +86,19 @@ def test_a_scheme_of_ones_own_may_have_one_record_at_a_time():
         OneAtATime().pose(CHAIN, records)
 
 
-def with_gauge(record: Record, **calibration: Calibration) -> Record:
+def with_channel(record: Record, **calibration: Calibration) -> Record:
     values = record.force[:, 0]
-    return replace(record, gauges=(Gauge("f", "force", {0: 1.0}, record.time, values, calibration),))
+    return replace(record, calibrated=(Channel("f", "force", {0: 1.0}, record.time, values, calibration),))
 
 
 def test_a_sensor_of_one_name_is_one_sensor():
     unknown, believed = Calibration(1.0, 10.0, unknown=True), Calibration(1.0, 0.1)
     delay = [Calibration(0.0, width, unknown=True) for width in (0.1, 0.2)]
-    records = [with_gauge(record, gain=unknown, delay=own) for record, own in zip(roving((1, 2)), delay, strict=True)]
+    records = [with_channel(record, gain=unknown, delay=own) for record, own in zip(roving((1, 2)), delay, strict=True)]
     problem = SparseRecovery(parameter_uncertainty=0.0).pose(CHAIN, records)
     widths = [[p.prior_std for p in own.uncertain] for own in problem]
     assert widths == [[10.0, 0.1], [10.0, 0.1]]
-    records = [with_gauge(record, gain=own) for record, own in zip(roving((1, 2)), (unknown, believed), strict=True)]
+    records = [with_channel(record, gain=own) for record, own in zip(roving((1, 2)), (unknown, believed), strict=True)]
     with pytest.raises(InputError, match="gain_f.*the same in all records"):
         SparseRecovery(parameter_uncertainty=0.0).pose(CHAIN, records)
 
@@ -110,10 +110,10 @@ def test_one_gain_of_several_records_is_found_together_with_where_springs_start(
         made = measured(Structure(M, C, K, np.zeros(3)), response(seed), {"acceleration": (1,)}, 30.0, seed).record
         shown = made.acceleration * [0.16, 1.0, 1.0]
         calibration = {"gain": unknown_calibration("gain", made.time, shown[:, 0])}
-        own = Gauge("v1", "acceleration", {0: 1.0}, made.time, shown[:, 0], calibration)
-        other = Gauge("cell", "force", {2: 1.0}, made.time, made.force[:, 2], {})
-        gauges = (own, other) if seed == 1 else (other, own)  # its number is another one there
-        records.append(replace(made, acceleration=shown, gauges=gauges))
+        own = Channel("v1", "acceleration", {0: 1.0}, made.time, shown[:, 0], calibration)
+        other = Channel("cell", "force", {2: 1.0}, made.time, made.force[:, 2], {})
+        channels = (own, other) if seed == 1 else (other, own)  # its number is another one there
+        records.append(replace(made, acceleration=shown, calibrated=channels))
     structure = build_chain(3, Linear(), m=M.tolist(), c=C.tolist(), k=1000.0)
     problem = StateParameter(unobserved=[], unknown="k_*").pose(structure, records)
     for one in problem:

@@ -6,11 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pinn_cli.record.gauge import Calibration, Gauge
+from pinn_cli.record.channel import Calibration, Channel
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.calibrated_record import as_calibrated
+from pinn_cli.training.calibrated_record import as_calibrated, beside
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
 
 TIME = 0.02 * np.arange(200)
@@ -21,20 +21,20 @@ def motion(time: np.ndarray) -> np.ndarray:
     return np.sin(5.0 * time)
 
 
-def gauge(there: np.ndarray, noise: np.ndarray, quantity: str = "acceleration", weights=None) -> Gauge:
+def channel(there: np.ndarray, noise: np.ndarray, quantity: str = "acceleration", weights=None) -> Channel:
     """What a sensor with the calibration `FOUND` shows; all four are unknown."""
     shown = FOUND["gain"] * (motion(TIME - FOUND["delay"]) + noise) + FOUND["offset"]
     shown += FOUND["drift"] * (TIME - TIME[there][0])
     unknown = {kind: Calibration(float(kind == "gain"), 1.0, unknown=True) for kind in FOUND}
-    return Gauge("a1", quantity, {0: 1.0} if weights is None else weights, TIME[there], shown[there], unknown)
+    return Channel("a1", quantity, {0: 1.0} if weights is None else weights, TIME[there], shown[there], unknown)
 
 
-def record_of(*gauges: Gauge, ground: bool = False) -> Record:
+def record_of(*channels: Channel, ground: bool = False) -> Record:
     nothing = np.full((200, 2), np.nan)
     acceleration = np.stack((np.zeros(200), motion(TIME)), axis=1)
     shaken = motion(TIME) if ground else None
     still = np.zeros((200, 2))
-    record = Record(TIME, nothing, nothing, acceleration, still, np.ones(2, bool), gauges=gauges)
+    record = Record(TIME, nothing, nothing, acceleration, still, np.ones(2, bool), calibrated=channels)
     return replace(record, ground_acceleration=shaken)
 
 
@@ -47,7 +47,7 @@ def estimate(found=FOUND) -> Estimate:
     return Estimate(response, response, parameters, pd.DataFrame(), {})
 
 
-def test_a_record_without_gauges_stays_as_it_is():
+def test_a_record_without_calibrated_channels_stays_as_it_is():
     record = record_of()
     assert as_calibrated(record, estimate({})) is record
 
@@ -56,39 +56,50 @@ def test_a_record_without_gauges_stays_as_it_is():
 def test_columns_show_what_a_sensor_felt_by_what_was_found(share):
     rng = np.random.default_rng(0)
     noise, there = 0.1 * rng.normal(size=200), rng.random(200) <= share
-    record = record_of(gauge(there, noise))
+    record = record_of(channel(there, noise))
     calibrated = as_calibrated(record, estimate())
     left = calibrated.acceleration[:, 0] - motion(TIME)
-    seen = calibrated.there("acceleration", 0)
+    seen = calibrated.column("acceleration", 0).there
     # What it felt at t - delay stands at the record's nearest time: half a step between two of them.
     assert seen.sum() == pytest.approx((there[3:]).sum(), abs=2)
     np.testing.assert_allclose(np.sort(left[seen]), np.sort(noise[there & (TIME >= 0.05)])[: seen.sum()], atol=1e-5)
     np.testing.assert_array_equal(left[~seen], 0.0)
     np.testing.assert_array_equal(calibrated.acceleration[:, 1], record.acceleration[:, 1])
-    assert calibrated.there("acceleration", 1) is None
+    assert calibrated.column("acceleration", 1).there is None
 
 
 def test_a_sensor_of_several_dofs_fills_no_column():
-    record = record_of(gauge(np.ones(200, bool), np.zeros(200), "displacement", {0: 1.0, 1: -1.0}))
+    record = record_of(channel(np.ones(200, bool), np.zeros(200), "displacement", {0: 1.0, 1: -1.0}))
     calibrated = as_calibrated(record, estimate())
     assert np.isnan(calibrated.displacement).all()
-    assert not any(where.any() for where in calibrated.missing.values())
+    assert all(calibrated.column("displacement", dof).there is None for dof in range(2))
+    assert [felt.name for felt in calibrated.felt] == ["displacement of sensor a1"]
 
 
 def test_the_ground():
     there = np.arange(200) % 4 > 0
-    record = record_of(gauge(there, np.zeros(200), "ground_acceleration", {}), ground=True)
+    record = record_of(channel(there, np.zeros(200), "ground_acceleration", {}), ground=True)
     calibrated = as_calibrated(record, estimate())
     np.testing.assert_allclose(calibrated.ground_acceleration, motion(TIME), atol=1e-5)
-    assert calibrated.there("ground_acceleration", 0).sum() < 160
+    assert calibrated.column("ground_acceleration", 0).there.sum() < 160
+
+
+def test_a_tilt_that_is_known_is_no_error():
+    """Its part of what the sensor shows is no acceleration, which its column is compared with."""
+    response, everywhere = estimate().response, np.ones(200, bool)
+    tilting = replace(
+        channel(everywhere, np.zeros(200)), calibration={"tilt": Calibration(3.0)}, measured=4.0 * motion(TIME)
+    )
+    seen = beside(record_of(tilting), [], response).column("acceleration", 0)
+    np.testing.assert_allclose(seen.measured, seen.of(response), atol=1e-5)
 
 
 def test_a_training_says_itself_what_it_leaves():
     """Between the samples of an estimate there may be more than they show."""
     there, own = np.ones(200, bool), np.random.default_rng(1).normal(size=200)
     own[:20] = np.nan
-    record = record_of(gauge(there, np.zeros(200)))
+    record = record_of(channel(there, np.zeros(200)))
     calibrated = as_calibrated(record, replace(estimate(), left={"a1": own}))
-    seen = calibrated.there("acceleration", 0)
+    seen = calibrated.column("acceleration", 0).there
     left = (calibrated.acceleration[:, 0] - motion(TIME))[seen]
     np.testing.assert_allclose(left, own[20:], atol=1e-12)

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lacking_records import K, as_gauges, high_passed, moved, posed, recorded
+from lacking_records import K, calibrated_alike, high_passed, moved, posed, recorded
 from solved_records import by_spline
 
-from pinn_cli.record.gauge import Calibration, Gauge
+from pinn_cli.record.channel import Calibration, Channel
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.training.calibrated_record import as_calibrated
@@ -35,7 +35,7 @@ def assert_right(estimate: Estimate, truth: Response) -> None:
 def test_behind_a_known_filter_displacements_are_in_their_bands(ground: bool, order: int):
     truth = moved(ground, 1, ())
     shown = dict(enumerate(high_passed(truth.acceleration, CORNER, order).T))
-    record = as_gauges(recorded(truth, shown), order, high_pass=Calibration(CORNER))
+    record = calibrated_alike(recorded(truth, shown), order, high_pass=Calibration(CORNER))
     estimate = solved(record)
     assert_right(estimate, truth)
     left = as_calibrated(record, estimate).acceleration - estimate.response.acceleration
@@ -47,7 +47,7 @@ def test_behind_a_known_filter_displacements_are_in_their_bands(ground: bool, or
 def test_an_unknown_corner_is_found(order: int):
     truth = moved(False, 1, ())
     shown = dict(enumerate(high_passed(truth.acceleration, CORNER, order).T))
-    estimate = solved(as_gauges(recorded(truth, shown), order, high_pass=Calibration(0.1, 10.0, unknown=True)))
+    estimate = solved(calibrated_alike(recorded(truth, shown), order, high_pass=Calibration(0.1, 10.0, unknown=True)))
     assert_right(estimate, truth)
     for p in estimate.parameters:
         if p.kind == "high_pass":
@@ -59,8 +59,8 @@ def test_an_unknown_tilt_is_found():
     truth = moved(True, 1, ())
     record = recorded(truth, {2: truth.acceleration[:, 2] + 3.0 * truth.displacement[:, 2]})
     unknown = {"tilt": Calibration(0.0, 40.0, unknown=True)}
-    tilting = Gauge("a3", "acceleration", {2: 1.0}, record.time, record.acceleration[:, 2], unknown)
-    record = replace(record, gauges=(tilting,))
+    tilting = Channel("a3", "acceleration", {2: 1.0}, record.time, record.acceleration[:, 2], unknown)
+    record = replace(record, calibrated=(tilting,))
     estimate = solved(record)
     assert_right(estimate, truth)
     left = as_calibrated(record, estimate).acceleration[:, 2] - estimate.response.acceleration[:, 2]
@@ -73,11 +73,13 @@ def test_what_a_filter_passes_is_what_its_equation_says():
     """A sinusoid, against the filter's transfer function, once how it began has died away."""
     time = np.arange(4000) / 50.0
     for order in (1, 2):
-        gauge = Gauge("x", "acceleration", {0: 1.0}, time, time, {"high_pass": Calibration(CORNER)}, filter_order=order)
+        channel = Channel(
+            "x", "acceleration", {0: 1.0}, time, time, {"high_pass": Calibration(CORNER)}, filter_order=order
+        )
         s, w = 2j * np.pi * 1.3, 2.0 * np.pi * CORNER
         gain = s**order / (s + w if order == 1 else s**2 + 2.0**0.5 * w * s + w**2)
-        passed = gauge.passed(time, np.sin(2.0 * np.pi * 1.3 * time))
+        passed = channel.passed(time, np.sin(2.0 * np.pi * 1.3 * time))
         expected = (gain * np.exp(s * time)).imag
         np.testing.assert_allclose(passed[2000:], expected[2000:], atol=1e-3)
-        began = np.linalg.lstsq(gauge.decays(time), passed - expected)[0]
-        np.testing.assert_allclose(passed - expected, gauge.decays(time) @ began, atol=1e-3)
+        began = np.linalg.lstsq(channel.decays(time), passed - expected)[0]
+        np.testing.assert_allclose(passed - expected, channel.decays(time) @ began, atol=1e-3)

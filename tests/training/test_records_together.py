@@ -182,7 +182,7 @@ def sensor(kind: str, index: int, name: str) -> Parameter:
 
 
 def test_gain_and_delay_go_with_the_sensor_and_its_offset_with_the_record():
-    """Sensors are known by name: their number among the gauges of another record may be another one."""
+    """Sensors are known by name: their number among the channels of another record may be another one."""
     first = (STIFFNESSES[0], sensor("gain", 0, "f"), sensor("offset", 0, "f"), sensor("delay", 1, "a1"))
     second = (STIFFNESSES[0], sensor("offset", 1, "f"), sensor("gain", 1, "f"), sensor("delay", 0, "a2"))
     every, columns = joined_parameters([first, second])

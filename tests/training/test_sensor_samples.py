@@ -5,7 +5,7 @@ import pytest
 from independent_records import frame_record
 from small_problems import excitation, measured, small_chain
 
-from pinn_cli.record.gauge import Gauge
+from pinn_cli.record.channel import Channel
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
@@ -57,11 +57,11 @@ def test_a_load_cell_with_a_gap_shows_its_noise_where_it_has_samples():
     shown = shown + 0.05 * rng.standard_normal(3000)
     there = (time < 12.0) | (time > 18.0)
     record = frame_record(rate=100.0, duration=15.0).record
-    cell = SensorSamples.of_gauge(Gauge("f", "force", {0: 1.0}, time[there], shown[there]), record)
+    cell = SensorSamples(Channel("f", "force", {0: 1.0}, time[there], shown[there]), record)
     assert [cell.first, cell.shown] == pytest.approx([0.05, 0.05], rel=0.15)
     half = rng.random(3000) < 0.5
-    scattered = Gauge("f", "force", {0: 1.0}, time[half], shown[half])
-    assert SensorSamples.of_gauge(scattered, record).first == pytest.approx(0.1 * np.std(scattered.values))
+    scattered = Channel("f", "force", {0: 1.0}, time[half], shown[half])
+    assert SensorSamples(scattered, record).first == pytest.approx(0.1 * np.std(scattered.measured))
 
 
 @pytest.mark.parametrize("behind_filters", [False, True])
@@ -78,5 +78,5 @@ def test_content_that_ends_short_of_the_nyquist_frequency_passes_for_noise_only_
         step * np.arange(count), nothing, nothing.copy(), (20.0 * slow + 0.1 * noise)[:, None], np.zeros_like(nothing),
         np.ones(1, bool), ground_acceleration=ground,
     )  # fmt: skip
-    cell = SensorSamples.of_column(record, GROUND, 0)
+    cell = SensorSamples(record.column(GROUND, 0), record)
     assert cell.shown == pytest.approx(0.1 if behind_filters else 0.005, rel=0.15)

@@ -8,7 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from pinn_cli.record.channels import Channel, channels, every_channel
+from pinn_cli.record.channel import Channel
+from pinn_cli.record.channels import channels, every_channel
 from pinn_cli.record.cross_spectra import CrossSpectra
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
@@ -186,8 +187,8 @@ def _draw_correlation(axes: Axes, left: np.ndarray) -> None:
 
 def _name(axes: Axes, channel: Channel, record: Record) -> None:
     """Quantity and place of a sensor before its row."""
-    place = channel.label if record.dofs or channel.gauge is not None else f"DOF {channel.where}"
-    place = "ground" if channel.quantity == GROUND and channel.gauge is None else place
+    place = channel.where if record.dofs or not channel.is_column else f"DOF {channel.where}"
+    place = "ground" if channel.quantity == GROUND and channel.is_column else place
     axes.set_ylabel(f"{style.SYMBOLS[channel.quantity]}, {style.literal(place)}")
 
 

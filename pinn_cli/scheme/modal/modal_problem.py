@@ -75,8 +75,8 @@ def _checked(records: Sequence[Record]) -> tuple[Record, int]:
     if len(silent):
         hint = "a record tells nothing of other points (data.holdout)"
         raise InputError("system.dofs", record.dof_names(silent), "points with a sensor or the force", hint)
-    if record.gauges:
-        names = ", ".join(gauge.name for gauge in record.gauges)
+    if record.calibrated:
+        names = ", ".join(channel.key for channel in record.calibrated)
         raise InputError("data.channels", names, "calibrated sensors of one DOF each with system=modal")
     return record, int(forces[0])
 

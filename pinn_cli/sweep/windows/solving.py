@@ -180,9 +180,9 @@ def _check_sensors(problem: Problem) -> None:
             setting = f"data.channels.{parameter.label}.{parameter.kind}"
             hint = f"learn it from a part of the record: data.start, data.stop, without {WINDOW_SETTING}"
             raise InputError(setting, "in doubt", f"a number with {WINDOW_SETTING}", hint)
-    for gauge in problem.record.gauges:
-        if gauge.filter_order:
+    for channel in problem.record.calibrated:
+        if channel.filter_order:
             hint = "each window would begin with another state of its filter"
             raise InputError(
-                f"data.channels.{gauge.name}.{HIGH_PASS}", "given", f"left out with {WINDOW_SETTING}", hint
+                f"data.channels.{channel.key}.{HIGH_PASS}", "given", f"left out with {WINDOW_SETTING}", hint
             )

@@ -251,10 +251,11 @@ def _softened(evidence: RecordEvidence, noise: NoiseModel, force: float) -> Nois
     largest: defaultdict[str, float] = defaultdict(float)
     every = evidence.equations.channels
     for sensor in (sensor for channels in every for sensor in channels.sensors if sensor is not None):
-        largest[sensor.quantity] = max(largest[sensor.quantity], float(sensor.values.std()))
+        quantity, measured = sensor.channel.quantity, sensor.channel.measured
+        largest[quantity] = max(largest[quantity], float(measured.std()))
     response = dict(noise.response)
     for channels in every:
-        least = [np.nan if sensor is None else LEAST_LEVEL * largest[sensor.quantity] for sensor in channels.sensors]
+        least = [np.nan if one is None else LEAST_LEVEL * largest[one.channel.quantity] for one in channels.sensors]
         response[channels.name] = np.maximum(noise.response[channels.name], least)
     return replace(noise, discrepancy=max(noise.discrepancy, LEAST_LEVEL * force), response=response)
 

@@ -14,8 +14,8 @@ import torch
 from scipy.sparse import csr_matrix
 from torch import Tensor
 
+from pinn_cli.record.channel import WIDEST_DELAY
 from pinn_cli.record.channels import record_band
-from pinn_cli.record.gauge import WIDEST_DELAY
 from pinn_cli.record.spectrum import signal_band
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.left_out import DAMPER, LEFT_OUT, MODE, SPRING, LeftOut, resonance

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solve_banded  # scipy.signal takes a third of a second to import
 
-from pinn_cli.record.gauge import WIDEST_DELAY
+from pinn_cli.record.channel import WIDEST_DELAY
 from pinn_cli.system.quantities import CONNECTION_FORCE, FORCE, GROUND, MOTION, SUPPORT
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint
 from pinn_cli.training.normal_equations import NormalEquations

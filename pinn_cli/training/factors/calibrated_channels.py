@@ -18,8 +18,7 @@ import torch
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
-from pinn_cli.record.channels import channel_name, sensor_name
-from pinn_cli.record.gauge import DELAYS_ALLOWED, GAUGE, Gauge, filter_polynomial
+from pinn_cli.record.channel import CALIBRATED, DELAYS_ALLOWED, Channel, filter_polynomial
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE, GROUND, HIGH_PASS
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint, Part
@@ -79,8 +78,7 @@ class CalibratedChannel:
     """One of them.
 
     Args:
-        gauge: Which.
-        number: Its own among the record's gauges, counted from 0.
+        channel: Which.
         frame: Of the record.
 
     Attributes:
@@ -92,33 +90,34 @@ class CalibratedChannel:
             it is behind none.
     """
 
-    def __init__(self, gauge: Gauge, number: int, frame: Frame) -> None:
-        self.gauge, self.number, self.frame = gauge, number, frame
+    def __init__(self, channel: Channel, frame: Frame) -> None:
+        self.channel, self.frame = channel, frame
         self.places = {
-            p.kind: frame.vector.first[p.kind] + number
+            p.kind: frame.vector.first[p.kind] + p.index
             for p in frame.vector.moving
-            if p.kind in CALIBRATION_UNITS and p.index == number
+            if p.kind in CALIBRATION_UNITS and p.index == channel.index
         }
         network = frame.network
         self.kept = self._inside(float(network.start), float(network.stop))  # type: ignore[arg-type]
         self.time, self.measured = (
-            torch.as_tensor(x[self.kept]).to(frame.target.force) for x in (gauge.time, gauge.values)
+            torch.as_tensor(x[self.kept]).to(frame.target.force) for x in (channel.time, channel.measured)
         )
-        self.since = self.time - gauge.start
-        self.feels, filters = felt_by(gauge, number, frame.dynamics, frame.vector), frame.dynamics.inputs.filters
-        self.state = frame.dynamics.filters.start + filters.index(number) if number in filters else None
+        self.since = self.time - channel.start
+        self.feels, filters = felt_by(channel, frame.dynamics, frame.vector), frame.dynamics.inputs.filters
+        has_state = channel.index in filters
+        self.state = frame.dynamics.filters.start + filters.index(channel.index) if has_state else None
         self._moment: Moment | None = None
 
     def _inside(self, start: float, stop: float) -> np.ndarray:
         """(J,) bool, samples at which it felt a motion within the record, whatever its delay may turn out to be."""
         (first, last), margin = self._delays, 1e-9 * (stop - start)
-        kept: np.ndarray = (self.gauge.time - last >= start - margin) & (self.gauge.time - first <= stop + margin)
+        kept: np.ndarray = (self.channel.time - last >= start - margin) & (self.channel.time - first <= stop + margin)
         return kept
 
     @property
     def _delays(self) -> tuple[float, float]:
         """The least and the largest with which its samples felt a motion within the record."""
-        delay = self.gauge.of("delay")
+        delay = self.channel.number("delay")
         return delay.value - DELAYS_ALLOWED * delay.std, delay.value + DELAYS_ALLOWED * delay.std
 
     def reaches(self, parameters: Mapping[str, Tensor]) -> bool:
@@ -128,7 +127,7 @@ class CalibratedChannel:
 
     def value(self, kind: str, parameters: Mapping[str, Tensor]) -> Tensor:
         """One number of the calibration."""
-        return parameters[kind][self.number]
+        return parameters[kind][self.channel.index]
 
     def moment(self, delay: float) -> Moment:
         """The features as a delay has them; kept until it changes."""
@@ -142,7 +141,7 @@ class CalibratedChannel:
     @property
     def shows(self) -> Feels:
         """What it shows but for its calibration: what it feels, or of a filter a derivative of its state."""
-        return self.feels if self.state is None else WeightedSum([Part(self.state, self.gauge.filter_order, 1.0)])
+        return self.feels if self.state is None else WeightedSum([Part(self.state, self.channel.filter_order, 1.0)])
 
     def residual(self, point: Point) -> Tensor:
         """(I, S), what it would show without noise minus what it shows."""
@@ -206,16 +205,16 @@ class CalibratedChannel:
 
     def at_point(self, point: Point, sigma: float) -> ChannelAtPoint:
         """See :meth:`Channels.at`."""
-        shown, record, gauge = self.at(point), self.frame.problem.record, self.gauge
+        shown, own = self.at(point), self.channel
         segments, flat = shown.moment.segments, lambda x: shown.moment.segments.scatter(x).numpy()
         number = {int(place): i for i, place in enumerate(self.frame.vector.column)}
         displacement = None
-        if gauge.quantity == "acceleration":
-            turning = WeightedSum(weighted(self.frame.dynamics, "displacement", gauge.weights))
+        if own.quantity == "acceleration":
+            turning = WeightedSum(weighted(self.frame.dynamics, "displacement", own.weights))
             displacement = flat(turning.value(self.frame.jet(segments, point), {}))
         return ChannelAtPoint(
-            sensor_name(gauge) if gauge.dof is None else channel_name(record, gauge.quantity, gauge.dof),
-            gauge.quantity,
+            own.name,
+            own.quantity,
             segments,
             {order: shown.moment.features(order) for order in range(3)},
             shown.parts,
@@ -237,17 +236,16 @@ class CalibratedChannels(Channels):
         frame: Of the record.
     """
 
-    name = GAUGE
+    name = CALIBRATED
 
     def __init__(self, frame: Frame) -> None:
         super().__init__(frame)
         record = frame.problem.record
-        gauges = record.gauges
-        self.each = [CalibratedChannel(gauge, number, frame) for number, gauge in enumerate(gauges)]
-        self.sensors = [SensorSamples.of_gauge(gauge, record) for gauge in gauges]
-        self.there = np.ones(len(gauges), dtype=bool)
-        self.samples = np.array([len(channel.time) for channel in self.each])
-        self.acting = np.array([gauge.quantity in (FORCE, GROUND) for gauge in gauges], dtype=bool)
+        self.each = [CalibratedChannel(channel, frame) for channel in record.calibrated]
+        self.sensors = [SensorSamples(channel, record) for channel in record.calibrated]
+        self.there = np.ones(len(self.each), dtype=bool)
+        self.samples = np.array([len(one.time) for one in self.each])
+        self.acting = np.array([channel.quantity in (FORCE, GROUND) for channel in record.calibrated], dtype=bool)
 
     def residuals(self, point: Point) -> Iterator[Piece]:
         """See :meth:`Channels.residuals`."""
@@ -263,23 +261,23 @@ class CalibratedChannels(Channels):
 
     def left(self, point: Point) -> dict[str, np.ndarray]:
         """See :meth:`Channels.left`."""
-        return {channel.gauge.name: channel.left(point) for channel in self.each}
+        return {one.channel.key: one.left(point) for one in self.each}
 
     def loss(self, point: Point, noise: NoiseModel) -> float:
         """Infinite where a delay is out of the record's reach."""
         parameters = self.frame.parameters(point)
         if not all(channel.reaches(parameters) for channel in self.each):
             return math.inf
-        return float(np.sum(self.squares(point) / noise.response[GAUGE] ** 2))
+        return float(np.sum(self.squares(point) / noise.response[CALIBRATED] ** 2))
 
     def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
         """See :meth:`Factor.add_to`."""
-        for channel, sigma in zip(self.each, noise.response[GAUGE], strict=True):
+        for channel, sigma in zip(self.each, noise.response[CALIBRATED], strict=True):
             channel.add_to(sums, point, float(sigma) ** -2)
 
     def at(self, point: Point, noise: NoiseModel) -> Iterator[ChannelAtPoint]:
         """See :meth:`Channels.at`."""
-        for channel, sigma in zip(self.each, noise.response[GAUGE], strict=True):
+        for channel, sigma in zip(self.each, noise.response[CALIBRATED], strict=True):
             yield channel.at_point(point, float(sigma))
 
 
@@ -303,7 +301,7 @@ class Gains(Factor):
     def _counted(self, noise: NoiseModel) -> list[tuple[CalibratedChannel, float]]:
         if noise.taken_up is None:
             return []
-        return [(channel, float(noise.taken_up[channel.number])) for channel in self.channels]
+        return [(channel, float(noise.taken_up[channel.channel.index])) for channel in self.channels]
 
     def loss(self, point: Point, noise: NoiseModel) -> float:
         """See :meth:`Factor.loss`."""
@@ -377,11 +375,11 @@ class SensorFilter(Factor):
 
     def __init__(self, frame: Frame, channel: CalibratedChannel, state: int) -> None:
         super().__init__(frame)
-        self.channel, self.state, self.order = channel, state, channel.gauge.filter_order
+        self.channel, self.state, self.order = channel, state, channel.channel.filter_order
         self.segments, averages = frame.physics, frame.averages
         own = (self.segments.displacement, self.segments.velocity, self.segments.acceleration)
         self.features = own if averages is None else tuple(averages(phi) for phi in own)
-        values = channel.gauge.values
+        values = channel.channel.measured
         self.weight = (EXACT * (float(np.std(values)) or 1.0)) ** -2
 
     def _corner(self, parameters: Mapping[str, Tensor]) -> float:

@@ -15,7 +15,6 @@ from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.network.network import States
-from pinn_cli.record.channels import channel_name
 from pinn_cli.system.functions import Jet
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint
 from pinn_cli.training.factors.factor import Channels, Piece
@@ -89,7 +88,7 @@ class ConstantChannels(Channels):
         record = frame.problem.record
         self.samples = np.full(len(self.there), len(record.time))
         self.sensors = [
-            SensorSamples.of_column(record, quantity, dof) if there else None for dof, there in enumerate(self.there)
+            SensorSamples(record.column(quantity, i), record) if there else None for i, there in enumerate(self.there)
         ]
         self._kept: tuple[Point | None, Tensor] = None, mask
 
@@ -152,7 +151,7 @@ class ResponseChannels(ConstantChannels):
         features = dict(enumerate((segments.displacement, segments.velocity, segments.acceleration)))
         for dof in np.flatnonzero(self.there).tolist():
             yield ChannelAtPoint(
-                channel_name(frame.problem.record, self.name, dof),
+                frame.problem.record.column(self.name, dof).name,
                 self.name,
                 segments,
                 features,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from pinn_cli.record.gauge import Gauge
+from pinn_cli.record.channel import Channel
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import ParameterVector
@@ -65,7 +65,7 @@ class Tilting(WeightedSum):
     Args:
         parts: Of what it feels when it does not turn.
         turning: Of the displacement of its place.
-        number: Of the gauge.
+        number: Of the channel.
         place: Of the tilt among the uncertain parameters; None: it is known.
     """
 
@@ -120,23 +120,22 @@ class ConnectionForce(Feels):
         return parts, by
 
 
-def felt_by(gauge: Gauge, number: int, dynamics: Dynamics, vector: ParameterVector[Any]) -> Feels:
-    """What a gauge feels before any filter of its own.
+def felt_by(channel: Channel, dynamics: Dynamics, vector: ParameterVector[Any]) -> Feels:
+    """What a channel feels before any filter of its own.
 
     Args:
-        gauge: Of the record.
-        number: Its own among the record's, counted from 0.
+        channel: Of the record.
         dynamics: Of the functions.
         vector: The uncertain parameters.
     """
-    if gauge.quantity == CONNECTION_FORCE:
-        return ConnectionForce(dynamics, vector, gauge.connection)
-    parts = weighted(dynamics, gauge.quantity, gauge.weights)
-    if TILT not in gauge.calibration:
+    if channel.quantity == CONNECTION_FORCE:
+        return ConnectionForce(dynamics, vector, channel.connection)
+    parts = weighted(dynamics, channel.quantity, channel.weights)
+    if TILT not in channel.calibration:
         return WeightedSum(parts)
-    turning, first = weighted(dynamics, "displacement", gauge.weights), vector.first
-    moves = any(p.kind == TILT and p.index == number for p in vector.moving)
-    return Tilting(parts, turning, number, first[TILT] + number if moves else None)
+    turning, first = weighted(dynamics, "displacement", channel.weights), vector.first
+    moves = any(p.kind == TILT and p.index == channel.index for p in vector.moving)
+    return Tilting(parts, turning, channel.index, first[TILT] + channel.index if moves else None)
 
 
 def weighted(dynamics: Dynamics, quantity: str, felt: Mapping[int, float]) -> list[Part]:

@@ -90,7 +90,7 @@ class Frame:
             near = problem.turning_points.near(self.averages.times(self.target.physics_time), network.spacing)
             self.averages = self.averages.loosened(torch.as_tensor(near), problem.turning_points.looser)
         self.beginning = Beginning.of(problem)
-        prescribed = problem.structure.parameters | calibrations(problem.record.gauges)
+        prescribed = problem.structure.parameters | calibrations(problem.record.calibrated)
         prescribed |= {} if self.beginning is None else self.beginning.prescribed
         self.prescribed = {name: value.to(self.target.force) for name, value in prescribed.items()}
         self._place_parameters()

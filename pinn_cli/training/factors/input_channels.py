@@ -28,7 +28,6 @@ from torch import Tensor
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.network import States
 from pinn_cli.record.between_samples import refined, refined_times
-from pinn_cli.record.channels import channel_name
 from pinn_cli.record.spectrum import noise_level
 from pinn_cli.system.functions import FLAT
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint, Part
@@ -138,7 +137,7 @@ class InputChannels(ConstantChannels):
         left = points.scatter(self.residual(point)).numpy()
         for i in np.flatnonzero(self.there).tolist():
             yield ChannelAtPoint(
-                channel_name(record, self.name, i),
+                record.column(self.name, i).name,
                 self.name,
                 points,
                 features,

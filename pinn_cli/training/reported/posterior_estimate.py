@@ -16,7 +16,7 @@ from scipy.sparse import csr_matrix
 
 from pinn_cli.model.knowledge import ParameterKnowledge
 from pinn_cli.physics import estimated_response
-from pinn_cli.record.gauge import GAUGE
+from pinn_cli.record.channel import CALIBRATED
 from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.quantities import FORCE, GROUND
@@ -125,16 +125,16 @@ def record_estimate(evidence: RecordEvidence, solution: RecordSolution) -> Estim
 
 
 def _noise_felt(equations: NormalEquations, solution: RecordSolution) -> dict[str, np.ndarray]:
-    """Quantity to the noise of its sensors in what they feel; of gauges under a name of their own as well."""
+    """Quantity to the noise of its sensors in what they feel; of calibrated ones by themselves as well."""
     record = equations.problem.record
     levels = {quantity: sigma.copy() for quantity, sigma in solution.noise.response.items()}
-    if GAUGE not in levels:
+    if CALIBRATED not in levels:
         return levels
     gain = equations.parameters(solution.point)["gain"].numpy()
-    levels[GAUGE] /= np.abs(gain)
-    for gauge, sigma in zip(record.gauges, levels[GAUGE], strict=True):
-        if gauge.dof is not None:
-            levels[gauge.quantity][gauge.dof] = sigma
+    levels[CALIBRATED] /= np.abs(gain)
+    for channel, sigma in zip(record.calibrated, levels[CALIBRATED], strict=True):
+        quantity, number = channel.place
+        levels[quantity][number] = sigma
     return levels
 
 

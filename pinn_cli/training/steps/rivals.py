@@ -80,12 +80,12 @@ def seen_by(structure: Structure, records: Sequence[Record]) -> Seen:
     for record in records:
         sensing += [one[dof] for q in RESPONSE_QUANTITIES for dof in np.flatnonzero(record.sensors(q))]
         inputs += [(one[dof], nothing, still) for dof in np.flatnonzero(record.sensors(FORCE))]
-        for gauge in (gauge for gauge in record.gauges if gauge.dof is None):  # one of a single DOF has a column, too
+        for channel in (channel for channel in record.calibrated if not channel.is_column):
             weights = np.zeros(structure.ndof)
-            weights[list(gauge.weights)] = list(gauge.weights.values())
-            if gauge.quantity in RESPONSE_QUANTITIES:
+            weights[list(channel.weights)] = list(channel.weights.values())
+            if channel.quantity in RESPONSE_QUANTITIES:
                 sensing.append(weights)
-            elif gauge.quantity == FORCE:
+            elif channel.quantity == FORCE:
                 inputs.append((weights, nothing, still))
         if record.ground_acceleration is not None:
             inputs.append((nothing, structure.with_ground, still))

@@ -26,7 +26,8 @@ from itertools import pairwise
 import numpy as np
 import torch
 
-from pinn_cli.record.channels import Channel, channels, record_band
+from pinn_cli.record.channel import Channel
+from pinn_cli.record.channels import channels, record_band
 from pinn_cli.record.cross_spectra import CrossSpectra, band_edges, taper
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import signal_edges
@@ -65,7 +66,7 @@ def is_spectral(problem: Problem) -> bool:
         and not inputs.supports
         and not inputs.loads
         and not len(structure.memory)
-        and not record.gauges
+        and not record.calibrated
     )
     plain = record.intersample == "band_limited" and record.repeats is None and not problem.priors
     return bool(inputs.forces) and linear and alone and plain
@@ -131,7 +132,7 @@ class SpectralModel:
         acting = [*problem.inputs.forces, *loads]
         self.acting = Acting.forces(problem.structure.shapes.matrix[acting].T)
         self.unknown_forces = len(problem.inputs.forces)
-        samples = [SensorSamples.of_column(problem.record, *sensor.place) for sensor in sensors]
+        samples = [SensorSamples(sensor, problem.record) for sensor in sensors]
         self.first_noise = np.array([sample.first for sample in samples])
         self.load_noise = starting_levels(problem.record, FORCE)[loads]
         self.knots = _knots(spectrum.omega)

@@ -46,8 +46,8 @@ def test_a_file_of_another_rate_is_empty_between_its_samples(folder):
     np.testing.assert_allclose(clock.time, TIME, atol=1e-6)
     np.testing.assert_array_equal(clock.table.columns["a"][::4], np.cos(slow))
     assert np.isnan(clock.table.columns["a"]).sum() == 48
-    (gauge,) = measured(folder, "force.csv", "slow.csv").gauges
-    np.testing.assert_array_equal(gauge.values, np.cos(slow))
+    (channel,) = measured(folder, "force.csv", "slow.csv").calibrated
+    np.testing.assert_array_equal(channel.measured, np.cos(slow))
 
 
 def test_errors_name_the_file_that_a_cell_comes_from(folder):

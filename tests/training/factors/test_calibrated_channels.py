@@ -8,7 +8,7 @@ import pytest
 from structures import braced
 
 from pinn_cli.network.spline import Spline
-from pinn_cli.record.gauge import GAUGE, Calibration, Gauge
+from pinn_cli.record.channel import CALIBRATED, Calibration, Channel
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.inputs import inputs_of
@@ -30,15 +30,15 @@ FOUR = {
 
 
 def posed(calibration=FOUR) -> tuple[NormalEquations, NoiseModel]:
-    """Histories without physics; one accelerometer beside the gauge, and one force on the first DOF."""
+    """Histories without physics; one accelerometer beside the channel, and one force on the first DOF."""
     structure, rng = braced(), np.random.default_rng(7)
     n, values = structure.ndof, rng.normal(size=len(OWN))
-    gauge = Gauge("x", "acceleration", {1: 1.0}, OWN, values, calibration)
+    channel = Channel("x", "acceleration", {1: 1.0}, OWN, values, calibration)
     columns = {name: np.full((len(TIME), n), np.nan) for name in ("displacement", "velocity", "acceleration")}
-    columns["acceleration"][:, 1:] = np.stack((gauge.history(TIME), rng.normal(size=len(TIME))), axis=1)
+    columns["acceleration"][:, 1:] = np.stack((channel.history(TIME), rng.normal(size=len(TIME))), axis=1)
     force = np.zeros((len(TIME), n))
     force[:, 0] = rng.normal(size=len(TIME))
-    record = Record(TIME, **columns, force=force, unforced=np.arange(n) > 0, gauges=(gauge,))
+    record = Record(TIME, **columns, force=force, unforced=np.arange(n) > 0, calibrated=(channel,))
     problem = Problem(structure, record, sensor_parameters(record), inputs=inputs_of(structure, record))
     equations = NormalEquations(built(Spline(intervals=5), problem), problem)
     return equations, replace(starting_noise(equations), taken_up=np.array([7.3]))
@@ -59,7 +59,7 @@ def test_samples_that_may_have_felt_motion_outside_the_record_are_left_out():
     late, on_time = (posed(known)[0] for known in (FOUR, {}))
     for equations, first, last in ((late, 1.7 + 0.19, 8.3 - 0.11), (on_time, 1.7, 8.3)):
         (rows,) = equations.channels[-1].each
-        rows.gauge = replace(rows.gauge, time=record, values=record)
+        rows.channel = replace(rows.channel, time=record, measured=record)
         np.testing.assert_array_equal(rows._inside(1.7, 8.3), (record >= first) & (record <= last))
 
 
@@ -72,14 +72,14 @@ def test_a_delay_beyond_the_record_s_reach_is_refused_and_takes_no_memory():
     for by, finite in ((2.9, True), (-2.9, True), (3.1, False), (200.0, False)):
         far = point.parameters.clone()
         far[place] = by
-        assert math.isfinite(equations.losses(Point(point.unknowns, far), noise)[GAUGE]) is finite
+        assert math.isfinite(equations.losses(Point(point.unknowns, far), noise)[CALIBRATED]) is finite
         assert rows._moment.segments.mask.shape[1] <= held[1] + 2
 
 
 def test_what_is_left_of_every_sample_is_in_what_it_feels():
     equations, _ = posed()
     point = equations.start()
-    (channels,) = (own for own in equations.channels if own.name == GAUGE)
+    (channels,) = (own for own in equations.channels if own.name == CALIBRATED)
     (channel,) = channels.each
     left = channels.left(point)["x"]
     assert (np.isfinite(left) == channel.kept).all()

@@ -169,8 +169,8 @@ def check_rows(each: list[NormalEquations], rng: np.random.Generator, in_pieces:
 
 def check_together(each: list[NormalEquations], rng: np.random.Generator, spread: float) -> None:
     for own in each:
-        gauges = [(g.quantity, *g.weights, g.connection, g.filter_order) for g in own.problem.record.gauges]
-        note(f"{own.network} {own.problem.inputs} {gauges} {[p.name for p in own.uncertain]}")
+        calibrated = [(g.quantity, *g.weights, g.connection, g.filter_order) for g in own.problem.record.calibrated]
+        note(f"{own.network} {own.problem.inputs} {calibrated} {[p.name for p in own.uncertain]}")
         own.pull = rng.normal(size=len(own.uncertain))
     whole = LeastSquares([RecordEvidence(own) for own in each])
     noise = NoiseLevels(tuple(noise_of(own, rng) for own in each), spread)

@@ -12,7 +12,7 @@ from small_problems import NONLINEARITIES, measured, small_chain
 from solved_records import by_spline
 
 from pinn_cli.physics import physics_residual
-from pinn_cli.record.gauge import Gauge, unknown_calibration
+from pinn_cli.record.channel import Channel, unknown_calibration
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulated import Noise
 from pinn_cli.record.simulation import simulate
@@ -196,8 +196,8 @@ def test_numbers_of_a_load_cell_are_among_the_parameters_of_the_marginal():
     record = measured(structure, snr_db=30.0, duration=24.0, samples=385).record
     shown = 1.2 * record.force[:, 0]
     doubts = {kind: unknown_calibration(kind, record.time, shown) for kind in ("gain", "offset")}
-    cell = Gauge("f", "force", {0: 1.0}, record.time, shown, doubts)
-    record = replace(record, force=record.force * [1.2, 0.0], gauges=(cell,))
+    cell = Channel("f", "force", {0: 1.0}, record.time, shown, doubts)
+    record = replace(record, force=record.force * [1.2, 0.0], calibrated=(cell,))
     problem = Bayesian(unknown=["k_*"]).pose(structure, [record])
     estimate = by_spline(problem)
     marginal = estimate.likelihoods.marginal

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lsim
 from solved_records import by_spline
 
-from pinn_cli.record.gauge import Gauge, unknown_calibration
+from pinn_cli.record.channel import Channel, unknown_calibration
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import visible_floor
 from pinn_cli.scheme.state_parameter import StateParameter
@@ -95,8 +95,8 @@ def test_a_load_cell_of_an_unknown_delay_makes_no_second_story():
     """The least discrepancy was a part of the discrepancy itself, and no solution was as good as without any."""
     record, structure = dragged(0.0), build_chain(1, Linear(), m=M, c=60.0, k=1.5e4)
     unknown = unknown_calibration("delay", record.time, record.force[:, 0])
-    cell = Gauge("f", "force", {0: 1.0}, record.time, record.force[:, 0], {"delay": unknown})
-    late = replace(record, gauges=(cell,))
+    cell = Channel("f", "force", {0: 1.0}, record.time, record.force[:, 0], {"delay": unknown})
+    late = replace(record, calibrated=(cell,))
     estimate = by_spline(StateParameter(unobserved=[], unknown=["c_1", "k_1"]).pose(structure, [late]).alone)
     assert estimate.stories == ()
     (delay,) = (p for p in estimate.parameters if p.kind == "delay")

@@ -1,7 +1,7 @@
-"""Sensors that take more to describe than one even history of one DOF.
+"""A channel: one sensor, what it feels, its samples and its calibration.
 
-A gauge feels a sum of DOFs or the force of a connection, has a gain, an offset, a drift or a delay that may be in
-doubt, and samples of its own: some may be missing, and its rate may differ from the record's.
+It feels one DOF, a sum of DOFs, the ground, a support or the force of a connection, has a gain, an offset, a drift or a
+delay that may be in doubt, and samples of its own: some may be missing, and its rate may differ from the record's.
 
     y(t) = gain x(t - delay) + offset + drift (t - start) + noise
 
@@ -18,15 +18,16 @@ import numpy as np
 
 from pinn_cli.record.between_samples import SPLINE_DEGREE, BandLimited
 from pinn_cli.record.response import Response
-from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, GROUND, HIGH_PASS, TILT
+from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, GROUND, HIGH_PASS, MOTION, SUPPORT, TILT
 
 # Part of a step by which even samples may come early or late.
 EVEN = 0.02
 # Points in a step at which a sensor's filter is applied to a history.
 FILTER_POINTS = 8
-# Of the residuals and noise levels of all gauges.
-GAUGE = "gauge"
-
+# Of the residuals and noise levels of channels with samples or a calibration of their own.
+CALIBRATED = "calibrated"
+# The DOF of the ground's channel, counted from 0; a reader, who counts from 1, sees it as 0.
+GROUND_DOF = -1
 # Prior standard deviation of what is unknown: of a gain, which is about one; of an offset or of a drift over the whole
 # record, in rms of the channel; of a delay, in samples of the channel.
 WIDEST_GAIN, WIDEST_OFFSET, WIDEST_DELAY = 10.0, 10.0, 5.0
@@ -34,7 +35,7 @@ WIDEST_GAIN, WIDEST_OFFSET, WIDEST_DELAY = 10.0, 10.0, 5.0
 # of a filter starts below those of most sensors, Hz.
 WIDEST_TILT = 40.0
 FIRST_CORNER, WIDEST_CORNER = 0.1, 10.0
-# Standard deviations of its delay by which a gauge may ask for motion before or after the record.
+# Standard deviations of its delay by which a channel may ask for motion before or after the record.
 DELAYS_ALLOWED = 3.0
 # Samples in a row that show a channel's noise; of fewer the emptiest part of a spectrum is often empty by chance.
 FEWEST_IN_RUN = 256
@@ -65,58 +66,108 @@ class Calibration:
 
 
 @dataclass(frozen=True, eq=False)
-class Gauge:
-    """A sensor with samples and a calibration of its own.
+class Channel:
+    """One sensor and what it measured.
 
     Attributes:
-        name: Of its channel.
-        quantity: A motion, ``force``, the ground's acceleration, or ``connection_force``.
-        weights: DOF, counted from 0, to its weight in what a motion or force gauge feels.
+        key: Its name in ``data.channels``; "": it has none.
+        quantity: One of :data:`pinn_cli.record.response.MEASURED_QUANTITIES`, or ``connection_force``.
+        weights: DOF or support, counted from 0, to its weight in what is felt; none of the ground or of a connection.
         time: (J,), s, of its samples, ascending.
-        values: (J,), SI units.
+        measured: (J,), SI units.
         calibration: ``gain``, ``offset``, ``drift`` (per second), ``delay`` (s), ``tilt`` (1/s^2) and ``high_pass``
             (Hz), by name.
         connection: Whose force it feels, counted from 0; -1: of none.
-        fills: Whether a column of the record shows it: its DOF has no other sensor of the quantity.
+        fills: Whether a column of a record may show it: its DOF has no other sensor of the quantity.
         filter_order: Of the high-pass filter that it is behind, whose corner is in the calibration; 0: there is none.
+        label: What the user calls the DOF or support; "": its number.
+        there: (J,) bool, where a sample was measured; elsewhere the history goes on without one. None: everywhere.
+        index: Among the channels of its record that have samples or a calibration of their own, counted from 0.
     """
 
-    name: str
+    key: str
     quantity: str
     weights: Mapping[int, float]
     time: np.ndarray
-    values: np.ndarray
+    measured: np.ndarray
     calibration: Mapping[str, Calibration] = field(default_factory=dict)
     connection: int = -1
     fills: bool = True
     filter_order: int = 0
-
-    def of(self, kind: str) -> Calibration:
-        """One of its numbers, by default that of a perfect sensor."""
-        return self.calibration.get(kind, Calibration(float(kind == "gain")))
+    label: str = ""
+    there: np.ndarray | None = None
+    index: int = 0
 
     @property
-    def dof(self) -> int | None:
-        """The channel of its quantity that it fills: a DOF, counted from 0; 0 of the ground; None: it fills none."""
-        if not self.fills:
-            return None
-        if self.quantity == GROUND:
-            return 0
-        if self.quantity == CONNECTION_FORCE or len(self.weights) != 1:
-            return None
-        (dof, weight), *_ = self.weights.items()
-        return dof if weight == 1.0 else None
+    def dof(self) -> int:
+        """The first DOF or support that it feels, counted from 0; `GROUND_DOF` where there is none."""
+        return next(iter(self.weights), GROUND_DOF)
 
-    def felt_in(self, response: Response, found: Mapping[str, float] | None = None) -> np.ndarray:
-        """(N,), what it feels of a response, a tilt included and a filter not; NaN of what nobody worked out there."""
-        if self.quantity in (GROUND, CONNECTION_FORCE):
-            values: np.ndarray | None = getattr(response, self.quantity)
+    @property
+    def is_column(self) -> bool:
+        """Whether a column of the record shows it: it feels one DOF, which has no other sensor of the quantity."""
+        alone = self.quantity == GROUND or list(self.weights.values()) == [1.0]
+        return self.fills and alone and self.quantity != CONNECTION_FORCE
+
+    @property
+    def place(self) -> tuple[str, int]:
+        """Quantity and column among those of the quantity; of what is no column the place of its noise level."""
+        return (self.quantity, max(self.dof, 0)) if self.is_column else (CALIBRATED, self.index)
+
+    @property
+    def where(self) -> str:
+        """Name of the DOF or of the sensor, or the DOF's number, counted from 1."""
+        return (self.label or str(self.dof + 1)) if self.is_column else self.key
+
+    @property
+    def name(self) -> str:
+        """See :func:`named`; of what is no column ``displacement of sensor eps``."""
+        return named(self.quantity, self.where) if self.is_column else f"{self.quantity} of sensor {self.key}"
+
+    @property
+    def setting(self) -> str:
+        """Where a user gave it: ``data.acceleration, DOF 3``."""
+        if not self.is_column:
+            return f"data.channels.{self.key}"
+        if self.quantity in SUPPORT:
+            return f"data.channels, {self.name}"
+        return f"data.{GROUND}" if self.quantity == GROUND else f"data.{self.quantity}, DOF {self.where}"
+
+    @property
+    def order(self) -> int:
+        """How often the displacement is differentiated."""
+        quantity = SUPPORT.get(self.quantity, self.quantity)
+        return MOTION.index("acceleration" if quantity == GROUND else quantity)
+
+    def sampled(self, values: np.ndarray) -> np.ndarray:
+        """Those of the values (J,) that belong to a sample."""
+        return values if self.there is None else values[self.there]
+
+    def number(self, kind: str) -> Calibration:
+        """One number of its calibration, by default that of a perfect sensor."""
+        return self.calibration.get(kind, Calibration(float(kind == "gain")))
+
+    def _value(self, kind: str, found: Mapping[str, float] | None) -> float:
+        return {kind: self.number(kind).value, **(found or {})}[kind]
+
+    def of(self, response: Response) -> np.ndarray:
+        """(N,), what a perfect sensor in its place feels of a response; NaN of what nobody worked out there."""
+        values: np.ndarray | None
+        if self.quantity in (*SUPPORT, GROUND, CONNECTION_FORCE):
+            values = response.supports if self.quantity in SUPPORT else getattr(response, self.quantity)
             if values is None:
                 return np.full(len(response.time), np.nan)
+            if self.quantity in SUPPORT:
+                return values[:, self.order, self.dof]
             return values if self.quantity == GROUND else values[:, self.connection]
-        tilt = {TILT: self.of(TILT).value, **(found or {})}[TILT]
-        felt = getattr(response, self.quantity) + (tilt * response.displacement if tilt else 0.0)
-        return np.asarray(felt[:, list(self.weights)] @ np.array(list(self.weights.values())))
+        return np.asarray(getattr(response, self.quantity)[:, list(self.weights)] @ list(self.weights.values()))
+
+    def shown_of(self, response: Response, found: Mapping[str, float] | None = None) -> np.ndarray:
+        """The same with its tilt and behind its filter, as if that had begun at rest."""
+        felt, tilt = self.of(response), self._value(TILT, found)
+        if tilt:
+            felt = felt + tilt * replace(self, quantity=MOTION[0]).of(response)
+        return self.passed(response.time, felt, found)
 
     @property
     def feels_one(self) -> bool:
@@ -135,10 +186,13 @@ class Gauge:
         """Its longest run of even samples (R,), and the step, s; None where none is long enough to show its noise."""
         steps = np.diff(self.time)
         step = float(np.median(steps))
-        breaks = np.concatenate(([-1], np.flatnonzero(np.abs(steps - step) > EVEN * step), [len(steps)]))
+        uneven = np.flatnonzero(np.abs(steps - step) > EVEN * step + clock_rounding(self.time))
+        breaks = np.concatenate(([-1], uneven, [len(steps)]))
         longest = int(np.argmax(np.diff(breaks)))
-        run = self.values[breaks[longest] + 1 : breaks[longest + 1] + 1]
-        return (run, step) if len(run) >= FEWEST_IN_RUN or len(run) == len(self.values) else None
+        first, last = breaks[longest] + 1, breaks[longest + 1]
+        if last - first + 1 < min(FEWEST_IN_RUN, len(self.time)):
+            return None
+        return self.measured[first : last + 1], float(self.time[last] - self.time[first]) / int(last - first)
 
     @property
     def start(self) -> float:
@@ -147,8 +201,8 @@ class Gauge:
 
     def calibrated(self, found: Mapping[str, float] | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Times (J,) at which it felt, s, and what it felt there (J,), noise included, by numbers that were found."""
-        value = {kind: self.of(kind).value for kind in CALIBRATION_UNITS} | dict(found or {})
-        felt = self.values - value["offset"] - value["drift"] * (self.time - self.start)
+        value = {kind: self._value(kind, found) for kind in CALIBRATION_UNITS}
+        felt = self.measured - value["offset"] - value["drift"] * (self.time - self.start)
         return self.time - value["delay"], felt / (value["gain"] or 1.0)
 
     def history(self, time: np.ndarray, found: Mapping[str, float] | None = None) -> np.ndarray:
@@ -174,35 +228,38 @@ class Gauge:
         from scipy.signal import bilinear, lfilter
 
         dense = np.linspace(time[0], time[-1], FILTER_POINTS * (len(time) - 1) + 1)
-        denominator = self.filter_polynomial(found)[::-1]
+        denominator = self._polynomial(found)[::-1]
         rule = bilinear([1.0, *[0.0] * self.filter_order], denominator, 1.0 / (dense[1] - dense[0]))
         return np.asarray(lfilter(*rule, BandLimited(time, x)(dense))[::FILTER_POINTS])
 
     def decays(self, time: np.ndarray, found: Mapping[str, float] | None = None) -> np.ndarray:
         """(N, order), what its filter shows of how it began."""
         since = (time - time[0])[:, None]
-        root = np.roots(self.filter_polynomial(found)[::-1])[:1] if self.filter_order else np.zeros(0)
+        root = np.roots(self._polynomial(found)[::-1])[:1] if self.filter_order else np.zeros(0)
         decay = np.exp(since * root)
         return np.hstack((decay.real, decay.imag))[:, : self.filter_order]
 
-    def filter_polynomial(self, found: Mapping[str, float] | None = None) -> tuple[float, ...]:
-        """See :func:`filter_polynomial`, of its own filter."""
-        corner = {HIGH_PASS: self.of(HIGH_PASS).value, **(found or {})}[HIGH_PASS]
-        return filter_polynomial(2.0 * np.pi * corner, self.filter_order)
+    def _polynomial(self, found: Mapping[str, float] | None) -> tuple[float, ...]:
+        return filter_polynomial(2.0 * np.pi * self._value(HIGH_PASS, found), self.filter_order)
 
-    def started_at(self, values: Mapping[str, float]) -> Gauge:
+    def at(self, time: np.ndarray, felt: np.ndarray, there: np.ndarray | None = None) -> Channel:
+        """The same sensor as if it had been perfect and sampled at these times (N,), s, where it felt this (N,)."""
+        there = None if there is None or there.all() else there
+        return replace(self, time=time, measured=felt, calibration={}, filter_order=0, there=there)
+
+    def started_at(self, values: Mapping[str, float]) -> Channel:
         """The same where the search for its unknown numbers starts elsewhere; what is believed stays."""
-        unknown = {kind: replace(self.of(kind), value=v) for kind, v in values.items() if self.of(kind).unknown}
+        unknown = {kind: replace(self.number(kind), value=v) for kind, v in values.items() if self.number(kind).unknown}
         return replace(self, calibration={**self.calibration, **unknown}) if unknown else self
 
-    def between(self, first: float, last: float) -> Gauge:
+    def between(self, first: float, last: float) -> Channel:
         """The same with the samples between two times, s, alone."""
         kept = (self.time >= first) & (self.time <= last)
-        return replace(self, time=self.time[kept], values=self.values[kept])
+        return replace(self, time=self.time[kept], measured=self.measured[kept])
 
 
 def unknown_calibration(kind: str, time: np.ndarray, values: np.ndarray, both: bool = False) -> Calibration:
-    """Where an unknown number of a gauge starts, and how wide its prior is.
+    """Where an unknown number of a channel starts, and how wide its prior is.
 
     Args:
         kind: One of `CALIBRATION_UNITS`.
@@ -224,6 +281,11 @@ def unknown_calibration(kind: str, time: np.ndarray, values: np.ndarray, both: b
     return Calibration(start, width, unknown=True)
 
 
+def clock_rounding(time: np.ndarray) -> float:
+    """By how much rounding alone makes steps differ, s: clock times since 1970 have few digits left for them."""
+    return 4.0 * float(np.spacing(np.max(np.abs(time))))
+
+
 def filter_polynomial(corner: float, order: int) -> tuple[float, ...]:
     """Coefficients a_0 to a_order of p^(order) + ... + a_0 p = x, of which a high-pass filter shows p^(order).
 
@@ -232,3 +294,10 @@ def filter_polynomial(corner: float, order: int) -> tuple[float, ...]:
         order: 1, or 2: the flattest one (Butterworth).
     """
     return (corner, 1.0) if order == 1 else (corner**2, 2.0**0.5 * corner, 1.0)
+
+
+def named(quantity: str, where: str) -> str:
+    """A channel as sentences have it: ``acceleration of DOF 3``, ``ground acceleration``."""
+    if quantity in SUPPORT:
+        return f"{SUPPORT[quantity]} of support {where}"
+    return "ground acceleration" if quantity == GROUND else f"{quantity} of DOF {where}"
