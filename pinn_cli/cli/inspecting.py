@@ -259,9 +259,9 @@ def _channels(data: Mapping[str, Any]) -> list[DataChannel]:
                 raise InputError(f"data.{quantity}", dof, "a map whose keys are different DOFs, counted from 1")
             if column is not None:
                 setting = f"data.{quantity}.{dof}"
-                found.append(DataChannel(setting, str(column), str(column), quantity, {int(dof) - 1: 1.0}))
+                found.append(DataChannel.of_column(setting, str(column), quantity, int(dof)))
     if data.get(GROUND) is not None:
-        found.append(DataChannel(f"data.{GROUND}", str(data[GROUND]), str(data[GROUND]), GROUND))
+        found.append(DataChannel.of_column(f"data.{GROUND}", str(data[GROUND]), GROUND))
     return [*found, *data_channels(data.get("channels"))]
 
 
@@ -270,9 +270,9 @@ def _signal(column: str, values: np.ndarray, unit: str, channel: DataChannel | N
     from pinn_cli.record.signal import Signal
     from pinn_cli.system.quantities import UNITS
 
-    if channel is None or channel.place is None:
+    if channel is None or not channel.sensor.is_column:
         return Signal(column, values, unit=unit)
-    quantity, dof = channel.place
+    quantity, dof = channel.sensor.quantity, channel.sensor.dof + 1
     if channel.factor is not None:
         values, unit = channel.factor * values, UNITS[quantity]
     return Signal(column, values, quantity, str(dof) if dof else "", unit)

@@ -18,7 +18,16 @@ import numpy as np
 
 from pinn_cli.record.between_samples import SPLINE_DEGREE, BandLimited
 from pinn_cli.record.response import Response
-from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, GROUND, HIGH_PASS, MOTION, SUPPORT, TILT
+from pinn_cli.system.quantities import (
+    CALIBRATION_UNITS,
+    CONNECTION_FORCE,
+    GROUND,
+    HIGH_PASS,
+    INPUTS,
+    MOTION,
+    SUPPORT,
+    TILT,
+)
 
 # Part of a step by which even samples may come early or late.
 EVEN = 0.02
@@ -132,6 +141,11 @@ class Channel:
         if self.quantity in SUPPORT:
             return f"data.channels, {self.name}"
         return f"data.{GROUND}" if self.quantity == GROUND else f"data.{self.quantity}, DOF {self.where}"
+
+    @property
+    def is_input(self) -> bool:
+        """Whether it feels what acts on a structure."""
+        return self.quantity in INPUTS
 
     @property
     def order(self) -> int:

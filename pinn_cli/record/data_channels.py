@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,23 @@ from pinn_cli.record.own_sensor import as_channel
 from pinn_cli.record.units import si_factor
 from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.legal_values import entries, finite_number, is_finite_number, is_whole_number, one_of
-from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, FORCE, GROUND, HIGH_PASS, MOTION, TILT
+from pinn_cli.system.quantities import (
+    CALIBRATION_UNITS,
+    CONNECTION_FORCE,
+    FORCE,
+    GROUND,
+    HIGH_PASS,
+    MOTION,
+    SUPPORT,
+    TILT,
+)
 
 SENSORS = (*MOTION, FORCE, GROUND, CONNECTION_FORCE)
 PLACES = ("dof", "between", "weights", "connection", "support")
 KEYS = ("sensor", "column", "unit", *PLACES, *CALIBRATION_UNITS)
 UNKNOWN = "unknown"
+# Of a channel before its samples are read.
+NOTHING = np.zeros(0)
 # Sensors that may have a number of a calibration, where not all may.
 FELT_BY = {TILT: ("acceleration",), HIGH_PASS: ("acceleration", "velocity", GROUND)}
 
@@ -30,33 +41,23 @@ class DataChannel:
 
     Attributes:
         setting: Where the user gives it.
-        name: Of the channel.
         column: Of the file.
-        sensor: One of `SENSORS`.
-        weights: DOF, counted from 0, to its weight; none of the ground or of a connection.
+        sensor: What it is, without samples; offset and drift are in the file's unit, an unknown number is NaN.
         connection: Name or number of the connection whose force it measures.
         factor: SI units that one of its units is; None: of the unit that the file's header tells, or SI units.
-        calibration: Numbers of `CALIBRATION_UNITS` where they are given, an unknown one NaN; offset and drift in the
-            channel's unit, the delay in s, a tilt in 1/s^2, a corner in Hz.
-        filter_order: Of the high-pass filter that the corner is of.
-        support: Number, from 0, of the support that it measures; None: it measures something else.
     """
 
     setting: str
-    name: str
     column: str
-    sensor: str
-    weights: Mapping[int, float] = field(default_factory=dict)
+    sensor: Channel
     connection: str | int | None = None
     factor: float | None = None
-    calibration: Mapping[str, Calibration] = field(default_factory=dict)
-    filter_order: int = 1
-    support: int | None = None
 
-    @property
-    def dof(self) -> int | None:
-        """The one DOF, counted from 0, that it measures by itself; None: it measures something else."""
-        return next(iter(self.weights)) if list(self.weights.values()) == [1.0] else None
+    @classmethod
+    def of_column(cls, setting: str, column: str, quantity: str, dof: int | None = None) -> DataChannel:
+        """Of the short form; the DOF is counted from 1, None: of the ground."""
+        weights = {} if dof is None else {dof - 1: 1.0}
+        return cls(setting, column, Channel(column, quantity, weights, NOTHING, NOTHING))
 
     @property
     def group(self) -> str:
@@ -64,20 +65,11 @@ class DataChannel:
         return self.setting.removeprefix("data.").rpartition(".")[0] or self.setting.removeprefix("data.")
 
     @property
-    def place(self) -> tuple[str, int] | None:
-        """Quantity and DOF or support, counted from 1, or the ground with 0; None: it is no column of a record."""
-        if self.support is not None:
-            return f"support_{self.sensor}", self.support + 1
-        if self.sensor == GROUND:
-            return GROUND, 0
-        return None if self.dof is None else (self.sensor, self.dof + 1)
-
-    @property
     def is_plain(self) -> bool:
         """Whether its samples, calibrated as is known, are what the structure does at their times."""
-        return self.place is not None and all(
+        return self.sensor.is_column and all(
             given.is_known and (given.value == 0.0 or kind not in ("delay", TILT, HIGH_PASS))
-            for kind, given in self.calibration.items()
+            for kind, given in self.sensor.calibration.items()
         )
 
     def in_unit(self, header: str) -> DataChannel:
@@ -90,23 +82,15 @@ class DataChannel:
             return self
         if not header:
             return replace(self, factor=1.0)
+        quantity = self.sensor.quantity
         try:
-            return replace(self, factor=si_factor(self.setting, header, self.sensor))
+            return replace(self, factor=si_factor(self.setting, header, SUPPORT.get(quantity, quantity)))
         except InputError as error:
-            allowed = f"a channel whose unit is known: give data.channels.{self.name}.unit"
+            allowed = f"a channel whose unit is known: give data.channels.{self.sensor.key}.unit"
             raise InputError(self.setting, repr(self.column), allowed, f"its header says {header!r}") from error
 
-    def calibrated(self, values: np.ndarray, time: np.ndarray) -> np.ndarray:
-        """Samples (J,) of a plain channel in SI units, with what is known of its calibration taken out."""
-        assert self.factor is not None
-        perfect = {"gain": Calibration(1.0), "offset": Calibration(0.0), "drift": Calibration(0.0)}
-        gain, offset, drift = ((perfect | dict(self.calibration))[kind].value for kind in perfect)
-        if not self.calibration:
-            return values if self.factor == 1.0 else self.factor * values
-        return np.asarray(self.factor * (values - offset - drift * (time - time[0])) / gain)
-
     def with_samples(self, time: np.ndarray, values: np.ndarray, connections: Sequence[str], fills: bool) -> Channel:
-        """A sensor with samples of its own.
+        """The channel, in SI units.
 
         Args:
             time: (J,), s, of its samples.
@@ -118,20 +102,21 @@ class DataChannel:
             InputError: A connection that does not exist, a delay longer than the record.
         """
         assert self.factor is not None
-        shown, unknown = self.factor * values, {kind for kind, given in self.calibration.items() if given.unknown}
+        given = self.sensor.calibration
+        shown, unknown = self.factor * values, {kind for kind, number in given.items() if number.unknown}
         calibration = {
             kind: unknown_calibration(kind, time, shown, both={"offset", "drift"} <= unknown)
-            if given.unknown
-            else given.times(self.factor if kind in ("offset", "drift") else 1.0)
-            for kind, given in self.calibration.items()
+            if number.unknown
+            else number.times(self.factor if kind in ("offset", "drift") else 1.0)
+            for kind, number in given.items()
         }
         late, duration = calibration.get("delay", Calibration(0.0)), float(time[-1] - time[0])
         if abs(late.value) >= duration:
             allowed = f"shorter than the record, {duration:.6g} s"
             raise InputError(f"{self.setting}.delay", late.value, allowed, "delays are in s")
         connection = -1 if self.connection is None else self._connection(connections)
-        order = self.filter_order if HIGH_PASS in calibration else 0
-        return Channel(self.name, self.sensor, self.weights, time, shown, calibration, connection, fills, order)
+        samples: dict[str, Any] = {"time": time, "measured": shown, "calibration": calibration}
+        return replace(self.sensor, **samples, connection=connection, fills=fills)
 
     def _connection(self, connections: Sequence[str]) -> int:
         if self.connection in connections:
@@ -180,19 +165,22 @@ def _channel(name: str, node: Any) -> DataChannel:
     weights, connection, support = _where(setting, sensor, node)
     factor = None if node.get("unit") is None else si_factor(f"{setting}.unit", node["unit"], sensor)
     given = {kind: node[kind] for kind in CALIBRATION_UNITS if node.get(kind) is not None}
-    order = 1
+    order = 0
     if HIGH_PASS in given:
         given[HIGH_PASS], order = _filter(f"{setting}.{HIGH_PASS}", given[HIGH_PASS])
     for kind, sensors in FELT_BY.items():
         if kind in given and sensor not in sensors:
             raise InputError(f"{setting}.{kind}", given[kind], f"left out: it is of {' or '.join(sensors)}")
     calibration = {kind: _number(f"{setting}.{kind}", kind, value) for kind, value in given.items()}
+    quantity = sensor if support is None else f"support_{sensor}"
+    weights = weights if support is None else {support: 1.0}
     for kind in (kind for kind in calibration if support is not None):
         if not calibration[kind].is_known or kind not in ("gain", "offset", "drift"):
             raise InputError(
                 f"{setting}.{kind}", given[kind], "left out, or a known gain, offset or drift of a support"
             )
-    return DataChannel(setting, name, column, sensor, weights, connection, factor, calibration, order, support)
+    channel = Channel(name, quantity, weights, NOTHING, NOTHING, calibration, filter_order=order)
+    return DataChannel(setting, column, channel, connection, factor)
 
 
 def _filter(setting: str, given: Any) -> tuple[Any, int]:

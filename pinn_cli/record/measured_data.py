@@ -141,18 +141,18 @@ class MeasuredData:
         seen, truth = Response.unknown(time, ndof), Response.unknown(time, ndof)
         forced = [
             *self.force,
-            *(dof + 1 for channel in self.channels if channel.sensor == FORCE for dof in channel.weights),
+            *(dof + 1 for own in self.channels if own.sensor.quantity == FORCE for dof in own.sensor.weights),
         ]
         unforced = ~dof_mask(forced, ndof)
         seen.force[:, unforced] = 0.0
         supports: dict[str, np.ndarray] = {}
-        moving = max((channel.support + 1 for channel in self.channels if channel.support is not None), default=0)
-        for (quantity, dof), column in found.columns.items():
+        moving = max((own.sensor.dof + 1 for own in self.channels if own.sensor.quantity in SUPPORT), default=0)
+        for (quantity, number), column in found.columns.items():
             if quantity in SUPPORT:
-                supports.setdefault(quantity, np.full((len(time), moving), np.nan))[:, dof - 1] = column
+                supports.setdefault(quantity, np.full((len(time), moving), np.nan))[:, number] = column
             elif quantity != GROUND:
-                hidden = quantity in RESPONSE_QUANTITIES and dof in self.holdout
-                getattr(truth if hidden else seen, quantity)[:, dof - 1] = column
+                hidden = quantity in RESPONSE_QUANTITIES and number + 1 in self.holdout
+                getattr(truth if hidden else seen, quantity)[:, number] = column
         for own in found.calibrated:
             if own.quantity in RESPONSE_QUANTITIES and own.is_column and own.dof + 1 in self.holdout:
                 getattr(truth, own.quantity)[:, own.dof] = _scored_by(own, time, self.holdout)
@@ -175,14 +175,13 @@ class MeasuredData:
     def _every_channel(self) -> tuple[DataChannel, ...]:
         """Those of ``data.channels`` and those of the short form."""
         short = [
-            DataChannel(f"data.{quantity}.{dof}", column, column, quantity, {dof - 1: 1.0})
+            DataChannel.of_column(f"data.{quantity}.{dof}", column, quantity, dof)
             for quantity in QUANTITIES
             for dof, column in getattr(self, quantity).items()
             if column is not None
         ]
         if self.ground_acceleration is not None:
-            ground = self.ground_acceleration
-            short.append(DataChannel(f"data.{GROUND}", ground, ground, GROUND))
+            short.append(DataChannel.of_column(f"data.{GROUND}", self.ground_acceleration, GROUND))
         return (*short, *self.channels)
 
     def clock(self) -> Clock:
@@ -267,16 +266,15 @@ class MeasuredData:
         column = self.ground_acceleration
         if column is not None and (not isinstance(column, str) or not column):
             raise InputError(f"data.{GROUND}", column, "null or the name of a column")
-        moves = any(channel.sensor == GROUND for channel in self._every_channel)
+        moves = any(own.sensor.quantity == GROUND for own in self._every_channel)
         check_frame(self.frame, moves, f"data.{GROUND} is not given")
         if moves and self.intersample == "zero_order_hold":
             allowed = f"band_limited or {FIRST_ORDER_HOLD} with data.{GROUND}"
             raise InputError("data.intersample", self.intersample, allowed, "nothing holds the ground between samples")
 
     def _check_sensors(self) -> None:
-        of_dofs = [c for c in self._every_channel if c.support is None]
-        felt = [(c.sensor, {dof + 1 for dof in c.weights}) for c in of_dofs]
-        response = [dofs for sensor, dofs in felt if sensor in RESPONSE_QUANTITIES]
+        sensors = [own.sensor for own in self._every_channel if own.sensor.quantity in RESPONSE_QUANTITIES]
+        response = [{dof + 1 for dof in sensor.weights} for sensor in sensors]
         if self.responds and not response:
             settings = ", ".join(f"data.{quantity}" for quantity in RESPONSE_QUANTITIES)
             raise InputError(settings, "{}", "a map of DOF: column in at least one of them")
@@ -290,7 +288,7 @@ class MeasuredData:
         if all(dofs & set(self.holdout) for dofs in response):
             allowed = "such that a displacement, velocity or acceleration column is left"
             raise InputError("data.holdout", list(self.holdout), allowed)
-        if all(c.dof is None for c in of_dofs if c.sensor in RESPONSE_QUANTITIES):
+        if not any(sensor.is_column for sensor in sensors):
             allowed = "one displacement, velocity or acceleration at least that feels one DOF alone"
             hint = "the size and the band of the motion are read off it"
             raise InputError("data.channels", "drifts and weighted sums only", allowed, hint)
@@ -308,10 +306,10 @@ class MeasuredData:
         for dof in self.force:  # of one that acts unmeasured there is no channel
             if not 1 <= dof <= ndof:
                 raise InputError("data.force", dof, f"a DOF between 1 and system.ndof={ndof}")
-        for channel in self._every_channel:
-            for dof in channel.weights:
+        for own in (own for own in self._every_channel if own.sensor.quantity not in SUPPORT):
+            for dof in own.sensor.weights:
                 if dof >= ndof:
-                    setting = channel.setting if channel in self.channels else f"data.{channel.sensor}"
+                    setting = own.setting if own in self.channels else f"data.{own.sensor.quantity}"
                     raise InputError(setting, dof + 1, f"a DOF between 1 and system.ndof={ndof}")
 
 

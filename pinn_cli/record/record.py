@@ -201,14 +201,15 @@ class Record:
         return plain
 
     def showing(self, felt: Iterable[Channel]) -> Record:
-        """The record whose columns show other histories of its calibrated channels, these (N,) at its times."""
+        """The record whose columns show other histories of its channels, these (N,) at its times."""
         columns: dict[str, Any] = {}
         for channel in (channel for channel in felt if channel.is_column):
             quantity, number = channel.place
             columns.setdefault(quantity, self.histories(quantity).copy())[:, number] = channel.measured
         if GROUND in columns:
             columns[GROUND] = columns[GROUND][:, 0]
-        return replace(self, **columns)
+        moved = {quantity: columns.pop(quantity) for quantity in self.supports if quantity in columns}
+        return replace(self, **columns, supports={**self.supports, **moved})
 
     def started_at(self, calibrations: Mapping[str, Mapping[str, float]]) -> Record:
         """The record whose channels' unknown numbers start elsewhere; its columns show what they then say."""

@@ -15,7 +15,7 @@ from pinn_cli.record.data_channels import DataChannel
 from pinn_cli.record.record import MINIMUM_SAMPLES
 from pinn_cli.record.spectrum import BandPass, decimate
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system.quantities import FORCE, GROUND
+from pinn_cli.system.quantities import FORCE, SUPPORT
 
 log = logging.getLogger(__name__)
 
@@ -29,7 +29,7 @@ class Sampled:
 
     Attributes:
         time: (N,), s, uniform: the times of the columns.
-        columns: Quantity and DOF, counted from 1, to samples (N,); some as they are believed to be.
+        columns: Quantity and number, counted from 0, to samples (N,); some as they are believed to be.
         calibrated: Channels with samples or a calibration of their own.
         intersample: How the columns of what acts behave between their samples.
         assumed: Whether nobody said so, and nothing shows it.
@@ -124,7 +124,7 @@ def _on_lines(
     Raises:
         InputError: Where that was said of samples that are missing or uneven.
     """
-    acts = [channel.sensor in (FORCE, GROUND) or channel.support is not None for channel in channels]
+    acts = [channel.sensor.is_input for channel in channels]
     if intersample == FIRST_ORDER_HOLD:
         for channel, here, complete in zip(channels, acts, whole, strict=True):
             if here and not complete:
@@ -151,10 +151,10 @@ def _placed(
     rest: list[tuple[DataChannel, np.ndarray]] = []
     axis = time if even else _even_axis(time, values)
     for channel, column in zip(channels, values, strict=True):
-        place, there = channel.place, ~np.isnan(column)
-        if channel.is_plain and place is not None and place not in columns and _fills(axis, time[there]):
-            columns[place] = channel.calibrated(column[there], axis)
-        elif channel.support is not None:
+        place, there = channel.sensor.place, ~np.isnan(column)
+        if channel.is_plain and place not in columns and _fills(axis, time[there]):
+            columns[place] = channel.with_samples(axis, column[there], connections, fills=True).calibrated()[1]
+        elif channel.sensor.quantity in SUPPORT:
             allowed = "one channel of a kind for a support, with every sample at even times"
             raise InputError(channel.setting, repr(channel.column), allowed)
         else:
@@ -162,11 +162,10 @@ def _placed(
     calibrated: list[Channel] = []
     for channel, column in rest:
         there = ~np.isnan(column)
-        fills = channel.place is not None and channel.place not in columns
-        own = channel.with_samples(time[there], column[there], connections, fills)
+        own = channel.with_samples(time[there], column[there], connections, channel.sensor.place not in columns)
         calibrated.append(own)
-        if channel.place is not None and fills:
-            columns[channel.place] = own.history(axis)
+        if own.is_column:
+            columns[own.place] = own.history(axis)
         _tell(channel, column, time)
     return axis, columns, tuple(calibrated)
 
@@ -198,7 +197,7 @@ def _check_samples(channel: DataChannel, column: np.ndarray) -> None:
         allowed = f"a channel with at least {MINIMUM_SAMPLES} numbers in the window"
         raise InputError(channel.setting, repr(channel.column), allowed, f"it has {len(there)}")
     # A response sensor that reads one value throughout has seen nothing; a force may well be zero.
-    if channel.sensor != FORCE and np.ptp(there) == 0.0:
+    if channel.sensor.quantity != FORCE and np.ptp(there) == 0.0:
         hint = f"every sample of it is {there[0]:g}: a dead sensor? Leave it out of data.{channel.group}"
         raise InputError(channel.setting, repr(channel.column), "a column that varies", hint)
 

@@ -18,12 +18,10 @@ from pinn_cli.record.record import MINIMUM_SAMPLES
 from pinn_cli.record.spectrum import decimate, signal_band
 from pinn_cli.record.units import si_factor
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system.quantities import FORCE, GROUND, MOTION, SUPPORT, UNITS
+from pinn_cli.system.quantities import FORCE, GROUND, INPUTS, MOTION, UNITS
 
 # Times off the regular axis by more than this part of a step are put onto it.
 OFF_REGULAR = 0.05
-# What acts on a structure.
-INPUTS = (FORCE, GROUND, *SUPPORT)
 # A record keeps this many times the highest frequency of its content, and so many samples.
 OVERSAMPLED, FEWEST_KEPT = 4.0, 256
 ACCELERATION = MOTION[2]

@@ -26,7 +26,6 @@ from pinn_cli.record.channels import clipped_percent, constant_percent, every_ch
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.record.spectrum import band_share, signal_edges
-from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 
 if TYPE_CHECKING:
     from pinn_cli.training.estimate import Estimate
@@ -37,7 +36,6 @@ RESIDUAL_COLUMNS = (
     "mean_residual", "whiteness", "largest_autocorrelation", "spectrum_deviation", "band_low_hz", "band_high_hz",
     "band_share_percent", "free_run_nmse_percent", "clipped_percent", "constant_percent", "channel",
 )  # fmt: skip
-INPUTS = (FORCE, GROUND, *SUPPORT)  # what acts on a structure, which its free run is given
 LAGS = 20  # of the autocorrelation
 MANY = 2000  # independent shares, from which on the limit of their distribution is right to a hundredth
 
@@ -153,7 +151,7 @@ def residual_table(estimate: Estimate, record: Record, free_run: Response | None
         rms, largest = float(np.sqrt(np.mean(own**2))), max(autocorrelation(left, LAGS), key=abs)
         low, high = signal_edges(signal, record.step)
         free = np.nan
-        if free_run is not None and channel.quantity not in INPUTS:
+        if free_run is not None and not channel.is_input:
             free = nmse_percent(signal - channel.of(free_run), signal)
         rows.append(
             (

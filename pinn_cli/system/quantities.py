@@ -6,6 +6,8 @@ GROUND, FORCE = "ground_acceleration", "force"
 CONNECTION_FORCE = "connection_force"
 # Of a moving support, which is no DOF: what of the motion is measured.
 SUPPORT = {f"support_{quantity}": quantity for quantity in MOTION}
+# What acts on a structure.
+INPUTS = (FORCE, GROUND, *SUPPORT)
 UNITS = {**dict(zip(MOTION, ("m", "m/s", "m/s^2"), strict=True)), FORCE: "N", GROUND: "m/s^2", CONNECTION_FORCE: "N"}
 UNITS |= {of_support: UNITS[quantity] for of_support, quantity in SUPPORT.items()}
 # Of a sensor: what it shows of what it feels. The units of an offset and of a drift are over that of its quantity.

@@ -223,11 +223,11 @@ def every_cause(
         yield Cause(replace(record, time=record.time * seconds), _always(told))
     for channel in (*sensors, *acting):
         yield _calibrated(record, channel, 1.0)
-        yield _calibrated(_with(record, channel, -channel.measured), channel, -1.0)
+        yield _calibrated(record.showing([replace(channel, measured=-channel.measured)]), channel, -1.0)
     for one, other in combinations(sensors, 2):
         if one.quantity == other.quantity:
-            exchanged = _with(_with(record, one, other.measured), other, one.measured)
-            yield Cause(exchanged, _always(swap_finding(one, other)))
+            exchanged = replace(one, measured=other.measured), replace(other, measured=one.measured)
+            yield Cause(record.showing(exchanged), _always(swap_finding(one, other)))
     for channel in (*sensors, *channels(record, (FORCE,))):
         for dof in range(record.ndof):
             if not record.sensors(channel.quantity)[dof]:
@@ -236,15 +236,6 @@ def every_cause(
         yield _other(record, structure, parameter)
     if dampers and not structure.is_damped_as_whole:
         yield _damping(record, structure, dampers)
-
-
-def _with(record: Record, channel: Channel, samples: np.ndarray) -> Record:
-    """With other samples of a channel."""
-    if channel.quantity == GROUND:
-        return replace(record, ground_acceleration=samples)
-    values = getattr(record, channel.quantity).copy()
-    values[:, channel.dof] = samples
-    return replace(record, **{channel.quantity: values})
 
 
 def _moved(record: Record, channel: Channel, dof: int) -> Record:

@@ -105,18 +105,12 @@ def _propagated(
 
 def _disturbed(record: Record, estimate: Estimate, random: np.random.Generator) -> Record:
     """The record with as much noise again on every measured force, and on the motion of ground and supports."""
-    force, ground = record.force.copy(), record.ground_acceleration
-    supports = {quantity: values.copy() for quantity, values in record.supports.items()}
-    for sensor in channels(record, ["force", GROUND, *SUPPORT]):
-        level = estimate.noise.of(sensor)
-        noise = (level if np.isfinite(level) else 0.0) * random.normal(size=len(force))
-        if sensor.quantity == GROUND:
-            ground = sensor.measured + noise
-        elif sensor.quantity in SUPPORT:
-            supports[sensor.quantity][:, sensor.dof] += noise
-        else:
-            force[:, sensor.dof] += noise
-    return replace(record, force=force, ground_acceleration=ground, supports=supports)
+    sensors = channels(record, [FORCE, GROUND, *SUPPORT])
+    levels = np.nan_to_num([estimate.noise.of(sensor) for sensor in sensors], posinf=0.0)
+    return record.showing(
+        replace(sensor, measured=sensor.measured + level * random.normal(size=len(record.time)))
+        for sensor, level in zip(sensors, levels, strict=True)
+    )
 
 
 def random_structure(problem: Problem, estimate: Estimate, random: np.random.Generator) -> Structure:

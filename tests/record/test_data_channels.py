@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from refusals import refusal
 
+from pinn_cli.record.channel import CALIBRATED
 from pinn_cli.record.data_channels import DataChannel, data_channels
 from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.record.record import Record
@@ -164,9 +165,10 @@ def test_what_is_no_map():
     ],
 )
 def test_what_a_sensor_feels(place, weights):
-    channel = one(sensor="displacement", **place)
+    channel = one(sensor="displacement", **place).sensor
     assert channel.weights == weights
-    assert channel.place == (("displacement", max(weights) + 1) if list(weights.values()) == [1.0] else None)
+    assert channel.is_column == (list(weights.values()) == [1.0])
+    assert channel.place == (("displacement", max(weights)) if channel.is_column else (CALIBRATED, 0))
 
 
 def test_a_filter_has_a_corner_and_an_order(rig):

@@ -20,7 +20,7 @@ from torch import Tensor
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.record.channel import CALIBRATED, DELAYS_ALLOWED, Channel, filter_polynomial
 from pinn_cli.system.functions import Jet
-from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE, GROUND, HIGH_PASS
+from pinn_cli.system.quantities import CALIBRATION_UNITS, HIGH_PASS
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint, Part
 from pinn_cli.training.factors.factor import Channels, Factor, Piece
 from pinn_cli.training.factors.feels import Feels, WeightedSum, felt_by, weighted
@@ -245,7 +245,7 @@ class CalibratedChannels(Channels):
         self.sensors = [SensorSamples(channel, record) for channel in record.calibrated]
         self.there = np.ones(len(self.each), dtype=bool)
         self.samples = np.array([len(one.time) for one in self.each])
-        self.acting = np.array([channel.quantity in (FORCE, GROUND) for channel in record.calibrated], dtype=bool)
+        self.acting = np.array([channel.is_input for channel in record.calibrated], dtype=bool)
 
     def residuals(self, point: Point) -> Iterator[Piece]:
         """See :meth:`Channels.residuals`."""
@@ -296,12 +296,12 @@ class Gains(Factor):
 
     def __init__(self, frame: Frame, channels: Sequence[CalibratedChannel]) -> None:
         super().__init__(frame)
-        self.channels = [channel for channel in channels if "gain" in channel.places]
+        self.channels = [own for own in channels if "gain" in own.places]
 
     def _counted(self, noise: NoiseModel) -> list[tuple[CalibratedChannel, float]]:
         if noise.taken_up is None:
             return []
-        return [(channel, float(noise.taken_up[channel.channel.index])) for channel in self.channels]
+        return [(own, float(noise.taken_up[own.channel.index])) for own in self.channels]
 
     def loss(self, point: Point, noise: NoiseModel) -> float:
         """See :meth:`Factor.loss`."""
@@ -367,23 +367,22 @@ class SensorFilter(Factor):
 
     Args:
         frame: Of the record.
-        channel: Which has a state.
+        own: Which has a state.
         state: The function that is.
     """
 
     name = "filter"
 
-    def __init__(self, frame: Frame, channel: CalibratedChannel, state: int) -> None:
+    def __init__(self, frame: Frame, own: CalibratedChannel, state: int) -> None:
         super().__init__(frame)
-        self.channel, self.state, self.order = channel, state, channel.channel.filter_order
+        self.own, self.state, self.order = own, state, own.channel.filter_order
         self.segments, averages = frame.physics, frame.averages
-        own = (self.segments.displacement, self.segments.velocity, self.segments.acceleration)
-        self.features = own if averages is None else tuple(averages(phi) for phi in own)
-        values = channel.channel.measured
-        self.weight = (EXACT * (float(np.std(values)) or 1.0)) ** -2
+        jet = (self.segments.displacement, self.segments.velocity, self.segments.acceleration)
+        self.features = jet if averages is None else tuple(averages(phi) for phi in jet)
+        self.weight = (EXACT * (float(np.std(own.channel.measured)) or 1.0)) ** -2
 
     def _corner(self, parameters: Mapping[str, Tensor]) -> float:
-        return 2.0 * math.pi * float(self.channel.value(HIGH_PASS, parameters))
+        return 2.0 * math.pi * float(self.own.value(HIGH_PASS, parameters))
 
     def _jet(self, point: Point) -> Jet:
         """Functions at the points, or their averages."""
@@ -401,7 +400,7 @@ class SensorFilter(Factor):
 
     def _left(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Tensor:
         asked = WeightedSum(self._state(parameters)).value(jet, parameters)
-        return asked - self.channel.feels.value(jet, parameters)
+        return asked - self.own.feels.value(jet, parameters)
 
     def loss(self, point: Point, noise: NoiseModel) -> float:
         """See :meth:`Factor.loss`."""
@@ -410,13 +409,13 @@ class SensorFilter(Factor):
     def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
         """See :meth:`Factor.add_to`."""
         jet, parameters, spread = self._jet(point), self.frame.parameters(point), self.frame.spread_by_place
-        felt, by = self.channel.feels.linearised(jet, parameters)
+        felt, by = self.own.feels.linearised(jet, parameters)
         parts = self._state(parameters) + [Part(f, order, -w) for f, order, w in felt]
         by, corner = {place: -column for place, column in by.items()}, self._corner(parameters)
-        if HIGH_PASS in self.channel.places:
+        if HIGH_PASS in self.own.places:
             slope = (1.0,) if self.order == 1 else (2.0 * corner, math.sqrt(2.0))
             of_state = WeightedSum([Part(self.state, order, 2.0 * math.pi * a) for order, a in enumerate(slope)])
-            by[self.channel.places[HIGH_PASS]] = of_state.value(jet, parameters)
+            by[self.own.places[HIGH_PASS]] = of_state.value(jet, parameters)
         columns = {place: spread[place] * column for place, column in by.items()}
         features = summed_features(parts, self.features.__getitem__)
         add_products(sums, self.segments, features, self._left(jet, parameters), columns, self.weight)
