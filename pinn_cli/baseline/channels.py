@@ -45,10 +45,10 @@ class ChannelRows:
     def of(cls, samples: SensorSamples, feels: Feels, time: np.ndarray) -> ChannelRows:
         """Of a channel that :func:`check_channels` passes, at the record's times (N,), s."""
         channel = samples.channel
-        place, off = _places(channel, time)
+        place, off = channel.places(time)
         shown, there = np.zeros(len(time)), np.zeros(len(time), dtype=bool)
         late = channel.number("delay").value
-        if off > ON_TIME:  # it misses no sample, and a spline through them tells what it shows between
+        if np.abs(off).max() > ON_TIME:  # it misses no sample, and a spline through them tells what it shows between
             shown[:] = channel.history(time, {"gain": 1.0, "offset": 0.0, "drift": 0.0})
             there[:] = (time + late >= channel.time[0]) & (time + late <= channel.time[-1])
         else:
@@ -97,13 +97,6 @@ def channels_of(record: Record, dynamics: Dynamics) -> list[Channel]:
     return [replace(channel, index=index) for index, channel in enumerate((*record.calibrated, *plain))]
 
 
-def _places(channel: Channel, time: np.ndarray) -> tuple[np.ndarray, float]:
-    """The record's sample that every sample of a channel is (J,), and how far they are off, in steps, at most."""
-    position = (channel.time - channel.number("delay").value - time[0]) / (time[1] - time[0])
-    place = np.rint(position).astype(np.int64)
-    return place, float(np.abs(position - place).max())
-
-
 def check_channels(record: Record, name: str) -> None:
     """Refuse sensors that the smoother has no rows for.
 
@@ -127,6 +120,6 @@ def _unfit(channel: Channel, record: Record) -> tuple[str, str] | None:
     if channel.filter_order:
         return "a sensor is behind a filter", "is such: the smoother has no state of it"
     whole = channel.even_step is not None and channel.even_step < (1.0 + ON_TIME) * record.step
-    if not whole and _places(channel, record.time)[1] > ON_TIME:
+    if not whole and np.abs(channel.places(record.time)[1]).max() > ON_TIME:
         return "samples lie between the record's times", "is such"
     return None

@@ -213,19 +213,25 @@ class Channel:
         """The time from which its drift counts, s."""
         return float(self.time[0])
 
-    def calibrated(self, found: Mapping[str, float] | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def felt_samples(self, found: Mapping[str, float] | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Times (J,) at which it felt, s, and what it felt there (J,), noise included, by numbers that were found."""
         value = {kind: self._value(kind, found) for kind in CALIBRATION_UNITS}
         felt = self.measured - value["offset"] - value["drift"] * (self.time - self.start)
         return self.time - value["delay"], felt / (value["gain"] or 1.0)
 
+    def places(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(J,), which of even times (N,) is next to that when it felt each sample, and how many steps that is off."""
+        position = (self.felt_samples()[0] - time[0]) / ((time[-1] - time[0]) / (len(time) - 1))
+        place = np.rint(position).astype(np.int64)
+        return place, position - place
+
     def history(self, time: np.ndarray, found: Mapping[str, float] | None = None) -> np.ndarray:
-        """(N,), what it felt at other times; see :meth:`calibrated`.
+        """(N,), what it felt at other times; see :meth:`felt_samples`.
 
         Through even samples as a band-limited history; by straight lines where they are uneven or missing. Beyond its
         samples it stays what it was at the last one.
         """
-        felt_at, felt = self.calibrated(found)
+        felt_at, felt = self.felt_samples(found)
         if np.array_equal(felt_at, time):
             return felt
         if len(felt) <= SPLINE_DEGREE or self.even_step is None:

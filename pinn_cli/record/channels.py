@@ -104,18 +104,10 @@ def record_band(record: Record) -> float:
     The motion of the ground, or of a support, is followed as far as it may reach: where it shows no noise above its
     content, that is all that can be used.
     """
-    bands = [
-        signal_band(record.histories(quantity)[:, dof], record.step)
-        for quantity in (*record.response_quantities, "force")
-        for dof in np.flatnonzero(record.sensors(quantity))
-    ]
-    usable = USABLE_NYQUIST_FRACTION * 0.5 / record.step
-    for quantity in record.response_quantities[len(RESPONSE_QUANTITIES) :]:
-        bands += [
-            usable
-            for moved in record.histories(quantity)[:, record.sensors(quantity)].T
-            if visible_floor(moved, record.step) is None
-        ]
+    every, usable = channels(record, MEASURED_QUANTITIES), USABLE_NYQUIST_FRACTION * 0.5 / record.step
+    bands = [signal_band(channel.measured, record.step) for channel in every]
+    moved = [channel.measured for channel in every if channel.quantity not in QUANTITIES]
+    bands += [usable for history in moved if visible_floor(history, record.step) is None]
     return max(*bands, 1.0 / record.duration)
 
 
@@ -129,14 +121,11 @@ def motion_amplitudes(record: Record) -> dict[str, float]:
     Returns:
         Quantity to its amplitude; 1 where the channel that it comes from shows nothing at all.
     """
-    measured = [order for order, quantity in enumerate(RESPONSE_QUANTITIES) if record.sensors(quantity).any()]
-    band = record_band(record)
-    amplitudes = {}
+    every, band, amplitudes = channels(record), record_band(record), {}
     for order, quantity in enumerate(RESPONSE_QUANTITIES):
-        source = min(measured, key=lambda given, order=order: abs(given - order))  # type: ignore[misc]
-        name = RESPONSE_QUANTITIES[source]
-        channels = getattr(record, name)[:, record.sensors(name)]
-        amplitudes[quantity] = max(_rms(channel, record.step, band, order - source) for channel in channels.T) or 1.0
+        source = min((channel.order for channel in every), key=lambda given, order=order: abs(given - order))  # type: ignore[misc]
+        nearest = [channel.measured for channel in every if channel.order == source]
+        amplitudes[quantity] = max(_rms(history, record.step, band, order - source) for history in nearest) or 1.0
     return amplitudes
 
 
@@ -146,23 +135,20 @@ def slowest_motion(record: Record) -> float:
     Motion far from a force is slower than near it, so of what was measured the slowest channel comes nearest to what
     was not.
     """
-    band = record_band(record)
-    ratios = []
-    for order, name in enumerate(RESPONSE_QUANTITIES):
-        for channel in getattr(record, name)[:, record.sensors(name)].T:
-            displacement, acceleration = (_rms(channel, record.step, band, q - order) for q in (0, 2))
-            if displacement > 0:
-                ratios.append(acceleration / displacement)
+    band, ratios = record_band(record), []
+    for channel in channels(record):
+        displacement, acceleration = (_rms(channel.measured, record.step, band, q - channel.order) for q in (0, 2))
+        if displacement > 0:
+            ratios.append(acceleration / displacement)
     return min(ratios, default=(math.pi * band) ** 2)
 
 
 def support_amplitudes(record: Record) -> np.ndarray:
     """(S,), root mean square of the displacement of every support, m."""
     band, out = record_band(record), np.zeros(len(record.support_names))
-    for quantity, values in reversed(list(record.supports.items())):
-        for i in np.flatnonzero(record.sensors(quantity)):
-            order = RESPONSE_QUANTITIES.index(SUPPORT[quantity])
-            out[i] = _rms(values[:, i] - values[:, i].mean(), record.step, band, -order)
+    for channel in reversed(channels(record, tuple(SUPPORT))):
+        history = channel.measured - channel.measured.mean()
+        out[channel.dof] = _rms(history, record.step, band, -channel.order)
     return out
 
 

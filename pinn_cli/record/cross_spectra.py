@@ -285,11 +285,9 @@ class Samples:
     def at_own_times(cls, channel: Channel, record: Record, window: np.ndarray) -> Samples:
         """Of a channel, as it is believed to be calibrated, at its own times."""
         count = len(window)
-        felt_at, felt = channel.calibrated()
-        position = (felt_at - record.time[0]) / record.step
-        place = np.rint(position).astype(np.int64)
+        place, off = channel.places(record.time)
         inside = (place >= 0) & (place < count)
-        place, off, felt = place[inside], (position - place)[inside], felt[inside]
+        place, off, felt = place[inside], off[inside], channel.felt_samples()[1][inside]
         swing = window[place] * (felt - np.average(felt, weights=window[place]))
         turn = -2j * np.pi * np.fft.rfftfreq(2 * count)
         values, term = np.zeros(count + 1, complex), np.ones(count + 1, complex)

@@ -351,13 +351,11 @@ def _not_held_out(calibrated: Sequence[Channel], holdout: Sequence[int]) -> tupl
 
 def _scored_by(channel: Channel, time: np.ndarray, holdout: Sequence[int]) -> np.ndarray:
     """What a sensor that is held out knows of the truth (N,), by a known calibration; NaN where it has no sample."""
-    at, felt = channel.calibrated()
-    step = (time[-1] - time[0]) / (len(time) - 1)
-    place = np.rint((at - time[0]) / step).astype(np.int64)
+    place, off = channel.places(time)
     known = all(channel.number(kind).is_known for kind in channel.calibration)
-    if not known or channel.number("delay").value or np.abs(at - time[0] - place * step).max() > OFF * step:
+    if not known or channel.number("delay").value or np.abs(off).max() > OFF:
         allowed = "DOFs whose channels have a known calibration, no delay, and samples at even times"
         raise InputError("data.holdout", list(holdout), allowed, f"nothing else scores channel {channel.key}")
     truth = np.full(len(time), np.nan)
-    truth[place] = felt
+    truth[place] = channel.felt_samples()[1]
     return truth

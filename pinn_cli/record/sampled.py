@@ -153,7 +153,7 @@ def _placed(
     for channel, column in zip(channels, values, strict=True):
         place, there = channel.sensor.place, ~np.isnan(column)
         if channel.is_plain and place not in columns and _fills(axis, time[there]):
-            columns[place] = channel.with_samples(axis, column[there], connections, fills=True).calibrated()[1]
+            columns[place] = channel.with_samples(axis, column[there], connections, fills=True).felt_samples()[1]
         elif channel.sensor.quantity in SUPPORT:
             allowed = "one channel of a kind for a support, with every sample at even times"
             raise InputError(channel.setting, repr(channel.column), allowed)

@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from pinn_cli.record.channels import record_band
+from pinn_cli.record.channels import channels, record_band
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import RESPONSE_QUANTITIES
+from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.frequency_response import Acting, Seen, rivals_of
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
@@ -73,14 +73,13 @@ def _dampers(values: dict[Parameter, float], other: dict[Parameter, float]) -> d
 
 def seen_by(structure: Structure, records: Sequence[Record]) -> Seen:
     """What sensors see of a structure and what acts on it, in all records together."""
-    one, by_supports = np.eye(structure.ndof), structure.stretch.matrix[:, structure.coordinates :].toarray()
+    by_supports = structure.stretch.matrix[:, structure.coordinates :].toarray()
     nothing, still = np.zeros(structure.ndof), np.zeros(len(by_supports))
     sensing: list[np.ndarray] = []
     inputs: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     for record in records:
-        sensing += [one[dof] for q in RESPONSE_QUANTITIES for dof in np.flatnonzero(record.sensors(q))]
-        inputs += [(one[dof], nothing, still) for dof in np.flatnonzero(record.sensors(FORCE))]
-        for channel in (channel for channel in record.calibrated if not channel.is_column):
+        others = [channel for channel in record.calibrated if not channel.is_column]
+        for channel in (*channels(record, QUANTITIES), *others):
             weights = np.zeros(structure.ndof)
             weights[list(channel.weights)] = list(channel.weights.values())
             if channel.quantity in RESPONSE_QUANTITIES:
