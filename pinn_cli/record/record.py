@@ -5,7 +5,7 @@ Arrays are numpy float64 (time, dof), SI units. DOFs are counted from 1 wherever
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
@@ -202,6 +202,9 @@ class Record:
 
     def showing(self, felt: Iterable[Channel]) -> Record:
         """The record whose columns show other histories of its channels, these (N,) at its times."""
+        return replace(self, **self._columns(felt))
+
+    def _columns(self, felt: Iterable[Channel]) -> dict[str, Any]:
         columns: dict[str, Any] = {}
         for channel in (channel for channel in felt if channel.is_column):
             quantity, number = channel.place
@@ -209,7 +212,7 @@ class Record:
         if GROUND in columns:
             columns[GROUND] = columns[GROUND][:, 0]
         moved = {quantity: columns.pop(quantity) for quantity in self.supports if quantity in columns}
-        return replace(self, **columns, supports={**self.supports, **moved})
+        return {**columns, "supports": {**self.supports, **moved}}
 
     def started_at(self, calibrations: Mapping[str, Mapping[str, float]]) -> Record:
         """The record whose channels' unknown numbers start elsewhere; its columns show what they then say."""
@@ -236,28 +239,22 @@ class Record:
         """
         if not set(dofs_by_quantity) <= set(RESPONSE_QUANTITIES):
             raise ValueError(f"{tuple(dofs_by_quantity)} are not all of {', '.join(RESPONSE_QUANTITIES)}")
-
-        def blanked(quantity: str) -> np.ndarray:
-            kept = dof_mask(dofs_by_quantity.get(quantity, ()), self.ndof)
-            return np.where(kept, getattr(self, quantity), np.nan)
-
-        def stays(channel: Channel) -> bool:
-            return channel.quantity not in RESPONSE_QUANTITIES or all(
-                dof + 1 in dofs_by_quantity.get(channel.quantity, ()) for dof in channel.weights
-            )
-
-        return replace(
-            self,
-            calibrated=tuple(filter(stays, self.calibrated)),
-            displacement=blanked("displacement"),
-            velocity=blanked("velocity"),
-            acceleration=blanked("acceleration"),
-        )
+        kept = {q: dof_mask(dofs_by_quantity.get(q, ()), self.ndof) for q in RESPONSE_QUANTITIES}
+        return self.only(lambda own: own.quantity not in kept or bool(kept[own.quantity][list(own.weights)].all()))
 
     def without_load_cells(self) -> Record:
         """The record in which the force on every forced DOF is unknown."""
-        others = tuple(channel for channel in self.calibrated if channel.quantity != FORCE)
-        return replace(self, force=np.where(self.unforced, self.force, np.nan), calibrated=others)
+        return self.only(lambda channel: channel.quantity != FORCE)
+
+    def only(self, stays: Callable[[Channel], bool]) -> Record:
+        """The record with the channels that this is true of; columns of the others are blank. Ground and supports stay.
+
+        Raises:
+            InputError: No response sensor is left.
+        """
+        columns = [self.column(q, i) for q in QUANTITIES for i in np.flatnonzero(self.sensors(q)).tolist()]
+        blank = (own.at(self.time, np.full_like(self.time, np.nan)) for own in columns if not stays(own))
+        return replace(self, **self._columns(blank), calibrated=tuple(filter(stays, self.calibrated)))
 
     def carried_by(self, motion: np.ndarray, first: int = 0) -> Record:
         """The record under another motion (N, 3, S) of the supports, for what begins at a sample."""

@@ -13,7 +13,6 @@ import numpy as np
 
 from pinn_cli.record.channels import channels
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_whole_number
@@ -59,10 +58,8 @@ class HeldOut(Withheld):
     def without(self, part: int, problem: JointProblem, setup: Setup) -> JointProblem:
         """Without one DOF's response sensors."""
         record = problem.alone.record
-        left = {
-            q: [int(d) + 1 for d in np.flatnonzero(record.sensors(q)) if d + 1 != part] for q in RESPONSE_QUANTITIES
-        }
-        return setup.scheme.with_record(problem, setup.prescribed, record.keep(left))
+        left = record.only(lambda channel: channel.is_input or part - 1 not in channel.weights)
+        return setup.scheme.with_record(problem, setup.prescribed, left)
 
     def told(self, part: int, record: Record) -> str:
         """See :meth:`Withheld.told`."""

@@ -18,7 +18,6 @@ import numpy as np
 
 from pinn_cli.record.channel import Channel
 from pinn_cli.record.channels import channels
-from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.calibration import doubts_about
 from pinn_cli.scheme.linear_fit import WIDTHS, JointFit, LinearFit, LinearStructure, what_acts
 from pinn_cli.scheme.screening import Candidate, grid_of_starts, nearest
@@ -115,16 +114,14 @@ def _in_columns(record: Record, excused: Sequence[str]) -> Record | None:
     """The record as it looks, without sensors that are excused or in doubt; None: it tells nothing."""
     acts = record.force.any() or record.ground_acceleration is not None or record.supports
     doubted = [c for c in record.calibrated if not (c.number("gain").is_known and c.number("delay").is_known)]
-    values = {quantity: getattr(record, quantity).copy() for quantity in RESPONSE_QUANTITIES}
-    without = [channel.place for channel in doubted]
-    without += [channel.place for channel in channels(record) if channel.name in excused]
-    for quantity, dof in without:
-        if quantity in values:
-            values[quantity][:, dof] = np.nan
-    seen = any(np.isfinite(columns[0]).any() for columns in values.values())
-    if not acts or not seen or any(channel.quantity in (FORCE, GROUND) for channel in doubted):
+    without = {channel.name for channel in doubted} | set(excused)
+
+    def stays(channel: Channel) -> bool:
+        return channel.is_input or channel.name not in without
+
+    if not acts or not any(map(stays, channels(record))) or any(channel.is_input for channel in doubted):
         return None
-    own = replace(record, calibrated=(), felt=(), **values)
+    own = replace(record.only(stays), calibrated=(), felt=())
     return own if what_acts(own) else None
 
 

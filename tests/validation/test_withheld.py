@@ -11,6 +11,7 @@ from small_estimates import parameter_estimate
 from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.network.spline import Spline
+from pinn_cli.record.channel import Channel
 from pinn_cli.record.record import Measurements, Truth
 from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.record.simulated import Simulated
@@ -89,6 +90,15 @@ def test_each_observed_dof_is_withheld_once(two: JointProblem) -> None:
     score = HeldOut([3]).score(two, None, estimator(Guess()))
     assert score.table["withheld_dof"].tolist() == [3, "all"]
     assert score.table["score"].iloc[-1] == score.value
+
+
+def test_a_strain_of_other_dofs_stays(two: JointProblem) -> None:
+    """Of displacements that no sensor shows by themselves."""
+    record = two.alone.record
+    strain = Channel("eps", "displacement", {1: 1.0, 2: -1.0}, record.time, record.acceleration[:, 0])
+    strained = JointProblem.of(replace(two.alone, record=replace(record, calibrated=(strain,))))
+    seen = [HeldOut().without(dof, strained, estimator(Guess())).alone.record for dof in (1, 3)]
+    assert [[channel.key for channel in record.calibrated] for record in seen] == [["eps"], []]
 
 
 def test_the_estimator_sees_what_lies_before_a_block_alone(one: JointProblem) -> None:
