@@ -14,6 +14,7 @@ import numpy as np
 from pinn_cli.record.arriving import Arriving
 from pinn_cli.record.between_samples import BETWEEN_SAMPLES, FIRST_ORDER_HOLD
 from pinn_cli.record.channel import Channel
+from pinn_cli.record.channels import channels
 from pinn_cli.record.clock import TIME_UNITS, Clock, MeasuredFiles
 from pinn_cli.record.data_channels import DataChannel, data_channels
 from pinn_cli.record.files.csv import CsvFormat
@@ -151,11 +152,7 @@ class MeasuredData:
             if quantity in SUPPORT:
                 supports.setdefault(quantity, np.full((len(time), moving), np.nan))[:, number] = column
             elif quantity != GROUND:
-                hidden = quantity in RESPONSE_QUANTITIES and number + 1 in self.holdout
-                getattr(truth if hidden else seen, quantity)[:, number] = column
-        for own in found.calibrated:
-            if own.quantity in RESPONSE_QUANTITIES and own.is_column and own.dof + 1 in self.holdout:
-                getattr(truth, own.quantity)[:, own.dof] = _scored_by(own, time, self.holdout)
+                getattr(seen, quantity)[:, number] = column
         seen = replace(seen, ground_acceleration=found.columns.get((GROUND, 0)))
         record = Record(
             **seen.measurable,
@@ -163,13 +160,23 @@ class MeasuredData:
             intersample=found.intersample,
             assumed=found.assumed,
             frame=self.frame,
-            calibrated=_not_held_out(found.calibrated, self.holdout),
+            calibrated=found.calibrated,
             responds=self.responds,
             band=found.band,
             supports=supports,
             support_names=tuple(str(i + 1) for i in range(moving)),
         )
-        return Measurements(record, Truth(truth))
+        hidden = [channel for channel in (*channels(record), *record.calibrated) if self._hides(channel)]
+        for channel in hidden:
+            if not channel.feels_one:
+                allowed = "DOFs whose every channel measures that DOF alone"
+                raise InputError("data.holdout", list(self.holdout), allowed, f"channel {channel.key} feels others too")
+            if channel.is_column:
+                getattr(truth, channel.quantity)[:, channel.dof] = _scored_by(channel, time, self.holdout)
+        return Measurements(record.only(lambda channel: not self._hides(channel)), Truth(truth))
+
+    def _hides(self, channel: Channel) -> bool:
+        return channel.quantity in RESPONSE_QUANTITIES and any(dof + 1 in self.holdout for dof in channel.weights)
 
     @cached_property
     def _every_channel(self) -> tuple[DataChannel, ...]:
@@ -336,17 +343,6 @@ def _checked_holdout(holdout: Any) -> tuple[int, ...]:
     if not isinstance(holdout, Sequence) or isinstance(holdout, str) or not all(is_whole_number(dof) for dof in dofs):
         raise InputError("data.holdout", holdout, "a list of DOFs, counted from 1")
     return tuple(dict.fromkeys(int(dof) for dof in dofs))
-
-
-def _not_held_out(calibrated: Sequence[Channel], holdout: Sequence[int]) -> tuple[Channel, ...]:
-    """The channels that an estimator may see, without any that feels a DOF which is held out and no other."""
-    dofs = {dof - 1 for dof in holdout}
-    held = [own for own in calibrated if own.quantity in RESPONSE_QUANTITIES and dofs & set(own.weights)]
-    for channel in held:
-        if not channel.feels_one:
-            allowed = "DOFs whose every channel measures that DOF alone"
-            raise InputError("data.holdout", list(holdout), allowed, f"channel {channel.key} feels others too")
-    return tuple(channel for channel in calibrated if channel not in held)
 
 
 def _scored_by(channel: Channel, time: np.ndarray, holdout: Sequence[int]) -> np.ndarray:
