@@ -200,7 +200,7 @@ def _record(data: xr.Dataset) -> Record:
         for dof in np.flatnonzero(gaps.any(axis=0) & ~gaps.all(axis=0)).tolist():
             there = ~gaps[:, dof]
             values[:, dof] = np.interp(seen.time, seen.time[there], values[there, dof])
-            felt.append(Channel("", quantity, {dof: 1.0}, seen.time, values[:, dof], there=there))
+            felt.append(Channel("", quantity, {dof: 1.0}, seen.time, values[:, dof], gaps=gaps[:, dof]))
     seen.force[:, unforced] = 0.0
     names = tuple(map(str, data["dof_name"].values)) if "dof_name" in data.coords else ()
     return Record(

@@ -90,7 +90,7 @@ class Channel:
         fills: Whether a column of a record may show it: its DOF has no other sensor of the quantity.
         filter_order: Of the high-pass filter that it is behind, whose corner is in the calibration; 0: there is none.
         label: What the user calls the DOF or support; "": its number.
-        there: (J,) bool, where a sample was measured; elsewhere the history goes on without one. None: everywhere.
+        gaps: (J,) bool, where there is no sample, and the history goes on without one; None: nowhere.
         index: Among the channels of its record that have samples or a calibration of their own, counted from 0.
     """
 
@@ -104,7 +104,7 @@ class Channel:
     fills: bool = True
     filter_order: int = 0
     label: str = ""
-    there: np.ndarray | None = None
+    gaps: np.ndarray | None = None
     index: int = 0
 
     @property
@@ -153,9 +153,10 @@ class Channel:
         quantity = SUPPORT.get(self.quantity, self.quantity)
         return MOTION.index("acceleration" if quantity == GROUND else quantity)
 
-    def sampled(self, values: np.ndarray) -> np.ndarray:
-        """Those of the values (J,) that belong to a sample."""
-        return values if self.there is None else values[self.there]
+    @property
+    def there(self) -> np.ndarray:
+        """(J,) bool, where a sample was measured."""
+        return np.ones(len(self.time), dtype=bool) if self.gaps is None else ~self.gaps
 
     def number(self, kind: str) -> Calibration:
         """One number of its calibration, by default that of a perfect sensor."""
@@ -262,10 +263,9 @@ class Channel:
     def _polynomial(self, found: Mapping[str, float] | None) -> tuple[float, ...]:
         return filter_polynomial(2.0 * np.pi * self._value(HIGH_PASS, found), self.filter_order)
 
-    def at(self, time: np.ndarray, felt: np.ndarray, there: np.ndarray | None = None) -> Channel:
+    def at(self, time: np.ndarray, felt: np.ndarray, gaps: np.ndarray | None = None) -> Channel:
         """The same sensor as if it had been perfect and sampled at these times (N,), s, where it felt this (N,)."""
-        there = None if there is None or there.all() else there
-        return replace(self, time=time, measured=felt, calibration={}, filter_order=0, there=there)
+        return replace(self, time=time, measured=felt, calibration={}, filter_order=0, gaps=gaps)
 
     def started_at(self, values: Mapping[str, float]) -> Channel:
         """The same where the search for its unknown numbers starts elsewhere; what is believed stays."""

@@ -191,8 +191,8 @@ class Record:
         """One column as a channel about which nothing is in doubt; its number is counted from 0."""
         weights = {} if quantity == GROUND else {number: 1.0}
         channel = Channel("", quantity, weights, self.time, self.histories(quantity)[:, number])
-        there = next((own.there for own in self.felt if own.place == channel.place), None)
-        return replace(channel, label=self._label(channel), there=there)
+        gaps = next((own.gaps for own in self.felt if own.place == channel.place), None)
+        return replace(channel, label=self._label(channel), gaps=gaps)
 
     def plain(self, quantity: str) -> np.ndarray:
         """(channels,) bool: the sensors whose column is all that there is of them."""

@@ -157,7 +157,7 @@ def observed(record: Record, quantity: str) -> np.ndarray:
     # A force that is known to be zero is 0 in the record; nobody has measured it.
     shown = np.where(record.sensors(quantity), record.histories(quantity), np.nan)
     for channel in record.felt:
-        if channel.place[0] == quantity and channel.there is not None:
+        if channel.place[0] == quantity:
             shown[~channel.there, channel.place[1]] = np.nan
     return shown
 

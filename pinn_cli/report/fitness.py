@@ -147,7 +147,7 @@ def residual_table(estimate: Estimate, record: Record, free_run: Response | None
     for channel in every_channel(record):
         signal, dof = channel.measured, channel.dof + 1 if channel.is_column else None
         left = signal - channel.of(estimate.response)
-        own, sampled, sigma = channel.sampled(left), channel.sampled(signal), estimate.noise.of(channel)
+        own, sampled, sigma = left[channel.there], signal[channel.there], estimate.noise.of(channel)
         rms, largest = float(np.sqrt(np.mean(own**2))), max(autocorrelation(left, LAGS), key=abs)
         low, high = signal_edges(signal, record.step)
         free = np.nan

@@ -221,14 +221,14 @@ class ValidationRun:
     def of_channel(self, channel: Channel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Measured, NaN where no sample was taken, simulated, and its deviation, from the first sample compared on."""
         unknown = np.full(len(self.record.time), np.nan)
-        measured = channel.measured if channel.there is None else np.where(channel.there, channel.measured, np.nan)
+        measured = np.where(channel.there, channel.measured, np.nan)
         run, std = (unknown if x is None else channel.of(x) for x in (self.response, self.std))
         return measured[self.first :], run[self.first :], std[self.first :]
 
     def compared(self, channel: Channel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same where a sample was taken, each (M,)."""
         measured, run, std = self.of_channel(channel)
-        there = slice(None) if channel.there is None else channel.there[self.first :]
+        there = channel.there[self.first :]
         return measured[there], run[there], std[there]
 
 

@@ -33,7 +33,7 @@ def beside(
     """The record as a response is compared with it: the response's columns with what calibrated channels leave of it.
 
     What a channel leaves unexplained at one of its own times stands at the record's nearest one; where it has no
-    sample, the column shows the response, and `Channel.there` says so.
+    sample, the column shows the response, and `Channel.gaps` says so.
 
     Args:
         record: Whose channels they are.
@@ -48,10 +48,10 @@ def beside(
         place, inside = sample_places(channel, found[channel.key], record.time)
         own = told[channel.key] if channel.key in told else _left(channel, found[channel.key], record.time, response)
         inside &= np.isfinite(own)
-        column, there = channel.of(response).copy(), np.zeros(len(record.time), dtype=bool)
+        column, gaps = channel.of(response).copy(), np.ones(len(record.time), dtype=bool)
         column[place[inside]] += own[inside]
-        there[place[inside]] = True
-        return channel.at(record.time, column, there)
+        gaps[place[inside]] = False
+        return channel.at(record.time, column, gaps)
 
     return _with_felt(record, felt)
 
@@ -65,9 +65,9 @@ def as_felt(record: Record, parameters: Iterable[ParameterEstimate]) -> Record:
 
     def felt(channel: Channel) -> Channel:
         place, inside = sample_places(channel, found[channel.key], record.time)
-        there = np.zeros(len(record.time), dtype=bool)
-        there[place[inside]] = True
-        return channel.at(record.time, channel.history(record.time, found[channel.key]), there)
+        gaps = np.ones(len(record.time), dtype=bool)
+        gaps[place[inside]] = False
+        return channel.at(record.time, channel.history(record.time, found[channel.key]), gaps)
 
     return _with_felt(record, felt)
 

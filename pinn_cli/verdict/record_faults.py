@@ -138,7 +138,7 @@ def first_sample_findings(record: Record, estimate: Estimate) -> list[Finding]:
     worst, told, left = 0.0, "", np.zeros(0)
     for channel in channels(record, (*RESPONSE_QUANTITIES, FORCE, GROUND, *SUPPORT)):
         found = channel.of(estimate.response)
-        gap = ~np.isfinite(found) if channel.there is None else ~channel.there
+        gap = ~(np.isfinite(found) & channel.there)
         off = np.where(gap, 0.0, channel.measured - found)
         far = _far_off(off, np.where(gap, 0.0, channel.measured), channel.of(estimate.std), count)
         if far > worst:

@@ -141,12 +141,11 @@ def _squares(record: Record, response: Response, part: slice) -> np.ndarray:
     out = []
     for channel in channels(record):
         left = channel.measured[part] - channel.of(response)
-        there = slice(None) if channel.there is None else channel.there[part]
-        out.append(float(np.sum(left[there] ** 2)))
+        out.append(float(np.sum(left[channel.there[part]] ** 2)))
     return np.array(out)
 
 
 def _powers(record: Record) -> np.ndarray:
     """(C,) sum of squares of every channel about its mean."""
-    samples = [channel.sampled(channel.measured) for channel in channels(record)]
+    samples = [channel.measured[channel.there] for channel in channels(record)]
     return np.array([float(np.sum((x - x.mean()) ** 2)) for x in samples])
