@@ -1,6 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from pinn_cli.record.channels import channels
 from pinn_cli.record.record import Record
 from pinn_cli.settings.errors import InputError
 
@@ -48,6 +51,19 @@ def test_keep_leaves_something_and_knows_what_there_is():
         record().keep({"force": [1]})
     with pytest.raises(ValueError, match="DOF 4"):
         record().keep({"velocity": [4]})
+
+
+def test_other_histories_of_channels_take_the_place_of_theirs_and_of_no_others():
+    moving = {"support_velocity": np.full((41, 2), 4.0)}
+    it = record(ground_acceleration=0.5 * TIME, supports=moving, support_names=("wall", "table"))
+    every = channels(it, ("acceleration", "ground_acceleration", "support_velocity"))
+    assert [channel.where for channel in every] == ["1", "2", "wall", "table", "0"]
+    shown = it.showing(replace(every[i], measured=-every[i].measured) for i in (1, 3, 4))
+    np.testing.assert_array_equal(shown.acceleration[0, :2], [1.0, -2.0])
+    np.testing.assert_array_equal(shown.supports["support_velocity"][0], [4.0, -4.0])
+    np.testing.assert_array_equal(shown.ground_acceleration, -0.5 * TIME)
+    np.testing.assert_array_equal(shown.velocity, it.velocity)
+    assert (it.acceleration[0, 1], it.supports["support_velocity"][0, 1]) == (2.0, 4.0)
 
 
 def half_filled() -> np.ndarray:
