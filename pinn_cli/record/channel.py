@@ -33,8 +33,8 @@ from pinn_cli.system.quantities import (
 EVEN = 0.02
 # Points in a step at which a sensor's filter is applied to a history.
 FILTER_POINTS = 8
-# Of the residuals and noise levels of channels with samples or a calibration of their own.
-CALIBRATED = "calibrated"
+# Of the residuals and noise levels of channels with samples or a calibration of their own, as files call them.
+CALIBRATED = "gauge"
 # The DOF of the ground's channel, counted from 0; a reader, who counts from 1, sees it as 0.
 GROUND_DOF = -1
 # Prior standard deviation of what is unknown: of a gain, which is about one; of an offset or of a drift over the whole

@@ -28,6 +28,7 @@ from pinn_cli.report.run_record import run_record, write_run_model
 from pinn_cli.runs.side_by_side import beside, side_by_side
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import tidy, write_json, write_table
+from pinn_cli.training.calibrated_record import as_run
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.verdict.finding import Verdict
 from pinn_cli.verdict.judge import contradictions, judge, verdict_of_records
@@ -58,8 +59,9 @@ class RecordReport:
     def free_run(self) -> tuple[FreeRun, pd.DataFrame]:
         """The estimated structure's response, left to itself, and how far that is from the estimate, without labels."""
         results = self.results
-        found = free_run(results.prescribed, results.estimate, results.record)
-        return found, free_run_table(found, results.estimate, results.record, results.truth.response)
+        record = as_run(results.record, results.estimate)
+        found = free_run(results.prescribed, results.estimate, record)
+        return found, free_run_table(found, results.estimate, record, results.truth.response)
 
     @cached_property
     def verdict(self) -> Verdict | None:

@@ -61,7 +61,7 @@ class Trained(TypedDict, total=False):
     sigma_support_displacement: list[float | None]
     sigma_support_velocity: list[float | None]
     sigma_support_acceleration: list[float | None]
-    sigma_calibrated: list[float | None]
+    sigma_gauge: list[float | None]
 
 
 class Found(TypedDict, total=False):

@@ -24,6 +24,16 @@ def as_calibrated(record: Record, estimate: Estimate) -> Record:
     return beside(record, estimate.of_motion or estimate.parameters, estimate.response, estimate.left)
 
 
+def as_run(record: Record, estimate: Estimate) -> Record:
+    """The same with the numbers of the estimate's own parameters, where its motion goes with those of another story.
+
+    What acts on the structure, and what its sensors show, when it runs free: the offset of a load cell belongs to the
+    structure's parameters as they do to each other.
+    """
+    own = estimate.of_motion is None
+    return as_calibrated(record, estimate) if own else beside(record, estimate.parameters, estimate.response)
+
+
 def beside(
     record: Record,
     parameters: Iterable[ParameterEstimate],

@@ -17,6 +17,7 @@ import numpy as np
 from pinn_cli.record.channels import channels
 from pinn_cli.scheme.reach import unreached_dofs
 from pinn_cli.system.parameters import MASS
+from pinn_cli.training.calibrated_record import as_run
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.causes import causes as fitted_causes
 from pinn_cli.verdict.channel_faults import LEAST_GAIN_FAULT, channel_faults
@@ -134,10 +135,11 @@ def judge(
     record, structure = problem.record, estimated_structure(problem.structure, estimate.parameters)
     own = record_faults(record) + _unreached(problem) + first_sample_findings(record, estimate)
     excused = [finding.suspect for finding in own]
+    run = as_run(record, estimate)
     if free_run is None:
-        prediction = predicted(structure, record, estimate.response.state(0))
+        prediction = predicted(structure, run, estimate.response.state(0))
     else:
-        prediction = prediction_of(structure, record, free_run)
+        prediction = prediction_of(structure, run, free_run)
     findings = sensor_findings(problem, estimate, prediction) + noise_findings(problem, estimate)
     findings += parameter_findings(problem, estimate, structure) + baseline_findings(estimate, baseline, problem.record)
     findings += change_findings(estimate) + input_findings(problem, estimate, structure)

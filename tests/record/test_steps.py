@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from pinn_cli.record.between_samples import BandLimited
 from pinn_cli.record.ensemble import Members, spread_of
 from pinn_cli.record.free_run import free_run
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulation import Simulation, simulate
-from pinn_cli.record.steps import substeps_needed
+from pinn_cli.record.steps import LOAD_BLOCK, PiecewiseLoad, substeps_needed
 from pinn_cli.system.connection import Jenkins
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.topology import build_structure
@@ -197,3 +198,16 @@ def test_a_contact_dissipates_what_its_slider_does():
             z[i + 1] = z[i] + law.rate(e[i], np.array(de), z[i : i + 1], parameters)[0]
         last = phase >= 4.0 * np.pi
         assert np.trapezoid(z[last], e[last]) == pytest.approx(lost, abs=2e-2 * 4.0 * F_C * amplitude)
+
+
+def test_a_load_from_piece_to_piece_is_that_of_its_samples():
+    """From block to block, beyond the last sample too, where an integrator looks."""
+    rng = np.random.default_rng(3)
+    time = 5.0 + np.arange(LOAD_BLOCK + 50) / 80.0
+    history = BandLimited(time, rng.standard_normal((len(time), 2)))
+    load = PiecewiseLoad(history, time)
+    for at in (*rng.uniform(time[0], time[-1], 200), time[0], time[LOAD_BLOCK], time[-1], time[-1] + 0.01):
+        np.testing.assert_allclose(load(at), history(np.array([at]))[0], atol=1e-9)
+    sine, omega = PiecewiseLoad(lambda t: np.sin(0.9 * np.pi * 80.0 * t), time), 0.9 * np.pi * 80.0
+    missed = [abs(float(sine(at)) - np.sin(omega * at)) for at in rng.uniform(time[0], time[-1], 200)]
+    assert max(missed) < 1e-7

@@ -10,7 +10,7 @@ from pinn_cli.record.channel import Calibration, Channel
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.calibrated_record import as_calibrated, beside
+from pinn_cli.training.calibrated_record import as_calibrated, as_run, beside
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
 
 TIME = 0.02 * np.arange(200)
@@ -103,3 +103,20 @@ def test_a_training_says_itself_what_it_leaves():
     seen = calibrated.column("acceleration", 0).there
     left = (calibrated.acceleration[:, 0] - motion(TIME))[seen]
     np.testing.assert_allclose(left, own[20:], atol=1e-12)
+
+
+@pytest.mark.parametrize("quantity", ["acceleration", "force"])
+def test_a_structure_that_runs_free_has_its_own_calibration(quantity):
+    """The offset that goes with its parameters, where the motion goes with those of another story."""
+    record = record_of(channel(np.ones(200, bool), np.zeros(200), quantity))
+    if quantity == "force":
+        record = replace(record, unforced=np.array([False, True]))
+    own, motions = {"offset": 0.5, "gain": 1.0}, {"offset": 0.3, "gain": 1.0}
+    found = estimate(own)
+    told = replace(found, of_motion=estimate(motions).parameters, left={"a1": np.zeros(200)})
+    shown = record.calibrated[0].measured
+    run = as_run(record, told).histories(quantity)[:, 0]
+    np.testing.assert_allclose(run, shown - own["offset"], atol=1e-12)
+    np.testing.assert_array_equal(run, as_run(record, found).histories(quantity)[:, 0])
+    of_motion = as_calibrated(record, replace(told, left={})).histories(quantity)[:, 0]
+    np.testing.assert_allclose(of_motion, shown - motions["offset"], atol=1e-12)

@@ -14,7 +14,7 @@ from pinn_cli.record.free_run import NoFreeRunError, free_run_of
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.calibrated_record import as_calibrated
+from pinn_cli.training.calibrated_record import as_run
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, Story
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.training.point import Point
@@ -46,9 +46,7 @@ def with_stories(found: Inference, estimate: Estimate) -> Estimate:
     )
     best, other = sorted((_Told(OF_FORCE, problems, estimate), free), key=lambda told: told.rank)
     stories, chosen = (best.story, other.story), best.estimate
-    motions = [tuple(own.parameters) for own in estimate.by_record]
-    records = tuple(replace(own, of_motion=motion) for own, motion in zip(chosen.records, motions, strict=False))
-    return replace(chosen, stories=stories, of_motion=motions[0], records=records)
+    return replace(chosen, stories=stories)
 
 
 def of_free_running(found: Inference, free: FreeRunning, estimate: Estimate) -> Estimate:
@@ -69,8 +67,11 @@ def of_free_running(found: Inference, free: FreeRunning, estimate: Estimate) -> 
     changed_estimate = with_parameters(
         found.evidence, [replace(own, misfit=misfit) for own, misfit in each], (parameters, correlation, known)
     )
-    changed = ("parameters", "correlation", "known", "records", "misfit")
-    return replace(estimate, **{name: getattr(changed_estimate, name) for name in changed})
+    changed = {name: getattr(changed_estimate, name) for name in ("parameters", "correlation", "known", "misfit")}
+    first, *_ = motions = [tuple(own.parameters) for own in estimate.by_record]
+    records = zip(changed_estimate.records, motions, strict=False)
+    of_records = tuple(replace(own, of_motion=motion) for own, motion in records)
+    return replace(estimate, **changed, records=of_records, of_motion=first)
 
 
 def apart(found: Inference, free: FreeRunning, estimate: Estimate) -> np.ndarray:
@@ -124,7 +125,7 @@ class _Told:
 
 def _missed_of(problem: Problem, estimate: Estimate, parts: int) -> float:
     """Of one record, in so many parts; infinite where there is no free run."""
-    record, motion = as_calibrated(problem.record, estimate), estimate.response
+    record, motion = as_run(problem.record, estimate), estimate.response
     structure = estimated_structure(problem.structure, estimate.parameters)
     ends, total = np.linspace(0, len(record.time), parts + 1).astype(int).tolist(), []
     for first, last in pairwise(ends):
