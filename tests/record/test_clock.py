@@ -47,7 +47,28 @@ def test_a_column_of_times_in_another_unit(tmp_path, unit, per_second):
     np.testing.assert_array_equal(record.acceleration[:, 0], table()["a"][10:41])
 
 
-@pytest.mark.parametrize(("name", "per_second"), [("time", 1), ("Time [s]", 1), ("Zeit", 1), ("Time (ms)", 1e3)])
+@pytest.mark.parametrize("per_second", [1.0, 1e3, 1e6, 1e9])
+def test_times_since_1970_tell_their_unit(tmp_path, per_second):
+    frame = table()
+    frame["t"] = [f"{per_second * (1_773_359_990 + time):.{2 if per_second == 1 else 0}f}" for time in frame["t"]]
+    frame.to_csv(tmp_path / "rig.csv", index=False)
+    record = read(tmp_path)
+    assert record.sampling_rate == pytest.approx(100.0, rel=1e-4)
+    assert record.time[0] == pytest.approx(1_773_359_990)
+
+
+def test_times_of_too_few_digits_are_not_needed(tmp_path):
+    frame = table(0.001)
+    frame.round({"t": 2}).to_csv(tmp_path / "rig.csv", index=False)
+    assert refusal(read, tmp_path).endswith("too few digits? Give data.sampling_rate, in Hz, instead")
+    np.testing.assert_allclose(read(tmp_path, sampling_rate=1000).time, frame["t"], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "per_second"),
+    [("time", 1), ("Time [s]", 1), ("Zeit", 1), ("Time (ms)", 1e3), ("TIME_MS", 1e3),
+     ("t_ns", 1e9), ("Zeit / s", 1), ("Time, µs", 1e6), ("Elapsed time ms", 1e3)],
+)  # fmt: skip
 def test_times_are_found_by_name_and_unit(tmp_path, name, per_second):
     times = per_second * table()["t"]
     frame = table().drop(columns="t").assign(T=20.0)
