@@ -182,7 +182,10 @@ class MeasuredFiles:
         """
         if len(self.paths) == 1:
             return self.clock(self.table(self.paths[0], wanted))
-        clocks = [self.clock(self.table(path, None)) for path in self.paths]
+        tables = [self.table(path, None) for path in self.paths]
+        dates = tables[0].dates(self.column_in(tables[0]) or "")
+        clocks = [self.clock(table, dates[0] if dates else None) for table in tables]
+        begin = min(clock.time[0] for clock in clocks) if dates else 0.0
         times = {clock.column for clock in clocks}
         if wanted is not None:
             names = [name for clock in clocks for name in clock.table.columns if name not in times]
@@ -192,7 +195,7 @@ class MeasuredFiles:
                 replace(c, table=replace(c.table, columns={n: v for n, v in c.table.columns.items() if n in kept}))
                 for c in clocks
             ]
-        table = joined([clock.table for clock in clocks], [clock.time for clock in clocks], sorted(times))
+        table = joined([clock.table for clock in clocks], [clock.time - begin for clock in clocks], sorted(times))
         assert table.time is not None
         return Clock(table, "", table.time, several=True)
 
@@ -214,8 +217,8 @@ class MeasuredFiles:
             wanted = {"data.time": time, **wanted}
         return format_of(path, self.format).read(path, wanted)
 
-    def clock(self, table: Table) -> Clock:
-        """When the samples of one of the files were taken.
+    def clock(self, table: Table, first_date: str | None = None) -> Clock:
+        """When the samples of one of the files were taken; see :meth:`Table.with_dates`.
 
         Raises:
             InputError: Nothing tells it, or a column of times cannot be used.
@@ -225,7 +228,7 @@ class MeasuredFiles:
         column = self.column_in(table)
         if column is not None:
             check_names(table.path, {"data.time": column}, table.columns, "or give data.sampling_rate, in Hz")
-            return Clock.by_column(table.with_dates(column), column, self.time_unit)
+            return Clock.by_column(table.with_dates(column, first_date), column, self.time_unit)
         if table.time is None:
             hint = f"{table.path.name} does not say when its samples were taken"
             raise InputError("data.sampling_rate", None, "given, in Hz, or data.time, a column of times", hint)

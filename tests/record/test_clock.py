@@ -155,3 +155,22 @@ def test_a_file_without_times_names_the_column_that_was_looked_for(tmp_path):
 def test_settings_of_the_clock_that_cannot_be_used(tmp_path, expected, changes):
     table().to_csv(tmp_path / "rig.csv", index=False)
     assert refusal(read, tmp_path, **changes).startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "late"),
+    [("%Y-%m-%dT%H:%M:%S.%f", "f"), ("%d.%m.%Y %H:%M:%S,%f", "f"), ("%d-%b-%Y %H:%M:%S.%f", "a"), ("%H:%M:%S.%f", "a")],
+)
+def test_dates_of_several_files_are_of_one_clock(tmp_path, pattern, late):
+    """Two loggers were started one after the other, about midnight."""
+    frame = table()
+    dates = pd.Timestamp("2026-03-12 23:59:59.8") + pd.to_timedelta(frame["t"], unit="s")
+    frame.insert(0, "Date", dates.dt.strftime(pattern))
+    for column in ("f", "a"):
+        frame[["Date", column]].iloc[20 if column == late else 0 :].to_csv(
+            tmp_path / f"{column}.csv", sep=";", index=False
+        )
+    record = read(tmp_path, path=["f.csv", "a.csv"], start=0.195, stop=0.505)
+    np.testing.assert_allclose(record.time, frame["t"][20:51], atol=1e-9)
+    np.testing.assert_array_equal(record.acceleration[:, 0], frame["a"][20:51])
+    np.testing.assert_array_equal(record.force[:, 0], frame["f"][20:51])

@@ -144,23 +144,33 @@ class Table:
             raise InputError(self.place(column, first + largest), shown, USABLE, hint)
         return values
 
-    def with_dates(self, column: str) -> Table:
-        """The same with a column whose every cell is a date or a time of day, in s from the first of them.
+    def dates(self, column: str) -> list[str]:
+        """The cells of a column none of which is a number: dates, if anything."""
+        texts = self.odd_cells.get(column, {})
+        return list(texts.values()) if len(texts) == len(self) else []
+
+    def with_dates(self, column: str, first: str | None = None) -> Table:
+        """The same with a column whose every cell is a date or a time of day, in s.
+
+        Args:
+            column: Its name.
+            first: The date from which they count, as another file writes it; None: the first of the column.
 
         Raises:
             InputError: One among dates is none.
         """
         texts = self.odd_cells.get(column, {})
-        if not texts or len(texts) < len(self):
+        dates = self.dates(column)
+        if not dates:
             return self
-        since = seconds_of(list(texts.values()))
+        since = seconds_of([first or dates[0], *dates])
         if since is None:
-            row = first_other(list(texts.values()))
+            row = first_other(dates)
             if row is not None:
-                text = shortened(list(texts.values())[row])
+                text = shortened(dates[row])
                 raise InputError(self.place(column, list(texts)[row]), text, "a date as in the lines before", _LEFT_OUT)
             return self
-        return replace(self, columns={**self.columns, column: since}, odd_cells={**self.odd_cells, column: {}})
+        return replace(self, columns={**self.columns, column: since[1:]}, odd_cells={**self.odd_cells, column: {}})
 
     def refuse_gaps(self, column: str, values: np.ndarray, first: int = 0) -> None:
         """Refuse NaN among the numbers of rows ``first`` and on.
