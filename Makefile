@@ -128,7 +128,7 @@ against-smoother: venv ## our error against a Kalman smoother whose process nois
 gallery: venv ## the figures of docs/gallery, drawn anew by the commands of its pages
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.gallery $(ARGS)
 
-bench-peers: venv ## DeepXDE, jinns, a Kalman smoother of dynamax, KOMA and this program on the same records (long; an environment of its own)
+bench-peers: venv ## DeepXDE, jinns, a Kalman smoother of dynamax, KOMA, pyOMA2 and this program on the same records (long; an environment of its own)
 	$(BIN)/python -m benchmarks.peers $(ARGS)
 
 tables: venv ## tables of README and docs that come from ordinary runs, written into their pages (ARGS="mlp smoother": these)

@@ -28,10 +28,13 @@ def test_what_the_estimator_does_not_see(pinn_run: PinnRun) -> None:
     ruined = table.copy()
     ruined.loc[ruined["t"] >= 15.0, ["a1", "a3"]] = np.random.default_rng(0).standard_normal((101, 2))
     ruined.to_csv("rig.csv", index=False)
-    again = pinn_run(*RIG, "data.validation={start: 15}")
+    again = pinn_run(*RIG, "data.validation={start: 15}", "figures=true")
     for name in OWN:
         assert (again.directory / name).read_bytes() == (outcome.directory / name).read_bytes(), name
-    assert (pd.read_csv(again.directory / "validation.csv")["nmse_percent"] > 50.0).all()
+    missed = pd.read_csv(again.directory / "validation.csv")["nmse_percent"]
+    assert (missed > 50.0).all()
+    _, page = (again.directory / "report.html").read_text(encoding="utf-8").split("Validation on other data")
+    assert all(f"<td>{value:.3g}</td>" in page for value in missed)
 
 
 def test_a_segment_that_was_seen_is_refused(pinn_run: PinnRun) -> None:

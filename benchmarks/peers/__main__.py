@@ -3,8 +3,8 @@
 Two records. The chain is the paper's: six masses, cubic springs, two accelerometers and a load cell, 50 dB, the force
 held between samples. Its parameters are known to all but this program, which takes them to be known to 7.5 %. The frame
 has five floors in the wind, three accelerometers, and lasts 300 s. This program is given its masses, and stiffnesses
-and dampers that are 5 to 10 % off. Scripts of the peers see a record and no truth; what they set was tuned by hand,
-with the truth.
+and dampers that are 5 to 10 % off; `pinn-run modes` is given the record alone. Scripts of the peers see a record and no
+truth; what they set was tuned by hand, with the truth.
 
 Each script runs in a process of its own, in an environment of the peers' (``build/peers/.venv``). The table has
 accuracy, processor seconds of the whole process, lines that a user writes (no comments, no blanks), and settings that
@@ -55,6 +55,8 @@ PEERS = (
     Peer("dynamax", "chain", "dynamax_smoother.py"),
     Peer("pinn-run", "frame"),
     Peer("KOMA", "frame", "koma_modes.py"),
+    Peer("pinn-run modes", "frame"),
+    Peer("pyOMA2", "frame", "pyoma2_modes.py"),
 )
 
 
@@ -89,6 +91,13 @@ def own_run(record: str) -> tuple[Path, float]:
     code = "from pinn_cli.main import main; main()"
     settings = ["figures=false", "resume=never", f"hydra.run.dir={directory}"]
     return directory, processor_seconds([sys.executable, "-c", code, *overrides, *settings])
+
+
+def own_modes(record: Path) -> tuple[Path, float]:
+    """Modes that this program finds in a record without a model, a table, and its seconds."""
+    directory = PLACE / "modes"
+    command = [sys.executable, "-m", "pinn_cli", "modes", record, "figures=false", f"hydra.run.dir={directory}"]
+    return directory / "modes.csv", processor_seconds(command)
 
 
 def write_record(directory: Path, file: Path) -> None:
@@ -149,6 +158,9 @@ def measured(peer: Peer) -> dict[str, object]:
     """The row of one peer."""
     directory = PLACE / peer.record
     record = PLACE / f"{peer.record}.csv"
+    if peer.script is None and peer.name.endswith(" modes"):
+        found, seconds = own_modes(record)
+        return row(peer, modal_errors(directory, pd.read_csv(found)), seconds, 1, 0)
     if peer.script is None:
         directory, seconds = own_run(peer.record)
         write_record(directory, record)
@@ -176,7 +188,7 @@ def row(peer: Peer, accuracy: str, seconds: float, lines: int, tuned: int) -> di
 def main() -> None:
     """Measure the peers that are named, or all, and print the table of all that have been."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("names", nargs="*", help="pinn-run, jinns, DeepXDE, dynamax, KOMA; default: all")
+    parser.add_argument("names", nargs="*", help="pinn-run, jinns, DeepXDE, dynamax, KOMA, pyOMA2, ...; default: all")
     names = [name.lower() for name in parser.parse_args().names]
     PLACE.mkdir(parents=True, exist_ok=True)
     results = PLACE / "results.csv"

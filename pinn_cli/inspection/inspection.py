@@ -201,7 +201,8 @@ def _of_channels(channels: pd.DataFrame) -> Iterator[str]:
         if row["constant_percent"] > CONSTANT and not (row["quantity"] == "force" and row["noise"] == 0.0):
             yield f"{row['constant_percent']:.2g} % of {name} are repeated values: held, or a slower sensor?"
         if row["snr_db"] < QUIET_DB:
-            yield f"{name} is hardly above its noise: {row['snr_db']:.1f} dB"
+            doubt = "" if row["noise_is_visible"] else ", if its flat spectrum is noise, and not what white forces do"
+            yield f"{name} is hardly above its noise: {row['snr_db']:.1f} dB{doubt}"
 
 
 def _has_offset(signal: Signal) -> bool:

@@ -178,17 +178,18 @@ def _channel_lines(channels: pd.DataFrame) -> list[str]:
         f"{number(low, 3)} to {number(high, 3)}" if np.isfinite(high) else "-"
         for low, high in zip(table["band_low_hz"], table["band_high_hz"], strict=True)
     ]
-    table["floor"] = [
-        ("" if seen is True else "<" if np.isfinite(noise) else "") + number(float(noise), 3)
-        for noise, seen in zip(table["noise"], table["noise_is_visible"], strict=True)
-    ]
+    for shown, column, bound in (("floor", "noise", "<"), ("ratio", "snr_db", ">")):
+        table[shown] = [
+            ("" if seen is True or not np.isfinite(value) else bound) + number(float(value), 3)
+            for value, seen in zip(table[column], table["noise_is_visible"], strict=True)
+        ]
     columns = {
         "channel": Column("channel", -(_NAME_WIDTH + 1), str),
         "unit": Column("unit", -7, str),
         "rms": Column("rms", 9, lambda value: number(value, 3)),
         "band": Column("band (Hz)", 16, str),
         "floor": Column("noise", 10, str),
-        "snr_db": Column("SNR (dB)", 9, lambda value: number(value, 3)),
+        "ratio": Column("SNR (dB)", 9, str),
         "missing_percent": Column("missing %", 10, lambda value: number(value, 2) if value else "0"),
         "clipped_percent": Column("clipped %", 10, lambda value: number(value, 2) if value else "0"),
     }

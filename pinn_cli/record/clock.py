@@ -16,7 +16,7 @@ from pinn_cli.record.files.mat import MatFormat
 from pinn_cli.record.files.netcdf import NetcdfFormat
 from pinn_cli.record.files.on_disk import looks_like_text, read_bytes
 from pinn_cli.record.files.parquet import ParquetFormat
-from pinn_cli.record.files.table import SensorHint, Table, check_names, column_of_times, is_called_times
+from pinn_cli.record.files.table import SensorHint, Table, check_names, column_of_times, is_called_times, unit_of_times
 from pinn_cli.record.files.tdms import TdmsFormat
 from pinn_cli.record.files.uff import UffFormat
 from pinn_cli.record.files.variables import joined
@@ -27,6 +27,8 @@ FORMATS: tuple[type[FileFormat], ...] = (
 )  # fmt: skip
 # Units of a column of times, and how many of them a second has.
 TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "min": 1.0 / 60.0, "h": 1.0 / 3600.0}
+# s from 1970 to 2100: a clock that counts more counts from 1970 in a smaller unit.
+UNTIL_2100 = 4.1e9
 # Stands for the column of times, whatever it is called.
 BY_NAME = ""
 
@@ -65,21 +67,27 @@ class Clock:
         Args:
             table: With that column.
             column: Of the times.
-            unit: A key of `TIME_UNITS`; None: what the header says, if it is one of them, else s.
+            unit: A key of `TIME_UNITS`; None: what the header says, if it is one of them, else s, or what of ms, us and
+                ns makes dates of numbers that are too large for s.
 
         Raises:
             InputError: A time that is missing, or not later than the one before it.
         """
-        if unit is None:
-            unit = table.hints.get(column, SensorHint()).unit
         readings = table.numbers(column)
+        if unit is None:
+            unit = table.hints.get(column, SensorHint()).unit or unit_of_times(column)
+        if unit not in TIME_UNITS:
+            largest = float(np.max(readings, initial=0.0))
+            unit = next((one for one in ("s", "ms", "us", "ns") if largest < UNTIL_2100 * TIME_UNITS[one]), "s")
         table.refuse_gaps(column, readings)
         back = np.flatnonzero(np.diff(readings) <= 0)
         if len(back):
             row = int(back[0]) + 1
             allowed = f"later than the line before it, {readings[row - 1]:.9g}"
-            raise InputError(table.place(column, row), readings[row], allowed)
-        return cls(table, column, readings, unit if unit in TIME_UNITS else "s")
+            stands = readings[row] == readings[row - 1]
+            hint = "too few digits? Give data.sampling_rate, in Hz, instead" if stands else ""
+            raise InputError(table.place(column, row), readings[row], allowed, hint)
+        return cls(table, column, readings, unit)
 
     @property
     def time(self) -> np.ndarray:
@@ -174,7 +182,10 @@ class MeasuredFiles:
         """
         if len(self.paths) == 1:
             return self.clock(self.table(self.paths[0], wanted))
-        clocks = [self.clock(self.table(path, None)) for path in self.paths]
+        tables = [self.table(path, None) for path in self.paths]
+        dates = tables[0].dates(self.column_in(tables[0]) or "")
+        clocks = [self.clock(table, dates[0] if dates else None) for table in tables]
+        begin = min(clock.time[0] for clock in clocks) if dates else 0.0
         times = {clock.column for clock in clocks}
         if wanted is not None:
             names = [name for clock in clocks for name in clock.table.columns if name not in times]
@@ -184,7 +195,7 @@ class MeasuredFiles:
                 replace(c, table=replace(c.table, columns={n: v for n, v in c.table.columns.items() if n in kept}))
                 for c in clocks
             ]
-        table = joined([clock.table for clock in clocks], [clock.time for clock in clocks], sorted(times))
+        table = joined([clock.table for clock in clocks], [clock.time - begin for clock in clocks], sorted(times))
         assert table.time is not None
         return Clock(table, "", table.time, several=True)
 
@@ -206,8 +217,8 @@ class MeasuredFiles:
             wanted = {"data.time": time, **wanted}
         return format_of(path, self.format).read(path, wanted)
 
-    def clock(self, table: Table) -> Clock:
-        """When the samples of one of the files were taken.
+    def clock(self, table: Table, first_date: str | None = None) -> Clock:
+        """When the samples of one of the files were taken; see :meth:`Table.with_dates`.
 
         Raises:
             InputError: Nothing tells it, or a column of times cannot be used.
@@ -217,7 +228,7 @@ class MeasuredFiles:
         column = self.column_in(table)
         if column is not None:
             check_names(table.path, {"data.time": column}, table.columns, "or give data.sampling_rate, in Hz")
-            return Clock.by_column(table.with_dates(column), column, self.time_unit)
+            return Clock.by_column(table.with_dates(column, first_date), column, self.time_unit)
         if table.time is None:
             hint = f"{table.path.name} does not say when its samples were taken"
             raise InputError("data.sampling_rate", None, "given, in Hz, or data.time, a column of times", hint)

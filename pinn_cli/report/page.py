@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pandas as pd
 from markupsafe import Markup
@@ -22,6 +23,9 @@ from pinn_cli.report.text import Column
 from pinn_cli.runs.identity import package_version
 from pinn_cli.runs.writing import write_text
 from pinn_cli.verdict.finding import Verdict
+
+if TYPE_CHECKING:
+    from pinn_cli.report.free_run import ValidationRun
 
 PAGE_NAME = "report.html"
 MEANING = {
@@ -96,13 +100,20 @@ class Page:
 def run_page(
     results: Results, verdict: Verdict | None, parameters: pd.DataFrame, fitness: pd.DataFrame,
     residuals: Sequence[Sequence[pd.DataFrame]], warnings: Sequence[str],
+    tried: tuple[ValidationRun, pd.DataFrame] | None = None,
 ) -> Page:  # fmt: skip
-    """Of a run; tables are those of its files, ``residuals`` as :func:`pinn_cli.report.text.sensors_text` has them."""
+    """Of a run; tables are those of its files, ``residuals`` as :func:`pinn_cli.report.text.sensors_text` has them.
+
+    ``tried`` is the identified system on other data, with its table.
+    """
     modes = ModeEstimates.of(results.prescribed, results.estimate, results.true)
     columns, sensors = text.sensors_table(residuals, results.run.baseline)
     sheets = [*parameter_sheets(parameters), *fitness_sheets(fitness)]
     if len(sensors):
         sheets.append(sheet_of(("sensors", "Sensors", " ".join(text.OF_SENSORS)), columns, sensors))
+    if tried is not None and tried[0].response is not None:
+        columns, shown, notes = text.validation_shown(*tried)
+        sheets.append(sheet_of(("validation", "Validation on other data", " ".join(notes)), columns, shown))
     if modes is not None:
         note = "Of the estimated structure, linearised about rest; the shapes stand in modes.csv."
         sheets.append(sheet_of(("modes", "Natural modes", note), _MODES, mode_table(modes).head(text.SENSORS_SHOWN)))

@@ -293,7 +293,7 @@ class RunReport:
         from pinn_cli.report.page import run_page
 
         fitness, found = self.tables[0]
-        return run_page(self.results, self.verdict, found, fitness, self.residuals, self._warnings)
+        return run_page(self.results, self.verdict, found, fitness, self.residuals, self._warnings, self.validation)
 
     @property
     def _warnings(self) -> list[str]:

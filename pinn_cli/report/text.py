@@ -167,15 +167,20 @@ def validation_text(run: ValidationRun, table: pd.DataFrame) -> str:
     """Sensor by sensor how far the identified system is from other data, with the table of its run on them."""
     if run.response is None:
         return f"no validation on other data: {run.finding}"
+    columns, shown, notes = validation_shown(run, table)
+    lines, left_out = _sensor_lines(columns, shown, "validation.csv")
+    return "\n".join([*lines, *notes, *left_out])
+
+
+def validation_shown(run: ValidationRun, table: pd.DataFrame) -> tuple[dict[str, Column], pd.DataFrame, list[str]]:
+    """Columns and rows of the identified system on other data, and what they say; arguments as above."""
     times = f"{run.record.time[run.first]:.6g} to {run.record.time[-1]:.6g} s"
     begins = "at rest" if run.at_rest else "where the estimate ends"
     notes = [
         f"the identified system under the measured force, {times}, beginning {begins}; band: its standard",
         "deviation (parameters, start, force, discrepancy as a random force); inside: samples within 95 %",
     ]
-    shown = table.assign(sensor=table["quantity"] + " " + table["dof"].astype(str))
-    lines, left_out = _sensor_lines(_VALIDATION, shown, "validation.csv")
-    return "\n".join([*lines, *notes, *left_out])
+    return _VALIDATION, table.assign(sensor=table["quantity"] + " " + table["dof"].astype(str)), notes
 
 
 def _sensor_lines(columns: dict[str, Column], sensors: pd.DataFrame, file: str) -> tuple[list[str], list[str]]:

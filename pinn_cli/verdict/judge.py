@@ -27,7 +27,7 @@ from pinn_cli.verdict.input_findings import input_findings, resonance_findings, 
 from pinn_cli.verdict.parameter_findings import APART, LEAST_APART, baseline_findings, parameter_findings
 from pinn_cli.verdict.prediction import predicted, prediction_of, worst_misfit
 from pinn_cli.verdict.record_faults import first_sample_findings, record_faults
-from pinn_cli.verdict.sensor_findings import noise_findings, sensor_findings
+from pinn_cli.verdict.sensor_findings import NOT_AT_ALL, noise_findings, sensor_findings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -147,19 +147,21 @@ def judge(
     if not any(finding.kind == "free_run" for finding in findings):
         findings += _contradicted(problem, contradicted)
     # A free run that follows the sensors has their resonances.
-    follows_well = worst_misfit(prediction, excused) <= PREDICTED_WELL
+    misfit = worst_misfit(prediction, excused)
+    follows_well = misfit <= PREDICTED_WELL
     missed = resonance_findings(problem, structure) if not follows_well and problem.spectral is None else []
     lacks, is_sound = doubt_findings(estimate), all(finding.word == "sound" for finding in findings + missed)
     told = bool(lacks) and lacks[0].kind not in TOLD_BY_CAUSES
-    # Where the free run follows the sensors, a filter, a tilt or a law that is shown to be lacking is the cause.
+    # Where the free run follows the sensors, a filter, a tilt or a law that is shown to be lacking is the cause. Wide
+    # deviations of the parameters may excuse whatever it misses: then a cause of this folder goes before, if any.
     follows = all(finding.kind != "free_run" and finding.word != "failed" for finding in findings)
-    causes = lacks if told and follows else []
+    causes = lacks if told and follows and (prediction is None or misfit <= NOT_AT_ALL) else []
     if not causes and not is_sound and not follows_well:
         causes = fitted_causes(problem, _believed(problem, estimate), structure, excused)
     # Elsewhere it is what explains most of what the model leaves out, or wrong damping; and whatever is small, of which
     # the estimated structure, held fixed, says less than one whose parameters are free.
     explains = told and (lacks[0].kind == "damping" or estimate.doubts[0].share > MOST_EXPLAINED)
-    if not causes and (explains or follows_well):
+    if not causes and (explains or follows_well or (told and follows)):
         causes = lacks
     if not causes and prediction is not None:
         causes = channel_faults(prediction, excused)

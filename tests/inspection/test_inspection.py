@@ -97,6 +97,17 @@ def test_noise_and_offsets(record, noise, offset, expected):
     assert expected in notes(record, a1=Signal("a1", a, "acceleration", "1"))
 
 
+@pytest.mark.parametrize(("noise", "flat"), [(0.4, False), (1.0, True)])
+def test_a_spectrum_that_is_flat_nearly_throughout_need_not_be_noise(record, noise, flat):
+    """White forces move a structure up to the Nyquist frequency: then the noise is known to lie below that, no more."""
+    a = record[3][:, 0] / record[3][:, 0].std() + noise * np.random.default_rng(0).normal(size=len(record[0]))
+    found = look(record, a1=Signal("a1", a, "acceleration", "1"))
+    (note,) = (note for note in found.notes if "above its noise" in note)
+    assert note.endswith(" dB, if its flat spectrum is noise, and not what white forces do") == flat
+    (shown,) = (line for line in found.text().splitlines() if line.startswith("acceleration of DOF 1 "))
+    assert ("<" in shown, ">" in shown) == (flat, flat)
+
+
 def test_hum_of_the_mains(record):
     time, _, _, a = record
     line = 0.5 * a[:, 0].std() * np.sin(2.0 * np.pi * 60.0 * time)

@@ -47,7 +47,28 @@ def test_a_column_of_times_in_another_unit(tmp_path, unit, per_second):
     np.testing.assert_array_equal(record.acceleration[:, 0], table()["a"][10:41])
 
 
-@pytest.mark.parametrize(("name", "per_second"), [("time", 1), ("Time [s]", 1), ("Zeit", 1), ("Time (ms)", 1e3)])
+@pytest.mark.parametrize("per_second", [1.0, 1e3, 1e6, 1e9])
+def test_times_since_1970_tell_their_unit(tmp_path, per_second):
+    frame = table()
+    frame["t"] = [f"{per_second * (1_773_359_990 + time):.{2 if per_second == 1 else 0}f}" for time in frame["t"]]
+    frame.to_csv(tmp_path / "rig.csv", index=False)
+    record = read(tmp_path)
+    assert record.sampling_rate == pytest.approx(100.0, rel=1e-4)
+    assert record.time[0] == pytest.approx(1_773_359_990)
+
+
+def test_times_of_too_few_digits_are_not_needed(tmp_path):
+    frame = table(0.001)
+    frame.round({"t": 2}).to_csv(tmp_path / "rig.csv", index=False)
+    assert refusal(read, tmp_path).endswith("too few digits? Give data.sampling_rate, in Hz, instead")
+    np.testing.assert_allclose(read(tmp_path, sampling_rate=1000).time, frame["t"], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "per_second"),
+    [("time", 1), ("Time [s]", 1), ("Zeit", 1), ("Time (ms)", 1e3), ("TIME_MS", 1e3),
+     ("t_ns", 1e9), ("Zeit / s", 1), ("Time, µs", 1e6), ("Elapsed time ms", 1e3)],
+)  # fmt: skip
 def test_times_are_found_by_name_and_unit(tmp_path, name, per_second):
     times = per_second * table()["t"]
     frame = table().drop(columns="t").assign(T=20.0)
@@ -134,3 +155,22 @@ def test_a_file_without_times_names_the_column_that_was_looked_for(tmp_path):
 def test_settings_of_the_clock_that_cannot_be_used(tmp_path, expected, changes):
     table().to_csv(tmp_path / "rig.csv", index=False)
     assert refusal(read, tmp_path, **changes).startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "late"),
+    [("%Y-%m-%dT%H:%M:%S.%f", "f"), ("%d.%m.%Y %H:%M:%S,%f", "f"), ("%d-%b-%Y %H:%M:%S.%f", "a"), ("%H:%M:%S.%f", "a")],
+)
+def test_dates_of_several_files_are_of_one_clock(tmp_path, pattern, late):
+    """Two loggers were started one after the other, about midnight."""
+    frame = table()
+    dates = pd.Timestamp("2026-03-12 23:59:59.8") + pd.to_timedelta(frame["t"], unit="s")
+    frame.insert(0, "Date", dates.dt.strftime(pattern))
+    for column in ("f", "a"):
+        frame[["Date", column]].iloc[20 if column == late else 0 :].to_csv(
+            tmp_path / f"{column}.csv", sep=";", index=False
+        )
+    record = read(tmp_path, path=["f.csv", "a.csv"], start=0.195, stop=0.505)
+    np.testing.assert_allclose(record.time, frame["t"][20:51], atol=1e-9)
+    np.testing.assert_array_equal(record.acceleration[:, 0], frame["a"][20:51])
+    np.testing.assert_array_equal(record.force[:, 0], frame["f"][20:51])

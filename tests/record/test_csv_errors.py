@@ -56,6 +56,16 @@ def test_a_table_that_cannot_be_used(tmp_path, values, expected):
     assert message(tmp_path).startswith(expected)
 
 
+@pytest.mark.parametrize("above", ["", "\n\n"])
+def test_numbers_are_no_names(tmp_path, above):
+    rows = table().to_csv(index=False, header=False)
+    (tmp_path / "rig.csv").write_text(above + rows)
+    line = 1 + above.count("\n")
+    assert message(tmp_path).startswith(f"rig.csv, line {line}=0.0, 0.0, 1.0: must be names of the columns")
+    (tmp_path / "rig.csv").write_text("0,1,2,3\n" + rows)
+    assert not message(tmp_path, time="0", force={1: "1"}, acceleration={1: "2", 2: "9"}).startswith("rig.csv, line 1")
+
+
 def test_a_blank_line_in_the_middle_is_a_gap_on_its_own_line(tmp_path):
     lines = table().to_csv(index=False).splitlines()
     (tmp_path / "rig.csv").write_text("\n".join([*lines[:20], "", *lines[20:]]))

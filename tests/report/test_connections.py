@@ -100,6 +100,7 @@ def test_the_figure_shows_histories_and_peaks():
     assert [axes.get_ylabel() for axes in histories] == ["connection 1", "connection 2", "connection 3"]
     assert all(len(axes.collections) == 1 for axes in histories)  # the band
     np.testing.assert_allclose(peaks.get_lines()[0].get_xdata(), [1.1, 2.2, 4.4])  # mm
+    assert peaks.get_xlim() == (0.0, pytest.approx(1.06 * max(line.get_xdata()[-1] for line in peaks.get_lines())))
     assert texts(figure) == ["truth", "estimate", "95 % band", "peak, 90 % interval"]
     assert texts(drift_figure(found(known=()))) == ["estimate", "peak"]
 

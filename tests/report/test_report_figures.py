@@ -188,6 +188,13 @@ def test_unknown_parameters_are_drawn_in_their_units_above_the_prescribed(make_c
     assert lower == ["prescribed", "truth", "estimate, 90 % interval"]
 
 
+def test_masses_are_those_of_dofs(make_case):
+    springs = [p for p in _identified(make_case(ndof=4), "k_2", "k_4") if p.name in ("k_2", "k_4")]
+    figure = parameters_figure([*springs, *(other_estimate(p, kind="m", title="Mass") for p in springs)], None)
+    labels = {axes.get_title().split(" ")[0]: axes.get_xlabel() for axes in figure.axes}
+    assert labels == {"Stiffness": "Connection $i$", "Mass": "DOF $i$"}
+
+
 def test_a_start_far_away_does_not_squash_the_scale(make_case):
     case = make_case(ndof=4)
     two = [p for p in case.estimate.parameters if p.name in ("k_2", "k_4")]

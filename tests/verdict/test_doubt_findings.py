@@ -44,3 +44,14 @@ def test_what_is_small_is_told_by_the_structure_whose_parameters_are_free(right_
     assert judge(problem, estimate).reasons[0].suspect == "acceleration of DOF 2"
     doubt = Doubt("delay", "force on DOF 3", 3.0, 0.2, "s", 40.0, 5.0, "k_1")
     assert judge(problem, replace(estimate, doubts=(doubt,))).reasons[0].suspect == "force on DOF 3"
+
+
+def test_a_fault_goes_before_what_a_model_lacks_that_is_excused_from_following_the_sensors(right_estimate):
+    problem, estimate = right_estimate
+    wide = [replace(p, std=0.5 * p.estimate) for p in estimate.parameters]
+    uncertain = replace(estimate, parameters=wide, doubts=(Doubt("mode", "DOF 1", 0.7, 0.1, "kg", 40.0, 5.0, "k_1"),))
+    wrong = replace(problem, record=altered(problem.record, 3, lambda x: x / 9.80665))
+    kinds = [reason.kind for reason in judge(wrong, uncertain).reasons]
+    assert kinds[0] == "unit"
+    assert "free_run" not in kinds
+    assert judge(problem, uncertain).reasons[0].kind == "mode"

@@ -22,10 +22,10 @@ from pinn_cli.record.files.table import Table, asked_for, is_called_times
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import whole_number
 
-# A unit, of those that sensors have; in brackets at the end of a name: a1 (roof) has none.
+# A unit, of those that sensors have; at the end of a name, in brackets, behind a stroke or a comma: a1 (roof) has none.
 _SYMBOL = r"(?:[num\u00b5\u03bckM]?(?:m|s|g|N|V|A|Pa)|cm|in|ft|lbf?|[Gg]al|Hz|rad|deg|min|h|sec)"
 _SYMBOLS = rf"{_SYMBOL}(?:\s*[/*^\u00b7 ]?\s*(?:{_SYMBOL}|[-\u00b2]?\d|\u00b2))*"
-_UNIT = re.compile(rf".*[\[(]\s*({_SYMBOLS})\s*[\])]\s*$")
+_UNIT = re.compile(rf".*(?:[\[(]\s*|\s/\s*|,\s*)({_SYMBOLS})\s*[\])]?\s*$")
 _ONLY_UNIT = re.compile(rf"[\[(]?\s*({_SYMBOLS})\s*[\])]?$")
 # In the order in which they are tried; the last stands for any number of blanks.
 BLANKS = " "
@@ -119,6 +119,7 @@ class CsvFormat(FileFormat):
         below = text[sum(map(len, lines[: heading.first_line])) :]
         head = "".join(lines[heading.line : heading.end]) if len(heading.names) < 2 else heading.joined()
         header = list(map(str, _frame(head, dialect, nrows=0).columns))
+        _check_nameless(path, heading)
         asked = asked_for(
             path, {f"column {name!r}": name for name in header} if wanted is None else wanted, header, _NAMES_LINE
         )
@@ -283,6 +284,19 @@ def _is_units(row: Sequence[str]) -> bool:
     words = [cell for cell in row if cell not in ("", "-")]
     known = sum(_ONLY_UNIT.match(word) is not None for word in words)
     return bool(words) and 2 * known >= len(words) and not any(map(is_called_times, words))
+
+
+def _check_nameless(path: Path, heading: Heading) -> None:
+    """Refuse numbers in the place of names, which would be lost. Columns may be counted: 0, 1, 2.
+
+    Raises:
+        InputError: There are some.
+    """
+    (header,) = heading.names if len(heading.names) == 1 else ([],)
+    cells = [cell for cell in header if cell]
+    if heading.numbers and cells and all(map(_is_number, cells)) and not all(map(str.isdigit, cells)):
+        hint = "write names above the numbers, such as t, force_1 [N], acc_1 [m/s^2]"
+        raise InputError(f"{path.name}, line {heading.line + 1}", ", ".join(cells[:3]), "names of the columns", hint)
 
 
 def _check_names(path: Path, heading: Heading, wanted: Mapping[str, str]) -> None:

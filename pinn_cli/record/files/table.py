@@ -25,6 +25,8 @@ TIME_COLUMN, _ALSO_TIMES = "t", (
 )  # fmt: skip
 # A unit in brackets at the end of a column's name.
 IN_BRACKETS = re.compile(r"(?P<name>.*\S)\s*[\[(]\s*(?P<unit>[^\[\]()]+?)\s*[\])]\s*$")
+# A unit of times behind a name without brackets: time_ms, Zeit / s.
+_UNIT_BEHIND = re.compile(r"(?P<name>.*\w)\s*[\s_,/]\s*(?P<unit>s|ms|us|ns|min|h)\s*$", re.IGNORECASE)
 # Cells that are no numbers, and how to write them as such.
 _WRITTEN_AS = (
     (
@@ -38,7 +40,9 @@ _WRITTEN_AS = (
 # m/s² is m/s^2, and both letters that are written for micro are u.
 _PLAIN_LETTERS = str.maketrans({"\N{SUPERSCRIPT TWO}": "2", "\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"})
 _LEFT_OUT = "leave gaps out with data.start and data.stop"
-# Dates and times of day.
+# Dates and times of day. A month in letters, 12-Mar-2026, is read as its number.
+_MONTHS = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"]
+_MONTH = re.compile(rf"(?<=\d)[-./ ]+({'|'.join(_MONTHS)})[a-z]*[-./ ]+(?=\d)", re.IGNORECASE)
 _DAY = r"(\d{1,4})[-./](\d{1,2})[-./](\d{1,4})"
 _CLOCK = r"(\d{1,3}):(\d{2})(?::(\d{2}(?:[.,]\d*)?))?"
 _ZONE = r"(?:Z|[A-Z]{2,5}|(?:UTC|GMT)?\s*([+-])(\d{1,2}):?(\d{2})?)"
@@ -140,23 +144,33 @@ class Table:
             raise InputError(self.place(column, first + largest), shown, USABLE, hint)
         return values
 
-    def with_dates(self, column: str) -> Table:
-        """The same with a column whose every cell is a date or a time of day, in s from the first of them.
+    def dates(self, column: str) -> list[str]:
+        """The cells of a column none of which is a number: dates, if anything."""
+        texts = self.odd_cells.get(column, {})
+        return list(texts.values()) if len(texts) == len(self) else []
+
+    def with_dates(self, column: str, first: str | None = None) -> Table:
+        """The same with a column whose every cell is a date or a time of day, in s.
+
+        Args:
+            column: Its name.
+            first: The date from which they count, as another file writes it; None: the first of the column.
 
         Raises:
             InputError: One among dates is none.
         """
         texts = self.odd_cells.get(column, {})
-        if not texts or len(texts) < len(self):
+        dates = self.dates(column)
+        if not dates:
             return self
-        since = seconds_of(list(texts.values()))
+        since = seconds_of([first or dates[0], *dates])
         if since is None:
-            row = first_other(list(texts.values()))
+            row = first_other(dates)
             if row is not None:
-                text = shortened(list(texts.values())[row])
+                text = shortened(dates[row])
                 raise InputError(self.place(column, list(texts)[row]), text, "a date as in the lines before", _LEFT_OUT)
             return self
-        return replace(self, columns={**self.columns, column: since}, odd_cells={**self.odd_cells, column: {}})
+        return replace(self, columns={**self.columns, column: since[1:]}, odd_cells={**self.odd_cells, column: {}})
 
     def refuse_gaps(self, column: str, values: np.ndarray, first: int = 0) -> None:
         """Refuse NaN among the numbers of rows ``first`` and on.
@@ -192,9 +206,17 @@ def is_called_times(column: str) -> bool:
     return _rank(column) is not None
 
 
+def unit_of_times(column: str) -> str:
+    """The unit behind the name of a column of times; "" where there is none."""
+    found = _UNIT_BEHIND.fullmatch(column.translate(_PLAIN_LETTERS))
+    return found["unit"].lower() if found else ""
+
+
 def _rank(column: str) -> int | None:
     """How many better names of times there are than that of a column; None: it is none. Groups stand before it."""
     name = bare(column)
+    found = _UNIT_BEHIND.fullmatch(name.translate(_PLAIN_LETTERS))
+    name = found["name"] if found else name
     for last in (name, re.split(r"[/.]", name)[-1].strip()):
         if last == TIME_COLUMN:
             return 0
@@ -301,7 +323,7 @@ def seconds_of(texts: Sequence[str]) -> np.ndarray | None:
     dates = pd.to_datetime(pd.Series(texts), format="ISO8601", errors="coerce", utc=True)
     if not dates.isna().any():
         return np.asarray((dates - dates.iloc[0]).dt.total_seconds(), dtype=np.float64)
-    found = [_WRITTEN.fullmatch(text) for text in texts]
+    found = [_written(text) for text in texts]
     parts = [match.groups() for match in found if match is not None and any(match.groups()[:5])]
     if len(parts) < len(texts):
         return None
@@ -318,8 +340,13 @@ def seconds_of(texts: Sequence[str]) -> np.ndarray | None:
 
 def first_other(texts: Sequence[str]) -> int | None:
     """Place of the first text that is no date or time of day, where the first one of all is; else None."""
-    others = (i for i, text in enumerate(texts) if _WRITTEN.fullmatch(text) is None)
+    others = (i for i, text in enumerate(texts) if _written(text) is None)
     return next(others, None) or None
+
+
+def _written(text: str) -> re.Match[str] | None:
+    """The parts of a date or a time of day."""
+    return _WRITTEN.fullmatch(_MONTH.sub(lambda month: f"-{1 + _MONTHS.index(month[1].lower())}-", text))
 
 
 def _of_the_day(part: Sequence[str | None]) -> float:

@@ -19,8 +19,9 @@ from pinn_cli.record.identification.subspace import MOST_DAMPED, Stabilisation, 
 
 # Logarithm of the probability that chance makes a mode; part of the motion at its peak that is its own, at least.
 CHANCE, LEAST_OF_ITS_OWN = -16.0, 0.5
-# Relative deviations of a frequency and of a damping ratio that is determined; lines in a half-power width, at least.
-MOST_UNCERTAIN, MOST_UNCERTAIN_DAMPING, NARROWEST = 0.02, 0.7, 0.5
+# Deviations of the logarithms of a frequency that is determined, and of a damping ratio of which anything is known;
+# lines in a half-power width, at least.
+MOST_UNCERTAIN, MOST_UNCERTAIN_DAMPING, NARROWEST = 0.02, 1.2, 0.5
 # Modes nearer than this part of their half-power width are one, unless their shapes differ.
 ONE, OTHER_SHAPE = 1.0, 0.5
 # So many poles are tried, and periods of the record are needed.

@@ -29,6 +29,8 @@ MOVING, HARMONICS = 0.95, 4.0
 CLASSES = 24  # of equal size, whose means tell whether the force follows something
 MOST_DOTS = 4000  # of a longer record, evenly chosen
 
+# Of the axis of peaks, how much more there is of it than the largest.
+PEAK_ROOM = 1.06
 _PEAK_MARK: style.Look = {"color": style.VERMILLION, "linestyle": "none", "marker": "o", "markersize": 3.5}
 _TRUE_PEAK: style.Look = {
     "color": style.BLACK, "linestyle": "none", "marker": "D", "markersize": 5.0, "markerfacecolor": "none",
@@ -84,7 +86,7 @@ def _draw_peaks(axes: Axes, drifts: Histories, factor: float) -> None:
         for end in ends:  # upright bars, higher than the dot, which hides a short interval
             axes.plot(end, place, "|", color=style.VERMILLION, markersize=12.0, markeredgewidth=0.9)
     axes.plot(factor * found.true, place, **_TRUE_PEAK)
-    axes.set_xlim(left=0.0)
+    axes.set_xlim(0.0, PEAK_ROOM * axes.dataLim.x1)
     axes.set_ylim(-0.6, len(place) - 0.4)
     few = place if len(place) <= 2 * ROWS_IN_FULL else place[:: -(-len(place) // ROWS_IN_FULL)]
     axes.set_yticks(few, [drifts.places[i] for i in few])

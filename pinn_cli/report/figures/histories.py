@@ -242,7 +242,8 @@ def _write_rms(axes: Axes, estimate: np.ndarray) -> None:
         rms = float(np.sqrt(np.mean(estimate**2)))
         factor, prefix = style.unit_prefix(rms, kilo=True)
         text = f"rms {factor * rms:.{0 if factor * rms >= 10.0 else 1}f} {style.unit('force', prefix)}"
-        axes.text(0.97, 0.93, text, transform=axes.transAxes, ha="right", va="top", fontsize=7)
+        paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}  # the curve may pass there
+        axes.text(0.97, 0.93, text, transform=axes.transAxes, ha="right", va="top", fontsize=7, bbox=paper)
 
 
 def error_map_figure(estimate: Estimate, record: Record, truth: Response | None) -> Figure:

@@ -136,8 +136,9 @@ def _draw_group(axes: Axes, group: Sequence[ParameterEstimate], values: np.ndarr
     if names[0]:
         every = -(-len(names) // NAMED)
         axes.set_xticks(place[::every], names[::every], rotation=90)  # upright: long ones do not meet
-    else:
-        axes.set_xlabel("Connection $i$", labelpad=2)
+    elif not (first := group[0].parameter).alone:
+        owner = first.owner.removesuffix(first.whose)
+        axes.set_xlabel(f"{owner[0].upper()}{owner[1:]}$i$", labelpad=2)
     return place
 
 

@@ -64,6 +64,14 @@ def test_where_the_names_are(tmp_path, text, columns, first_line):
     assert (list(table.columns), table.first_line) == (columns, first_line)
 
 
+def test_units_behind_names(tmp_path):
+    (tmp_path / "rig.csv").write_text("Zeit / s;F / kN;a1 / (mm/s²);a 2, g;a/b m\n" + "0;1;2;3;4\n" * 3)
+    hints = CsvFormat().read(tmp_path / "rig.csv").hints
+    assert {name: hint.unit for name, hint in hints.items()} == {
+        "Zeit / s": "s", "F / kN": "kN", "a1 / (mm/s²)": "mm/s^2", "a 2, g": "g",
+    }  # fmt: skip
+
+
 def test_lines_above_that_nobody_can_tell_apart_are_named(tmp_path):
     (tmp_path / "rig.csv").write_text("t,a\n1,2,3\n4,5,6\n")
     assert "data.format.names_line" in refusal(CsvFormat().read, tmp_path / "rig.csv")
@@ -80,6 +88,9 @@ def test_lines_above_that_nobody_can_tell_apart_are_named(tmp_path):
         (["4/3/2026 23:59", "4/4/2026 0:01"], [0, 120]),
         (["25.10.2026 02:59:59 +0200", "25.10.2026 02:00:00 +0100"], [0, 1]),
         (["26.11.26 10:00:00 CET", "26.11.26 10:00:01 CET"], [0, 1]),
+        (["31-Oct-2026 23:59:59.5", "01-Nov-2026 00:00:01.0"], [0, 1.5]),
+        (["9 september 2026 10:00:00", "10 September 2026 10:00:01"], [0, 86401]),
+        (["9-Sap-2026 10:00:00", "10-Sap-2026 10:00:01"], None),
         (["23:59:59.75", "00:00:00.25", "23:59:59.75"], [0, 0.5, 86400]),
         (["0:00:01", "100:00:01"], [0, 360000]),
         (["25.10.2026 02:59:59 CEST", "25.10.2026 02:00:00 CET"], None),

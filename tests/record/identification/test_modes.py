@@ -6,6 +6,7 @@ from vibrating_records import (
     BUILDING,
     RIG,
     Measured,
+    Vibrating,
     ambient,
     coloured,
     of_bridge,
@@ -62,6 +63,21 @@ def test_every_plain_mode_is_found_and_no_other(make, seed):
 def test_machines_are_named_as_what_they_are():
     found = look(of_building_with_machines(0))
     np.testing.assert_allclose(found.machines, [1.0, 2.0, 4.1, 7.3, 9.0], rtol=5e-3)
+
+
+@pytest.mark.parametrize("seed", [2, 3, 7])
+def test_a_mode_is_found_whose_damping_is_hardly_known(seed):
+    """Three lines in a half-power width, 320 periods: its frequency is known to a part of a hundred and fifty."""
+    light = Vibrating.chain(1.6, [1.3, 1.2, 1.1, 1.0], [0.005, 0.012, 0.02, 0.025])
+    values = ambient(light, 200.0, 25.0, seed)
+    record = Measured(values, values[:, :0], 25.0, light)
+    found = look(record)
+    off = errors(found, record)
+    assert len(off) == 4
+    assert np.abs(off).max() < 4.0
+    assert found.modes[0].frequency_std < 1.6 / 150
+    lower, upper = found.modes[0].damping_interval
+    assert upper > 9.0 * lower
 
 
 @pytest.mark.parametrize("seed", [0, 1])
