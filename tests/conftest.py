@@ -65,7 +65,7 @@ def make_case() -> Callable[..., Case]:
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Files are read in this process, where what a bad one does to its reader is not what a test is about."""
     monkeypatch.setattr(
-        "pinn_cli.record.files.file_format.read_apart", lambda own, path, wanted: own.tables(path, wanted)
+        "pinn_cli.record.files.file_format.tables_apart", lambda own, path, wanted: own.tables(path, wanted)
     )
 
 

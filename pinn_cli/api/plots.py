@@ -24,7 +24,8 @@ from pinn_cli.report.figures import record_drawings, run_drawings
 from pinn_cli.report.figures.posterior import posterior_pairs_figure
 from pinn_cli.report.figures.style import for_notebooks
 from pinn_cli.report.results import LABELS, Results, RunDescription, checked_times
-from pinn_cli.runs.reading import read_histories, read_table, undamaged
+from pinn_cli.runs.histories import read_histories
+from pinn_cli.runs.reading import read_table, undamaged
 from pinn_cli.runs.resume import read_record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build, check_classes

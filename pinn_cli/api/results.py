@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import html
-import math
 import os
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pinn_cli.runs.reading import check_regular, read_histories, read_json, read_table, undamaged
+from pinn_cli.runs.histories import read_histories, read_tree
+from pinn_cli.runs.reading import read_json, read_table, undamaged
 from pinn_cli.runs.resume import FORMAT, RESULT, RunFile
 from pinn_cli.runs.workbook import write_workbook
 from pinn_cli.settings.errors import InputError, suggestion
@@ -186,11 +186,8 @@ class Result(_Tables):
         file = self.directory / "posterior.nc"
         if not file.is_file():
             return None
-        import xarray as xr
-
         with undamaged("directory", self.directory):
-            check_regular(file, math.inf)
-            return xr.load_datatree(file, engine="h5netcdf")
+            return read_tree(file)
 
     @cached_property
     def settings(self) -> dict[str, Any]:

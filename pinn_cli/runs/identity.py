@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
-
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from typing import TYPE_CHECKING, Any
 
 from pinn_cli.settings.legal_values import located
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
 # Where and how a run is made, which may differ from one start of it to the next.
 HOW_IT_IS_MADE = (
@@ -47,6 +48,8 @@ class Identity:
             base: The folder that relative paths of data start from; None: the current one.
             grows: Whether the record does: it then goes by its name.
         """
+        from omegaconf import ListConfig, OmegaConf
+
         settings = {name: value for name, value in flattened(config).items() if not is_left_out(name)}
         settings.pop("model", None)
         for name in WINDOWS:
@@ -90,6 +93,8 @@ def is_left_out(name: str) -> bool:
 
 def flattened(config: DictConfig) -> dict[str, str]:
     """Every setting of a composed configuration by the name that a user types, as text."""
+    from omegaconf import OmegaConf
+
     return dict(_flat(OmegaConf.to_container(config, resolve=True)))
 
 

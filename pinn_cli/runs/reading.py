@@ -27,7 +27,6 @@ from pinn_cli.settings.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
     import pandas
-    import xarray
 
 T = TypeVar("T")
 
@@ -160,24 +159,6 @@ def read_table(file: Path, numbers: Sequence[str] = (), texts: Sequence[str] = (
         if table[name].dtype.kind not in "iuf" and table[name].notna().any():
             raise DamagedError(file, f"column {name} holds other things than numbers")
     return table
-
-
-def read_histories(file: Path, group: str | None = None) -> xarray.Dataset:
-    """Labelled arrays as this program writes them, or a group of them, in memory.
-
-    Raises:
-        DamagedError: It is no such file, or unfolds to more than its size.
-    """
-    import xarray as xr
-
-    try:
-        check_regular(file, math.inf)
-        with xr.open_dataset(file, engine="h5netcdf", group=group) as stored:
-            if stored.nbytes > 4 * file.stat().st_size:
-                raise ValueError("it unfolds to more than was written")
-            return stored.load()
-    except Exception as error:  # libraries raise dozens of kinds
-        raise DamagedError(file, str(error) or type(error).__name__) from None
 
 
 def read_arrays(file: Path) -> dict[str, np.ndarray]:

@@ -51,6 +51,84 @@ def sql_(place: Path, statements: str) -> None:
     database.close()
 
 
+def hdf5_(place: Path, kind: str) -> None:
+    """Change labelled histories; a file that takes no change stays as it is."""
+    try:
+        with h5py.File(place, "r+") as file:
+            HISTORIES[kind](file)
+    except (OSError, KeyError, ValueError):
+        return
+
+
+def _instead(name: str, make: Callable[[h5py.File], Any]) -> Callable[[h5py.File], None]:
+    """Something else, where an array was."""
+
+    def fill(file: h5py.File) -> None:
+        del file[name]
+        file[name] = make(file)
+
+    return fill
+
+
+def _huge(file: h5py.File) -> None:
+    file.create_dataset("huge", (2**40,), "f8", chunks=(2**20,))
+
+
+def _virtual(file: h5py.File) -> None:
+    layout = h5py.VirtualLayout((4,), "f8")
+    layout[:] = h5py.VirtualSource("../rig.csv", "x", (4,))
+    file.create_virtual_dataset("virtual", layout)
+
+
+def _raw_elsewhere(file: h5py.File) -> None:
+    file.create_dataset("raw", (4,), "f8", external=[("rig.csv", 0, 32)])
+
+
+def _random(file: h5py.File) -> None:
+    """Nothing is as it was beyond the signature and the first block; the same bytes at each call."""
+    name = file.filename
+    file.close()
+    size = Path(name).stat().st_size - 96
+    with open(name, "r+b") as raw:
+        raw.seek(96)
+        raw.write(np.random.default_rng(0).bytes(size))
+
+
+def _escapes(file: h5py.File) -> None:
+    file.attrs["case"] = "\x1b[2Jverdict: sound"
+    file["displacement"].attrs["units"] = "\x1b]0;title\x07"
+    file["\x1b[2J"] = file["time"]
+
+
+def _many_groups(file: h5py.File) -> None:
+    for number in range(1000):
+        file[f"g{number}"] = file["/"]
+
+
+def _one_text(file: h5py.File) -> None:
+    """A long one, so many times."""
+    file["texts"] = np.array(["x" * 100_000] * 30_000, dtype=object)
+
+
+HISTORIES: dict[str, Callable[[h5py.File], None]] = {
+    "circle": lambda file: file.create_group("rig").__setitem__("rig", file["/"]),
+    "links": lambda file: [file.__setitem__(f"l{i}", h5py.SoftLink(f"/l{(i + 1) % 3}")) for i in range(3)],
+    "elsewhere": _instead("displacement", lambda file: h5py.ExternalLink("other.nc", "/x")),
+    "compound": _instead("velocity", lambda file: np.zeros((), [("a", "f8"), ("b", "S5")])),
+    "references": _instead("velocity", lambda file: np.array([file.ref] * 5, dtype=h5py.ref_dtype)),
+    "lists": _instead("velocity", lambda file: np.zeros((4, 4, 4, 4))),
+    "no time": lambda file: file.__delitem__("time"),
+    "time of another length": _instead("time", lambda file: np.arange(3.0)),
+    "time is a text": _instead("time", lambda file: "x"),
+    "packed": lambda file: file.create_dataset("zeros", (10**4, 10**5), "f8", chunks=(100, 10**4), compression="gzip"),
+    "dates": lambda file: file["time"].attrs.update({"units": "days since 0000-99-99", "calendar": "x"}),
+    "filled": lambda file: file["displacement"].attrs.update({"_FillValue": "x", "scale_factor": "y"}),
+    "dimensions": lambda file: file["displacement"].attrs.__setitem__("DIMENSION_LIST", np.arange(3)),
+    "huge": _huge, "virtual": _virtual, "raw": _raw_elsewhere, "random": _random, "escapes": _escapes,
+    "groups": _many_groups, "one text": _one_text,
+}  # fmt: skip
+
+
 def bomb(place: Path, kind: str) -> None:
     """Write a file that is far more than it looks."""
     BOMBS[kind](place)

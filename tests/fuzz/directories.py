@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from fuzz.changes import HISTORIES
 from fuzz.starts import FINISHED, MEASURED, QUICK, SEARCHED, STOPPED, SWEPT, WINDOWED, rig
 from fuzz.trial import Trial
 from hypothesis import strategies as st
@@ -113,6 +114,9 @@ def _of(name: str) -> st.SearchStrategy[Form]:
         case _, _, "npz":
             numbers = (None, [], [math.nan], [0.0] * 50, [[1.0]], [-1.0], 1e300, "text", [10**12, 10**12])
             either += [_set(ARRAYS, numbers)] * 4
+        case _, _, "nc":
+            either += [st.tuples(st.just("hdf5"), st.sampled_from(sorted(HISTORIES)))] * 5
+            either += [st.tuples(st.just("bytes"), st.binary(max_size=300).map(b"\x89HDF\r\n\x1a\n".__add__))]
         case _, _, "db":
             either += [st.tuples(st.just("sql"), st.sampled_from(STATEMENTS))] * 5
     return st.one_of(either)
@@ -132,6 +136,7 @@ _KINDS: tuple[tuple[str, tuple[tuple[str, ...], ...], tuple[str, ...]], ...] = (
     ("finished", (("resume=run",), _AGAIN), ("run/tracking.json", "run/.hydra/config.yaml", "run/.hydra/hydra.yaml")),
     ("finished", _MODEL, ("run/model.npz",)),
     ("finished", (_UPDATED,), ("run/parameters_over_time.csv",)),
+    ("finished", (("load", "run"),), ("run/response.nc", "run/posterior.nc")),
     ("finished", (("load", "run"), ("load", "run"), ("collect=run",)),
      ("run/response.nc", "run/.hydra/config.yaml", "run/.hydra/hydra.yaml", *(f"run/{name}" for name in _TABLES))),
     ("stopped", (("resume=run",), (*STOPPED, "resume=auto")),
@@ -146,6 +151,7 @@ _KINDS: tuple[tuple[str, tuple[tuple[str, ...], ...], tuple[str, ...]], ...] = (
         "sweep/multirun.yaml", "sweep/network*/run.json", "sweep/network*/failure.json",
         "sweep/network*/.hydra/overrides.yaml",
     )),
+    ("windowed", ((*WINDOWED, "resume=auto"), ("resume=run",)), ("run/windows/0001/response.nc",)),
     ("windowed", ((*WINDOWED, "resume=auto"), ("resume=run",)), (
         "run/windows/windows.json", "run/windows/0001/window.json", "run/windows/0001/window.json",
         "run/windows/0001/handed_over/model.npz", "run/windows/0002/window.json", "run/windows/0001/response.nc",

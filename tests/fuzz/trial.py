@@ -15,7 +15,7 @@ from typing import Any
 from fuzz import changes
 
 NEW = ("text", "bytes", "folder", "pipe", "gone", "link", "forged", "repeated", "sparse", "bomb")
-FORMS = (*NEW, "cut", "flipped", "set", "sql")
+FORMS = (*NEW, "cut", "flipped", "set", "sql", "hdf5")
 
 
 @dataclass(frozen=True)
@@ -75,8 +75,8 @@ def put(place: Path, form: str, content: Any, marker: Path) -> None:
             there ``cut`` to that part of its length, or ``flipped``, a bit at that part of it; ``forged``: a pickle
             that executes code, in a sealed checkpoint (``checkpoint``), in an archive as of torch (``archive``) or
             ``bare``; a text ``repeated`` so many times; ``sparse``, so many bytes of zeros; a ``bomb`` of
-            `changes.BOMBS`; what is there ``set`` at a place to a value, or changed by ``sql``. ``{marker}``
-            in a text is what executed code would make.
+            `changes.BOMBS`; what is there ``set`` at a place to a value, or changed by ``sql`` or, ``hdf5``, as one of
+            `changes.HISTORIES`. ``{marker}`` in a text is what executed code would make.
         content: See above.
         marker: The file that executed code would make.
     """
@@ -108,11 +108,11 @@ def put(place: Path, form: str, content: Any, marker: Path) -> None:
                 file.truncate(content)
         case "bomb":
             changes.bomb(place, content)
-        case "set" | "sql" if place.is_file():
+        case "set" | "sql" | "hdf5" if place.is_file():
             getattr(changes, f"{form}_")(place, content)
         case "cut" | "flipped" if place.is_file():
             place.write_bytes(_damaged(place.read_bytes(), form, content))
-        case "gone" | "cut" | "flipped" | "set" | "sql":
+        case "gone" | "cut" | "flipped" | "set" | "sql" | "hdf5":
             pass
         case _:
             raise ValueError(f"{form} is none of {FORMS}")

@@ -8,16 +8,15 @@ from typing import Any, Literal, TypedDict
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from pinn_cli.runs import reading
+from pinn_cli.runs.histories import read_histories
 from pinn_cli.runs.reading import (
     MOST_BYTES,
     DamagedError,
     checked,
     printable,
     read_arrays,
-    read_histories,
     read_json,
     read_table,
     small_text,
@@ -140,15 +139,6 @@ def test_a_table_has_its_columns_of_numbers(tmp_path: Path, text: str, reason: s
     file.write_text(text)
     with pytest.raises(DamagedError, match=reason):
         read_table(file, ["b"], ["a"])
-
-
-def test_histories_are_no_more_than_the_file(tmp_path: Path) -> None:
-    file, zeros = tmp_path / "x.nc", xr.Dataset({"u": ("time", np.zeros(10**6))})
-    zeros.to_netcdf(file, engine="h5netcdf")
-    assert read_histories(file).sizes["time"] == 10**6
-    zeros.to_netcdf(file, engine="h5netcdf", encoding={"u": {"zlib": True, "complevel": 9}})
-    with pytest.raises(DamagedError, match="unfolds to more than was written"):
-        read_histories(file)
 
 
 def test_arrays_are_numbers_and_no_more_than_any_of_ours(tmp_path: Path, monkeypatch) -> None:

@@ -1,45 +1,28 @@
-"""What every format of a file is: text, or arrays that a library reads in a process of its own.
-
-With limits on memory and time: what a file does in that process, it does there alone. The process is a new Python, no
-fork of this one, which may have threads. It is asked in JSON, and answers with arrays in NumPy's own form, without
-pickles: nothing that comes back is executed.
-"""
+"""What every format of a file is: text, or arrays that a library reads in a process of its own."""
 
 from __future__ import annotations
 
-import json
 import math
-import os
-import signal
-import subprocess
-import sys
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping
-from contextlib import suppress
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import astuple
 from importlib import import_module
 from importlib.util import find_spec
-from io import BytesIO
 from pathlib import Path
-from typing import ClassVar
-from zipfile import BadZipFile
-
-import numpy as np
+from typing import Any, ClassVar
 
 from pinn_cli.record.files.on_disk import check_size, damaged, other_format, read_bytes
 from pinn_cli.record.files.table import TIME_COLUMN, SensorHint, Table
 from pinn_cli.record.files.variables import Variable, joined, tables_of
+from pinn_cli.runs.apart import Answer, UnreadableError, read_apart
 from pinn_cli.runs.machine import of_this_machine
 from pinn_cli.settings.errors import InputError
 
 # Of a file, bytes that tell what it is.
 _START = 4096
-# Bytes that libraries map before they read anything, three times those of pyarrow; and of the memory, the part that a
-# file may take beyond them: its content, its numbers as stored, as float64 and on their way, a sixteenth each at most.
-_LIBRARIES, _PART_OF_MEMORY = 2**30, 4
-# Seconds of a processor that any file may take, and bytes that are read in each further one: pyuff, the slowest, reads
-# 18 million; and how much longer it may take where others keep the processor busy.
-_SECONDS, _BYTES_A_SECOND, _BUSY = 10.0, 2**19, 6
+# Of the memory, the part that a file may take: its content, its numbers as stored, as float64 and on their way, a
+# sixteenth each at most.
+_PART_OF_MEMORY = 4
 
 
 class FileFormat(ABC):
@@ -105,7 +88,7 @@ class ArrayFormat(FileFormat):
         if self.package and find_spec(self.package) is None:
             allowed = f"a format whose package is installed; {self.name} needs {self.package}"
             raise InputError("data.format", self.name, allowed, f"pip install 'pinn-cli[{self.name}]'")
-        tables = read_apart(self, path, wanted)
+        tables = tables_apart(self, path, wanted)
         return tables[0] if len(tables) == 1 else joined(tables, [t.time for t in tables if t.time is not None])
 
     def tables(self, path: Path, wanted: Mapping[str, str] | None) -> list[Table]:
@@ -139,7 +122,7 @@ class ArrayFormat(FileFormat):
         return content.startswith(self.beginnings)
 
 
-def read_apart(own: ArrayFormat, path: Path, wanted: Mapping[str, str] | None) -> list[Table]:
+def tables_apart(own: ArrayFormat, path: Path, wanted: Mapping[str, str] | None) -> list[Table]:
     """What a format's ``tables`` reads in the other process.
 
     Args:
@@ -150,29 +133,13 @@ def read_apart(own: ArrayFormat, path: Path, wanted: Mapping[str, str] | None) -
     Raises:
         InputError: The file is damaged, lacks a column, or takes more memory or time than a file may.
     """
-    kind, memory = type(own), _LIBRARIES + of_this_machine() // _PART_OF_MEMORY
+    kind, memory = type(own), of_this_machine() // _PART_OF_MEMORY
     question = [kind.__module__, kind.__qualname__, vars(own), str(path), wanted if wanted is None else dict(wanted)]
-    # One thread is what a reader needs; each further one of a library for linear algebra maps memory.
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, sys.path)), "OPENBLAS_NUM_THREADS": "1"}
-    limit_s = int(_SECONDS + path.stat().st_size / _BYTES_A_SECOND)
-    command = [sys.executable, "-P", "-c", f"from {__name__} import answer; answer({memory}, {limit_s})"]
     try:
-        done = subprocess.run(
-            command, input=json.dumps(question).encode(), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            env=environment, timeout=_BUSY * limit_s, check=True, start_new_session=True,  # Ctrl-C is the asking one's
-        )  # fmt: skip
-        answered = np.load(BytesIO(done.stdout))
-        refused, layout = json.loads(str(answered["arr_0"]))
-    except subprocess.TimeoutExpired:
-        raise damaged(path, own.expected, f"it takes more than {limit_s} s to read") from None
-    except (subprocess.CalledProcessError, BadZipFile, EOFError, ValueError) as error:
-        busy = getattr(error, "returncode", 0) == -signal.SIGXCPU
-        reason = f"it takes more than {limit_s} s to read" if busy else "its reader crashes"
-        raise damaged(path, own.expected, reason) from None
-    if refused:
-        raise InputError.read(refused)
-    arrays = (answered[name] for name in answered.files[1:])
-    tables = []
+        [(layout, found)] = read_apart(answered, question, [path], memory)
+    except UnreadableError as error:
+        raise damaged(path, own.expected, str(error)) from None
+    arrays, tables = iter(found), []
     for names, hints, timed, odd, first_line in layout:
         columns = {name: next(arrays) for name in names}
         told = {name: SensorHint(*texts) for name, texts in hints.items()}
@@ -181,24 +148,13 @@ def read_apart(own: ArrayFormat, path: Path, wanted: Mapping[str, str] | None) -
     return tables
 
 
-def answer(memory: int, limit_s: int) -> None:
-    """What the other process does: read a question and answer it, within so many bytes of memory and seconds."""
-    with suppress(ImportError, ValueError, OSError):  # systems without such limits, or with lower ones
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s + 1))  # the one that asks may be gone by then
-        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-    out = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what libraries print is no answer
-    module, name, settings, path, wanted = json.load(sys.stdin)
-    tables: list[Table] = []
-    refused = ""
-    try:
-        own = object.__new__(getattr(import_module(module), name))
-        vars(own).update(settings)
-        tables = own.tables(Path(path), wanted)
-    except InputError as error:
-        refused = str(error)
+def answered(
+    module: str, name: str, settings: Mapping[str, Any], path: str, wanted: Mapping[str, str] | None
+) -> Iterator[Answer]:
+    """What the other process answers: the layout of the tables of a file, and their arrays."""
+    own = object.__new__(getattr(import_module(module), name))
+    vars(own).update(settings)
+    tables = own.tables(Path(path), wanted)
     layout = [
         (
             list(t.columns),
@@ -209,7 +165,4 @@ def answer(memory: int, limit_s: int) -> None:
         )
         for t in tables
     ]
-    arrays = [values for t in tables for values in (*t.columns.values(), *(() if t.time is None else (t.time,)))]
-    np.savez(out, np.array(json.dumps([refused, layout])), *arrays)
-    out.close()
-    os._exit(0)  # what a damaged file left behind in a library is not cleaned up
+    yield layout, [values for t in tables for values in (*t.columns.values(), *(() if t.time is None else (t.time,)))]

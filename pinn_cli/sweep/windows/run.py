@@ -17,6 +17,7 @@ from pinn_cli.report.export import Export
 from pinn_cli.report.parameters import OVER_TIME, history
 from pinn_cli.report.run_record import parameters_of, run_facts
 from pinn_cli.report.text import fitness_text, parameters_text, verdict_text
+from pinn_cli.runs.reading import undamaged
 from pinn_cli.runs.resume import RESULT
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import replacing, write_json, write_table
@@ -112,7 +113,8 @@ class WindowedRun:
         with stages("report"):
             self._write_tables()
             pieces = [Piece(folder, e["hand_over"], e["step"]) for folder, e in zip(folders, entries, strict=True)]
-            join_responses(pieces, self.directory / RESPONSE)
+            with undamaged("hydra.run.dir", self.directory):
+                join_responses(pieces, self.directory / RESPONSE)
             fitness = joined_fitness(self.directory / RESPONSE, labels)
             write_table(fitness, self.directory / "fitness.csv")
             for name in STACKED:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 import h5netcdf
+import h5py
 import numpy as np
 import pandas as pd
 
@@ -24,7 +25,8 @@ from pinn_cli.record.response import QUANTITIES
 from pinn_cli.record.windows import Window
 from pinn_cli.report.fitness import both_formulas, fitness_rows
 from pinn_cli.report.results import with_labels
-from pinn_cli.runs.reading import DamagedError, read_histories, read_json, read_table, stamp
+from pinn_cli.runs.histories import Group, Labelled, read_groups
+from pinn_cli.runs.reading import DamagedError, read_json, read_table, stamp
 from pinn_cli.runs.writing import replacing_by_large, tidy, write_json, write_text
 from pinn_cli.verdict.finding import Word
 
@@ -146,13 +148,13 @@ class WindowStore:
 
     def _forget_damaged(self) -> None:
         """Have the first window that is not as it was written be done again, and all that follow it."""
+        responses = read_groups([self.folder(number) / RESPONSE for number in range(1, self.done + 1)])
         for number in range(1, self.done + 1):
             try:
                 last = self.entry(number)["hand_over"] is None
                 for table in self.folder(number).glob("*.csv"):
                     read_table(table)
-                with read_histories(self.folder(number) / RESPONSE):
-                    pass
+                next(responses)
                 if not last:
                     self.handed_over(number)
             except (OSError, DamagedError) as error:
@@ -180,14 +182,13 @@ class Piece:
     until: float | None
     step: float
 
-    def opened(self) -> h5netcdf.File:
-        """Its histories."""
-        return h5netcdf.File(self.folder / RESPONSE, "r")
+    @property
+    def response(self) -> Path:
+        """The file of its histories."""
+        return self.folder / RESPONSE
 
-    def samples(self) -> int:
-        """How many of the window's samples are its own."""
-        with self.opened() as file:
-            time = np.asarray(file[TIME][...])
+    def samples(self, time: np.ndarray) -> int:
+        """How many of the window's samples, whose times these are, are its own."""
         return len(time) if self.until is None else int(np.searchsorted(time, self.until - 0.5 * self.step))
 
 
@@ -195,41 +196,49 @@ def join_responses(pieces: Sequence[Piece], target: Path) -> None:
     """Write ``response.nc`` of the whole record: every window up to where it handed over, the last one to its end.
 
     A history that some windows have and others have not is NaN where it is missing.
+
+    Raises:
+        DamagedError: The file of a window cannot be read.
     """
-    counts = [piece.samples() for piece in pieces]
-    sources: dict[str, Piece] = {}  # name to a window that has it, the last one first, with its attributes
-    width = 0
-    for piece in reversed(pieces):
-        with piece.opened() as file:
-            for name, variable in file.variables.items():
-                if name not in sources:
-                    sources[name] = piece
-                    width += int(np.prod(variable.shape[1:])) if _is_history(variable) else 0
+    files = [piece.response for piece in pieces]
+    counts: list[int] = []
+    sources: dict[str, Labelled] = {}  # of the last window that has it; of histories no sample
+    last = Group({}, {})
+    for piece, read in zip(pieces, read_groups(files), strict=True):
+        last = read["/"]
+        counts.append(piece.samples(last.arrays[TIME].values))
+        sources |= {name: _but_samples(array) for name, array in last.arrays.items()}
+    # Those of the last window come first, in its order.
+    sources = {name: sources[name] for name in (*last.arrays, *(n for n in sources if n not in last.arrays))}
+    width = sum(int(np.prod(array.values.shape[1:])) for array in sources.values() if _is_history(array))
     with (
         replacing_by_large(target, 2 * 8 * sum(counts) * width + AROUND_DATA) as place,
         h5netcdf.File(place, "w", locking=False) as whole,
-        pieces[-1].opened() as model,
     ):
-        whole.dimensions = {name: sum(counts) if name == TIME else len(d) for name, d in model.dimensions.items()}
-        whole.attrs.update(dict(model.attrs))
-        for name, piece in sources.items():
-            with piece.opened() as file:
-                there = file[name]
-                data = None if _is_history(there) else there[...]
-                fill = {"fillvalue": np.nan} if data is None and there.dtype.kind == "f" and name != TIME else {}
-                made = whole.create_variable(name, there.dimensions, there.dtype, data=data, **fill)
-                made.attrs.update({key: value for key, value in there.attrs.items() if key != "_FillValue"})
+        sizes = {name: size for array in last.arrays.values() for name, size in array.sizes.items()}
+        whole.dimensions = sizes | {TIME: sum(counts)}
+        whole.attrs.update(last.attributes)
+        for name, array in sources.items():
+            values, of_texts = array.values, array.values.dtype.kind == "U"
+            kind = h5py.string_dtype() if of_texts else values.dtype
+            data = None if _is_history(array) else values.astype(object) if of_texts else values
+            fill = {"fillvalue": np.nan} if data is None and values.dtype.kind == "f" and name != TIME else {}
+            made = whole.create_variable(name, array.dims, kind, data=data, **fill)
+            made.attrs.update({key: value for key, value in array.attributes.items() if key != "_FillValue"})
         first = 0
-        for piece, count in zip(pieces, counts, strict=True):
-            with piece.opened() as file:
-                for name, variable in file.variables.items():
-                    if _is_history(variable):
-                        whole[name][first : first + count] = variable[:count]
+        for read, count in zip(read_groups(files), counts, strict=True):
+            for name, array in read["/"].arrays.items():
+                if _is_history(array):
+                    whole[name][first : first + count] = array.values[:count]
             first += count
 
 
-def _is_history(variable: h5netcdf.Variable) -> bool:
-    return bool(variable.dimensions[:1] == (TIME,))
+def _is_history(array: Labelled) -> bool:
+    return array.dims[:1] == (TIME,)
+
+
+def _but_samples(array: Labelled) -> Labelled:
+    return array._replace(values=array.values[:0].copy()) if _is_history(array) else array
 
 
 def joined_fitness(response: Path, labels: Mapping[str, object]) -> pd.DataFrame:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from refusals import refusal
 
-from pinn_cli.record.files import file_format as process
+from pinn_cli.runs import apart
 
 READER = """
 import ctypes, os, sys, time
@@ -92,7 +92,7 @@ def test_times_come_back_clock_by_clock(read):
 )
 def test_what_a_file_does_is_told_in_one_line(read, deed, told, monkeypatch, capfd):
     if deed == "loop":
-        monkeypatch.setattr(process, "_SECONDS", 2.0)
-        monkeypatch.setattr(process, "_BUSY", 1)
+        monkeypatch.setattr(apart, "_SECONDS", 2.0)
+        monkeypatch.setattr(apart, "_BUSY", 1)
     assert "must be " + told in refusal(read, deed)
     assert capfd.readouterr() == ("", "")
