@@ -237,10 +237,15 @@ FREE = build_structure(["a", "b"], 10.0, {"spring": SPRING})
 HELD = build_structure(["a", "b"], 10.0, {"spring": SPRING, "foot": {**SPRING, "between": ["ground", "a"]}})
 
 
-@pytest.mark.parametrize(("structure", "told"), [(FREE, ["held"]), (HELD, [])])
-def test_a_free_body_is_told_by_its_names_and_is_no_fault(right_estimate, structure, told):
+@pytest.mark.parametrize(
+    ("structure", "sensor", "told"),
+    [(FREE, "acceleration", ["held"]), (FREE, "displacement", []), (HELD, "acceleration", [])],
+)
+def test_a_free_body_is_told_by_its_names_and_is_no_fault(right_estimate, structure, sensor, told):
+    """Where a displacement sensor is on it, nothing is open."""
     found = measured(structure, duration=20.0, samples=401)
-    problem = SparseRecovery().pose(structure, [replace(found.record, dofs=("a", "b"))]).alone
+    record = replace(found.record, dofs=("a", "b")).keep({sensor: [1, 2]})
+    problem = SparseRecovery().pose(structure, [record]).alone
     findings = parameter_findings(problem, replace(right_estimate[1], parameters=[]), structure)
     assert [(f.kind, f.word) for f in findings] == [(kind, "sound") for kind in told]
     assert all("not held: DOFs a, b can move as a rigid body" in f.text for f in findings)
