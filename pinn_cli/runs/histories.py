@@ -128,6 +128,7 @@ def stored(files: Sequence[str], names: Sequence[str] | None) -> Iterator[Answer
     for file in map(Path, files):
         check_regular(file, float("inf"))
         with h5py.File(file, "r") as opened:
+            _own(opened)
             chosen = names or ["/", *(name for name, node in opened.items() if isinstance(node, h5py.Group))]
             if len(chosen) > _MOST_GROUPS:
                 raise ValueError(f"it has more than {_MOST_GROUPS} groups")

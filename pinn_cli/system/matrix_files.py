@@ -1,9 +1,12 @@
-"""Matrices of a finite-element model, as other programs save them: ``.npz``, ``.npy``, ``.mtx``, ``.mat``."""
+"""Matrices of a finite-element model, as other programs save them: ``.npz``, ``.npy``, ``.mtx``, ``.mat``.
+
+They are read in a process of its own, see :mod:`pinn_cli.runs.apart`, which imports this file and nothing that is slow.
+"""
 
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,6 +16,8 @@ from scipy.io import loadmat, mmread
 from scipy.io.matlab import MatReadError
 from scipy.sparse import csc_matrix, issparse, load_npz
 
+from pinn_cli.runs.apart import Answer, UnreadableError, read_apart
+from pinn_cli.runs.machine import of_this_machine
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import located
 
@@ -30,6 +35,8 @@ _UNREADABLE = (
 )
 # A matrix counts as symmetric if it differs from its transpose by no more than this part of its largest entry.
 SYMMETRIC = 1e-8
+# Of the memory, the part that the matrices of a model may take as they are read: dense ones are held several times.
+_PART_OF_MEMORY = 4
 
 
 def read_matrices(
@@ -50,16 +57,22 @@ def read_matrices(
         InputError: Naming the setting or ``system.path``: a file that cannot be read, or a matrix that is not
             square, symmetric, finite and of the size of the others.
     """
-    found = {}
+    asked = []
     for name, file in files.items():
         own = f"system.{name}" if settings is None else settings[name]
-        setting = own if file is not None else "system.path"
-        given = file if file is not None else path
-        if given is None:
-            continue
-        matrix = _matrix(setting, _file(setting, given, base), name, alone=file is not None)
-        if matrix is not None:
-            found[name] = _checked(setting, name, matrix)
+        setting, given = ("system.path", path) if file is None else (own, file)
+        if given is not None:
+            asked.append((setting, str(_file(setting, given, base)), name, file is not None))
+    found: dict[str, csc_matrix] = {}
+    places, memory, at = [Path(file) for _, file, *_ in asked], of_this_machine() / _PART_OF_MEMORY, 0
+    try:
+        for shape, parts in read_apart(stored, [asked], places, memory) if asked else ():
+            if shape:
+                found[asked[at][2]] = csc_matrix(tuple(parts), shape=shape)
+            at += 1  # what is not answered is what cannot be read
+    except UnreadableError as error:
+        setting, file, *_ = asked[at]
+        raise InputError(setting, Path(file).name, "a file of matrices that can be read", str(error)) from None
     sizes = {name: matrix.shape[0] for name, matrix in found.items()}
     for name, size in sizes.items():
         first = next(iter(sizes))
@@ -67,6 +80,17 @@ def read_matrices(
             shape = f"{size} x {size}"
             raise InputError(f"system.{name}", shape, f"as large as {first}, {sizes[first]} x {sizes[first]}")
     return found
+
+
+def stored(asked: Sequence[tuple[str, str, str, bool]]) -> Iterator[Answer]:
+    """What the other process answers of each matrix: its shape and parts; of one that is not there an empty shape.
+
+    ``asked`` are setting, file and name of each, and whether it is to be alone in its file.
+    """
+    for setting, file, name, alone in asked:
+        matrix = _matrix(setting, Path(file), name, alone)
+        own = None if matrix is None else _checked(setting, name, matrix)
+        yield ([], []) if own is None else (list(own.shape), [own.data, own.indices, own.indptr])
 
 
 def _file(setting: str, given: Any, base: Path | None) -> Path:

@@ -106,8 +106,8 @@ def _many_groups(file: h5py.File) -> None:
 
 
 def _one_text(file: h5py.File) -> None:
-    """A long one, so many times."""
-    file["texts"] = np.array(["x" * 100_000] * 30_000, dtype=object)
+    """A long one among so many: as an array each is as long."""
+    file["texts"] = np.array(["x" * 100_000, *["x"] * 30_000], dtype=object)
 
 
 HISTORIES: dict[str, Callable[[h5py.File], None]] = {

@@ -11,7 +11,7 @@ from pinn_cli.record.ensemble import Members, Replay, spread_of
 from pinn_cli.record.free_run import free_run
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.system import build_chain
+from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.training.estimate import ParameterEstimate
 from pinn_cli.training.prediction import drawn_structures, parameter_draws

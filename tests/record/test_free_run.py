@@ -15,7 +15,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.simulation import simulate
 from pinn_cli.record.steps import with_slow_followers
-from pinn_cli.system import build_chain
+from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.finite_elements import build_finite_elements
 from pinn_cli.system.modes import Modes

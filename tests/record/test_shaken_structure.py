@@ -13,7 +13,7 @@ from pinn_cli.record.response import QUANTITIES
 from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation, simulate
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system import build_chain
+from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Linear
 
 M, C, K, KAPPA = (2000.0, 2000.0, 1500.0), (5e3, 4e3, 3e3), (8e6, 7.2e6, 5.6e6), 1e10

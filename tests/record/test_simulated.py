@@ -15,7 +15,7 @@ from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.record.simulated import Noise, Simulated, averaged
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.settings.instantiation import build
-from pinn_cli.system import build_chain
+from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, VanDerPol
 from pinn_cli.system.model_error import NoModelError, PerturbedModelError
 

@@ -15,7 +15,7 @@ from pinn_cli.report.estimates import Histories, dissipated, dissipated_energy, 
 from pinn_cli.report.figures.connections import Discrepancy, discrepancy_figure, drift_figure
 from pinn_cli.report.netcdf import response_dataset
 from pinn_cli.report.results import Results
-from pinn_cli.system import build_chain
+from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Linear
 from pinn_cli.system.parameters import Labels
 from pinn_cli.training.estimate import ConnectionHistories

@@ -16,8 +16,9 @@ from pinn_cli.record.simulation import simulate
 from pinn_cli.report.fitness import FORMULAS, fitness_percent
 from pinn_cli.report.free_run import REFERENCES, free_run, free_run_table
 from pinn_cli.report.text import free_run_text
-from pinn_cli.system import Structure, build_chain
+from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Gap
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Estimate
 
 SIGNALS = Path(__file__).resolve().parents[3] / "shared" / "data" / "reference_signals"

@@ -17,7 +17,7 @@ from pinn_cli.report.fitness import residual_table
 from pinn_cli.report.free_run import free_run
 from pinn_cli.report.netcdf import response_dataset
 from pinn_cli.report.text import sensors_text
-from pinn_cli.system import build_chain
+from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.training.found_noise import FoundNoise
 

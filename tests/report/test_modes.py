@@ -9,7 +9,7 @@ from structures import braced
 
 from pinn_cli.report.estimates import ModeEstimates, mode_table
 from pinn_cli.report.figures.parameters import interval_text, modes_figure
-from pinn_cli.system import build_chain
+from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.parameters import Labels, Parameter
 from pinn_cli.training.estimate import Estimate, ParameterEstimate

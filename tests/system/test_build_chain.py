@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system import build_chain
+from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Linear, PowerDamping, VanDerPol
 
 LEGAL = {"m": 10.0, "c": 1.0, "k": 15.0, "kappa": 100.0}

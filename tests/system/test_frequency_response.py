@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from pinn_cli.system import build_chain
+from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.frequency_response import Acting, FrequencyResponse, Seen, rivals_of
 from pinn_cli.system.parameters import Parameter

@@ -3,7 +3,8 @@ from typing import ClassVar
 import pytest
 import torch
 
-from pinn_cli.system import build_chain, matrices
+from pinn_cli.system import matrices
+from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Linear, Nonlinearity, PowerDamping, VanDerPol
 
 CHAINS = {

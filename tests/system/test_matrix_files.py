@@ -78,3 +78,10 @@ def test_what_is_no_matrix_is_refused_in_one_line(folder, files, path, setting, 
     assert error.value.setting == setting
     assert said in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_file_that_asks_for_more_than_the_machine_has_ends_its_reader_alone(folder):
+    (folder / "vast.mtx").write_text("%%MatrixMarket matrix array real general\n2000000 2000000\n1.0\n")
+    with pytest.raises(InputError, match=r"^system\.K=vast\.mtx") as error:
+        read_matrices({"M": "M.npz", "K": "vast.mtx"}, None, folder)
+    assert "\n" not in str(error.value)

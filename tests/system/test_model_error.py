@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from structures import braced
 
-from pinn_cli.system import build_chain
+from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, VanDerPol
 from pinn_cli.system.model_error import LinearModelError, NoModelError, PerturbedModelError
 

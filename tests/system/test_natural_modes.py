@@ -6,7 +6,7 @@ import torch
 from scipy.linalg import eigh
 from structures import braced, hysteretic, shuffled
 
-from pinn_cli.system import build_chain
+from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Friction, Linear, PowerDamping, VanDerPol
 from pinn_cli.system.modes import NaturalModes, at_rest
 

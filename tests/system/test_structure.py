@@ -5,8 +5,7 @@ import pytest
 import torch
 from structures import braced, shuffled
 
-from pinn_cli.system import build_chain
-from pinn_cli.system.building import chain_of
+from pinn_cli.system.building import build_chain, chain_of
 from pinn_cli.system.connection import Duffing, Linear, PowerDamping, VanDerPol
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.incidence import Incidence

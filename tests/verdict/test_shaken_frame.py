@@ -14,7 +14,7 @@ from pinn_cli.record.response import Response
 from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.system import build_chain
+from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Linear
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.found_noise import FoundNoise
