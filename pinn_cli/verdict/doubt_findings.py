@@ -42,6 +42,8 @@ LACKS = {
     HYSTERESIS: "a hysteresis: {number} that slip at about {shape:.2g} m",
     DRIFT: "a drift: its stiffness changes by {number} from the first to the last sample",
 }
+# What acts from a sample to the next one, as a converter puts it out, acts half a sample later than it seems to.
+OF_DELAY = "check its clock (half a sample: data.intersample=zero_order_hold), or say delay: unknown (data.channels)"
 # The parameter of the laws that have it: where the record contradicts its bound, it lacks all the same.
 OWN = {CUBIC: "kappa", FRICTION: "F_c"}
 # The overrides that add it.
@@ -119,7 +121,7 @@ def _said(doubt: Doubt) -> tuple[str, str]:
             f"the {doubt.of} shows {1.0 + doubt.value:.4g} +- {doubt.std:.2g} times what the model does",
             "check its gain",
         ),
-        "delay": (f"the {doubt.of} is {number} late", "check its clock, or say delay: unknown (data.channels)"),
+        "delay": (f"the {doubt.of} is {number} late", OF_DELAY),
         "tilt": (
             f"the {doubt.of} follows the displacement by {number}, as that of a sensor which tilts and feels gravity",
             "say tilt: unknown (data.channels)",
