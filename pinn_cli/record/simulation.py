@@ -25,6 +25,7 @@ from pinn_cli.record.steps import (
     has_stiff_law,
     implicit_steps,
     substeps_needed,
+    told_speed,
 )
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, positive_number, whole_number
@@ -280,7 +281,10 @@ def simulate(
     sampled = load(time)
     with np.errstate(over="ignore", invalid="ignore"):
         if method == "lsoda" or (method == "rk4" and has_stiff_law(structure)):
-            states = implicit_steps(slope, load, time, sampled, hold, start, structure.coordinates)
+            n, step = structure.coordinates, float(time[1] - time[0])
+            structure = structure.turning_over(told_speed(slope, sampled, start, step, n))
+            slope = StateEquation(structure, shaken).slope
+            states = implicit_steps(slope, load, time, sampled, hold, start, n)
         elif method == "rk4":
             substeps = substeps or substeps_needed(structure, time[1] - time[0])
             states = runge_kutta(slope, load, time, sampled, hold, substeps, start, Corners.of(structure))

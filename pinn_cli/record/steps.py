@@ -204,6 +204,9 @@ class Corners:
 
 # Error of a step, over the state and over what the loads make of it within a sample.
 TOLERATED_ERROR = 1e-7
+# Of a contact that sticks, the speed within which its force turns round over the error of a velocity: in a narrower one
+# the error alone turns the force, and steps never end.
+TURNS_OVER = 20.0
 # Slopes that are taken per sample of what is behind, with so many samples in advance. Sticking friction takes 10 to 25.
 MOST_SLOPES, IN_ADVANCE = 400, 50
 # Implicit steps of LSODA between two samples: no bound, `MOST_SLOPES` is one.
@@ -288,6 +291,13 @@ def implicit_steps(
         if reached == 1:
             break
     return states.reshape(-1, *shape)
+
+
+def told_speed(slope: Slope, sampled: np.ndarray, start: np.ndarray, step: float, coordinates: int) -> float:
+    """The least speed, m/s, over which a force may turn round in :func:`implicit_steps`, whose arguments these are."""
+    shape = start.shape
+    size = _size(lambda y, load: slope(y.reshape(shape), load).ravel(), sampled, start.ravel(), step, coordinates)
+    return float(TURNS_OVER * TOLERATED_ERROR * size[coordinates])
 
 
 def _size(slope: Slope, sampled: np.ndarray, start: np.ndarray, step: float, coordinates: int) -> np.ndarray:

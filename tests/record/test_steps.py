@@ -211,3 +211,24 @@ def test_a_load_from_piece_to_piece_is_that_of_its_samples():
     sine, omega = PiecewiseLoad(lambda t: np.sin(0.9 * np.pi * 80.0 * t), time), 0.9 * np.pi * 80.0
     missed = [abs(float(sine(at)) - np.sin(omega * at)) for at in rng.uniform(time[0], time[-1], 200)]
     assert max(missed) < 1e-7
+
+
+@pytest.mark.parametrize("rounding", [0.0, 1e-14, 1e-12])
+def test_sticking_takes_few_steps_however_fast_the_motion(monkeypatch, rounding):
+    """A contact that turned within the error of a velocity took hundreds of slopes a sample, or never ended."""
+    monkeypatch.setattr("pinn_cli.record.steps.MOST_SLOPES", 60)
+    connections = {
+        "foot": {"between": GROUND_TO_X, "law": "linear", "c": 40.0, "k": 2e4},
+        "joint": {"between": ["x", "y"], "law": "friction", "c": 30.0, "k": 1e4, "F_c": 250.0},
+    }
+    structure = build_structure(["x", "y"], {"x": 320.0, "y": 260.0}, connections)
+    time, frequencies = np.arange(800) / 20.0, np.linspace(0.2, 3.0, 9)
+
+    def force(t):
+        acting = sines(t, frequencies, 2500.0)
+        return np.stack((np.zeros_like(t), acting * (1.0 + rounding * np.sin(1e7 * t))), axis=-1)
+
+    found = simulate(structure, force, time)
+    assert np.ptp(found.velocity[:, 1]) > 1.0
+    elongation = found.velocity[:, 1] - found.velocity[:, 0]
+    assert (np.abs(elongation) < 1e-3 * np.abs(elongation).max()).sum() < 400

@@ -41,7 +41,7 @@ class Friction(Nonlinearity):
 
     def turning_over(self, speed: float) -> Friction:
         """See :meth:`Nonlinearity.turning_over`."""
-        return Friction(speed) if self.speed is None else self
+        return Friction(max(speed, STUCK)) if self.speed is None else self
 
     def damping_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray | float:
         """See :meth:`Nonlinearity.damping_at_rest`."""
