@@ -18,14 +18,15 @@ from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import runge_kutta
 from pinn_cli.record.steps import (
     STEP_TIMES_RATE,
+    TURNS_OVER,
     Corners,
     Force,
     Slope,
     TooStiffError,
     has_stiff_law,
     implicit_steps,
+    made_in_a_sample,
     substeps_needed,
-    told_speed,
 )
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, positive_number, whole_number
@@ -282,9 +283,10 @@ def simulate(
     with np.errstate(over="ignore", invalid="ignore"):
         if method == "lsoda" or (method == "rk4" and has_stiff_law(structure)):
             n, step = structure.coordinates, float(time[1] - time[0])
-            structure = structure.turning_over(told_speed(slope, sampled, start, step, n))
+            size = made_in_a_sample(slope, sampled, start, step, n)
+            structure = structure.turning_over(TURNS_OVER * float(size[n]))
             slope = StateEquation(structure, shaken).slope
-            states = implicit_steps(slope, load, time, sampled, hold, start, n)
+            states = implicit_steps(slope, load, time, sampled, hold, start, size)
         elif method == "rk4":
             substeps = substeps or substeps_needed(structure, time[1] - time[0])
             states = runge_kutta(slope, load, time, sampled, hold, substeps, start, Corners.of(structure))

@@ -204,20 +204,20 @@ class Corners:
 
 # Error of a step, over the state and over what the loads make of it within a sample.
 TOLERATED_ERROR = 1e-7
-# Of a contact that sticks, the speed within which its force turns round over the error of a velocity: in a narrower one
-# the error alone turns the force, and steps never end.
-TURNS_OVER = 20.0
-# Slopes that are taken per sample of what is behind, with so many samples in advance. Sticking friction takes 10 to 25.
+# Of a contact that sticks, the speed over which its force turns round, over the velocity that loads make within a
+# sample: twenty times the error of a step. In a narrower one the error alone turns the force, and steps never end.
+TURNS_OVER = 20.0 * TOLERATED_ERROR
+# Slopes that are taken per sample of what is behind, with so many samples in advance. Sticking friction takes 10 to 30.
 MOST_SLOPES, IN_ADVANCE = 400, 50
 # Implicit steps of LSODA between two samples: no bound, `MOST_SLOPES` is one.
 ANY_NUMBER = 10**6
-# A load goes on by polynomials of this degree, so many in a sample: exact for the splines through samples, and to 1e-8
-# of a sine at nine tenths of the Nyquist frequency. Samples whose polynomials are worked out at once.
+# A load goes on by polynomials of this degree, so many in a sample: exact for the splines through samples, and to
+# 1e-10 of a sine at nine tenths of the Nyquist frequency. Samples whose polynomials are worked out at once.
 LOAD_DEGREE, LOAD_PIECES, LOAD_BLOCK = 7, 4, 512
 
 
 class PiecewiseLoad:
-    """A load for an integrator, which asks for one time after the other: a tenth of the load's own time for that.
+    """A load for an integrator, which asks for one time after the other: a seventh of a spline's own time for that.
 
     Args:
         force: Load (M, ...) at any times (M,), s, a few samples beyond the last one too.
@@ -251,7 +251,7 @@ class PiecewiseLoad:
 
 
 def implicit_steps(
-    slope: Slope, force: Force, time: np.ndarray, sampled: np.ndarray, hold: str, start: np.ndarray, coordinates: int
+    slope: Slope, force: Force, time: np.ndarray, sampled: np.ndarray, hold: str, start: np.ndarray, size: np.ndarray
 ) -> np.ndarray:
     """The states at all samples (N, ...); not finite from where on the state is not.
 
@@ -262,7 +262,7 @@ def implicit_steps(
         sampled: (N, ...), the load at those.
         hold: ``exact`` or ``zero_order``.
         start: The state at the first time: displacements, velocities, hidden forces.
-        coordinates: n, as many displacements and velocities.
+        size: (states,), see :func:`made_in_a_sample`.
 
     Raises:
         TooStiffError: It takes more than `MOST_SLOPES` slopes per sample.
@@ -278,7 +278,6 @@ def implicit_steps(
             raise TooStiffError(f"it takes more than {MOST_SLOPES} evaluations per sample, by implicit steps too")
         return slope(y.reshape(shape), load(t) if held is None else held).ravel()
 
-    size = _size(lambda y, load: slope(y.reshape(shape), load).ravel(), sampled, start.ravel(), step, coordinates)
     options = {"rtol": TOLERATED_ERROR, "atol": TOLERATED_ERROR * size}
     parts = [(0, len(time), None)] if hold == "exact" else [(k, k + 2, sampled[k]) for k in range(len(time) - 1)]
     for begin, end, held in parts:
@@ -293,21 +292,21 @@ def implicit_steps(
     return states.reshape(-1, *shape)
 
 
-def told_speed(slope: Slope, sampled: np.ndarray, start: np.ndarray, step: float, coordinates: int) -> float:
-    """The least speed, m/s, over which a force may turn round in :func:`implicit_steps`, whose arguments these are."""
-    shape = start.shape
-    size = _size(lambda y, load: slope(y.reshape(shape), load).ravel(), sampled, start.ravel(), step, coordinates)
-    return float(TURNS_OVER * TOLERATED_ERROR * size[coordinates])
-
-
-def _size(slope: Slope, sampled: np.ndarray, start: np.ndarray, step: float, coordinates: int) -> np.ndarray:
+def made_in_a_sample(slope: Slope, sampled: np.ndarray, start: np.ndarray, step: float, coordinates: int) -> np.ndarray:
     """(states,), what the loads make of displacements, of velocities and of hidden forces within a sample, at most.
 
     They make velocities at their rates from the start, and all else at the rates that follow from these.
+
+    Args:
+        slope: Of a state under a load.
+        sampled: (N, ...), the loads.
+        start: The state at the first time: displacements, velocities, hidden forces.
+        step: From sample to sample, s.
+        coordinates: n, as many displacements and velocities.
     """
     first = start + step * np.array([slope(start, load) for load in sampled])
     moved = start + step * np.array([slope(*each) for each in zip(first, sampled, strict=True)])
-    most, out = np.abs(np.concatenate((first, moved))).max(axis=0), np.empty(len(start))
+    most, out = np.abs(np.concatenate((first, moved))).reshape(-1, start.size).max(axis=0), np.empty(start.size)
     for part in (slice(coordinates), slice(coordinates, 2 * coordinates), slice(2 * coordinates, None)):
         out[part] = max(most[part].max(initial=0.0), np.finfo(float).tiny)
     return out
