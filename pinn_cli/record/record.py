@@ -208,7 +208,9 @@ class Record:
         columns: dict[str, Any] = {}
         for channel in (channel for channel in felt if channel.is_column):
             quantity, number = channel.place
-            columns.setdefault(quantity, self.histories(quantity).copy())[:, number] = channel.measured
+            if quantity not in columns:
+                columns[quantity] = self.histories(quantity).copy()
+            columns[quantity][:, number] = channel.measured
         if GROUND in columns:
             columns[GROUND] = columns[GROUND][:, 0]
         moved = {quantity: columns.pop(quantity) for quantity in self.supports if quantity in columns}

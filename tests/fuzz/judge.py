@@ -18,13 +18,12 @@ import traceback
 from dataclasses import dataclass
 from pathlib import Path
 
+from calls import ALIVE
 from fuzz.starts import Starts
 from fuzz.trial import Trial
 
 DONE, REFUSED, DIVERGED, NOT_SOUND = 0, 2, 3, 4
 LONGEST_LINE = 1500
-# What a run says that takes long, on a machine that is busy.
-ALIVE = "pinn-run: still running after "
 # Of memory; a machine that runs out of it takes others along.
 MOST_MEMORY = 12 * 2**30
 # A run that is over says one of these; a sweep, its tables; or what was asked about settings.
