@@ -22,7 +22,6 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.quantities import FORCE, GROUND
 from pinn_cli.training.acting_force import acting_force, sensor_share
 from pinn_cli.training.covariance import ReadoutPosterior
-from pinn_cli.training.doubts.doubts import doubts
 from pinn_cli.training.estimate import ConnectionHistories, Disagreement, Estimate, ParameterEstimate
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.found_noise import FoundNoise
@@ -108,7 +107,6 @@ def record_estimate(evidence: RecordEvidence, solution: RecordSolution) -> Estim
     if equations.known is not None:
         summary["spectral_misfit"] = equations.known.misfit
     connections, misfit = _connections(posterior, response), misfit_history(evidence, solution)
-    lacking = doubts(evidence, solution, std)
     left = {name: samples for own in equations.channels for name, samples in own.left(point).items()}
     return Estimate(
         response,
@@ -119,7 +117,6 @@ def record_estimate(evidence: RecordEvidence, solution: RecordSolution) -> Estim
         noise=noise,
         connections=connections,
         misfit=misfit,
-        doubts=lacking,
         left=left,
     )
 

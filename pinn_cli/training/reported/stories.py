@@ -15,8 +15,10 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.calibrated_record import as_run
+from pinn_cli.training.doubts.doubts import doubts
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, Story
 from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.evidence import Trained
 from pinn_cli.training.point import Point
 from pinn_cli.training.reported.misfit_history import misfit_history
 from pinn_cli.training.reported.parameter_posterior import parameter_posterior
@@ -33,20 +35,25 @@ PREDICTS_NOTHING = 100.0
 def with_stories(found: Inference, estimate: Estimate) -> Estimate:
     """The estimate with the parameters of the story that predicts the record best, and what each of them says.
 
+    What the model lacks is asked of that story: what no force has taken up is left where it shows.
+
     Args:
         found: Its solutions.
         estimate: Of the story in which a force acts that the model leaves out; its motion is that in any case.
     """
-    if not found.free:
-        return estimate
-    problems = found.evidence.problem.each
-    free = min(
-        (_Told(OF_RESPONSE, problems, of_free_running(found, free, estimate)) for free in found.free),
-        key=lambda told: told.rank,
-    )
-    best, other = sorted((_Told(OF_FORCE, problems, estimate), free), key=lambda told: told.rank)
-    stories, chosen = (best.story, other.story), best.estimate
-    return replace(chosen, stories=stories)
+    problems, best = found.evidence.problem.each, _Told(OF_FORCE, found.evidence.problem.each, estimate, found.trained)
+    stories: tuple[Story, ...] = ()
+    if found.free:
+        free = min(
+            (_Told(OF_RESPONSE, problems, of_free_running(found, free, estimate), free.trained) for free in found.free),
+            key=lambda told: told.rank,
+        )
+        best, other = sorted((best, free), key=lambda told: told.rank)
+        stories = best.story, other.story
+    lacking = found.evidence.each_record(doubts, best.trained, [own.std for own in estimate.by_record])
+    records = zip(best.estimate.records, lacking, strict=False)
+    told = tuple(replace(own, doubts=one) for own, one in records)
+    return replace(best.estimate, stories=stories, doubts=lacking[0], records=told)
 
 
 def of_free_running(found: Inference, free: FreeRunning, estimate: Estimate) -> Estimate:
@@ -100,6 +107,7 @@ class _Told:
     name: str
     problems: Sequence[Problem]
     estimate: Estimate
+    trained: Trained
 
     @cached_property
     def free_run(self) -> float:
