@@ -32,7 +32,7 @@ class Example:
 
     @property
     def equations(self) -> NormalEquations:
-        return self.evidence.equations.each[0]
+        return self.evidence.equations.by_record[0]
 
 
 def source(

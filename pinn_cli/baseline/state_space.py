@@ -205,7 +205,7 @@ class StateSpace:
         """(F,), how large hidden forces and what acts may be: as the sensor that feels it, or the force that acts."""
         scales = np.full(self.dynamics.size, self.force_scale)
         for sensor in self.sensors:
-            if len(parts := getattr(sensor.feels, "own", [])) == 1:
+            if len(parts := getattr(sensor.feels, "terms", [])) == 1:
                 scales[parts[0].function] = sensor.samples.spread / (self.corner / 2.0) ** parts[0].order
         return scales
 

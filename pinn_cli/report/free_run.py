@@ -34,7 +34,7 @@ from pinn_cli.system.parameters import MASS
 from pinn_cli.system.priors import HALF_WIDTH_95
 from pinn_cli.system.quantities import FORCE, GROUND, UNITS
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.calibrated_record import as_felt, beside
+from pinn_cli.training.calibrated_record import as_felt, compared_record
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.training.prediction import drawn_structures, parameter_draws
@@ -216,7 +216,7 @@ class ValidationRun:
             return cls(record, data.first, at_rest, None, None, str(error))
         members = _members(structure, estimate, (seen, record), data.begins, draws, seed)
         std = None if members is None else spread_of(members, structure, record, response)
-        return cls(beside(record, estimate.parameters, response), data.first, at_rest, response, std)
+        return cls(compared_record(record, estimate.parameters, response), data.first, at_rest, response, std)
 
     def of_channel(self, channel: Channel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Measured, NaN where no sample was taken, simulated, and its deviation, from the first sample compared on."""

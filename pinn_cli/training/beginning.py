@@ -51,13 +51,13 @@ class Beginning:
             raise ValueError("a motion that goes on from an earlier record has the parameters' prior from it as well")
         variance = np.maximum(np.diag(state.covariance), FINEST_KNOWN**2 * _size(state, problem) ** 2)
         std = np.sqrt(variance)
-        own = tuple(
+        states = tuple(
             Parameter(INITIAL_STATE, i, prescribed=float(mean), prior_std=float(s))
             for i, (mean, s) in enumerate(zip(state.mean, std, strict=True))
         )
         correlation = _joint(problem, prior, state, std)
         prescribed = {INITIAL_STATE: torch.as_tensor(state.mean)}
-        return cls((*problem.uncertain, *own), prescribed, std, np.linalg.inv(correlation))
+        return cls((*problem.uncertain, *states), prescribed, std, np.linalg.inv(correlation))
 
     @property
     def parameters(self) -> int:
@@ -90,12 +90,12 @@ def _size(state: EndState, problem: Problem) -> np.ndarray:
 
 def _joint(problem: Problem, prior: JointPrior, state: EndState, std: np.ndarray) -> np.ndarray:
     """(p + F, p + F), the correlation of parameters and state; sensors have nothing to do with a state."""
-    p, known = len(problem.uncertain), state.with_parameters.shape[1]
+    p, count = len(problem.uncertain), state.with_parameters.shape[1]
     unit = np.array([parameter.prior_std for parameter in problem.uncertain])
     out = np.eye(p + len(std))
     out[:p, :p] = prior.correlation
     out[p:, p:] = state.covariance / np.outer(std, std)
-    out[p:, :known] = state.with_parameters / np.outer(std, unit[:known])
-    out[:known, p:] = out[p:, :known].T
+    out[p:, :count] = state.with_parameters / np.outer(std, unit[:count])
+    out[:count, p:] = out[p:, :count].T
     out[np.diag_indices_from(out)] = 1.0 + CORRELATION_JITTER
     return out

@@ -41,11 +41,11 @@ def bounded_estimates(
         posterior: Given their bounds.
         misfit: (p,), standard deviation of what else each may be off by.
     """
-    found = posterior.marginals(CENTRAL_90, misfit)
+    marginals = posterior.marginals(CENTRAL_90, misfit)
     held = mode <= posterior.lower
-    cut = bool(np.any(np.abs(found.mean - mode) > NOTICEABLE * found.std))
-    distance = unit * found.mean if cut else np.where(held, [p.lower for p in uncertain], unit * mode)
-    std, (lower, upper) = unit * found.std, unit * found.quantiles
+    cut = bool(np.any(np.abs(marginals.mean - mode) > NOTICEABLE * marginals.std))
+    distance = unit * marginals.mean if cut else np.where(held, [p.lower for p in uncertain], unit * mode)
+    std, (lower, upper) = unit * marginals.std, unit * marginals.quantiles
     return [
         ParameterEstimate(
             p, p.value(distance[i]), float(std[i]), p.value(lower[i]), p.value(upper[i]), bool(held[i])

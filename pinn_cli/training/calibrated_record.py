@@ -19,9 +19,9 @@ from pinn_cli.training.estimate import Estimate, ParameterEstimate
 def as_calibrated(record: Record, estimate: Estimate) -> Record:
     """The record whose columns show what sensors felt, with the gains, offsets, drifts and delays that were found.
 
-    A report and a verdict compare an estimate with this; see :func:`beside`.
+    A report and a verdict compare an estimate with this; see :func:`compared_record`.
     """
-    return beside(record, estimate.of_motion or estimate.parameters, estimate.response, estimate.left)
+    return compared_record(record, estimate.of_motion or estimate.parameters, estimate.response, estimate.left)
 
 
 def as_run(record: Record, estimate: Estimate) -> Record:
@@ -30,15 +30,17 @@ def as_run(record: Record, estimate: Estimate) -> Record:
     What acts on the structure, and what its sensors show, when it runs free: the offset of a load cell belongs to the
     structure's parameters as they do to each other.
     """
-    own = estimate.of_motion is None
-    return as_calibrated(record, estimate) if own else beside(record, estimate.parameters, estimate.response)
+    is_own = estimate.of_motion is None
+    return (
+        as_calibrated(record, estimate) if is_own else compared_record(record, estimate.parameters, estimate.response)
+    )
 
 
-def beside(
+def compared_record(
     record: Record,
     parameters: Iterable[ParameterEstimate],
     response: Response,
-    left: Mapping[str, np.ndarray] | None = None,
+    residuals: Mapping[str, np.ndarray] | None = None,
 ) -> Record:
     """The record as a response is compared with it: the response's columns with what calibrated channels leave of it.
 
@@ -49,21 +51,25 @@ def beside(
         record: Whose channels they are.
         parameters: With the numbers of their calibration.
         response: (N, n) each.
-        left: See :attr:`Estimate.left`; of those that are not in it, between the response's samples there is nothing
-            above their Nyquist frequency.
+        residuals: See :attr:`Estimate.left`; of those that are not in it, between the response's samples there is
+            nothing above their Nyquist frequency.
     """
-    found, told = by_sensor(parameters), left or {}
+    numbers, given = by_sensor(parameters), residuals or {}
 
-    def felt(channel: Channel) -> Channel:
-        place, inside = sample_places(channel, found[channel.key], record.time)
-        own = told[channel.key] if channel.key in told else _left(channel, found[channel.key], record.time, response)
-        inside &= np.isfinite(own)
+    def as_column(channel: Channel) -> Channel:
+        place, inside = sample_places(channel, numbers[channel.key], record.time)
+        residual = (
+            given[channel.key]
+            if channel.key in given
+            else _residual(channel, numbers[channel.key], record.time, response)
+        )
+        inside &= np.isfinite(residual)
         column, gaps = channel.of(response).copy(), np.ones(len(record.time), dtype=bool)
-        column[place[inside]] += own[inside]
+        column[place[inside]] += residual[inside]
         gaps[place[inside]] = False
         return channel.at(record.time, column, gaps)
 
-    return _with_felt(record, felt)
+    return _with_columns(record, as_column)
 
 
 def as_felt(record: Record, parameters: Iterable[ParameterEstimate]) -> Record:
@@ -71,34 +77,34 @@ def as_felt(record: Record, parameters: Iterable[ParameterEstimate]) -> Record:
 
     Where a channel has no sample its column is no measurement.
     """
-    found = by_sensor(parameters)
+    numbers = by_sensor(parameters)
 
-    def felt(channel: Channel) -> Channel:
-        place, inside = sample_places(channel, found[channel.key], record.time)
+    def as_column(channel: Channel) -> Channel:
+        place, inside = sample_places(channel, numbers[channel.key], record.time)
         gaps = np.ones(len(record.time), dtype=bool)
         gaps[place[inside]] = False
-        return channel.at(record.time, channel.history(record.time, found[channel.key]), gaps)
+        return channel.at(record.time, channel.history(record.time, numbers[channel.key]), gaps)
 
-    return _with_felt(record, felt)
+    return _with_columns(record, as_column)
 
 
-def _with_felt(record: Record, felt: Callable[[Channel], Channel]) -> Record:
-    every = tuple(felt(channel) for channel in record.calibrated)
-    return replace(record.showing(every), felt=every) if every else record
+def _with_columns(record: Record, as_column: Callable[[Channel], Channel]) -> Record:
+    columns = tuple(as_column(channel) for channel in record.calibrated)
+    return replace(record.showing(columns), felt=columns) if columns else record
 
 
 def by_sensor(parameters: Iterable[ParameterEstimate]) -> defaultdict[str, dict[str, float]]:
     """Name of a sensor to the numbers of its calibration that were found, by kind."""
-    found: defaultdict[str, dict[str, float]] = defaultdict(dict)
-    for one in parameters:
-        if one.kind in CALIBRATION_UNITS:
-            found[one.parameter.label][one.kind] = one.estimate
-    return found
+    numbers: defaultdict[str, dict[str, float]] = defaultdict(dict)
+    for estimate in parameters:
+        if estimate.kind in CALIBRATION_UNITS:
+            numbers[estimate.parameter.label][estimate.kind] = estimate.estimate
+    return numbers
 
 
-def sample_places(channel: Channel, found: Mapping[str, float], time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def sample_places(channel: Channel, numbers: Mapping[str, float], time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(J,), the place of each sample among the times (N,), and (J,) bool, those that are within them."""
-    felt_at = channel.felt_samples(found)[0]
+    felt_at = channel.felt_samples(numbers)[0]
     step = (time[-1] - time[0]) / (len(time) - 1)
     # All samples of one sensor move alike: where it is late by half a step, each still has a place of its own.
     late = int(np.rint((channel.time[0] - felt_at[0]) / step))
@@ -107,13 +113,13 @@ def sample_places(channel: Channel, found: Mapping[str, float], time: np.ndarray
     return place, inside
 
 
-def _left(channel: Channel, found: dict[str, float], time: np.ndarray, response: Response) -> np.ndarray:
+def _residual(channel: Channel, numbers: dict[str, float], time: np.ndarray, response: Response) -> np.ndarray:
     """(J,), measured minus what a channel feels in a response; NaN outside."""
-    (felt_at, felt), (place, inside) = channel.felt_samples(found), sample_places(channel, found, time)
-    expected, out = channel.shown_of(response, found), np.full(len(felt), np.nan)
-    left = felt[inside] - BandLimited(time, expected)(felt_at[inside])
+    (felt_at, samples), (place, inside) = channel.felt_samples(numbers), sample_places(channel, numbers, time)
+    expected, out = channel.shown_of(response, numbers), np.full(len(samples), np.nan)
+    residual = samples[inside] - BandLimited(time, expected)(felt_at[inside])
     if channel.filter_order:
-        decays = channel.decays(time, found)[place[inside]]
-        left = left - decays @ np.linalg.lstsq(decays, left)[0]
-    out[inside] = left
+        decays = channel.decays(time, numbers)[place[inside]]
+        residual = residual - decays @ np.linalg.lstsq(decays, residual)[0]
+    out[inside] = residual
     return out

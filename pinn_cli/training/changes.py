@@ -49,13 +49,13 @@ def found_changes(problem: Problem, known: ParameterKnowledge, solved: Problem |
     before = ParameterKnowledge(known.mean, prior.correlation, prior.told, prior.weight, prior.first_std)
     covariance = prior.correlation + np.diag((before.hidden**2 + known.hidden**2) / unit**2)
     comparison = _Comparison(problem, information, pull, covariance)
-    found = comparison.found()
-    chance = _as_a_whole(information, pull, comparison.opened(uncertain.index(change.parameter) for change in found))
+    changed = comparison.changes()
+    chance = _as_a_whole(information, pull, comparison.opened(uncertain.index(change.parameter) for change in changed))
     alone, alone_std = _by_itself(information, pull)
     hidden = np.hypot(unit * alone_std, known.hidden)
     prescribed = np.array([p.prescribed for p in uncertain])
     before_std = np.sqrt(unit**2 + before.hidden**2)
-    return Changes(uncertain, found, chance, IMPROBABLE, prescribed, before_std, prescribed + unit * alone, hidden)
+    return Changes(uncertain, changed, chance, IMPROBABLE, prescribed, before_std, prescribed + unit * alone, hidden)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,20 +74,20 @@ class _Comparison:
     pull: np.ndarray
     covariance: np.ndarray
 
-    def found(self) -> tuple[Change, ...]:
+    def changes(self) -> tuple[Change, ...]:
         """One change after the other, the most certain one first, until what is left is chance; sized together."""
-        left = [i for i, p in enumerate(self.problem.uncertain) if p.kind not in CALIBRATION_UNITS]
-        count, moved = len(left), dict[int, tuple[float, float]]()
-        while left:
+        candidates = [i for i, p in enumerate(self.problem.uncertain) if p.kind not in CALIBRATION_UNITS]
+        count, moved = len(candidates), dict[int, tuple[float, float]]()
+        while candidates:
             score, variance = self._against(moved)
             square = np.divide(score**2, variance, out=np.zeros(len(score)), where=variance > TELLS)
-            j = max(left, key=lambda i: square[i])
+            j = max(candidates, key=lambda i: square[i])
             chance = min(1.0, count * float(chdtrc(1, square[j])))
             if not chance < IMPROBABLE:
                 break
-            moved[j] = chance, float(1.0 / np.exp(0.5 * (square[left] - square[j])).sum())
-            left.remove(j)
-        return tuple(self._sized(j, [i for i in moved if i != j], *told) for j, told in moved.items())
+            moved[j] = chance, float(1.0 / np.exp(0.5 * (square[candidates] - square[j])).sum())
+            candidates.remove(j)
+        return tuple(self._sized(j, [i for i in moved if i != j], *certainty) for j, certainty in moved.items())
 
     def _sized(self, j: int, others: Sequence[int], chance: float, share: float) -> Change:
         """The change of a parameter, the others that changed left open."""
@@ -106,8 +106,8 @@ class _Comparison:
     def _against(self, changed: Iterable[int]) -> tuple[np.ndarray, np.ndarray]:
         """V^-1 d (p,) and the diagonal of V^-1 (p,) where these parameters may have become anything."""
         right = np.column_stack((self.pull, self.information))
-        both = np.linalg.solve(np.eye(len(self.pull)) + self.information @ self.opened(changed), right)
-        return both[:, 0], np.diag(both[:, 1:])
+        solved = np.linalg.solve(np.eye(len(self.pull)) + self.information @ self.opened(changed), right)
+        return solved[:, 0], np.diag(solved[:, 1:])
 
 
 def released(problem: Problem, changes: Changes) -> Problem:

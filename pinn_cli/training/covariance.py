@@ -45,23 +45,23 @@ def row_variance(
         given: (I, S, p), by the independent parameters, the weights held; None: 0.
     """
     columns = np.ascontiguousarray(rows.transpose(2, 1, 0))  # (C, S, I)
-    first, apart = _evenly(position[:, 0]), (position[0] - position[0, 0]).tolist()
+    first, offsets = _evenly(position[:, 0]), (position[0] - position[0, 0]).tolist()
     used = [c for c, column in enumerate(columns) if column.any()]
     out, inner, product = (np.zeros(columns.shape[1:]) for _ in range(3))
     for i, c in enumerate(used):
         inner[...] = 0.0
         for d in used[:i]:
-            np.multiply(columns[d], _covariance(inverse, first, apart[c], apart[d]), out=product)
+            np.multiply(columns[d], _covariance(inverse, first, offsets[c], offsets[d]), out=product)
             inner += product
         inner *= 2.0
-        np.multiply(columns[c], _covariance(inverse, first, apart[c], apart[c]), out=product)
+        np.multiply(columns[c], _covariance(inverse, first, offsets[c], offsets[c]), out=product)
         inner += product
         inner *= columns[c]
         out += inner
     for number, line in enumerate(carried):
         inner[...] = 0.0 if given is None else -given[..., number].T
         for c in used:
-            np.multiply(columns[c], _piece(line, first, apart[c]), out=product)
+            np.multiply(columns[c], _piece(line, first, offsets[c]), out=product)
             inner += product
         out += np.square(inner, out=inner)
     return out.T
@@ -73,17 +73,17 @@ def _evenly(first: np.ndarray) -> np.ndarray | range:
     return range(int(first[0]), int(first[-1]) + 1, step) if step > 0 and (np.diff(first) == step).all() else first
 
 
-def _covariance(inverse: Diagonals, first: np.ndarray | range, one: int, other: int) -> np.ndarray:
+def _covariance(inverse: Diagonals, first: np.ndarray | range, row: int, column: int) -> np.ndarray:
     """(I,), of the weights at two distances from every first one."""
-    line = int(inverse.lines(np.array([abs(one - other)]))[0])
-    return _piece(inverse.values[line], first, min(one, other))
+    line = int(inverse.lines(np.array([abs(row - column)]))[0])
+    return _piece(inverse.values[line], first, min(row, column))
 
 
-def _piece(line: np.ndarray, first: np.ndarray | range, apart: int) -> np.ndarray:
+def _piece(line: np.ndarray, first: np.ndarray | range, offset: int) -> np.ndarray:
     """(I,), the entries of a line at a distance from every first one."""
     if isinstance(first, range):
-        return line[first.start + apart : first.stop + apart : first.step]
-    return line[first + apart]
+        return line[first.start + offset : first.stop + offset : first.step]
+    return line[first + offset]
 
 
 # Intervals whose covariances of all functions are held at once.
@@ -120,8 +120,8 @@ class ReadoutPosterior:
         dynamics = self.equations.dynamics
         functions = dict(zip(RESPONSE_QUANTITIES, self.functions(segments), strict=True))
         if dynamics.structure.is_modal:
-            found = self.of_modes(segments, [dynamics.sensing(quantity) for quantity in RESPONSE_QUANTITIES])
-            return dict(zip(RESPONSE_QUANTITIES, found, strict=True)) | self._of_ground(functions["displacement"])
+            deviations = self.of_modes(segments, [dynamics.sensing(quantity) for quantity in RESPONSE_QUANTITIES])
+            return dict(zip(RESPONSE_QUANTITIES, deviations, strict=True)) | self._of_ground(functions["displacement"])
         out = {
             quantity: std[:, : dynamics.ndof]
             if dynamics.feels_own(quantity)
@@ -142,17 +142,17 @@ class ReadoutPosterior:
         local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))  # (I, functions, B)
         kinds = segments.displacement, segments.velocity, segments.acceleration
         weights = [[(order, torch.as_tensor(w.toarray())) for order, w in parts] for parts in sensing]
-        found: list[list[Tensor]] = [[] for _ in sensing]
+        deviations: list[list[Tensor]] = [[] for _ in sensing]
         for start in range(0, len(local), INTERVALS_AT_ONCE):
             part = slice(start, start + INTERVALS_AT_ONCE)
             position = local[part].flatten(1)
             covariance = self._covariance(position)
-            for out, parts in zip(found, weights, strict=True):
+            for out, parts in zip(deviations, weights, strict=True):
                 rows = sum(w[:, None, :, None] * kinds[order][part, None, :, None] for order, w in parts)
                 assert isinstance(rows, Tensor)
                 rows = rows.flatten(3).flatten(1, 2)  # (intervals, channels S, functions B)
                 out.append(_deviation(rows, covariance).unflatten(1, (len(parts[0][1]), -1)).mT)
-        return [segments.scatter(torch.cat(out)) for out in found]
+        return [segments.scatter(torch.cat(out)) for out in deviations]
 
     def combined(self, segments: Segments, sensing: Sequence[tuple[int, csr_matrix]]) -> Tensor:
         """Standard deviation of weighted sums of functions and of their derivatives, (N, channels).
@@ -171,7 +171,7 @@ class ReadoutPosterior:
         """The same in some groups, (I, S, channels)."""
         local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))
         kinds = segments.displacement, segments.velocity, segments.acceleration
-        every = []
+        deviations = []
         for channel in range(sensing[0][1].shape[0]):
             parts = [
                 (int(function), order, float(weight))
@@ -180,8 +180,8 @@ class ReadoutPosterior:
             ]
             position = torch.cat([local[:, function] for function, _, _ in parts], -1)
             rows = torch.cat([weight * kinds[order] for _, order, weight in parts], -1)
-            every.append(self._spread(position, rows))
-        return torch.stack(every, -1)
+            deviations.append(self._spread(position, rows))
+        return torch.stack(deviations, -1)
 
     def functions(self, segments: Segments) -> tuple[Tensor, Tensor, Tensor]:
         """Standard deviation of every function and its two derivatives at the segments' times, each (N, functions)."""
@@ -205,21 +205,21 @@ class ReadoutPosterior:
 
     def force(self, segments: Segments) -> Tensor:
         """Standard deviation of the force that the estimated motion takes, at the segments' times, (N, n)."""
-        every = []
+        parts = []
         for part in self._windows(segments):
             rows = LocalRows(self.equations, segments, self.point, part)
-            each = [self.deviation(*rows.of_dof(dof)) for dof in range(self.equations.dynamics.ndof)]
-            every.append(torch.stack(each, -1))
-        return segments.scatter(torch.cat(every))
+            by_dof = [self.deviation(*rows.of_dof(dof)) for dof in range(self.equations.dynamics.ndof)]
+            parts.append(torch.stack(by_dof, -1))
+        return segments.scatter(torch.cat(parts))
 
     def force_by_parameter(self, segments: Segments) -> Tensor:
         """Change of that force with each parameter, in prior standard deviations, the motion following: (N, n, p)."""
-        every = []
+        parts = []
         for part in self.equations.windows(segments):
             rows = LocalRows(self.equations, segments, self.point, part)
-            each = [self._by_parameter(*rows.of_dof(dof)) for dof in range(self.equations.dynamics.ndof)]
-            every.append(torch.stack(each, 2))
-        return segments.scatter(torch.cat(every))
+            by_dof = [self._by_parameter(*rows.of_dof(dof)) for dof in range(self.equations.dynamics.ndof)]
+            parts.append(torch.stack(by_dof, 2))
+        return segments.scatter(torch.cat(parts))
 
     def _windows(self, segments: Segments) -> list[slice]:
         """Groups whose rows and whose covariances of all coupled functions are held at once."""
@@ -234,8 +234,8 @@ class ReadoutPosterior:
             jacobian: (I, S, C), the rows by those.
             held: (I, S, p), the rows by the parameters, in prior standard deviations.
         """
-        own = held.flatten(0, -2).any(0).nonzero()[:, 0]  # few parameters are in one row
-        given = held[..., own] @ self.root[own]
+        columns = held.flatten(0, -2).any(0).nonzero()[:, 0]  # few parameters are in one row
+        given = held[..., columns] @ self.root[columns]
         if is_alike(position.numpy()):
             return self._by_lines(position, jacobian, given)
         by_parameter = given - jacobian @ self.carried[position]
@@ -295,7 +295,7 @@ class LocalRows:
         self.equations, self.segments = equations, segments.part(part)
         self.rows = equations.motion.rows(segments, point, part=part)
         self.local = torch.as_tensor(equations.layout.columns(self.segments.feature))
-        self.own = torch.as_tensor(equations.layout.columns(self.segments.feature, coupled=False))
+        self.uncoupled = torch.as_tensor(equations.layout.columns(self.segments.feature, coupled=False))
 
     def of_dof(self, dof: int) -> tuple[Tensor, Tensor, Tensor]:
         """Positions (I, D B), rows by the weights there (I, S, D B), and by parameter.
@@ -303,7 +303,7 @@ class LocalRows:
         Unused slots hold 0 for the weights of the row's own DOF.
         """
         inside = self.local[:, dof] >= 0
-        own = self.own[:, dof].tile(1, len(self.equations.pattern.offsets))
+        unused = self.uncoupled[:, dof].tile(1, len(self.equations.pattern.offsets))
         jacobian = self.rows.jacobian(self.segments, slice(dof, dof + 1))[:, 0] * inside.to(torch.float64)[:, None]
         held = self.equations.pattern.uncertain_columns(self.rows.parameter[:, :, dof], dof)
-        return torch.where(inside, self.local[:, dof], own), jacobian, held
+        return torch.where(inside, self.local[:, dof], unused), jacobian, held

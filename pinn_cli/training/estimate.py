@@ -311,8 +311,8 @@ class Estimate:
 
     def state_std(self, structure: Structure, sample: int) -> list[np.ndarray]:
         """Deviations of ``response.state(sample)``; 0 of modal coordinates and of hidden forces."""
-        told = [] if structure.is_modal else [np.nan_to_num(x) for x in self.std.state(sample)]
-        return [*told, *(np.zeros_like(x) for x in self.response.state(sample)[len(told) :])]
+        motion = [] if structure.is_modal else [np.nan_to_num(x) for x in self.std.state(sample)]
+        return [*motion, *(np.zeros_like(x) for x in self.response.state(sample)[len(motion) :])]
 
     @property
     def before_any_record(self) -> list[ParameterEstimate]:
@@ -334,8 +334,8 @@ class Estimate:
         if not self.records:
             return (self,)
         first, *others = self.records
-        own = replace(self, records=(), disagreements=())
-        return (replace(own, parameters=first.parameters, correlation=first.correlation), *others)
+        joint = replace(self, records=(), disagreements=())
+        return (replace(joint, parameters=first.parameters, correlation=first.correlation), *others)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,12 +19,12 @@ def estimated_structure(prescribed: Structure, parameters: Iterable[ParameterEst
         ValueError: A parameter that the chain does not have.
     """
     values = {}
-    for found in parameters:
-        if found.kind in CALIBRATION_UNITS:
+    for estimate in parameters:
+        if estimate.kind in CALIBRATION_UNITS:
             continue
-        if found.parameter.index >= len(prescribed.parameters.get(found.kind, ())):
-            raise ValueError(f"the chain of {prescribed.ndof} DOFs has no parameter {found.name}")
-        values[found.parameter] = found.estimate
+        if estimate.parameter.index >= len(prescribed.parameters.get(estimate.kind, ())):
+            raise ValueError(f"the chain of {prescribed.ndof} DOFs has no parameter {estimate.name}")
+        values[estimate.parameter] = estimate.estimate
     return prescribed.with_values(values)
 
 

@@ -44,7 +44,7 @@ class Evidence:
     The sum over the records of what each says of its motion, and once what all of them say of the parameters.
 
     Args:
-        each: The equations of every record; one is a list of one.
+        equations: The equations of every record; one is a list of one.
         iterations: Steps at most under one noise model.
         tolerance: See :func:`minimise`.
         watch: Called with every loss term and the first record's noise model after each step.
@@ -59,15 +59,18 @@ class Evidence:
 
     def __init__(
         self,
-        each: Sequence[NormalEquations],
+        equations: Sequence[NormalEquations],
         iterations: int,
         tolerance: float,
         watch: Callable[[dict[str, float], NoiseModel], None],
         learn_spread: bool = True,
         count: Callable[[int], None] = lambda factorisations: None,
     ) -> None:
-        self.records = tuple(map(RecordEvidence, each))
-        self.equations, self.problem = LeastSquares(self.records), JointProblem.of(*(own.problem for own in each))
+        self.records = tuple(map(RecordEvidence, equations))
+        self.equations, self.problem = (
+            LeastSquares(self.records),
+            JointProblem.of(*(record_equations.problem for record_equations in equations)),
+        )
         self.iterations, self.tolerance = iterations, tolerance
         self.watch, self.learn_spread, self.count = watch, learn_spread, count
         self._is_cautious = False  # whether the last solution refused its undamped step: the next may as well
@@ -102,8 +105,8 @@ class Evidence:
     def log_evidence(self, point: Point, noise: NoiseLevels, factor: SharedFactor) -> float:
         """-1/2 [chi^2 + sum of log variances + log det Hessian - log det prior] at the most probable point."""
         placed = self.equations.placed(point)
-        each = self.equations.members.each(RecordEvidence.log_evidence, placed, noise.records, factor.determinants)
-        return sum(each) + self.parameter_term(point, noise, factor)
+        terms = self.equations.members.each(RecordEvidence.log_evidence, placed, noise.records, factor.determinants)
+        return sum(terms) + self.parameter_term(point, noise, factor)
 
     def parameter_term(self, point: Point, noise: NoiseLevels, factor: SharedFactor) -> float:
         """The parameters' part: their prior, and their Hessian with the readout eliminated."""

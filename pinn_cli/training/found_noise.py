@@ -34,29 +34,31 @@ class FoundNoise:
     @classmethod
     def read(cls, summary: Mapping[str, Any]) -> FoundNoise:
         """From what :attr:`summary` has left in ``run.json``."""
-        each = ((name, summary.get(f"{SIGMA}{name}")) for name in (*MEASURED_QUANTITIES, CALIBRATED))
-        sensors = {quantity: _numbers(found) for quantity, found in each if found is not None}
-        taken = {quantity: _numbers(found) for quantity, found in summary.get(TAKEN, {}).items()}
+        pairs = ((name, summary.get(f"{SIGMA}{name}")) for name in (*MEASURED_QUANTITIES, CALIBRATED))
+        sensors = {quantity: _numbers(values) for quantity, values in pairs if values is not None}
+        taken = {quantity: _numbers(values) for quantity, values in summary.get(TAKEN, {}).items()}
         discrepancy = summary.get(DISCREPANCY)
         return cls(sensors, math.nan if discrepancy is None else discrepancy, taken)
 
     @property
     def summary(self) -> dict[str, Any]:
         """For ``run.json``."""
-        taken = {TAKEN: {quantity: _listed(found) for quantity, found in self.taken.items()}} if self.taken else {}
+        taken = {TAKEN: {quantity: _listed(values) for quantity, values in self.taken.items()}} if self.taken else {}
         discrepancy = {} if math.isnan(self.discrepancy) else {DISCREPANCY: float(self.discrepancy)}
-        return taken | discrepancy | {f"{SIGMA}{quantity}": _listed(found) for quantity, found in self.sensors.items()}
+        return (
+            taken | discrepancy | {f"{SIGMA}{quantity}": _listed(values) for quantity, values in self.sensors.items()}
+        )
 
     def of(self, channel: Channel) -> float:
         """That of one sensor; NaN where the training found none."""
         quantity, place = channel.place
-        found = self.sensors.get(quantity, np.empty(0))
-        return float(found[place]) if place < len(found) else math.nan
+        levels = self.sensors.get(quantity, np.empty(0))
+        return float(levels[place]) if place < len(levels) else math.nan
 
 
-def _numbers(found: list[float | None]) -> np.ndarray:
-    return np.array([math.nan if x is None else x for x in found], dtype=float)
+def _numbers(values: list[float | None]) -> np.ndarray:
+    return np.array([math.nan if x is None else x for x in values], dtype=float)
 
 
-def _listed(found: np.ndarray) -> list[float | None]:
-    return [None if np.isnan(x) else float(x) for x in found]
+def _listed(values: np.ndarray) -> list[float | None]:
+    return [None if np.isnan(x) else float(x) for x in values]

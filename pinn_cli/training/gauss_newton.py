@@ -97,22 +97,22 @@ class GaussNewton(Training):
         designs = (design,) * len(problem)
         solver = Solver(designs, history, *limits, self.learn_spread, self.pooled)
         with history:
-            found = self._weighed(problem, solver) if self.weights else infer(problem, solver)
-            handed = None if first.hand_over is None else handed_over(found)
-        for equations, point in found.by_record:
+            inference = self._weighed(problem, solver) if self.weights else infer(problem, solver)
+            handed = None if first.hand_over is None else handed_over(inference)
+        for equations, point in inference.by_record:
             equations.network.readout.data = equations.readout(point)
-        estimate = posterior_estimate(found.evidence, found.trained, history)
-        doubt = None if self.weights else scored_damping(found)
+        estimate = posterior_estimate(inference.evidence, inference.trained, history)
+        doubt = None if self.weights else scored_damping(inference)
         summary = estimate.summary | {
-            "narrowed_by_refinement": found.narrowed, "at_marginal_peak": found.at_marginal_peak,
+            "narrowed_by_refinement": inference.narrowed, "at_marginal_peak": inference.at_marginal_peak,
         }  # fmt: skip
-        estimate = replace(estimate, summary=summary, rivals=found.rivals, handed_over=handed, damping_doubt=doubt)
-        if not found.evidence.problem.structure.shares_coordinates(problem.structure):
-            estimate = replace(estimate, structure=found.evidence.problem.structure)
-        estimate = with_stories(found, estimate)
+        estimate = replace(estimate, summary=summary, rivals=inference.rivals, handed_over=handed, damping_doubt=doubt)
+        if not inference.evidence.problem.structure.shares_coordinates(problem.structure):
+            estimate = replace(estimate, structure=inference.evidence.problem.structure)
+        estimate = with_stories(inference, estimate)
         if not problem.priors:
             return estimate
-        return replace(estimate, likelihoods=parameter_likelihoods(found.evidence, found.trained))
+        return replace(estimate, likelihoods=parameter_likelihoods(inference.evidence, inference.trained))
 
     def solves_inputs(self, design: NetworkDesign) -> bool:
         """See :meth:`Training.solves_inputs`."""
@@ -153,7 +153,7 @@ class GaussNewton(Training):
         """The solution under weights that the user has fixed."""
         evidence = solver.evidence(problem)
         force, velocity = force_and_velocity_scale(problem.alone)
-        starting = starting_noise(evidence.equations.each[0])
+        starting = starting_noise(evidence.equations.by_record[0])
         noise = NoiseLevels((self._fixed(starting, problem.alone.record, force, velocity),))
         trained = evidence.train(noise, evidence.equations.start())
         if trained is None:

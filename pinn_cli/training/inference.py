@@ -63,14 +63,14 @@ def infer(problem: JointProblem, solver: Solver) -> Inference:
         DivergenceError: Even the softest physics cannot be solved.
     """
     problem, solver = identify_by_spectra(problem, solver)
-    found = first_solution(problem, _as_believed(problem, solver))
+    inference = first_solution(problem, _as_believed(problem, solver))
     for step, rounds in STEPS:
         for _ in range(rounds):
-            better = step(found)
+            better = step(inference)
             if better is None:
                 break
-            found = better
-    return found
+            inference = better
+    return inference
 
 
 def _as_believed(problem: JointProblem, solver: Solver) -> Solver:
@@ -81,5 +81,5 @@ def _as_believed(problem: JointProblem, solver: Solver) -> Solver:
     """
     if problem.is_informed:
         solver = replace(solver, tolerance=max(solver.tolerance, NEAR_TOLERANCE))
-    is_free = all(len(own.inputs.forces) == own.record.ndof for own in problem)
+    is_free = all(len(record_problem.inputs.forces) == record_problem.record.ndof for record_problem in problem)
     return replace(solver, learn_spread=False) if is_free or problem.is_informed else solver

@@ -32,7 +32,7 @@ class LeastSquares:
         records: Of one structure.
 
     Attributes:
-        each: The equations of every record.
+        by_record: The equations of every record.
         members: The records, where they are computed.
         uncertain: The parameters, p of them.
         columns: Of every record, the places of its own parameters among those.
@@ -43,18 +43,18 @@ class LeastSquares:
     """
 
     def __init__(self, records: Sequence[RecordEvidence]) -> None:
-        self.each = [own.equations for own in records]
-        self.uncertain, self.columns = joined_parameters([own.uncertain for own in self.each])
-        self.is_plain = all(own.is_plain for own in self.each)
-        self.is_linear = all(own.is_linear for own in self.each)
-        self.lower = self._gathered([own.lower for own in self.each])
-        self.scale = self._gathered([own.scale.numpy() for own in self.each])
-        self.unknown = self._gathered([own.unknown.numpy() for own in self.each]).astype(bool)
-        joint = self.each[0].joint_precision
+        self.by_record = [record.equations for record in records]
+        self.uncertain, self.columns = joined_parameters([equations.uncertain for equations in self.by_record])
+        self.is_plain = all(equations.is_plain for equations in self.by_record)
+        self.is_linear = all(equations.is_linear for equations in self.by_record)
+        self.lower = self._gathered([equations.lower for equations in self.by_record])
+        self.scale = self._gathered([equations.scale.numpy() for equations in self.by_record])
+        self.unknown = self._gathered([equations.unknown.numpy() for equations in self.by_record]).astype(bool)
+        joint = self.by_record[0].joint_precision
         self._precision = torch.as_tensor(np.eye(len(self.uncertain)) if joint is None else joint)
         # Of every parameter, how many records but the first bring its prior along.
         self._repeated = np.bincount(np.concatenate(self.columns), minlength=len(self.uncertain)) - 1.0
-        sizes = [own.layout.size for own in self.each]
+        sizes = [equations.layout.size for equations in self.by_record]
         self._ends = np.cumsum(sizes)[:-1].tolist()
         self.members = side_by_side(records, sizes)
         self._placed: tuple[Point | None, list[Any]] = None, []
@@ -66,16 +66,16 @@ class LeastSquares:
             ValueError: They have not.
         """
         out = np.full(len(self.uncertain), np.nan)
-        for columns, own in zip(self.columns, values, strict=True):
-            out[columns] = own
-        for columns, own in zip(self.columns, values, strict=True):
-            if not np.array_equal(out[columns], own):
+        for columns, record_values in zip(self.columns, values, strict=True):
+            out[columns] = record_values
+        for columns, record_values in zip(self.columns, values, strict=True):
+            if not np.array_equal(out[columns], record_values):
                 raise ValueError("records that are solved together must believe the same of their common parameters")
         return out
 
     def start(self) -> Point:
         """At rest, with the prescribed parameters, or with those that are known."""
-        return self.joined([own.start() for own in self.each])
+        return self.joined([equations.start() for equations in self.by_record])
 
     def split(self, point: Point) -> list[Point]:
         """The point of every record."""
@@ -85,14 +85,17 @@ class LeastSquares:
     def joined(self, points: Sequence[Point]) -> Point:
         """The point of all records from those of each."""
         parameters = points[0].parameters.new_zeros(len(self.uncertain))
-        for columns, own in zip(self.columns, points, strict=True):
-            parameters[columns] = own.parameters
-        return Point(torch.cat([own.unknowns for own in points]), parameters)
+        for columns, record_point in zip(self.columns, points, strict=True):
+            parameters[columns] = record_point.parameters
+        return Point(torch.cat([record_point.unknowns for record_point in points]), parameters)
 
     def placed(self, point: Point) -> list[Any]:
         """The point of every record, where the record is: the very same for the same point, which is computed once."""
         if self._placed[0] is not point:
-            arrays = ([x.numpy() for x in (own.unknowns, own.parameters)] for own in self.split(point))
+            arrays = (
+                [x.numpy() for x in (record_point.unknowns, record_point.parameters)]
+                for record_point in self.split(point)
+            )
             self._placed = point, self.members.keep(_point, self.members.held, *zip(*arrays, strict=True))
         return self._placed[1]
 
@@ -137,8 +140,8 @@ class LeastSquares:
     def losses(self, point: Point, noise: NoiseLevels) -> dict[str, float]:
         """Weighted sum of squares of every residual and of the ridge, over all records, and of the prior once."""
         total: dict[str, float] = {}
-        for own in self.members.each(_losses, self.placed(point), noise.records, self.priors(noise)):
-            for name, value in own.items():
+        for record_losses in self.members.each(_losses, self.placed(point), noise.records, self.priors(noise)):
+            for name, value in record_losses.items():
                 total[name] = total.get(name, 0.0) + value
         x = point.parameters
         return total | {"prior": float((x * (self.prior_precision(noise) @ x)).sum())}
@@ -161,34 +164,34 @@ class LeastSquares:
         """Normal equations at a point."""
         at = self.members.held, self.placed(point)
         systems = self.members.keep(_assembled, *at, noise.records, self.priors(noise))
-        repeated, known = self._repeated * self.precision(noise).numpy(), self.each[0].known
-        held = None if known is None else known.covariance
+        repeated, known_parameters = self._repeated * self.precision(noise).numpy(), self.by_record[0].known_parameters
+        held = None if known_parameters is None else known_parameters.covariance
         pull = repeated * point.parameters.numpy()
         return SharedSystem(self.members, self.columns, systems, repeated, pull, held)
 
 
-def joined_parameters(each: Sequence[Sequence[Parameter]]) -> tuple[tuple[Parameter, ...], list[np.ndarray]]:
+def joined_parameters(parameters: Sequence[Sequence[Parameter]]) -> tuple[tuple[Parameter, ...], list[np.ndarray]]:
     """All parameters of several records, those of the first one first, and of every record the places of its own.
 
     A parameter of the structure is the same in all records. So are the gain and the delay of a sensor of one name.
     Offset and drift of a sensor are another record's own: they have the number of the record in their name there.
     """
     place: dict[tuple[str, str | int, int | None], int] = {}
-    every: list[Parameter] = []
+    joint: list[Parameter] = []
     columns = []
-    for number, own in enumerate(each, start=1):
+    for number, record_parameters in enumerate(parameters, start=1):
         places = []
-        for parameter in own:
+        for parameter in record_parameters:
             of_record = parameter.kind in OF_ONE_RECORD
             which = parameter.label if parameter.kind in CALIBRATION_UNITS else parameter.index
             key = parameter.kind, which, number if of_record else None
             if key not in place:
-                place[key] = len(every)
+                place[key] = len(joint)
                 renamed = replace(parameter, label=f"{parameter.label}_record_{number}")
-                every.append(renamed if of_record and number > 1 else parameter)
+                joint.append(renamed if of_record and number > 1 else parameter)
             places.append(place[key])
         columns.append(np.array(places, dtype=int))
-    return tuple(every), columns
+    return tuple(joint), columns
 
 
 def _point(record: RecordEvidence, unknowns: np.ndarray, parameters: np.ndarray) -> Point:
@@ -196,12 +199,12 @@ def _point(record: RecordEvidence, unknowns: np.ndarray, parameters: np.ndarray)
     return Point(*(torch.as_tensor(x).to(like) for x in (unknowns, parameters)))
 
 
-def _ridge(own: RecordEvidence) -> float | np.ndarray | None:
-    return own.equations.ridge.value
+def _ridge(evidence: RecordEvidence) -> float | np.ndarray | None:
+    return evidence.equations.ridge.value
 
 
-def _share_ridge(own: RecordEvidence, ridge: float | np.ndarray | None) -> None:
-    own.equations.ridge.value = ridge
+def _share_ridge(evidence: RecordEvidence, ridge: float | np.ndarray | None) -> None:
+    evidence.equations.ridge.value = ridge
 
 
 def _losses(record: RecordEvidence, point: Point, noise: NoiseModel, prior: np.ndarray) -> dict[str, float]:

@@ -67,14 +67,16 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
     before: list[np.ndarray | None] = [None] * len(floors)
     best, losing = trained, 0
     for _ in range(rounds):
-        found = evidence.each_record(updated, trained, floors)
-        found = [noise.pooled() for noise in found] if pooled else found
+        updates = evidence.each_record(updated, trained, floors)
+        updates = [noise.pooled() for noise in updates] if pooled else updates
         levels = trained.noise.records
-        change = [_log_levels(new) - _log_levels(old) for new, old in zip(found, levels, strict=True)]
+        change = [_log_levels(new) - _log_levels(old) for new, old in zip(updates, levels, strict=True)]
         strides = list(map(_stride, before, change))
         moves = zip(levels, strides, floors, strict=True)
-        each = (replace(_moved(*own), taken_up=new.taken_up) for own, new in zip(moves, found, strict=True))
-        noise = NoiseLevels(tuple(each), evidence.learned_spread(trained))
+        noise_of_records = (
+            replace(_moved(*move), taken_up=new.taken_up) for move, new in zip(moves, updates, strict=True)
+        )
+        noise = NoiseLevels(tuple(noise_of_records), evidence.learned_spread(trained))
         moved = [*np.concatenate(strides), np.log(noise.spread / trained.noise.spread)]
         again = evidence.train(noise, trained.solution.point, goes_on=bool(np.abs(moved).max() < NEAR_LEVEL))
         # One that is still on its way is followed as long as it is the more probable one already.
@@ -82,7 +84,7 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
             break
         before = list(change)
         gain, trained = again.log_evidence - trained.log_evidence, again
-        best = max(best, trained, key=lambda one: one.log_evidence)
+        best = max(best, trained, key=lambda trained: trained.log_evidence)
         losing = losing + 1 if trained.log_evidence < best.log_evidence - LOST else 0
         if losing == LOSING:
             break
@@ -101,7 +103,7 @@ def _with_its_spread(evidence: Evidence, trained: Trained) -> Trained:
     if abs(np.log(spread / trained.noise.spread)) < SETTLED:
         return trained
     again = evidence.train(replace(trained.noise, spread=spread), trained.solution.point)
-    return trained if again is None else max(trained, again, key=lambda one: one.log_evidence)
+    return trained if again is None else max(trained, again, key=lambda trained: trained.log_evidence)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,15 +150,15 @@ def updated(evidence: RecordEvidence, solution: RecordSolution, least: NoiseMode
     if equations.problem.record.repeats is not None:
         return replace(noise, discrepancy=discrepancy)
     response, under_forces = dict(noise.response), bool(equations.problem.inputs.forces)
-    every = _usual_levels(evidence, noise)
+    usual_levels = _usual_levels(evidence, noise)
     for channels in equations.channels:
         name, samples, square = channels.name, channels.samples, channels.squares(solution.point)
-        left = np.maximum(samples - taken.response[name], FEWEST_LEFT * samples)
-        usual, share = every[name], np.clip(taken.response[name] / samples, 0.0, 1.0)
+        freedom = np.maximum(samples - taken.response[name], FEWEST_LEFT * samples)
+        usual, share = usual_levels[name], np.clip(taken.response[name] / samples, 0.0, 1.0)
         weight = samples * (KINSHIP_UNDER_FORCES if under_forces else KINSHIP * share**OPENNESS)
-        found = np.where(usual > 0, (square + weight * usual**2) / (left + weight), square / left)
-        level = _limited(np.sqrt(found), noise.response[name])
-        response[name] = np.where(channels.there, np.maximum(level, least.response[name]), noise.response[name])
+        variance = np.where(usual > 0, (square + weight * usual**2) / (freedom + weight), square / freedom)
+        level = _limited(np.sqrt(variance), noise.response[name])
+        response[name] = np.where(channels.present, np.maximum(level, least.response[name]), noise.response[name])
     for (name, i), cell in evidence.load_cell_channels.items():
         if cell.shown:
             response[name][i] = min(response[name][i], max(LOUDEST * cell.shown, least.response[name][i]))
@@ -185,7 +187,7 @@ def _usual_levels(evidence: RecordEvidence, noise: NoiseModel) -> dict[str, np.n
     for (name, i), sensor in sensors.items():
         if sensor.rms > 0:
             relative[sensor.channel.quantity][name, i] = noise.response[name][i] / sensor.rms
-    out = {channels.name: np.zeros(len(channels.there)) for channels in equations.channels}
+    out = {channels.name: np.zeros(len(channels.present)) for channels in equations.channels}
     for (name, i), sensor in sensors.items():
         kin, channel = relative[sensor.channel.quantity], sensor.channel
         if sensor.shown:
@@ -205,31 +207,31 @@ def _forces(
     """(functions,) force sensors' noise, the discrepancy, and (functions,) what drives unknown forces."""
     noise = solution.noise
     split = evidence.force_residuals(solution.point, noise)
-    left = np.maximum(split.count - taken, FEWEST_LEFT * split.count)
+    freedom = np.maximum(split.count - taken, FEWEST_LEFT * split.count)
     variance, enforced = noise.physics_variance, split.enforced & ~noise.driven
     misfit = (split.seen / variance)[enforced]
     share = (noise.discrepancy**2 / variance)[enforced]
     discrepancy = noise.discrepancy
     if enforced.any():
-        discrepancy *= float(np.sqrt((share * misfit).sum() / (share * left[enforced]).sum()))
-    squares, values = _of_force_sensors(noise, split, left)
+        discrepancy *= float(np.sqrt((share * misfit).sum() / (share * freedom[enforced]).sum()))
+    squares, values = _of_force_sensors(noise, split, freedom)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return noise.force * np.sqrt(squares / values), discrepancy, _driving(evidence, solution, split.seen, left)
+        return noise.force * np.sqrt(squares / values), discrepancy, _driving(evidence, solution, split.seen, freedom)
 
 
-def _of_force_sensors(noise: NoiseModel, split: ForceResiduals, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _of_force_sensors(noise: NoiseModel, split: ForceResiduals, freedom: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(functions,) squares over the present variance, and values, of the force sensors' noise; 0 of all others.
 
     Args:
         noise: That the residuals are divided by.
         split: The physics residual.
-        left: (functions,), values of what the features see that the solution has not taken up.
+        freedom: (functions,), values of what the features see that the solution has not taken up.
     """
     variance, sensor = noise.physics_variance, noise.force_variance
-    own = 1.0 - noise.discrepancy**2 / variance
+    sensor_share = 1.0 - noise.discrepancy**2 / variance
     with np.errstate(divide="ignore", invalid="ignore"):
         beyond = split.unseen / sensor if split.beyond else np.zeros(len(sensor))
-    return own * split.seen / variance + beyond, own * left + split.beyond
+    return sensor_share * split.seen / variance + beyond, sensor_share * freedom + split.beyond
 
 
 def force_noise_statistics(evidence: RecordEvidence, solution: RecordSolution) -> tuple[float, float]:
@@ -239,19 +241,19 @@ def force_noise_statistics(evidence: RecordEvidence, solution: RecordSolution) -
     1 / sqrt(2 values) (MacKay 1992). A sensor at its floor stays there.
     """
     noise, record, least = solution.noise, evidence.equations.problem.record, floor(evidence, solution)
-    there = np.flatnonzero(noise.force_variance > 0.0)
+    sensors = np.flatnonzero(noise.force_variance > 0.0)
     split = evidence.force_residuals(solution.point, noise)
-    left = split.count - values_taken(evidence, solution).physics
-    squares, values = _of_force_sensors(noise, split, np.maximum(left, FEWEST_LEFT * split.count))
-    squares = np.maximum(squares, values * (least.force / noise.force) ** 2)[there]
-    both = float(squares.sum()), float(values[there].sum())
-    if record.repeats is None or not there.size:
-        return both
-    scatter = record.repeats.square[FORCE][there] / (record.repeats.count * noise.force[there] ** 2)
-    return both[0] + float(scatter.sum()), both[1] + record.repeats.freedom * there.size
+    freedom = split.count - values_taken(evidence, solution).physics
+    squares, values = _of_force_sensors(noise, split, np.maximum(freedom, FEWEST_LEFT * split.count))
+    squares = np.maximum(squares, values * (least.force / noise.force) ** 2)[sensors]
+    totals = float(squares.sum()), float(values[sensors].sum())
+    if record.repeats is None or not sensors.size:
+        return totals
+    scatter = record.repeats.square[FORCE][sensors] / (record.repeats.count * noise.force[sensors] ** 2)
+    return totals[0] + float(scatter.sum()), totals[1] + record.repeats.freedom * sensors.size
 
 
-def _driving(evidence: RecordEvidence, solution: RecordSolution, seen: np.ndarray, left: np.ndarray) -> np.ndarray:
+def _driving(evidence: RecordEvidence, solution: RecordSolution, seen: np.ndarray, freedom: np.ndarray) -> np.ndarray:
     """(functions,) standard deviation of what drives the ground and unknown forces, NaN of all others.
 
     Alike for all unknown forces: few sensors tell them apart.
@@ -259,12 +261,12 @@ def _driving(evidence: RecordEvidence, solution: RecordSolution, seen: np.ndarra
     equations, level = evidence.equations, np.full(len(seen), np.nan)
     dynamics, nyquist = equations.dynamics, 0.5 / equations.problem.record.step
     for i in range(dynamics.smooth.start, dynamics.smooth.stop):
-        level[i] = np.sqrt(seen[i] / left[i])
+        level[i] = np.sqrt(seen[i] / freedom[i])
         if equations.network.free_intervals > 2.0 * nyquist:  # beyond, an input is told to be nothing
             drive = drive_below(evidence, solution, slice(i, i + 1), nyquist)
             level[i] = level[i] if drive is None or drive.level is None else drive.level
     if dynamics.inputs.forces:
-        level[dynamics.forces] = np.sqrt(seen[dynamics.forces].sum() / left[dynamics.forces].sum())
+        level[dynamics.forces] = np.sqrt(seen[dynamics.forces].sum() / freedom[dynamics.forces].sum())
     return level
 
 
@@ -296,8 +298,8 @@ def _limited(level: np.ndarray | float, before: np.ndarray | float) -> np.ndarra
 def _log_levels(noise: NoiseModel) -> np.ndarray:
     """Logarithms of all standard deviations; 0 where there is no sensor, or none that is not known to be perfect."""
     driving = np.full(len(noise.force), np.nan) if noise.innovation is None else noise.innovation
-    every = np.concatenate([*noise.response.values(), noise.force, driving, [noise.discrepancy]])
-    return np.log(np.where(np.isfinite(every) & (every > 0), every, 1.0))
+    levels = np.concatenate([*noise.response.values(), noise.force, driving, [noise.discrepancy]])
+    return np.log(np.where(np.isfinite(levels) & (levels > 0), levels, 1.0))
 
 
 def _moved(noise: NoiseModel, change: np.ndarray, least: NoiseModel) -> NoiseModel:

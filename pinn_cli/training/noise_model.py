@@ -82,8 +82,8 @@ class NoiseModel:
     @property
     def least_of_inputs(self) -> float:
         """The least noise, N, that any measured input puts into an equation; 0 where none is measured."""
-        each = (*self.force, *(x for q, push in self.pushes.items() for x in push * self.response[q]))
-        return float(min(filter(math.isfinite, each), default=0.0))
+        levels = (*self.force, *(x for q, push in self.pushes.items() for x in push * self.response[q]))
+        return float(min(filter(math.isfinite, levels), default=0.0))
 
     @property
     def physics_variance(self) -> np.ndarray:
@@ -132,7 +132,7 @@ class NoiseLevels:
 
     def each(self, function: Callable[..., NoiseModel], *arguments: Any) -> NoiseLevels:
         """What a function makes of every record's, with the same arguments."""
-        return replace(self, records=tuple(function(own, *arguments) for own in self.records))
+        return replace(self, records=tuple(function(noise, *arguments) for noise in self.records))
 
     @property
     def discrepancy(self) -> float:
@@ -142,13 +142,13 @@ class NoiseLevels:
     def with_discrepancy(self, discrepancy: float) -> NoiseLevels:
         """The same sensors under another model error of the first record; that of the others changes by its factor."""
         factor, (first, *others) = discrepancy / self.discrepancy, self.records
-        changed = (replace(own, discrepancy=factor * own.discrepancy) for own in others)
+        changed = (replace(noise, discrepancy=factor * noise.discrepancy) for noise in others)
         return replace(self, records=(replace(first, discrepancy=discrepancy), *changed))
 
 
 def _pooled(sigma: np.ndarray) -> np.ndarray:
-    there = np.isfinite(sigma)
-    return np.where(there, np.sqrt(np.mean(sigma[there] ** 2)), np.nan) if there.any() else sigma
+    present = np.isfinite(sigma)
+    return np.where(present, np.sqrt(np.mean(sigma[present] ** 2)), np.nan) if present.any() else sigma
 
 
 class FeatureProjection:

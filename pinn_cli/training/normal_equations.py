@@ -99,9 +99,9 @@ class Continuity(Residuals):
 
     def residual(self, point: Point, part: slice) -> Tensor:
         """See :meth:`Residuals.residual`."""
-        left = self.frame.states(self.segments, point, part).continuity
-        assert left is not None
-        return left
+        continuity = self.frame.states(self.segments, point, part).continuity
+        assert continuity is not None
+        return continuity
 
     def weight(self, noise: NoiseModel) -> Tensor:
         """See :meth:`Residuals.weight`."""
@@ -120,7 +120,7 @@ class NormalEquations(Frame):
     Args:
         network: Fixed features, linear readout, an output for every unknown function.
         problem: Structure, record, uncertain parameters.
-        known: Parameters of a linear structure that something else determines; None: they are solved for.
+        known_parameters: Parameters of a linear structure that something else determines; None: they are solved for.
 
     Attributes:
         factors: All that is said of the record's unknowns but what is believed of the parameters.
@@ -136,10 +136,10 @@ class NormalEquations(Frame):
         self,
         network: LinearReadout,
         problem: Problem,
-        known: KnownParameters | None = None,
+        known_parameters: KnownParameters | None = None,
     ) -> None:
         super().__init__(network, problem)
-        self.known, self.is_linear = known, known is not None
+        self.known_parameters, self.is_linear = known_parameters, known_parameters is not None
         masks = observation_masks(self.target, problem.acceleration_through)
         self.observer = Observer(self, masks.pop("observer")) if "observer" in masks else None
         self.channels: list[Channels] = [
@@ -147,15 +147,19 @@ class NormalEquations(Frame):
             for quantity, mask in masks.items()
         ]
         calibrated = CalibratedChannels(self)
-        self.channels += [calibrated] if calibrated.each else []
+        self.channels += [calibrated] if calibrated.channels else []
         self.motion, self.ridge = EquationsOfMotion(self), Ridge(self)
         self.factors: list[Factor] = [
             *self.channels,
             *([] if self.observer is None else [self.observer]),
             self.motion,
             *([] if self.physics.continuity is None else [Continuity(self)]),
-            *([Gains(self, calibrated.each)] if calibrated.each else []),
-            *(SensorFilter(self, one, one.state) for one in calibrated.each if one.state is not None),
+            *([Gains(self, calibrated.channels)] if calibrated.channels else []),
+            *(
+                SensorFilter(self, channel, channel.state)
+                for channel in calibrated.channels
+                if channel.state is not None
+            ),
             self.ridge,
             *states_known(self),
         ]
@@ -165,7 +169,9 @@ class NormalEquations(Frame):
     def start(self) -> Point:
         """The structure at rest with its prescribed parameters, or with those that are known."""
         zeros = self.target.force.new_zeros
-        parameters = zeros(len(self.scale)) if self.known is None else torch.as_tensor(self.known.distance)
+        parameters = (
+            zeros(len(self.scale)) if self.known_parameters is None else torch.as_tensor(self.known_parameters.distance)
+        )
         return Point(zeros(self.layout.size), parameters.to(self.target.force))
 
     def losses(self, point: Point, noise: NoiseModel, prior: np.ndarray | None = None) -> dict[str, float]:

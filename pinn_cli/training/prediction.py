@@ -46,7 +46,7 @@ def parameter_draws(
 
     What falls below a bound is put onto it.
     """
-    estimate, std = (np.array([getattr(found, name) for found in parameters]) for name in ("estimate", "std"))
+    estimate, std = (np.array([getattr(parameter, name) for parameter in parameters]) for name in ("estimate", "std"))
     if not len(parameters):
         return np.zeros((count, 0))
     if correlation is None and len(parameters) == 1:
@@ -56,7 +56,7 @@ def parameter_draws(
     values, vectors = np.linalg.eigh(correlation)
     root = vectors * np.sqrt(values.clip(min=0.0))
     draws = estimate + std * (np.random.default_rng([seed, 2]).standard_normal((count, len(std))) @ root.T)
-    lower = np.array([found.parameter.prescribed + found.parameter.lower for found in parameters])
+    lower = np.array([parameter.parameter.prescribed + parameter.parameter.lower for parameter in parameters])
     return np.maximum(draws, np.where(np.isnan(lower), -np.inf, lower))
 
 
@@ -70,13 +70,13 @@ def drawn_structures(
         parameters: p of them; those of sensors have no part in it.
         draws: (count, p).
     """
-    own = structure.parameters_like(np.empty(0))
-    every = {kind: np.tile(values, (len(draws), 1)) for kind, values in own.items()}
-    for column, found in enumerate(parameters):
-        if found.kind not in CALIBRATION_UNITS:
-            every[found.kind][:, found.parameter.index] = draws[:, column]
-    every[MASS] = np.maximum(every[MASS], LEAST_MASS * own[MASS])
-    return every
+    nominal = structure.parameters_like(np.empty(0))
+    drawn = {kind: np.tile(values, (len(draws), 1)) for kind, values in nominal.items()}
+    for column, parameter in enumerate(parameters):
+        if parameter.kind not in CALIBRATION_UNITS:
+            drawn[parameter.kind][:, parameter.parameter.index] = draws[:, column]
+    drawn[MASS] = np.maximum(drawn[MASS], LEAST_MASS * nominal[MASS])
+    return drawn
 
 
 @dataclass(frozen=True)
@@ -100,19 +100,22 @@ class Predictor(TrainedNetwork):
         Raises:
             DivergenceError: The identified structure cannot be simulated under this force.
         """
-        own = problem.alone
-        structure, record = own.structure, own.record
+        record_problem = problem.alone
+        structure, record = record_problem.structure, record_problem.record
         start = [*self.scheme.start, *([np.zeros(len(structure.memory))] if len(structure.memory) else [])]
         try:
             response = free_run(structure, record, start)
         except NoFreeRunError as error:
             raise DivergenceError(str(error)) from error
-        parameters, correlation = _estimates(own), None if own.prior is None else own.prior.correlation
-        draws = self._draws(own, parameters, correlation, run.seed)
+        parameters, correlation = (
+            _estimates(record_problem),
+            None if record_problem.prior is None else record_problem.prior.correlation,
+        )
+        draws = self._draws(record_problem, parameters, correlation, run.seed)
         state = np.tile(np.concatenate(start), (len(draws), 1))
-        white, replay = _left_out(own, self.model, response, len(draws), run.seed)
+        white, replay = _left_out(record_problem, self.model, response, len(draws), run.seed)
         rows = [*(white * np.eye(structure.coordinates))] if white else []
-        rows += _input_noise(own, self.model) if self.scheme.measured_input else []
+        rows += _input_noise(record_problem, self.model) if self.scheme.measured_input else []
         sources = np.array(rows).reshape(-1, structure.coordinates)
         levels = self.model.levels.sensors if self.scheme.measured_input else {}
         members = Members(
@@ -131,9 +134,9 @@ class Predictor(TrainedNetwork):
         self, problem: Problem, parameters: list[ParameterEstimate], correlation: np.ndarray | None, seed: int
     ) -> np.ndarray:
         """(draws, p), of a sampled posterior where there is one."""
-        own, count = self.model.draws, affordable_members(problem.structure, problem.record, self.scheme.draws)
-        if own is not None and len(own):
-            return own[np.linspace(0, len(own) - 1, min(count, len(own))).round().astype(int)]
+        sampled, count = self.model.draws, affordable_members(problem.structure, problem.record, self.scheme.draws)
+        if sampled is not None and len(sampled):
+            return sampled[np.linspace(0, len(sampled) - 1, min(count, len(sampled))).round().astype(int)]
         drawn = parameter_draws(parameters, correlation, count, seed)
         return np.zeros((count, 0)) if drawn is None else drawn
 
@@ -157,8 +160,8 @@ class _Band:
                 e, de = structure.elongation(u), structure.elongation(v)
                 z = states[..., 2 * n :] if len(structure.memory) else None
                 force = structure.connection_force(e, de, parameters, z)
-                every = motion | {"drift": u @ drifts.T, "connection_force": force[..., added]}
-                for name, values in every.items():
+                histories = motion | {"drift": u @ drifts.T, "connection_force": force[..., added]}
+                for name, values in histories.items():
                     np.maximum(largest[name], np.abs(values[:, :-1]).max(axis=0), out=largest[name])
                     self._of(name)[1][part] = distance(values)
         self.largest = largest
@@ -173,7 +176,7 @@ class _Band:
 
     def peaks(self) -> list[Peak]:
         """Of every history that is known to its end."""
-        found, structure = [], self.structure
+        peaks, structure = [], self.structure
         connections = [structure.labels.connection(i) for i in structure.added.tolist()]
         names = {"drift": structure.drift_names, "connection_force": connections}
         units = {**UNITS, "drift": "m", "connection_force": "N"}
@@ -185,8 +188,8 @@ class _Band:
             for i, sample in enumerate(np.abs(history).argmax(axis=0)):
                 of = names[name][i] if name in names else structure.dof_name(i)
                 peak, time = abs(float(history[sample, i])), float(self.response.time[sample])
-                found.append(Peak(name, of, units[name], peak, time, float(lower[i]), float(upper[i])))
-        return found
+                peaks.append(Peak(name, of, units[name], peak, time, float(lower[i]), float(upper[i])))
+        return peaks
 
 
 def _connections(structure: Structure, response: Response) -> tuple[np.ndarray, np.ndarray]:
@@ -229,16 +232,16 @@ def _left_out(problem: Problem, model: Model, response: Response, count: int, se
 def _input_noise(problem: Problem, model: Model) -> list[np.ndarray]:
     """A row (n,) for the noise of every measured input: what its spectrum shows, else what the run found."""
     structure, record, levels = problem.structure, problem.record, model.levels
-    felt = structure.shapes.matrix
+    shapes = structure.shapes.matrix
     nothing = np.full(record.ndof, np.nan)
     loaded = np.flatnonzero(~record.unforced)
-    inputs = [(felt[dof], FORCE, int(dof)) for dof in loaded]
+    inputs = [(shapes[dof], FORCE, int(dof)) for dof in loaded]
     if record.ground_acceleration is not None:
         inputs.append((structure.parameters_like(np.empty(0))[MASS] * structure.with_ground, GROUND, 0))
     noise = []
     for column, quantity, channel in inputs:
-        sensor, found = SensorSamples(record.column(quantity, channel), record), levels.sensors.get(quantity, nothing)
+        sensor, sigmas = SensorSamples(record.column(quantity, channel), record), levels.sensors.get(quantity, nothing)
         # White noise is nowhere less than in the emptiest part of a spectrum: an input that was computed has none.
-        sigma = sensor.shown or np.minimum(found[channel], sensor.most)
+        sigma = sensor.shown or np.minimum(sigmas[channel], sensor.most)
         noise += [sigma * column] if np.isfinite(sigma) else []
     return noise

@@ -75,9 +75,9 @@ def log_density(mass: np.ndarray, damping: np.ndarray, stiffness: np.ndarray, se
     number, member = connected_components(coupled, connection="strong")
     total = 0.0
     for component in range(number):
-        own = np.flatnonzero(member == component)
-        own = own[reverse_cuthill_mckee(csr_matrix(coupled[np.ix_(own, own)]))]
-        total += _of_coupled([term[np.ix_(own, own)] for term in terms], seen)
+        functions = np.flatnonzero(member == component)
+        functions = functions[reverse_cuthill_mckee(csr_matrix(coupled[np.ix_(functions, functions)]))]
+        total += _of_coupled([term[np.ix_(functions, functions)] for term in terms], seen)
     return total
 
 
@@ -206,8 +206,11 @@ class RecordEvidence:
 
     def log_variances(self, noise: NoiseModel) -> float:
         """Sum over all samples of the sensors; those of an observer equation stand with the forces."""
-        each = ((own.values[own.there], noise.response[own.name][own.there]) for own in self.equations.channels)
-        return float(sum(2.0 * float(values @ np.log(sigma)) for values, sigma in each))
+        pairs = (
+            (channels.values[channels.present], noise.response[channels.name][channels.present])
+            for channels in self.equations.channels
+        )
+        return float(sum(2.0 * float(values @ np.log(sigma)) for values, sigma in pairs))
 
     def force_residuals(self, point: Point, noise: NoiseModel) -> ForceResiduals:
         """What the physics residual holds in the features' sight and beyond it."""
@@ -216,7 +219,7 @@ class RecordEvidence:
         physics, weight = equations.motion.residual(point), equations.motion.weight(noise)
         observer = None
         if equations.observer is not None:
-            residual = torch.cat([each for _, each in equations.observer.residuals(point)])
+            residual = torch.cat([piece for _, piece in equations.observer.residuals(point)])
             observer = self.observer_projection.sum_of_squares(residual), equations.observer.weight(noise).numpy()
         left_open, unseen = np.zeros(len(enforced)), np.zeros(len(enforced))
         # A discrepancy varies within the intervals too, as far as the features follow it: that is no noise of a sensor.

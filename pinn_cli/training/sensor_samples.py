@@ -84,8 +84,8 @@ class SensorSamples:
 
 def starting_levels(record: Record, quantity: str) -> np.ndarray:
     """(channels,), where the noise of the columns of a quantity starts; NaN where there is no sensor."""
-    there = record.sensors(quantity)
-    levels = np.full(len(there), np.nan)
-    for dof in np.flatnonzero(there):
+    present = record.sensors(quantity)
+    levels = np.full(len(present), np.nan)
+    for dof in np.flatnonzero(present):
         levels[dof] = SensorSamples(record.column(quantity, int(dof)), record).first
     return levels

@@ -37,7 +37,7 @@ class Solver:
             them.
         learn_spread: Whether the common spread of the prescribed parameters is learned from the record.
         pooled: Whether the sensors of one quantity share one noise level.
-        known: Parameters that spectra determine, and that are held.
+        known_parameters: Parameters that spectra determine, and that are held.
     """
 
     designs: tuple[NetworkDesign, ...]
@@ -46,26 +46,28 @@ class Solver:
     tolerance: float = TOLERANCE
     learn_spread: bool = True
     pooled: bool = False
-    known: KnownParameters | None = None
+    known_parameters: KnownParameters | None = None
 
     def networks(self, problem: JointProblem) -> list[LinearReadout]:
         """One for every record."""
-        networks = [built(design, own) for design, own in zip(self.designs, problem, strict=True)]
+        networks = [built(design, record_problem) for design, record_problem in zip(self.designs, problem, strict=True)]
         assert all(isinstance(network, LinearReadout) for network in networks)
         return networks  # type: ignore[return-value]
 
     def evidence(self, problem: JointProblem, networks: Sequence[LinearReadout] | None = None) -> Evidence:
         """What finds the solutions of a problem; with these networks, else with those of the designs."""
         pairs = zip(problem, networks or self.networks(problem), strict=True)
-        each = [NormalEquations(network, own, self.known) for own, network in pairs]
+        equations = [
+            NormalEquations(network, record_problem, self.known_parameters) for record_problem, network in pairs
+        ]
         history = self.history
-        return Evidence(each, self.iterations, self.tolerance, history.add_step, self.learn_spread, history.count)
+        return Evidence(equations, self.iterations, self.tolerance, history.add_step, self.learn_spread, history.count)
 
     def starting_noise(self, evidence: Evidence) -> NoiseLevels:
         """Where the levels of all records start; the discrepancy is the force that acts."""
-        noise = NoiseLevels(tuple(map(starting_noise, evidence.equations.each)))
+        noise = NoiseLevels(tuple(map(starting_noise, evidence.equations.by_record)))
         noise = noise.each(NoiseModel.pooled) if self.pooled else noise
-        return noise if self.known is None else replace(noise, spread=self.known.spread)
+        return noise if self.known_parameters is None else replace(noise, spread=self.known_parameters.spread)
 
     def settled(self, evidence: Evidence, trained: Trained, rounds: int = ROUNDS) -> Trained:
         """The same solution under its own noise levels."""
@@ -121,9 +123,9 @@ class Inference:
     def by_record(self) -> list[tuple[NormalEquations, Point]]:
         """Of every record its equations, and the point where they are solved."""
         equations = self.evidence.equations
-        return list(zip(equations.each, equations.split(self.trained.solution.point), strict=True))
+        return list(zip(equations.by_record, equations.split(self.trained.solution.point), strict=True))
 
     @property
     def is_informed(self) -> bool:
         """Whether the parameters or the levels are known from elsewhere: from spectra, or from earlier records."""
-        return self.solver.known is not None or self.problem.is_informed
+        return self.solver.known_parameters is not None or self.problem.is_informed

@@ -61,8 +61,10 @@ def _pushes(equations: NormalEquations) -> dict[str, np.ndarray]:
             order = MOTION.index(SUPPORT[quantity])
             by_quantity[quantity] = stiffness ** (1.0 - order / 2.0) * mass ** (order / 2.0)
     return {
-        own.name: np.array([by_quantity.get(one.channel.quantity, np.nan) if one else np.nan for one in own.sensors])
-        for own in equations.channels
+        channels.name: np.array(
+            [by_quantity.get(sensor.channel.quantity, np.nan) if sensor else np.nan for sensor in channels.sensors]
+        )
+        for channels in equations.channels
     }
 
 

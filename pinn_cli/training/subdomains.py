@@ -111,9 +111,9 @@ def _pieces(points: list[int], wanted: int) -> list[int]:
     half = len(points) // 2
     first, last = range(half), range(len(points) - 1, half - 1, -1)
     for groups, share in ((first, lacking - lacking // 2), (last, lacking // 2)):
-        left = share
+        rest = share
         for group in groups:
-            more = max(0, min(left, min(points[group], MOST_PIECES) - pieces[group]))
+            more = max(0, min(rest, min(points[group], MOST_PIECES) - pieces[group]))
             pieces[group] += more
-            left -= more
+            rest -= more
     return pieces

@@ -69,17 +69,17 @@ class UpdatedNetwork(TrainedNetwork):
         """
         if not problem.is_informed:
             return super().solve(problem, run)
-        own, estimate = self._under_their_spread(problem.alone, run)
-        solved, changes = own, None
+        alone, estimate = self._under_their_spread(problem.alone, run)
+        solved, changes = alone, None
         for number in range(SOLUTIONS):
             estimate = estimate if number == 0 else super().solve(JointProblem.of(solved), run)
             if estimate.known is None:
                 return estimate
-            before, changes = changes, found_changes(own, estimate.known, solved)
+            before, changes = changes, found_changes(alone, estimate.known, solved)
             if _names(changes) == _names(before):
                 break
-            solved = released(own, changes)
-        return _handing_over(replace(estimate, changes=changes), own)
+            solved = released(alone, changes)
+        return _handing_over(replace(estimate, changes=changes), alone)
 
     def _under_their_spread(self, problem: Problem, run: RunContext) -> tuple[Problem, Estimate]:
         """The problem and its solution under the common spread that all records together ask for."""

@@ -75,7 +75,7 @@ def _other_damping(estimate: Estimate) -> list[Finding]:
     doubt = estimate.damping_doubt
     if doubt is None or not len(doubt.ratios) or doubt.log_odds < DECISIVE_DAMPING:
         return []
-    apart = np.abs(doubt.others - doubt.ratios) / np.maximum(np.abs(doubt.ratios), np.abs(doubt.others))
+    apart = np.abs(doubt.other_ratios - doubt.ratios) / np.maximum(np.abs(doubt.ratios), np.abs(doubt.other_ratios))
     worst = int(np.argmax(apart))
     if apart[worst] < RATIOS_APART:
         return []
@@ -86,7 +86,7 @@ def _other_damping(estimate: Estimate) -> list[Finding]:
     )
     text = (
         f"with {model} the record is e^{doubt.log_odds:.0f} times as probable, and mode {worst + 1} has about"
-        f" {100 * doubt.others[worst]:.2g} % damping instead of {100 * doubt.ratios[worst]:.2g} %"
+        f" {100 * doubt.other_ratios[worst]:.2g} % damping instead of {100 * doubt.ratios[worst]:.2g} %"
     )
     return [Finding("damping", "parameters", f"{text}: the model of damping is wrong; {remedy}")]
 

@@ -10,7 +10,7 @@ from pinn_cli.record.channel import Calibration, Channel
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.calibrated_record import as_calibrated, as_run, beside
+from pinn_cli.training.calibrated_record import as_calibrated, as_run, compared_record
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
 
 TIME = 0.02 * np.arange(200)
@@ -90,7 +90,7 @@ def test_a_tilt_that_is_known_is_no_error():
     tilting = replace(
         channel(everywhere, np.zeros(200)), calibration={"tilt": Calibration(3.0)}, measured=4.0 * motion(TIME)
     )
-    seen = beside(record_of(tilting), [], response).column("acceleration", 0)
+    seen = compared_record(record_of(tilting), [], response).column("acceleration", 0)
     np.testing.assert_allclose(seen.measured, seen.of(response), atol=1e-5)
 
 

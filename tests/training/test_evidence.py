@@ -82,7 +82,7 @@ def test_the_evidence_is_greatest_at_the_discrepancy_that_was_put_in(level, seed
 
 def test_the_derivative_of_the_evidence_is_that_of_its_formula():
     evidence, noise, put_in = disturbed(0.1, 1)
-    equations, (own,) = evidence.equations, evidence.equations.each
+    equations, (own,) = evidence.equations, evidence.equations.by_record
 
     middle, step = evidence.train(noise.with_discrepancy(put_in), equations.start()), 1e-3
 
@@ -121,10 +121,10 @@ def test_the_evidence_prefers_the_right_stiffness():
     evidence, noise, put_in = disturbed(0.05, 1)
     right = evidence.train(noise.with_discrepancy(put_in), evidence.equations.start())
     structure, record = small_chain("linear", k=12.0), evidence.problem.alone.record
-    (right_one,) = evidence.equations.each
+    (right_one,) = evidence.equations.by_record
     wrong = evidence_of(NormalEquations(right_one.network, Problem(structure, record)))
     # The ridge is relative to the first matrix: the same in both.
-    wrong.equations.each[0].ridge.value = right_one.ridge.value
+    wrong.equations.by_record[0].ridge.value = right_one.ridge.value
     assert wrong.train(noise.with_discrepancy(put_in), wrong.equations.start()).log_evidence < right.log_evidence - 10.0
 
 
@@ -183,7 +183,9 @@ def test_an_unknown_parameter_that_starts_ten_times_off_leaves_the_spread_alone(
 def test_with_unknown_parameters_alone_there_is_no_spread_to_learn():
     evidence, noise = believed_and_unknown(30.0)
     problem = evidence.problem.alone
-    equations = NormalEquations(evidence.equations.each[0].network, replace(problem, uncertain=problem.uncertain[3:]))
+    equations = NormalEquations(
+        evidence.equations.by_record[0].network, replace(problem, uncertain=problem.uncertain[3:])
+    )
     alone = evidence_of(equations, 30, 1e-8)
     trained = alone.train(replace(noise, spread=0.7), equations.start())
     assert alone.learned_spread(trained) == 0.7

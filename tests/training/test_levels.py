@@ -98,7 +98,7 @@ def test_the_evidence_is_greatest_at_the_levels_that_are_found():
     evidence, trained = solved(frame_record(rate=100.0, duration=10.0))
     once = settled(evidence, trained)
     point, (own,), step = once.solution.point, once.noise.records, 0.02
-    (equations,) = evidence.equations.each
+    (equations,) = evidence.equations.by_record
 
     def log_evidence(dof: int, by: float) -> float:
         level = own.response["acceleration"].copy()

@@ -57,11 +57,11 @@ PARTLY = ((STIFFNESSES[1], DAMPER), STIFFNESSES)
 def dense(evidence: Evidence, point: Point, noise: NoiseLevels) -> tuple[np.ndarray, np.ndarray]:
     """Hessian and gradient of all unknowns, from each record's own; the priors of the parameters once."""
     equations = evidence.equations
-    sizes = [own.layout.size for own in equations.each]
+    sizes = [own.layout.size for own in equations.by_record]
     start, p = [0, *np.cumsum(sizes)], len(equations.uncertain)
     hessian, gradient = np.zeros((start[-1] + p,) * 2), np.zeros(start[-1] + p)
     precision = np.where([q.unknown for q in equations.uncertain], 1.0, noise.spread**-2)
-    for i, (own, level) in enumerate(zip(equations.each, noise.records, strict=True)):
+    for i, (own, level) in enumerate(zip(equations.by_record, noise.records, strict=True)):
         at = equations.split(point)[i]
         system, columns = own.assemble(at, level), equations.columns[i]
         rows, border = np.arange(start[i], start[i + 1]), start[-1] + columns

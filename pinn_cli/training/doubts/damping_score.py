@@ -10,27 +10,27 @@ from pinn_cli.training.point import Point
 from pinn_cli.training.solver import Inference
 
 
-def scored_damping(found: Inference) -> DampingDoubt | None:
+def scored_damping(inference: Inference) -> DampingDoubt | None:
     """What the record of a solution says of another model of damping; None where it is not asked."""
-    equations, point = found.by_record[0]
-    if equations.known is not None:
-        return equations.known.damping_doubt
-    problem, trained = found.evidence.problem, found.trained
+    equations, point = inference.by_record[0]
+    if equations.known_parameters is not None:
+        return equations.known_parameters.damping_doubt
+    problem, trained = inference.evidence.problem, inference.trained
     if problem.has_unknown_forces:  # that nobody measured: they are free to be whatever damping is not
         return None
     values = {kind: x.numpy() for kind, x in equations.parameters(point).items()}
     extended = with_other_damping(problem, values)
     if extended is None:
         return None
-    networks = [own.network for own in found.evidence.equations.each]
-    evidence = found.solver.evidence(extended, networks)
+    networks = [record_equations.network for record_equations in inference.evidence.equations.by_record]
+    evidence = inference.solver.evidence(extended, networks)
     points = []
-    for (own, at), more in zip(found.by_record, evidence.equations.each, strict=True):
-        known = dict(zip(own.uncertain, at.parameters, strict=True))
-        distances = [known.get(p, at.parameters.new_zeros(())) for p in more.uncertain]
-        points.append(Point(more.layout.unknowns(own.layout.weights(at.unknowns)), torch.stack(distances)))
+    for (record_equations, at), more in zip(inference.by_record, evidence.equations.by_record, strict=True):
+        by_parameter = dict(zip(record_equations.uncertain, at.parameters, strict=True))
+        distances = [by_parameter.get(p, at.parameters.new_zeros(())) for p in more.uncertain]
+        points.append(Point(more.layout.unknowns(record_equations.layout.weights(at.unknowns)), torch.stack(distances)))
     joint = evidence.equations
-    joint.share_ridges(found.evidence.equations)
+    joint.share_ridges(inference.evidence.equations)
     start = joint.joined(points)
     system = joint.assemble(start, trained.noise)
     factor = system.factor()
@@ -38,7 +38,7 @@ def scored_damping(found: Inference) -> DampingDoubt | None:
         return None
     _, step = factor.step(system)
     # What the others gain by themselves is not theirs: at the marginal peak these stand beside the likeliest place.
-    added = np.flatnonzero([p not in found.evidence.equations.uncertain for p in joint.uncertain])
+    added = np.flatnonzero([p not in inference.evidence.equations.uncertain for p in joint.uncertain])
     by, covariance = step[added], factor.corner_covariance[np.ix_(added, added)]
     log_odds = 0.5 * float(by @ np.linalg.solve(covariance, by) + np.linalg.slogdet(covariance)[1])
     scale, first = joint.scale, start.parameters.numpy()

@@ -68,7 +68,7 @@ def doubts(evidence: RecordEvidence, solution: RecordSolution, std: Response) ->
     equations, point = evidence.equations, solution.point
     problem = evidence.problem
     # Where nobody measured a force, it is free to be what the model lacks.
-    if equations.known is not None or problem.inputs.forces:
+    if equations.known_parameters is not None or problem.inputs.forces:
         return ()
     reduced = _Solution.of(evidence, solution)
     forces, sensors = force_terms(equations, point), sensor_terms(reduced.channels) if reduced else []
@@ -80,8 +80,10 @@ def doubts(evidence: RecordEvidence, solution: RecordSolution, std: Response) ->
     asked = reduced.asked(chosen)
     fits = asked.fits(len(chosen))
     moved = reduced.moved_most(asked, fits[-1].step - fits[0].step, fits[0], std)
-    found = [asked.doubt(i, gain, fits, moved) for i, gain in enumerate(gains)]
-    return tuple(reduced.at_its_mode(doubt, one, fits[-1].step) for doubt, one in zip(found, chosen, strict=True))
+    chosen_doubts = [asked.doubt(i, gain, fits, moved) for i, gain in enumerate(gains)]
+    return tuple(
+        reduced.at_its_mode(doubt, term, fits[-1].step) for doubt, term in zip(chosen_doubts, chosen, strict=True)
+    )
 
 
 def _chosen(
@@ -134,14 +136,14 @@ class _Solution:
         eliminated = system.eliminated()
         if eliminated is None:
             return None
-        channels = [one for own in equations.channels for one in own.at(point, noise)]
+        channels = [channel for group in equations.channels for channel in group.at(point, noise)]
         gradient = system.gradient[:, None]
         return cls(equations, point, noise, channels, gradient, eliminated.readout, solution.prior)
 
     def asked(self, terms: Sequence[ForceTerm | SensorTerm]) -> _Asked:
         """Further parameters; forces come first."""
-        forces = [one for one in terms if isinstance(one, ForceTerm)]
-        sensors = [one for one in terms if isinstance(one, SensorTerm)]
+        forces = [term for term in terms if isinstance(term, ForceTerm)]
+        sensors = [term for term in terms if isinstance(term, SensorTerm)]
         equations, p = self.equations, len(self.point.parameters)
         border = np.hstack(
             (
@@ -150,14 +152,14 @@ class _Solution:
                 sensor_border(equations, self.channels, sensors),
             )
         )
-        own = self.readout.solved(self.readout.half_solved(border)[0], np.zeros((p, border.shape[1])))
+        motion = self.readout.solved(self.readout.half_solved(border)[0], np.zeros((p, border.shape[1])))
         # Products with sparse rows take it by rows.
-        moved = np.ascontiguousarray(-np.hstack((own[:, :1], self.readout.solved_border, own[:, 1:])))
+        moved = np.ascontiguousarray(-np.hstack((motion[:, :1], self.readout.solved_border, motion[:, 1:])))
         terms_of = forces, sensors
         spectra = left_spectra(equations, self.point, self.noise, self.channels, terms_of, moved, self.prior)
         free = np.flatnonzero(self.point.parameters.numpy() > equations.lower).tolist()
-        places = {id(one): i for i, one in enumerate([*forces, *sensors], start=p)}
-        return _Asked(terms, [places[id(one)] for one in terms], spectra, moved[:, 1:], free)
+        places = {id(term): i for i, term in enumerate([*forces, *sensors], start=p)}
+        return _Asked(terms, [places[id(term)] for term in terms], spectra, moved[:, 1:], free)
 
     def at_its_mode(self, doubt: Doubt, term: ForceTerm | SensorTerm, step: np.ndarray) -> Doubt:
         """Of an attached oscillator with the frequency of the whole, in place of its own while its DOF is held."""
@@ -167,7 +169,7 @@ class _Solution:
         values = self.equations.parameters(Point(self.point.unknowns, self.point.parameters + by))
         structure = self.equations.dynamics.structure
         present = replace(structure, parameters={kind: values[kind] for kind in structure.parameters})
-        whole = frequency_with_oscillator(present, term.felt[: structure.coordinates], doubt.value, doubt.shape)
+        whole = frequency_with_oscillator(present, term.distribution[: structure.coordinates], doubt.value, doubt.shape)
         return replace(doubt, shape=whole)
 
     def moved_most(self, asked: _Asked, by: np.ndarray, before: Fit, std: Response) -> tuple[float, str]:
@@ -177,9 +179,9 @@ class _Solution:
         along = Point(torch.as_tensor(asked.moved @ by).to(like), self.point.parameters)
         change = equations.flat_states(equations.observation, along)
         displacement = equations.dynamics.sensed("displacement", Jet(*change[:3])).numpy()
-        for dof, (one, band) in enumerate(zip(displacement.T, std.displacement.T, strict=True)):
+        for dof, (history, band) in enumerate(zip(displacement.T, std.displacement.T, strict=True)):
             name = f"the displacement of DOF {equations.problem.record.dof_name(dof)}"
-            moved[name] = float(np.sqrt(np.mean(one**2) / np.mean(band**2)))
+            moved[name] = float(np.sqrt(np.mean(history**2) / np.mean(band**2)))
         furthest = max(moved, key=lambda name: moved[name])
         return float(moved[furthest]), furthest
 
@@ -204,32 +206,40 @@ class _Asked:
 
     def fits(self, chosen: int) -> list[Fit]:
         """Without any term, and with one more of the first ones at a time."""
-        fits = [self.spectra.fit(self.free, self.spectra.left)]
+        fits = [self.spectra.fit(self.free, self.spectra.energy)]
         for count in range(1, chosen + 1):
             fits.append(self.spectra.fit([*self.free, *self.places[:count]], fits[-1].energy))
         return fits
 
     def best(self, chosen: int) -> tuple[ForceTerm | SensorTerm, float]:
         """The term that makes the record most probable beside the first ones, and its gain."""
-        before, named = self.fits(chosen)[-1], {(one.term.kind, one.term.of) for one in self.terms[:chosen]}
-        tried = Counter(one.term.kind for one in self.terms[chosen:])
+        before, named = (
+            self.fits(chosen)[-1],
+            {(candidate.term.kind, candidate.term.of) for candidate in self.terms[:chosen]},
+        )
+        tried = Counter(candidate.term.kind for candidate in self.terms[chosen:])
         gains = [
-            -np.inf if (one.term.kind, one.term.of) in named else self._gain(chosen, place, one.term, before)
-            for one, place in zip(self.terms[chosen:], self.places[chosen:], strict=True)
+            -np.inf
+            if (candidate.term.kind, candidate.term.of) in named
+            else self._gain(chosen, place, candidate.term, before)
+            for candidate, place in zip(self.terms[chosen:], self.places[chosen:], strict=True)
         ]
         # Of many that are tried, some are probable by chance.
-        gains = [gain - np.log(tried[one.term.kind]) for gain, one in zip(gains, self.terms[chosen:], strict=True)]
+        gains = [
+            gain - np.log(tried[candidate.term.kind])
+            for gain, candidate in zip(gains, self.terms[chosen:], strict=True)
+        ]
         best = int(np.argmax(gains))
         return self.terms[chosen + best], float(gains[best])
 
     def _gain(self, chosen: int, place: int, term: Term, before: Fit) -> float:
         """Logarithm of how many times as probable the record is with a term more."""
         fit = self.spectra.fit([*self.free, *self.places[:chosen], place], before.energy)
-        x, known = fit.step[place], max(fit.information[place], 1.0)
+        x, information = fit.step[place], max(fit.information[place], 1.0)
         # Equations of which nothing is left hold for any motion: without a measured force, a mass that goes to zero
         # with all that is unknown explains everything.
-        wrong = not term.least < term.scale * (x - HALF_WIDTH_90 / known**0.5) or term.scale * x > term.most
-        gain = before.minus_log - fit.minus_log - 0.5 * np.log(known)
+        wrong = not term.least < term.scale * (x - HALF_WIDTH_90 / information**0.5) or term.scale * x > term.most
+        gain = before.minus_log - fit.minus_log - 0.5 * np.log(information)
         # What explains something else at the price of where the structure moves stands in for what is not asked.
         moving = self.spectra.moving
         wrong |= fit.energy[moving].sum() > before.energy[moving].sum()
@@ -239,23 +249,25 @@ class _Asked:
 
     def doubt(self, number: int, gain: float, fits: list[Fit], moved: tuple[float, str]) -> Doubt:
         """Of one of the terms; the last fit has all of them."""
-        own, place, last = self.terms[number].term, self.places[number], fits[-1]
-        value, std = own.scale * last.step[place], own.scale / last.information[place] ** 0.5
-        left = [float(fit.energy[self.spectra.moving].sum()) for fit in fits]
-        share = (left[number] - left[number + 1]) / left[0]
-        return Doubt(own.kind, own.of, float(value), float(std), own.unit, gain, *moved, own.shape, share)
+        term, place, last = self.terms[number].term, self.places[number], fits[-1]
+        value, std = term.scale * last.step[place], term.scale / last.information[place] ** 0.5
+        energies = [float(fit.energy[self.spectra.moving].sum()) for fit in fits]
+        share = (energies[number] - energies[number + 1]) / energies[0]
+        return Doubt(term.kind, term.of, float(value), float(std), term.unit, gain, *moved, term.shape, share)
 
 
 def _softened(evidence: RecordEvidence, noise: NoiseModel, force: float) -> NoiseModel:
     """Noise levels of which none is below `LEAST_LEVEL`; ``force`` is that of the connections, N, rms."""
     largest: defaultdict[str, float] = defaultdict(float)
-    every = evidence.equations.channels
-    for sensor in (sensor for channels in every for sensor in channels.sensors if sensor is not None):
+    all_channels = evidence.equations.channels
+    for sensor in (sensor for channels in all_channels for sensor in channels.sensors if sensor is not None):
         quantity, measured = sensor.channel.quantity, sensor.channel.measured
         largest[quantity] = max(largest[quantity], float(measured.std()))
     response = dict(noise.response)
-    for channels in every:
-        least = [np.nan if one is None else LEAST_LEVEL * largest[one.channel.quantity] for one in channels.sensors]
+    for channels in all_channels:
+        least = [
+            np.nan if sensor is None else LEAST_LEVEL * largest[sensor.channel.quantity] for sensor in channels.sensors
+        ]
         response[channels.name] = np.maximum(noise.response[channels.name], least)
     return replace(noise, discrepancy=max(noise.discrepancy, LEAST_LEVEL * force), response=response)
 

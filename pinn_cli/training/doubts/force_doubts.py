@@ -41,7 +41,7 @@ class ForceTerm:
 
     Attributes:
         term: What.
-        felt: (functions,), how much of it every equation of motion has.
+        distribution: (functions,), how much of it every equation of motion has.
         history: (P,), N at one prior standard deviation, at the collocation points.
         reshaped: The same of another shape, in one or several ways; None: it has none.
         ratio: Of the shapes that are tried.
@@ -49,7 +49,7 @@ class ForceTerm:
     """
 
     term: Term
-    felt: np.ndarray
+    distribution: np.ndarray
     history: np.ndarray
     reshaped: Callable[[float], Iterable[ForceTerm]] | None = None
     ratio: float = 1.0
@@ -60,7 +60,7 @@ class ForceTerm:
         if self.reshaped is None:
             return []
         shapes = self.term.shape * self.ratio ** (span * np.linspace(-1.0, 1.0, FINER))
-        return [one for shape in shapes[shapes < self.below] for one in self.reshaped(float(shape))]
+        return [term for shape in shapes[shapes < self.below] for term in self.reshaped(float(shape))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +82,8 @@ class _Forces:
         """(dofs, n), how far every DOF moves with every coordinate, and how a force on it pulls at them."""
         dynamics = self.equations.dynamics
         ((_, functions),) = dynamics.sensing("displacement")
-        found: np.ndarray = functions.toarray()[:, : dynamics.ndof]
-        return found
+        place: np.ndarray = functions.toarray()[:, : dynamics.ndof]
+        return place
 
     @cached_property
     def acceleration(self) -> np.ndarray:
@@ -97,15 +97,17 @@ class _Forces:
     @cached_property
     def mass(self) -> np.ndarray:
         """(dofs,), kg, what moves with every DOF that a force on it moves alone."""
-        own = self.equations.prescribed[MASS].numpy()
-        light = np.divide(self.place**2, own, out=np.zeros_like(self.place), where=(self.place != 0.0) & (own > 0.0))
+        masses = self.equations.prescribed[MASS].numpy()
+        light = np.divide(
+            self.place**2, masses, out=np.zeros_like(self.place), where=(self.place != 0.0) & (masses > 0.0)
+        )
         return np.divide(1.0, light.sum(1), out=np.zeros(len(light)), where=light.sum(1) > 0.0)
 
     def term(self, term: Term, pull: np.ndarray, unit: np.ndarray, size: float) -> ForceTerm:
         """With a prior standard deviation that makes its force so large, rms; ``pull`` is (coordinates,)."""
         scale = max(size, 1e-300) / max(_rms(unit), 1e-300)
-        felt = self.equations.dynamics.padded(torch.as_tensor(pull)).numpy()
-        return ForceTerm(replace(term, scale=scale), felt, scale * unit)
+        distribution = self.equations.dynamics.padded(torch.as_tensor(pull)).numpy()
+        return ForceTerm(replace(term, scale=scale), distribution, scale * unit)
 
     def of_connections(self, point: Point) -> Iterator[ForceTerm]:
         """What a connection may have beside its law, and more or less of a spring or a damper that are held."""
@@ -114,9 +116,9 @@ class _Forces:
         pulls = structure.incidence.matrix[structure.added].toarray()
         histories = (x[:, structure.added].T for x in connection_force(self.equations, point, self.motion))
         for connection, pull, e, de, force in zip(structure.added.tolist(), pulls, *histories, strict=True):
-            of, own = f"connection {structure.labels.connection(connection)}", (pull, e, de, _rms(force))
+            of, state = f"connection {structure.labels.connection(connection)}", (pull, e, de, _rms(force))
             for kind in (kind for kind in LEFT_OUT if kind.kind not in moves or not moves[kind.kind][connection]):
-                yield from (self.of_connection(shape * _rms(e), kind, of, own) for shape in kind.shapes)
+                yield from (self.of_connection(shape * _rms(e), kind, of, state) for shape in kind.shapes)
 
     def _moves(self, kind: str) -> np.ndarray:
         """(C,) bool: the connections whose parameter of a kind may move."""
@@ -126,16 +128,16 @@ class _Forces:
         return np.isin(np.arange(len(structure.parameters[SPRING])), connections[np.isin(member, of)])
 
     def of_connection(
-        self, shape: float, kind: LeftOut, of: str, own: tuple[np.ndarray, np.ndarray, np.ndarray, float]
+        self, shape: float, kind: LeftOut, of: str, state: tuple[np.ndarray, np.ndarray, np.ndarray, float]
     ) -> ForceTerm:
         """One of them."""
-        pull, e, de, size = own
+        pull, e, de, size = state
         plain = self.term(Term(kind.kind, of, kind.unit, 1.0, shape, kind.least), pull, kind.force(e, de, shape), size)
         if len(kind.shapes) == 1:
             return plain
 
         def again(shape: float) -> Iterator[ForceTerm]:
-            yield self.of_connection(shape, kind, of, own)
+            yield self.of_connection(shape, kind, of, state)
 
         return replace(plain, reshaped=again, ratio=kind.shapes[1] / kind.shapes[0])
 
@@ -164,10 +166,10 @@ class _Forces:
         record, inputs = self.equations.problem.record, self.equations.problem.record.sensors(FORCE)
         dofs = np.flatnonzero(np.any([inputs, *(record.sensors(q) for q in MOTION)], axis=0)).tolist()
         lowest, highest = OSCILLATOR_PERIODS / record.duration, self.highest
-        each, reach = MOST_OSCILLATORS // max(len(dofs), 1), np.log(max(highest / lowest, 1.0))
-        if not each:
+        per_dof, reach = MOST_OSCILLATORS // max(len(dofs), 1), np.log(max(highest / lowest, 1.0))
+        if not per_dof:
             return
-        ratio = max(OSCILLATOR_RATIO, float(np.exp(reach / each)))
+        ratio = max(OSCILLATOR_RATIO, float(np.exp(reach / per_dof)))
         # At the edge of the band an oscillator is what a mass is.
         for frequency in highest / ratio ** np.arange(1, 1 + int(reach / np.log(ratio) * (1.0 - 1e-9))):
             yield from (self.of_oscillator(float(frequency), dof, ratio, (ratio - 1.0) / 2.0) for dof in dofs)
@@ -215,23 +217,23 @@ def connection_force(equations: NormalEquations, point: Point, motion: Jet) -> t
 def force_border(equations: NormalEquations, point: Point, noise: NoiseModel, terms: Sequence[ForceTerm]) -> np.ndarray:
     """(size, D), products of forces with the rows of the readout weights."""
     border = np.zeros((equations.layout.size, len(terms)))
-    own, felt = felt_histories(equations, terms)
+    histories, distribution = force_histories(equations, terms)
     weight = equations.motion.weight(noise)
     for part, function, rows, _ in equation_columns(equations, point):
-        by, weighed = np.flatnonzero(felt[function]), weight if weight.ndim == 1 else weight[part]
-        pulled = own[part][..., by] * weighed[..., function, None]  # (I, S or 1, terms that it feels)
-        border[:, by] += (rows.T @ pulled.flatten(0, 1).numpy()) * felt[function, by]
+        by, weighed = np.flatnonzero(distribution[function]), weight if weight.ndim == 1 else weight[part]
+        pulled = histories[part][..., by] * weighed[..., function, None]  # (I, S or 1, terms that it feels)
+        border[:, by] += (rows.T @ pulled.flatten(0, 1).numpy()) * distribution[function, by]
     return border
 
 
-def felt_histories(equations: NormalEquations, terms: Sequence[ForceTerm]) -> tuple[Tensor, np.ndarray]:
+def force_histories(equations: NormalEquations, terms: Sequence[ForceTerm]) -> tuple[Tensor, np.ndarray]:
     """Forces as the equations are enforced, (I, S or 1, D), and how much of them every equation has, (functions, D)."""
     time, like = equations.target.physics_time, equations.target.force
-    histories, felt = np.empty((len(time), len(terms))), np.empty((equations.dynamics.size, len(terms)))
+    histories, distribution = np.empty((len(time), len(terms))), np.empty((equations.dynamics.size, len(terms)))
     for d, term in enumerate(terms):
-        histories[:, d], felt[:, d] = term.history, term.felt
-    own = equations.physics.gather(torch.as_tensor(histories).to(like))
-    return own if equations.averages is None else equations.averages(own), felt
+        histories[:, d], distribution[:, d] = term.history, term.distribution
+    gathered = equations.physics.gather(torch.as_tensor(histories).to(like))
+    return gathered if equations.averages is None else equations.averages(gathered), distribution
 
 
 def equation_columns(equations: NormalEquations, point: Point) -> Iterator[tuple[slice, int, csr_matrix, Tensor]]:

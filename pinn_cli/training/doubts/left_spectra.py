@@ -23,7 +23,7 @@ from torch import Tensor
 
 from pinn_cli.record.spectrum import lowest_level
 from pinn_cli.system.quantities import MOTION
-from pinn_cli.training.doubts.force_doubts import ForceTerm, equation_columns, felt_histories
+from pinn_cli.training.doubts.force_doubts import ForceTerm, equation_columns, force_histories
 from pinn_cli.training.doubts.sensor_doubts import SensorTerm
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint
 from pinn_cli.training.noise_model import NoiseModel
@@ -82,16 +82,16 @@ class LeftSpectra:
     def fit(self, free: Sequence[int], start: np.ndarray) -> Fit:
         """With some columns free; ``start`` (bands,) is the energy to begin with."""
         at = np.array(free, dtype=int)
-        own, prior, energy = self.gram[:, 1 + at][:, :, 1 + at], self.precision[np.ix_(at, at)], start
+        gram, prior, energy = self.gram[:, 1 + at][:, :, 1 + at], self.precision[np.ix_(at, at)], start
         across, x, inverse = self.gram[:, 1 + at, 0], np.zeros(len(at)), np.zeros((len(at), len(at)))
         minus_log = np.inf
         for _ in range(WEIGHTED_ROUNDS):
             weight = self.freedom / np.maximum(energy, QUIETEST * energy.max())
-            inverse = _inverse(np.einsum("b,bij->ij", weight, own) + prior)
+            inverse = _inverse(np.einsum("b,bij->ij", weight, gram) + prior)
             x = -inverse @ (weight @ across + self.pull[at])
-            every = np.concatenate(([1.0], x))
+            coefficients = np.concatenate(([1.0], x))
             kept = np.concatenate(([0], 1 + at))
-            energy = (self.gram[:, kept][:, :, kept] @ every) @ every
+            energy = (self.gram[:, kept][:, :, kept] @ coefficients) @ coefficients
             last, minus_log = minus_log, self._minus_log(energy) + float((0.5 * x @ prior + self.pull[at]) @ x)
             if abs(last - minus_log) < WEIGHTED_SETTLED:
                 break
@@ -103,7 +103,7 @@ class LeftSpectra:
         return 0.5 * float(self.freedom @ np.log(np.maximum(energy, QUIETEST * energy.max())))
 
     @property
-    def left(self) -> np.ndarray:
+    def energy(self) -> np.ndarray:
         """(bands,), of the solution as it is."""
         return self.gram[:, 0, 0]
 
@@ -112,8 +112,8 @@ def _inverse(matrix: np.ndarray) -> np.ndarray:
     """Of a positive definite one, whatever its columns' sizes."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     scaled = matrix * np.outer(scale, scale)
-    found: np.ndarray = np.linalg.inv(scaled + SINGULAR * np.eye(len(scale))) * np.outer(scale, scale)
-    return found
+    inverse: np.ndarray = np.linalg.inv(scaled + SINGULAR * np.eye(len(scale))) * np.outer(scale, scale)
+    return inverse
 
 
 def bands_of(length: float, highest: float, least: int) -> np.ndarray:
@@ -171,13 +171,13 @@ def left_spectra(
     # The process behind an input is a prior, and no measure of what the model leaves out: its level stays.
     prior = np.zeros((1 + columns, 1 + columns))
     for function in enforced:
-        own = banded_gram(of_equations.pop(function), step, edges)
+        products = banded_gram(of_equations.pop(function), step, edges)
         if function in smooth:
-            prior += own.sum(axis=0)
+            prior += products.sum(axis=0)
         else:
-            gram += own
-    for histories, own_step in _of_channels(equations, channels, sensors, moved, p + len(forces)):
-        gram += banded_gram(histories, own_step, edges)
+            gram += products
+    for histories, channel_step in _of_channels(equations, channels, sensors, moved, p + len(forces)):
+        gram += banded_gram(histories, channel_step, edges)
     prior[1:, 1:] += np.eye(columns)
     prior[1 : 1 + p, 1 : 1 + p] += believed - np.eye(p)
     prior[1 : 1 + p, 0] += believed @ point.parameters.numpy()
@@ -196,19 +196,21 @@ def _of_equations(
 ) -> dict[int, np.ndarray]:
     """Whitened histories (J, 1 + W) of every equation that is enforced."""
     p, residual = len(point.parameters), equations.motion.residual(point)
-    own, felt = felt_histories(equations, forces)
+    histories, distribution = force_histories(equations, forces)
     root = equations.motion.weight(noise).sqrt()
-    every: defaultdict[int, list[Tensor]] = defaultdict(list)
+    by_function: defaultdict[int, list[Tensor]] = defaultdict(list)
     for part, function, rows, by in equation_columns(equations, point):
-        found = torch.as_tensor(rows @ moved).to(residual).unflatten(0, by.shape[:2])
-        found[..., 0] += residual[part][..., function]
-        found[..., 1 : 1 + p] += by
-        forced = np.flatnonzero(felt[function])
-        found[..., 1 + p + forced] += own[part][..., forced] * torch.as_tensor(felt[function, forced]).to(own)
-        found *= (root if root.ndim == 1 else root[part])[..., function, None]
-        every[function].append(found)
+        columns = torch.as_tensor(rows @ moved).to(residual).unflatten(0, by.shape[:2])
+        columns[..., 0] += residual[part][..., function]
+        columns[..., 1 : 1 + p] += by
+        forced = np.flatnonzero(distribution[function])
+        columns[..., 1 + p + forced] += histories[part][..., forced] * torch.as_tensor(
+            distribution[function, forced]
+        ).to(histories)
+        columns *= (root if root.ndim == 1 else root[part])[..., function, None]
+        by_function[function].append(columns)
     even = equations.physics.scatter if equations.averages is None else equations.averages.by_interval
-    return {function: even(torch.cat(found)).numpy() for function, found in every.items()}
+    return {function: even(torch.cat(columns)).numpy() for function, columns in by_function.items()}
 
 
 def _of_channels(
@@ -219,16 +221,16 @@ def _of_channels(
     before: int,
 ) -> Iterator[tuple[np.ndarray, float]]:
     """The same of every channel; ``before`` columns are not of sensors."""
-    for i, one in enumerate(channels):
-        histories = one.moved(equations.layout, moved)
-        histories[:, 0] += one.residual
-        for place, by in one.parameters.items():
+    for i, channel in enumerate(channels):
+        histories = channel.moved(equations.layout, moved)
+        histories[:, 0] += channel.residual
+        for place, by in channel.parameters.items():
             histories[:, 1 + place] += by
         for j, term in enumerate(sensors):
             if i in term.shown:
                 histories[:, 1 + before + j] += term.shown[i]
-        histories *= np.broadcast_to(one.counted, len(histories))[:, None] / one.sigma
-        yield histories, float(np.median(np.diff(one.time)))
+        histories *= np.broadcast_to(channel.counted, len(histories))[:, None] / channel.sigma
+        yield histories, float(np.median(np.diff(channel.time)))
 
 
 def _seen(channels: Sequence[ChannelAtPoint], edges: np.ndarray) -> np.ndarray:
@@ -238,10 +240,10 @@ def _seen(channels: Sequence[ChannelAtPoint], edges: np.ndarray) -> np.ndarray:
     of the discrepancy there is that noise.
     """
     seen = np.zeros(len(edges) - 1, bool)
-    for one in channels:
-        if one.quantity not in MOTION:
+    for channel in channels:
+        if channel.quantity not in MOTION:
             continue
-        shown, step = one.gain * one.felt - one.residual, float(np.median(np.diff(one.time)))
+        shown, step = channel.gain * channel.measurand - channel.residual, float(np.median(np.diff(channel.time)))
         values = 2.0 * len(shown) * step * np.diff(edges)
         power = banded_gram(shown[:, None], step, edges)[:, 0, 0] / values
         seen |= power > SIGNAL * lowest_level(shown, step) ** 2
@@ -256,7 +258,7 @@ def _moving(equations: NormalEquations, point: Point, edges: np.ndarray) -> np.n
     order = np.argsort(-density, axis=0)
     ranked = np.take_along_axis(power, order, axis=0)
     inside = np.cumsum(ranked, axis=0) - ranked < MOVING * ranked.sum(axis=0)
-    found = np.zeros_like(inside)
-    np.put_along_axis(found, order, inside, axis=0)
-    moving: np.ndarray = found.any(axis=1)
+    by_coordinate = np.zeros_like(inside)
+    np.put_along_axis(by_coordinate, order, inside, axis=0)
+    moving: np.ndarray = by_coordinate.any(axis=1)
     return moving

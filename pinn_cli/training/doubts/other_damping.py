@@ -37,13 +37,13 @@ class DampingDoubt:
         log_odds: Natural logarithm of how many times as probable the record is with it.
         of_modes: Whether the other model is a ratio for each mode; else dampers of the connections beside such ratios.
         ratios: (modes in the record's band,), of the estimate.
-        others: Likewise, of the other model.
+        other_ratios: Likewise, of the other model.
     """
 
     log_odds: float
     of_modes: bool
     ratios: np.ndarray
-    others: np.ndarray
+    other_ratios: np.ndarray
 
 
 def with_other_damping(problem: JointProblem, values: Mapping[str, np.ndarray]) -> JointProblem | None:
@@ -68,8 +68,8 @@ def with_other_damping(problem: JointProblem, values: Mapping[str, np.ndarray]) 
     if not added:
         return None
 
-    def extended(own: Problem) -> Problem:
-        return replace(own, structure=structure, uncertain=(*own.uncertain, *added))
+    def extended(record_problem: Problem) -> Problem:
+        return replace(record_problem, structure=structure, uncertain=(*record_problem.uncertain, *added))
 
     return JointProblem.of(*map(extended, problem))
 
@@ -91,21 +91,23 @@ def damping_doubt(
         log_odds: Of the extended problem over the other, as a natural logarithm.
     """
     structure = extended.structure
-    each = [
+    modes = [
         NaturalModes.of(
             structure.with_values(
                 {
                     p: p.prescribed + x
-                    for p, x in zip(uncertain, one.tolist(), strict=True)
+                    for p, x in zip(uncertain, distance.tolist(), strict=True)
                     if p.kind not in OUTSIDE_THE_EQUATIONS
                 }
             )
         )
-        for one in distances
+        for distance in distances
     ]
-    if each[0] is None or each[1] is None or len(each[0].squares) != len(each[1].squares):
+    if modes[0] is None or modes[1] is None or len(modes[0].squares) != len(modes[1].squares):
         return None
-    seen = each[0].frequencies < max(record_band(own.record) for own in extended)
+    seen = modes[0].frequencies < max(record_band(record_problem.record) for record_problem in extended)
     # A step may go beyond no damping at all.
-    others = np.maximum(each[1].damping_ratios[each[0].partners(each[1])], 0.0)
-    return DampingDoubt(log_odds, RATIO not in problem.structure.parameters, each[0].damping_ratios[seen], others[seen])
+    other_ratios = np.maximum(modes[1].damping_ratios[modes[0].partners(modes[1])], 0.0)
+    return DampingDoubt(
+        log_odds, RATIO not in problem.structure.parameters, modes[0].damping_ratios[seen], other_ratios[seen]
+    )

@@ -61,25 +61,25 @@ class SensorTerm:
 
 def sensor_terms(channels: Sequence[ChannelAtPoint]) -> list[SensorTerm]:
     """Of every channel but those of connections, and of all sensors of a quantity together."""
-    found: list[SensorTerm] = []
+    terms: list[SensorTerm] = []
     together: defaultdict[tuple[str, str, float], dict[int, tuple[Term, np.ndarray]]] = defaultdict(dict)
-    for i, one in enumerate(channels):
-        if one.quantity == CONNECTION_FORCE:
+    for i, channel in enumerate(channels):
+        if channel.quantity == CONNECTION_FORCE:
             continue
-        for term, column in columns_of(one):
+        for term, column in columns_of(channel):
             # A force that is larger is a structure that is softer.
-            if term.kind in one.uncertain or (one.quantity == FORCE and term.kind != DELAY):
+            if term.kind in channel.uncertain or (channel.quantity == FORCE and term.kind != DELAY):
                 continue
-            counted = column * one.counted
-            found.append(SensorTerm(term, {i: counted}))
-            if term.kind in COMMON and one.quantity in MOTION:
+            counted = column * channel.counted
+            terms.append(SensorTerm(term, {i: counted}))
+            if term.kind in COMMON and channel.quantity in MOTION:
                 corner = term.scale if term.kind == HIGH_PASS else 0.0
-                together[one.quantity, term.kind, corner][i] = term, counted
+                together[channel.quantity, term.kind, corner][i] = term, counted
     for (quantity, _, _), of_all in together.items():
         if len(of_all) > 1:
             term = replace(next(iter(of_all.values()))[0], of=f"{quantity} of all sensors")
-            found.append(SensorTerm(term, {i: term.scale / own.scale * by for i, (own, by) in of_all.items()}))
-    return found
+            terms.append(SensorTerm(term, {i: term.scale / single.scale * by for i, (single, by) in of_all.items()}))
+    return terms
 
 
 def sensor_border(
@@ -88,22 +88,22 @@ def sensor_border(
     """(size, D), products of what channels may show with the rows of the readout weights."""
     border = np.zeros((equations.layout.size, len(terms)))
     for i, channel in enumerate(channels):
-        own = [d for d, term in enumerate(terms) if i in term.shown]
-        if own:
-            columns = np.column_stack([terms[d].shown[i] for d in own])
-            border[:, own] += channel.sigma**-2 * channel.border(equations.layout, columns)
+        places = [d for d, term in enumerate(terms) if i in term.shown]
+        if places:
+            columns = np.column_stack([terms[d].shown[i] for d in places])
+            border[:, places] += channel.sigma**-2 * channel.border(equations.layout, columns)
     return border
 
 
 def columns_of(channel: ChannelAtPoint) -> Iterator[tuple[Term, np.ndarray]]:
     """What a channel may show, and its column (J,) at one prior standard deviation."""
     step = channel.per_sample * float(np.median(np.diff(channel.time)))
-    name, felt, late = channel.name, channel.gain * channel.felt, WIDEST_DELAY * step
-    rate = np.gradient(felt, channel.time)
-    yield Term(GAIN, name, "", 1.0, least=-1.0), felt  # nothing is left of the sensor
-    yield Term(DELAY, name, "s", late, np.nan, *delays(felt, rate)), -late * rate
+    name, signal, late = channel.name, channel.gain * channel.measurand, WIDEST_DELAY * step
+    rate = np.gradient(signal, channel.time)
+    yield Term(GAIN, name, "", 1.0, least=-1.0), signal  # nothing is left of the sensor
+    yield Term(DELAY, name, "s", late, np.nan, *delays(signal, rate)), -late * rate
     if channel.quantity == "acceleration" and channel.displacement is not None and channel.displacement.any():
-        size = _rms(felt) / _rms(channel.displacement)
+        size = _rms(signal) / _rms(channel.displacement)
         yield Term(TILT, name, "m/s^2 per m", size), size * channel.displacement
     # One that passes more than the others do is one whose others pass less.
     yield from ((Term(HIGH_PASS, name, "Hz", corner, least=0.0), column) for corner, column in _taken(channel).items())
@@ -122,11 +122,11 @@ def _taken(channel: ChannelAtPoint) -> dict[float, np.ndarray]:
     differentiated = ("acceleration", "velocity", GROUND)
     if SUPPORT.get(channel.quantity, channel.quantity) not in differentiated or np.ptp(steps) > 0.02 * steps[0]:
         return out
-    corner, felt = CORNER_PERIODS / (channel.time[-1] - channel.time[0]), channel.gain * channel.felt
+    corner, signal = CORNER_PERIODS / (channel.time[-1] - channel.time[0]), channel.gain * channel.measurand
     while True:
         kept = float(np.exp(-2.0 * np.pi * corner * steps[0]))
-        slow = solve_banded((1, 0), np.outer((1.0, -kept), np.ones(len(felt))), (1.0 - kept) * felt)
-        if _rms(slow) ** 2 > MOST_TAKEN * _rms(felt) ** 2 or not felt.any():
+        slow = solve_banded((1, 0), np.outer((1.0, -kept), np.ones(len(signal))), (1.0 - kept) * signal)
+        if _rms(slow) ** 2 > MOST_TAKEN * _rms(signal) ** 2 or not signal.any():
             return out
         out[corner], corner = -slow, 2.0 * corner
 

@@ -59,7 +59,7 @@ class Shown:
 
     Attributes:
         moment: Its samples.
-        felt: (I, S).
+        measurand: (I, S).
         gain: Of what it shows over that.
         residual: (I, S), estimated minus measured.
         parts: Derivative of what it feels.
@@ -67,7 +67,7 @@ class Shown:
     """
 
     moment: Moment
-    felt: Tensor
+    measurand: Tensor
     gain: Tensor
     residual: Tensor
     parts: list[Part]
@@ -149,17 +149,17 @@ class CalibratedChannel:
         moment = self.moment(float(self.value("delay", parameters)))
         return self._residual(moment, self.shows.value(self.frame.jet(moment.segments, point), parameters), parameters)
 
-    def left(self, point: Point) -> np.ndarray:
+    def residual_of_samples(self, point: Point) -> np.ndarray:
         """(all samples,), measured minus estimated, in what it feels; NaN where it felt no motion within the record."""
         parameters, out = self.frame.parameters(point), np.full(len(self.kept), np.nan)
         shown = self.moment(float(self.value("delay", parameters))).segments.scatter(self.residual(point))
         out[self.kept] = -(shown / self.value("gain", parameters)).numpy()
         return out
 
-    def _residual(self, moment: Moment, felt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
+    def _residual(self, moment: Moment, measurand: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
         gain, offset, drift = (self.value(kind, parameters) for kind in ("gain", "offset", "drift"))
         gather = moment.segments.gather
-        shown = gain * felt + offset + drift * gather(self.since)
+        shown = gain * measurand + offset + drift * gather(self.since)
         return (shown - gather(self.measured)) * moment.segments.mask
 
     def at(self, point: Point) -> Shown:
@@ -167,18 +167,18 @@ class CalibratedChannel:
         frame, parameters = self.frame, self.frame.parameters(point)
         moment = self.moment(float(self.value("delay", parameters)))
         jet, gain, shows = frame.jet(moment.segments, point), self.value("gain", parameters), self.shows
-        felt, (parts, by) = shows.value(jet, parameters), shows.linearised(jet, parameters)
+        measurand, (parts, by) = shows.value(jet, parameters), shows.linearised(jet, parameters)
         by = {place: gain * column for place, column in by.items()}
-        by |= {self.places[kind]: column for kind, column in self._by_number(moment, felt, gain).items()}
+        by |= {self.places[kind]: column for kind, column in self._by_number(moment, measurand, gain).items()}
         if "delay" in self.places:
             by[self.places["delay"]] = -gain * self._changed(moment, parts, point, more=1)
         spread, mask = frame.spread_by_place, moment.segments.mask
         columns = {place: spread[place] * column * mask for place, column in by.items()}
-        return Shown(moment, felt, gain, self._residual(moment, felt, parameters), parts, columns)
+        return Shown(moment, measurand, gain, self._residual(moment, measurand, parameters), parts, columns)
 
-    def _by_number(self, moment: Moment, felt: Tensor, gain: Tensor) -> dict[str, Tensor]:
+    def _by_number(self, moment: Moment, measurand: Tensor, gain: Tensor) -> dict[str, Tensor]:
         """Kind of an uncertain number to what it does to what is shown."""
-        by = {"gain": felt, "offset": torch.ones_like(felt), "drift": moment.segments.gather(self.since)}
+        by = {"gain": measurand, "offset": torch.ones_like(measurand), "drift": moment.segments.gather(self.since)}
         return {kind: column for kind, column in by.items() if kind in self.places}
 
     def _changed(self, moment: Moment, parts: list[Part], step: Point, more: int = 0) -> Tensor:
@@ -205,20 +205,20 @@ class CalibratedChannel:
 
     def at_point(self, point: Point, sigma: float) -> ChannelAtPoint:
         """See :meth:`Channels.at`."""
-        shown, own = self.at(point), self.channel
+        shown, channel = self.at(point), self.channel
         segments, flat = shown.moment.segments, lambda x: shown.moment.segments.scatter(x).numpy()
         number = {int(place): i for i, place in enumerate(self.frame.vector.column)}
         displacement = None
-        if own.quantity == "acceleration":
-            turning = WeightedSum(weighted(self.frame.dynamics, "displacement", own.weights))
+        if channel.quantity == "acceleration":
+            turning = WeightedSum(weighted(self.frame.dynamics, "displacement", channel.weights))
             displacement = flat(turning.value(self.frame.jet(segments, point), {}))
         return ChannelAtPoint(
-            own.name,
-            own.quantity,
+            channel.name,
+            channel.quantity,
             segments,
             {order: shown.moment.features(order) for order in range(3)},
             shown.parts,
-            flat(shown.felt),
+            flat(shown.measurand),
             displacement,
             flat(shown.residual),
             self.time.numpy(),
@@ -241,43 +241,43 @@ class CalibratedChannels(Channels):
     def __init__(self, frame: Frame) -> None:
         super().__init__(frame)
         record = frame.problem.record
-        self.each = [CalibratedChannel(channel, frame) for channel in record.calibrated]
+        self.channels = [CalibratedChannel(channel, frame) for channel in record.calibrated]
         self.sensors = [SensorSamples(channel, record) for channel in record.calibrated]
-        self.there = np.ones(len(self.each), dtype=bool)
-        self.samples = np.array([len(one.time) for one in self.each])
+        self.present = np.ones(len(self.channels), dtype=bool)
+        self.samples = np.array([len(channel.time) for channel in self.channels])
         self.acting = np.array([channel.is_input for channel in record.calibrated], dtype=bool)
 
     def residuals(self, point: Point) -> Iterator[Piece]:
         """See :meth:`Channels.residuals`."""
-        for i, channel in enumerate(self.each):
+        for i, channel in enumerate(self.channels):
             residual = channel.residual(point)
             yield Piece(slice(i, i + 1), 0, len(residual), residual[..., None])
 
     def moved(self, point: Point, steps: Sequence[Point]) -> Iterator[tuple[slice, list[Tensor]]]:
         """See :meth:`Channels.moved`."""
-        for i, channel in enumerate(self.each):
+        for i, channel in enumerate(self.channels):
             shown = channel.at(point)
             yield slice(i, i + 1), [channel.moved(shown, step)[..., None] for step in steps]
 
-    def left(self, point: Point) -> dict[str, np.ndarray]:
-        """See :meth:`Channels.left`."""
-        return {one.channel.key: one.left(point) for one in self.each}
+    def residuals_of_samples(self, point: Point) -> dict[str, np.ndarray]:
+        """See :meth:`Channels.residuals_of_samples`."""
+        return {channel.channel.key: channel.residual_of_samples(point) for channel in self.channels}
 
     def loss(self, point: Point, noise: NoiseModel) -> float:
         """Infinite where a delay is out of the record's reach."""
         parameters = self.frame.parameters(point)
-        if not all(channel.reaches(parameters) for channel in self.each):
+        if not all(channel.reaches(parameters) for channel in self.channels):
             return math.inf
         return float(np.sum(self.squares(point) / noise.response[CALIBRATED] ** 2))
 
     def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
         """See :meth:`Factor.add_to`."""
-        for channel, sigma in zip(self.each, noise.response[CALIBRATED], strict=True):
+        for channel, sigma in zip(self.channels, noise.response[CALIBRATED], strict=True):
             channel.add_to(sums, point, float(sigma) ** -2)
 
     def at(self, point: Point, noise: NoiseModel) -> Iterator[ChannelAtPoint]:
         """See :meth:`Channels.at`."""
-        for channel, sigma in zip(self.each, noise.response[CALIBRATED], strict=True):
+        for channel, sigma in zip(self.channels, noise.response[CALIBRATED], strict=True):
             yield channel.at_point(point, float(sigma))
 
 
@@ -296,18 +296,18 @@ class Gains(Factor):
 
     def __init__(self, frame: Frame, channels: Sequence[CalibratedChannel]) -> None:
         super().__init__(frame)
-        self.channels = [own for own in channels if "gain" in own.places]
+        self.channels = [channel for channel in channels if "gain" in channel.places]
 
     def _counted(self, noise: NoiseModel) -> list[tuple[CalibratedChannel, float]]:
         if noise.taken_up is None:
             return []
-        return [(own, float(noise.taken_up[own.channel.index])) for own in self.channels]
+        return [(channel, float(noise.taken_up[channel.channel.index])) for channel in self.channels]
 
     def loss(self, point: Point, noise: NoiseModel) -> float:
         """See :meth:`Factor.loss`."""
         parameters = self.frame.parameters(point)
-        each = (taken * channel.value("gain", parameters).abs().log() for channel, taken in self._counted(noise))
-        return float(sum(2.0 * float(one) for one in each))
+        terms = (taken * channel.value("gain", parameters).abs().log() for channel, taken in self._counted(noise))
+        return float(sum(2.0 * float(term) for term in terms))
 
     def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
         """See :meth:`Factor.add_to`."""
@@ -355,11 +355,11 @@ def summed_features(
         features: Order of a derivative to the features (I, S, B).
         gain: Of all of them.
     """
-    found: dict[int, Tensor] = {}
+    by_function: dict[int, Tensor] = {}
     for function, order, factor in parts:
         added = (factor[..., None] if isinstance(factor, Tensor) and factor.ndim else factor) * features(order)
-        found[function] = found[function] + added if function in found else added
-    return {function: gain * phi for function, phi in found.items()}
+        by_function[function] = by_function[function] + added if function in by_function else added
+    return {function: gain * phi for function, phi in by_function.items()}
 
 
 class SensorFilter(Factor):
@@ -367,22 +367,22 @@ class SensorFilter(Factor):
 
     Args:
         frame: Of the record.
-        own: Which has a state.
+        channel: Which has a state.
         state: The function that is.
     """
 
     name = "filter"
 
-    def __init__(self, frame: Frame, own: CalibratedChannel, state: int) -> None:
+    def __init__(self, frame: Frame, channel: CalibratedChannel, state: int) -> None:
         super().__init__(frame)
-        self.own, self.state, self.order = own, state, own.channel.filter_order
+        self.channel, self.state, self.order = channel, state, channel.channel.filter_order
         self.segments, averages = frame.physics, frame.averages
         jet = (self.segments.displacement, self.segments.velocity, self.segments.acceleration)
         self.features = jet if averages is None else tuple(averages(phi) for phi in jet)
-        self.weight = (EXACT * (float(np.std(own.channel.measured)) or 1.0)) ** -2
+        self.weight = (EXACT * (float(np.std(channel.channel.measured)) or 1.0)) ** -2
 
     def _corner(self, parameters: Mapping[str, Tensor]) -> float:
-        return 2.0 * math.pi * float(self.own.value(HIGH_PASS, parameters))
+        return 2.0 * math.pi * float(self.channel.value(HIGH_PASS, parameters))
 
     def _jet(self, point: Point) -> Jet:
         """Functions at the points, or their averages."""
@@ -396,11 +396,11 @@ class SensorFilter(Factor):
 
     def residual(self, point: Point) -> Tensor:
         """(I, 1), or (I, S) at points, what the state asks for less what is felt."""
-        return self._left(self._jet(point), self.frame.parameters(point))
+        return self._residual(self._jet(point), self.frame.parameters(point))
 
-    def _left(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Tensor:
+    def _residual(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Tensor:
         asked = WeightedSum(self._state(parameters)).value(jet, parameters)
-        return asked - self.own.feels.value(jet, parameters)
+        return asked - self.channel.feels.value(jet, parameters)
 
     def loss(self, point: Point, noise: NoiseModel) -> float:
         """See :meth:`Factor.loss`."""
@@ -409,13 +409,13 @@ class SensorFilter(Factor):
     def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
         """See :meth:`Factor.add_to`."""
         jet, parameters, spread = self._jet(point), self.frame.parameters(point), self.frame.spread_by_place
-        felt, by = self.own.feels.linearised(jet, parameters)
-        parts = self._state(parameters) + [Part(f, order, -w) for f, order, w in felt]
+        input_parts, by = self.channel.feels.linearised(jet, parameters)
+        parts = self._state(parameters) + [Part(f, order, -w) for f, order, w in input_parts]
         by, corner = {place: -column for place, column in by.items()}, self._corner(parameters)
-        if HIGH_PASS in self.own.places:
+        if HIGH_PASS in self.channel.places:
             slope = (1.0,) if self.order == 1 else (2.0 * corner, math.sqrt(2.0))
             of_state = WeightedSum([Part(self.state, order, 2.0 * math.pi * a) for order, a in enumerate(slope)])
-            by[self.own.places[HIGH_PASS]] = of_state.value(jet, parameters)
+            by[self.channel.places[HIGH_PASS]] = of_state.value(jet, parameters)
         columns = {place: spread[place] * column for place, column in by.items()}
         features = summed_features(parts, self.features.__getitem__)
-        add_products(sums, self.segments, features, self._left(jet, parameters), columns, self.weight)
+        add_products(sums, self.segments, features, self._residual(jet, parameters), columns, self.weight)

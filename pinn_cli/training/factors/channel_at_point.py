@@ -39,7 +39,7 @@ class ChannelAtPoint:
         segments: Of its samples.
         features: Order of a derivative to features (I, S, B).
         parts: Of what it feels.
-        felt: (J,), what it feels.
+        measurand: (J,), what it feels.
         displacement: (J,), of its place; None: it has none.
         residual: (J,), estimated minus measured.
         time: (J,), s.
@@ -56,7 +56,7 @@ class ChannelAtPoint:
     segments: Segments
     features: Mapping[int, Tensor]
     parts: list[Part]
-    felt: np.ndarray
+    measurand: np.ndarray
     displacement: np.ndarray | None
     residual: np.ndarray
     time: np.ndarray
@@ -72,9 +72,9 @@ class ChannelAtPoint:
         feature = self.segments.feature.numpy()
         total = csr_matrix((self.segments.mask.numel(), layout.size))
         for function, order, weight in self.parts:
-            own = (weight[..., None] if isinstance(weight, Tensor) else weight) * self.features[order]
+            phi = (weight[..., None] if isinstance(weight, Tensor) else weight) * self.features[order]
             places = layout.positions(feature, np.full_like(feature, function))
-            total += sparse_rows(self.gain * own, places, layout.size)
+            total += sparse_rows(self.gain * phi, places, layout.size)
         return total
 
     def border(self, layout: BandLayout, columns: np.ndarray) -> np.ndarray:
@@ -93,6 +93,6 @@ def sparse_rows(blocks: Tensor, places: np.ndarray, size: int) -> csr_matrix:
     """Blocks (I, S, C) as rows (I S, size); places (I, C), -1 where there is nothing."""
     groups, samples = blocks.shape[:2]
     places = np.broadcast_to(places[:, None], blocks.shape)
-    there = places >= 0
-    starts = np.concatenate(([0], np.cumsum(there.sum(-1))))
-    return csr_matrix((blocks.numpy()[there], places[there], starts), (groups * samples, size))
+    used = places >= 0
+    starts = np.concatenate(([0], np.cumsum(used.sum(-1))))
+    return csr_matrix((blocks.numpy()[used], places[used], starts), (groups * samples, size))

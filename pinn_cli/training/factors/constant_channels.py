@@ -31,18 +31,18 @@ class ConstantRows:
 
     Args:
         segments: Features at their times.
-        felt: What they feel: features (I, S, B), such as a derivative, and weights (channels, functions) of the
+        terms: What they feel: features (I, S, B), such as a derivative, and weights (channels, functions) of the
             functions that have them.
     """
 
-    def __init__(self, segments: Segments, felt: Sequence[tuple[Tensor, csr_matrix]]) -> None:
-        self.segments, self.felt = segments, [(features, csr_matrix(weights)) for features, weights in felt]
+    def __init__(self, segments: Segments, terms: Sequence[tuple[Tensor, csr_matrix]]) -> None:
+        self.segments, self.terms = segments, [(features, csr_matrix(weights)) for features, weights in terms]
 
     @cached_property
     def _grams(self) -> list[list[np.ndarray]]:
         """(I, B, B), products of the features."""
-        features = [phi for phi, _ in self.felt]
-        return [[(one.mT @ other).cpu().numpy() for other in features] for one in features]
+        features = [phi for phi, _ in self.terms]
+        return [[(left.mT @ right).cpu().numpy() for right in features] for left in features]
 
     def add_to(self, sums: RowSums, residual: Tensor, weight: Tensor, part: slice = slice(None)) -> None:
         """Add their weighted products.
@@ -54,12 +54,12 @@ class ConstantRows:
             part: Which groups the residual is of.
         """
         feature, by_channel = self.segments.feature[part], diags(weight.cpu().numpy())
-        for (features, weights), grams in zip(self.felt, self._grams, strict=True):
+        for (features, weights), grams in zip(self.terms, self._grams, strict=True):
             pulled = weights.T @ by_channel
             moment = (features[part].mT @ residual).cpu().numpy()  # (I, B, channels)
             sums.add_moment(feature, (moment.reshape(-1, moment.shape[-1]) @ pulled.T).reshape(*moment.shape[:2], -1))
-            for (_, others), gram in zip(self.felt, grams, strict=True):
-                sums.add_constant(feature, gram[part], pulled @ others)
+            for (_, other_weights), gram in zip(self.terms, grams, strict=True):
+                sums.add_constant(feature, gram[part], pulled @ other_weights)
 
 
 class ConstantChannels(Channels):
@@ -84,15 +84,16 @@ class ConstantChannels(Channels):
 
     def __init__(self, frame: Frame, quantity: str, mask: Tensor) -> None:
         super().__init__(frame)
-        self.name, self.mask, self.there = quantity, mask, mask.cpu().numpy()
+        self.name, self.mask, self.present = quantity, mask, mask.cpu().numpy()
         record = frame.problem.record
-        self.samples = np.full(len(self.there), len(record.time))
+        self.samples = np.full(len(self.present), len(record.time))
         self.sensors = [
-            SensorSamples(record.column(quantity, i), record) if there else None for i, there in enumerate(self.there)
+            SensorSamples(record.column(quantity, i), record) if present else None
+            for i, present in enumerate(self.present)
         ]
         self._kept: tuple[Point | None, Tensor] = None, mask
 
-    def felt(self, states: States) -> Tensor:
+    def measurands(self, states: States) -> Tensor:
         """(..., K), what they feel of a motion."""
         return self.frame.dynamics.sensed(self.name, Jet(*states[:3]))
 
@@ -102,24 +103,24 @@ class ConstantChannels(Channels):
 
     def residual(self, point: Point, part: slice = EVERY) -> Tensor:
         """(I, S, K), of some groups."""
-        return (self.felt(self.frame.states(self.segments, point, part)) - self.target[part]) * self.mask
+        return (self.measurands(self.frame.states(self.segments, point, part)) - self.target[part]) * self.mask
 
     def residuals(self, point: Point) -> Iterator[Piece]:
         """See :meth:`Channels.residuals`."""
         for part in self.frame.windows(self.segments):
-            yield Piece(slice(0, len(self.there)), part.start, len(self.target), self.residual(point, part))
+            yield Piece(slice(0, len(self.present)), part.start, len(self.target), self.residual(point, part))
 
     def moved(self, point: Point, steps: Sequence[Point]) -> Iterator[tuple[slice, list[Tensor]]]:
         """See :meth:`Channels.moved`."""
         for part in self.frame.windows(self.segments):
             of_steps = (self.frame.states(self.segments, step, part) for step in steps)
-            yield slice(0, len(self.there)), [self.felt(states) * self.mask for states in of_steps]
+            yield slice(0, len(self.present)), [self.measurands(states) * self.mask for states in of_steps]
 
     def loss(self, point: Point, noise: NoiseModel) -> float:
         """See :meth:`Factor.loss`."""
         if point is not self._kept[0]:
-            each = [piece.residual.square().sum((0, 1)) for piece in self.residuals(point)]
-            self._kept = point, torch.stack(each).sum(0)
+            squares = [piece.residual.square().sum((0, 1)) for piece in self.residuals(point)]
+            self._kept = point, torch.stack(squares).sum(0)
         return float(self.weight(noise) @ self._kept[1])
 
     def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
@@ -134,11 +135,11 @@ class ResponseChannels(ConstantChannels):
 
     def __init__(self, frame: Frame, quantity: str, mask: Tensor) -> None:
         super().__init__(frame, quantity, mask)
-        self.acting = np.zeros(len(self.there), bool)
+        self.acting = np.zeros(len(self.present), bool)
         self.segments = frame.observation
         self.target = self.segments.gather(frame.target.response[quantity])
         jet = self.segments.displacement, self.segments.velocity, self.segments.acceleration
-        sensing = [(jet[order], felt) for order, felt in frame.dynamics.sensing(quantity)]
+        sensing = [(jet[order], matrix) for order, matrix in frame.dynamics.sensing(quantity)]
         self.rows = ConstantRows(self.segments, sensing)
 
     def at(self, point: Point, noise: NoiseModel) -> Iterator[ChannelAtPoint]:
@@ -146,17 +147,17 @@ class ResponseChannels(ConstantChannels):
         frame, segments = self.frame, self.segments
         states = frame.flat_states(segments, point)
         displacement = frame.dynamics.sensed("displacement", Jet(*states[:3])).cpu().numpy()
-        felt = self.felt(states).cpu().numpy()
-        residual = felt - frame.target.response[self.name].cpu().numpy()
+        measurands = self.measurands(states).cpu().numpy()
+        residual = measurands - frame.target.response[self.name].cpu().numpy()
         features = dict(enumerate((segments.displacement, segments.velocity, segments.acceleration)))
-        for dof in np.flatnonzero(self.there).tolist():
+        for dof in np.flatnonzero(self.present).tolist():
             yield ChannelAtPoint(
                 frame.problem.record.column(self.name, dof).name,
                 self.name,
                 segments,
                 features,
                 weighted(frame.dynamics, self.name, {dof: 1.0}),
-                felt[:, dof],
+                measurands[:, dof],
                 displacement[:, dof],
                 residual[:, dof],
                 frame.problem.record.time,

@@ -65,8 +65,8 @@ class EquationRows:
 
     def applied(self, displacement: Tensor, velocity: Tensor, acceleration: Tensor) -> Tensor:
         """(I, S, n), the rows times a motion (I, S, n), parameters held."""
-        beside = self.pattern.neighbours
-        out = (self.stiffness * beside(displacement) + self.damping * beside(velocity)).sum(-1)
+        neighbours = self.pattern.neighbours
+        out = (self.stiffness * neighbours(displacement) + self.damping * neighbours(velocity)).sum(-1)
         return out if self.mass is None else out + self.mass * acceleration
 
     def add_to(
@@ -127,8 +127,8 @@ class EquationRows:
             curvature = (curvature * share).sum(1, keepdim=True)
             parameter = (share[..., None] * parameter).sum(1, keepdim=True)
         if self.mass is not None:
-            own = torch.as_tensor(pattern.rank, device=jacobian.device)
-            jacobian[:, :, torch.arange(n), :, own] += (curvature[..., None] * self.mass).movedim(-1, 0)
+            rank = torch.as_tensor(pattern.rank, device=jacobian.device)
+            jacobian[:, :, torch.arange(n), :, rank] += (curvature[..., None] * self.mass).movedim(-1, 0)
         return jacobian, parameter
 
     def _by_function(
@@ -171,7 +171,7 @@ class EquationRows:
         out = displacement * stiffness
         out.addcmul_(velocity, damping)
         if self.mass is not None:
-            out[..., self.pattern.own, :] += segments.acceleration[:, None] * self.mass[dofs, None, None]
+            out[..., self.pattern.own_slot, :] += segments.acceleration[:, None] * self.mass[dofs, None, None]
         return out.flatten(3)
 
     def averaged_jacobian(self, segments: Segments, averages: Subdomains) -> Tensor:
@@ -181,7 +181,7 @@ class EquationRows:
         out += (segments.velocity * share).mT @ self.damping.flatten(2)
         out = out.unflatten(-1, slots)
         if self.mass is not None:
-            out[..., self.pattern.own] += (segments.acceleration * share).sum(1)[..., None] * self.mass
+            out[..., self.pattern.own_slot] += (segments.acceleration * share).sum(1)[..., None] * self.mass
         return out
 
 

@@ -48,11 +48,11 @@ class EquationsOfMotion(Residuals):
     def residual(self, point: Point, part: slice = EVERY) -> Tensor:
         """As it is enforced: averages (I, 1, n), or (I, S, n); kept until the point changes."""
         if point is not self._kept[0]:
-            every = []
-            for here in self.frame.windows(self.segments):
-                force = self.force(point, here)
-                every.append(force if self.averages is None else self.averages.part(here)(force))
-            self._kept = point, torch.cat(every) if len(every) > 1 else every[0]
+            forces = []
+            for window in self.frame.windows(self.segments):
+                force = self.force(point, window)
+                forces.append(force if self.averages is None else self.averages.part(window)(force))
+            self._kept = point, torch.cat(forces) if len(forces) > 1 else forces[0]
         return self._kept[1][part]
 
     def weight(self, noise: NoiseModel) -> Tensor:

@@ -66,8 +66,8 @@ class Residuals(Factor):
     def loss(self, point: Point, noise: NoiseModel) -> float:
         """See :meth:`Factor.loss`."""
         weight = self.weight(noise)
-        each = ((r.square() * (weight if weight.ndim == 1 else weight[part])) for part, r in self.residuals(point))
-        return float(sum(float(square.sum()) for square in each))
+        squares = ((r.square() * (weight if weight.ndim == 1 else weight[part])) for part, r in self.residuals(point))
+        return float(sum(float(square.sum()) for square in squares))
 
 
 class Piece(NamedTuple):
@@ -91,13 +91,13 @@ class Channels(Factor):
     Attributes:
         name: What their levels are called, too.
         sensors: K of them, None where there is none.
-        there: (K,) bool, which of them exist.
+        present: (K,) bool, which of them exist.
         samples: (K,), that are compared.
         acting: (K,) bool, those that feel what acts on a structure; the others feel what it does.
     """
 
     sensors: Sequence[SensorSamples | None]
-    there: np.ndarray
+    present: np.ndarray
     samples: np.ndarray
     acting: np.ndarray
 
@@ -122,20 +122,20 @@ class Channels(Factor):
     def at(self, point: Point, noise: NoiseModel) -> Iterator[ChannelAtPoint]:
         """Every channel that exists."""
 
-    def left(self, point: Point) -> dict[str, np.ndarray]:
+    def residuals_of_samples(self, point: Point) -> dict[str, np.ndarray]:
         """See :attr:`pinn_cli.training.estimate.Estimate.left`."""
         return {}
 
     def squares(self, point: Point) -> np.ndarray:
         """(K,), sums of squares of the residuals that the noise's level is told by."""
-        total = np.zeros(len(self.there))
+        total = np.zeros(len(self.present))
         for piece in self.residuals(point):
             total[piece.channels] += piece.residual.square().sum((0, 1)).cpu().numpy()
         return total
 
     def squares_moved(self, point: Point, steps: Sequence[Point]) -> np.ndarray:
         """(K,), the same of the changes of what they show with small steps, added up over these."""
-        total = np.zeros(len(self.there))
+        total = np.zeros(len(self.present))
         for channels, moved in self.moved(point, steps):
             total[channels] += sum(change.square().sum((0, 1)) for change in moved).cpu().numpy()  # type: ignore[union-attr]
         return total

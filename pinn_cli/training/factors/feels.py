@@ -41,7 +41,7 @@ class WeightedSum(Feels):
     """
 
     def __init__(self, parts: Sequence[Part]) -> None:
-        self.own = list(parts)
+        self.terms = list(parts)
 
     def value(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Tensor:
         """See :meth:`Feels.value`."""
@@ -52,7 +52,7 @@ class WeightedSum(Feels):
 
     def parts(self, parameters: Mapping[str, Tensor]) -> list[Part]:
         """What it is made of, wherever the functions are."""
-        return self.own
+        return self.terms
 
     def linearised(self, jet: Jet, parameters: Mapping[str, Tensor]) -> tuple[list[Part], dict[int, Tensor]]:
         """See :meth:`Feels.linearised`."""
@@ -76,7 +76,7 @@ class Tilting(WeightedSum):
     def parts(self, parameters: Mapping[str, Tensor]) -> list[Part]:
         """See :meth:`WeightedSum.parts`."""
         tilt = parameters[TILT][self.number]
-        return [*self.own, *(Part(function, order, tilt * w) for function, order, w in self.turning.own)]
+        return [*self.terms, *(Part(function, order, tilt * w) for function, order, w in self.turning.terms)]
 
     def linearised(self, jet: Jet, parameters: Mapping[str, Tensor]) -> tuple[list[Part], dict[int, Tensor]]:
         """See :meth:`Feels.linearised`."""
@@ -112,10 +112,10 @@ class ConnectionForce(Feels):
         if c in structure.memory:
             parts.append(Part(dynamics.hidden.start + int(np.searchsorted(structure.memory, c)), 0, 1.0))
         by = {
-            vector.first[p.kind] + p.index: slope.by_parameter[p.kind][..., own].sum(-1)
+            vector.first[p.kind] + p.index: slope.by_parameter[p.kind][..., mask].sum(-1)
             for p in vector.moving
             if p.kind in slope.by_parameter
-            and (own := (dynamics.branch(p.kind) == c) & (carriers[p.kind][1] == p.index)).any()
+            and (mask := (dynamics.branch(p.kind) == c) & (carriers[p.kind][1] == p.index)).any()
         }
         return parts, by
 
@@ -138,10 +138,10 @@ def felt_by(channel: Channel, dynamics: Dynamics, vector: ParameterVector[Any]) 
     return Tilting(parts, turning, channel.index, first[TILT] + channel.index if moves else None)
 
 
-def weighted(dynamics: Dynamics, quantity: str, felt: Mapping[int, float]) -> list[Part]:
+def weighted(dynamics: Dynamics, quantity: str, dof_weights: Mapping[int, float]) -> list[Part]:
     """Of a sensor of a quantity that feels a weighted sum of DOFs, counted from 0; the ground is felt as it is."""
     weights: defaultdict[tuple[int, int], float] = defaultdict(float)
-    channels = {0: 1.0} if quantity == GROUND else felt
+    channels = {0: 1.0} if quantity == GROUND else dof_weights
     for order, matrix in dynamics.sensing(quantity):
         for channel, weight in channels.items():
             row = matrix[channel]

@@ -57,19 +57,19 @@ class InputChannels(ConstantChannels):
         super().__init__(frame, quantity, mask)
         record, network, refinement = frame.problem.record, frame.network, frame.refinement
         like = network.readout.detach()
-        self.acting, self.per_sample = np.ones(len(self.there), bool), refinement
+        self.acting, self.per_sample = np.ones(len(self.present), bool), refinement
         self.time = torch.as_tensor(refined_times(record.time, refinement)).to(like)
         self.points = network.segments(self.time)
         corner = CORNER * math.pi / record.step
-        ((order, felt),) = frame.dynamics.sensing(quantity)
+        ((order, matrix),) = frame.dynamics.sensing(quantity)
         factors = (1.0, 2.0 * FLAT / corner, corner**-2)[: 3 - order]
         # The noise is that of the samples in the band that the features follow: there |B|^2 is one on average.
         reach = min(1.0, network.free_intervals * record.step) / CORNER
         self.gain = (1.0, (1.0 + 2.0 * reach**2 / 3.0) ** 0.5, (1.0 + reach**4 / 5.0) ** 0.5)[2 - order]
         self.order = order
-        weights = [csr_matrix(factor / self.gain * felt) for factor in factors]
+        weights = [csr_matrix(factor / self.gain * matrix) for factor in factors]
         self._weights = [torch.as_tensor(w.toarray().T).to(like) for w in weights]
-        history = np.where(self.there, np.nan_to_num(record.histories(quantity)), 0.0)
+        history = np.where(self.present, np.nan_to_num(record.histories(quantity)), 0.0)
         values, left_open = refined(history, refinement)
         noise = np.array([noise_level(column, record.step) for column in history.T])
         # At the ends of a record, where half of the neighbours are missing, they tell less than a sample does. There
@@ -98,7 +98,7 @@ class InputChannels(ConstantChannels):
         assert isinstance(rates, Tensor)
         return (values + segments.scatter(rates)) / self.gain
 
-    def felt(self, states: States) -> Tensor:
+    def measurands(self, states: States) -> Tensor:
         """(..., K), what they feel, through the filter: white where the input is what was measured."""
         jet = (states.displacement, states.velocity, states.acceleration)
         return sum(x @ w for x, w in zip(jet[self.order :], self._weights, strict=True))  # type: ignore[return-value]
@@ -110,15 +110,17 @@ class InputChannels(ConstantChannels):
 
     def squares(self, point: Point) -> np.ndarray:
         """(K,), of what is left in the band of the samples."""
-        left = self.target.new_zeros((self.segments.samples, len(self.there)))
+        residual = self.target.new_zeros((self.segments.samples, len(self.present)))
         for part in self.frame.windows(self.segments):
-            self.segments.part(part).place(self.residual(point, part), left)
-        return self._in_band(left)
+            self.segments.part(part).place(self.residual(point, part), residual)
+        return self._in_band(residual)
 
     def squares_moved(self, point: Point, steps: Sequence[Point]) -> np.ndarray:
         """(K,), the same of what small steps move."""
-        every = (self._in_band(self.felt(self.frame.flat_states(self.segments, step)) * self.mask) for step in steps)
-        return np.sum(list(every), axis=0)
+        histories = (
+            self._in_band(self.measurands(self.frame.flat_states(self.segments, step)) * self.mask) for step in steps
+        )
+        return np.sum(list(histories), axis=0)
 
     def _in_band(self, histories: Tensor) -> np.ndarray:
         return self.in_band(histories).square().sum(0).numpy() / self.per_sample
@@ -133,9 +135,9 @@ class InputChannels(ConstantChannels):
         """See :meth:`Channels.at`."""
         points, record = self.points, self.frame.problem.record
         features = dict(enumerate((points.displacement, points.velocity, points.acceleration)))
-        felt = self.felt(self.frame.flat_states(points, point)).numpy()
-        left = points.scatter(self.residual(point)).numpy()
-        for i in np.flatnonzero(self.there).tolist():
+        measurands = self.measurands(self.frame.flat_states(points, point)).numpy()
+        residual = points.scatter(self.residual(point)).numpy()
+        for i in np.flatnonzero(self.present).tolist():
             yield ChannelAtPoint(
                 record.column(self.name, i).name,
                 self.name,
@@ -146,9 +148,9 @@ class InputChannels(ConstantChannels):
                     for order, weight in enumerate(self._weights, start=self.order)
                     for function in np.flatnonzero(weight[:, i].numpy())
                 ],
-                felt[:, i],
+                measurands[:, i],
                 None,
-                left[:, i],
+                residual[:, i],
                 self.time.numpy(),
                 float(noise.response[self.name][i]) * self.per_sample**0.5,
                 counted=self.resolved.numpy(),

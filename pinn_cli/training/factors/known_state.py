@@ -127,9 +127,9 @@ class KnownState(Factor):
         by = np.zeros((3, 2, len(order)))  # both numbers of a function and the residual, by the value and the rate
         by[self.rate, self.rate, self.of] = -self.unit.numpy()
         by[-1] = self.residuals(point).numpy().T
-        there = np.where(self.column >= 0, np.append(self.frame.vector.column, -1)[self.column], -1)
+        places = np.where(self.column >= 0, np.append(self.frame.vector.column, -1)[self.column], -1)
         touched = Touched(0, 0, self.jacobian.permute(2, 1, 0).numpy()[None, :, :, None, order])
-        sums.add(Rows(self.feature, [touched], there[order].T, by[:, :, None, order]))
+        sums.add(Rows(self.feature, [touched], places[order].T, by[:, :, None, order]))
 
     def residuals(self, point: Point) -> Tensor:
         """(F, 2)."""
@@ -147,9 +147,9 @@ def states_known(frame: Frame) -> list[KnownState]:
     states = [(_first(problem, beginning), first)]
     size = modal_deviation(problem)
     if size is not None:
-        every = np.full((problem.dynamics.size, 2), np.inf)
-        every[: problem.dynamics.ndof] = size
-        of_modes = State.about_zero(1, every)
+        std = np.full((problem.dynamics.size, 2), np.inf)
+        std[: problem.dynamics.ndof] = size
+        of_modes = State.about_zero(1, std)
         states += [(of_modes, last)] if beginning is not None else [(of_modes, first), (of_modes, last)]
     return [KnownState(frame, state, at) for state, at in states if state is not None]
 
@@ -166,16 +166,16 @@ def _first(problem: Problem, beginning: Beginning | None) -> State | None:
     force, _ = force_and_velocity_scale(problem)
     # Of modes a coordinate moves so much less than a DOF, and so much more force acts on it.
     per_dof = problem.structure.shapes.scale
-    every = np.full((dynamics.size, 2), np.inf)
+    std = np.full((dynamics.size, 2), np.inf)
     if deviation is not None:
-        every[: dynamics.ndof] = np.array(deviation) / per_dof
-        every[dynamics.hidden, 0] = RESIDUAL_MOTION * force
-    every[dynamics.forces] = FIRST_FORCE * force / per_dof * np.array((1.0, problem.inputs.force_edge))
+        std[: dynamics.ndof] = np.array(deviation) / per_dof
+        std[dynamics.hidden, 0] = RESIDUAL_MOTION * force
+    std[dynamics.forces] = FIRST_FORCE * force / per_dof * np.array((1.0, problem.inputs.force_edge))
     if beginning is None:
-        return State.about_zero(0, every)
-    own = beginning.of_functions(dynamics.ndof, dynamics.hidden, dynamics.size)
-    every[own >= 0] = TIE * beginning.std[own[own >= 0]]
+        return State.about_zero(0, std)
+    numbers = beginning.of_functions(dynamics.ndof, dynamics.hidden, dynamics.size)
+    std[numbers >= 0] = TIE * beginning.std[numbers[numbers >= 0]]
     before = beginning.parameters
-    column = np.where(own >= 0, before + own, -1)
+    column = np.where(numbers >= 0, before + numbers, -1)
     value, unit = (np.array([getattr(p, name) for p in beginning.uncertain]) for name in ("prescribed", "prior_std"))
-    return State(0, every, column, value, unit)
+    return State(0, std, column, value, unit)

@@ -62,5 +62,5 @@ class Ridge(Factor):
         largest = by_function.amax(0)
         if not dynamics.structure.is_modal:
             largest[: dynamics.ndof] = largest[: dynamics.ndof].max()
-        found: np.ndarray = RELATIVE_RIDGE * largest.numpy()
-        return found
+        ridge: np.ndarray = RELATIVE_RIDGE * largest.numpy()
+        return ridge

@@ -62,8 +62,10 @@ class BlockCholesky:
         for row, step in pattern.places:
             i, j = pattern.order[row], pattern.order[step]
             is_zero = (max(i, j), min(i, j)) not in blocks
-            own = blocks[i, i]
-            self.blocks[row, step] = own.new_zeros(len(own), len(blocks[j, j])) if is_zero else entry(blocks, i, j)
+            diagonal = blocks[i, i]
+            self.blocks[row, step] = (
+                diagonal.new_zeros(len(diagonal), len(blocks[j, j])) if is_zero else entry(blocks, i, j)
+            )
         for step, later in enumerate(pattern.below):
             top, failed = torch.linalg.cholesky_ex(self.blocks[step, step])
             if int(failed):
@@ -100,22 +102,24 @@ class BlockCholesky:
     @cached_property
     def inverse(self) -> Blocks:
         """The blocks of the inverse where those of the factor are (Takahashi, Fagan and Chin 1973)."""
-        found: Blocks = {}
+        blocks: Blocks = {}
         for step in reversed(range(len(self.pattern.below))):
             top, later = self.blocks[step, step], self.pattern.below[step]
-            own = torch.cholesky_inverse(top)
+            diagonal = torch.cholesky_inverse(top)
             if later:
                 beneath = torch.cat([self.blocks[row, step] for row in later])
                 ratio = torch.linalg.solve_triangular(top, beneath, upper=False, left=False)
-                known = torch.cat([torch.cat([entry(found, row, column) for column in later], 1) for row in later])
-                across = known @ ratio
-                own += ratio.mT @ across
+                later_blocks = torch.cat(
+                    [torch.cat([entry(blocks, row, column) for column in later], 1) for row in later]
+                )
+                across = later_blocks @ ratio
+                diagonal += ratio.mT @ across
                 heights = [len(self.blocks[row, row]) for row in later]
                 for row, block in zip(later, across.split(heights), strict=True):
-                    found[row, step] = -block
-            found[step, step] = own
+                    blocks[row, step] = -block
+            blocks[step, step] = diagonal
         order = self.pattern.order
-        return {(order[row], order[step]): block for (row, step), block in found.items()}
+        return {(order[row], order[step]): block for (row, step), block in blocks.items()}
 
 
 def entry(blocks: Blocks, row: int, column: int) -> Tensor:

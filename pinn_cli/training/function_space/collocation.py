@@ -50,23 +50,23 @@ class Collocation:
         return NoiseModel(self.response, self.force, discrepancy, continuity)
 
 
-def collocate(problem: Problem, every: Targets, points: int | None, most_rows: int | None) -> Collocation:
+def collocate(problem: Problem, all_targets: Targets, points: int | None, most_rows: int | None) -> Collocation:
     """The record at ``points`` uniform samples, low-passed to what a spline of its band can follow.
 
     Args:
         problem: Structure and record.
-        every: The record's targets at all its samples.
+        all_targets: The record's targets at all its samples.
         points: P; None: as many as the spline has features, but no more than ``most_rows`` residuals in all.
         most_rows: See ``points``; None: any number.
 
     Raises:
         InputError: Too few points for the record's band, or the most rows allow no more.
     """
-    record, target = problem.record, every
+    record, target = problem.record, all_targets
     network = Spline().build(record)
     response, force = inferred_sensor_noise(problem)
     count = _points(problem, points, most_rows, network.count)
-    samples = torch.as_tensor(evenly_spaced(len(record.time), count), device=every.force.device)
+    samples = torch.as_tensor(evenly_spaced(len(record.time), count), device=all_targets.force.device)
     if network.count < len(record.time):
         target = _low_passed(target, network)
         kept = math.sqrt(network.count / len(record.time))

@@ -50,7 +50,7 @@ def conjugate_gradients(
     out, residual = torch.zeros_like(right), right.clone()
     way = precondition(residual)
     size = (residual * way).sum(0)
-    begun, least, one = size, tolerance**2 * size, torch.ones_like(size)
+    begun, least, ones = size, tolerance**2 * size, torch.ones_like(size)
     direction, iterations = way, 0
     while iterations < most:
         going = size > least
@@ -61,13 +61,13 @@ def conjugate_gradients(
         curvature = (direction * image).sum(0)
         # A column that is solved to the last digit has no direction left.
         going &= curvature > 0.0
-        length = torch.where(going, size / curvature.where(going, one), 0.0)
+        length = torch.where(going, size / curvature.where(going, ones), 0.0)
         out.addcmul_(direction, length.expand_as(out))
         residual.addcmul_(image, length.expand_as(out), value=-1)
         way = precondition(residual)
         before, size = size, torch.where(going, (residual * way).sum(0), size)
-        direction = torch.addcmul(way, direction, (size / before.where(before > 0.0, one)).expand_as(way))
-    reached = (size / begun.where(begun > 0.0, one)).clamp(min=0.0).sqrt()
+        direction = torch.addcmul(way, direction, (size / before.where(before > 0.0, ones)).expand_as(way))
+    reached = (size / begun.where(begun > 0.0, ones)).clamp(min=0.0).sqrt()
     return out, iterations, float(reached.nan_to_num(torch.inf).max())
 
 
@@ -131,8 +131,8 @@ class FeatureSystem(System):
         follows, inverse = self._coefficients(self.by_parameter), self.factor.inverse
         variance, coupling = [], []
         for part in row_features(block.linear):
-            pairs = ((i, one, j, other) for i, one in part.items() for j, other in part.items())
-            variance.append(sum_of([((one @ entry(inverse, i, j)) * other).sum(1) for i, one, j, other in pairs]))
+            pairs = ((i, left, j, right) for i, left in part.items() for j, right in part.items())
+            variance.append(sum_of([((left @ entry(inverse, i, j)) * right).sum(1) for i, left, j, right in pairs]))
             coupling.append(sum_of([c @ follows[i] for i, c in part.items()]))
         return torch.cat(variance), torch.cat(coupling)
 
@@ -166,12 +166,12 @@ def coefficient_prior(network: MlpNetwork, time: Tensor) -> Tensor:
         time: (P,), s, over which slopes of the hidden units are averaged.
     """
     slopes, means = network.mean_slopes(time)
-    own = slopes[0].square().sum(1)
-    constant = own + sum(
+    first = slopes[0].square().sum(1)
+    constant = first + sum(
         slope.square().sum(1) * (1.0 + float(mean.square().sum()))
         for slope, mean in zip(slopes[1:], means[1:], strict=True)
     )
-    return torch.cat((own[:, None].expand(-1, network.inputs.count), constant[:, None]), 1)
+    return torch.cat((first[:, None].expand(-1, network.inputs.count), constant[:, None]), 1)
 
 
 def normal_blocks(features: Sequence[Block]) -> Blocks:
@@ -195,8 +195,8 @@ def row_features(block: Block) -> Iterator[dict[int, Tensor]]:
         part = {}
         for output in outputs:
             by = layer.sensitivity[:, row, :, output]
-            there = [q for q in range(by.shape[1]) if output in layer.active[row][q]]
-            part[output] = sum_of([layer.inputs[q] * by[:, q, None] for q in there])
+            derivatives = [q for q in range(by.shape[1]) if output in layer.active[row][q]]
+            part[output] = sum_of([layer.inputs[q] * by[:, q, None] for q in derivatives])
         yield part
 
 
@@ -217,6 +217,6 @@ def feature_operations(blocks: Sequence[Block]) -> float:
     weights = sum(layer.inputs.shape[2] * layer.sensitivity.shape[3] for layer in blocks[0].layers)
     weights += features * len(pattern.order)
     points = sum(4.0 * len(block.layers[0].inputs) * block.points for block in blocks)
-    each = points * weights + 4.0 * features**2 * len(pattern.places)
+    per_column = points * weights + 4.0 * features**2 * len(pattern.places)
     columns = USUAL_ITERATIONS + USUAL_PROBE_ITERATIONS * TRACE_PROBES
-    return together * features**2 + pattern.operations * features**3 + columns * each
+    return together * features**2 + pattern.operations * features**3 + columns * per_column

@@ -105,16 +105,18 @@ class NetworkFrame(Frame):
         roots = [factor.weight(noise).sqrt() for factor in factors]
 
         def residuals(point: Point) -> Tensor:
-            each = zip(factors, roots, strict=True)
-            return torch.cat([(factor.residual(point, EVERY) * root)[0][:, root > 0] for factor, root in each], 1)
+            pairs = zip(factors, roots, strict=True)
+            return torch.cat([(factor.residual(point, EVERY) * root)[0][:, root > 0] for factor, root in pairs], 1)
 
         return residuals
 
     @property
     def by_time(self) -> list[tuple[Segments, list[ResponseChannels | Residuals]]]:
         """The factors that look at the motion at the same times."""
-        every = {id(factor.segments): factor.segments for factor in self.factors}.values()
-        return [(segments, [factor for factor in self.factors if factor.segments is segments]) for segments in every]
+        all_segments = {id(factor.segments): factor.segments for factor in self.factors}.values()
+        return [
+            (segments, [factor for factor in self.factors if factor.segments is segments]) for segments in all_segments
+        ]
 
     def layers(self, weights: Tensor) -> list[Tensor]:
         """A vector of all weights (w,) by layer, (fan out, fan in + 1, 1): the bias last."""
@@ -175,7 +177,7 @@ def derivatives(residuals: Callable[[Tensor], Tensor], parameters: Tensor) -> Te
     back = torch.autograd.grad(values, moving, weights, create_graph=True)[0]
     if not back.requires_grad:
         return values.new_zeros(*values.shape, len(parameters))
-    columns = [torch.autograd.grad(each, weights, retain_graph=True)[0] for each in back]
+    columns = [torch.autograd.grad(row, weights, retain_graph=True)[0] for row in back]
     return torch.stack(columns, -1)
 
 

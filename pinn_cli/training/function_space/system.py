@@ -65,8 +65,8 @@ class Layer:
     @cached_property
     def active(self) -> list[list[set[int]]]:
         """By row and derivative, the units that it depends on anywhere: of the outputs an equation looks at three."""
-        there = self.sensitivity.ne(0).any(0).cpu()
-        return [[set(units.nonzero()[:, 0].tolist()) for units in row] for row in there]
+        nonzero = self.sensitivity.ne(0).any(0).cpu()
+        return [[set(units.nonzero()[:, 0].tolist()) for units in row] for row in nonzero]
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,12 +186,12 @@ class RowPairs:
         for (left, right), products in zip(self.layers, self.products, strict=True):
             for q, by_derivative in enumerate(products):
                 for p, product in enumerate(by_derivative):
-                    both = left.active[row][q] & right.active[other][p]
-                    if both:
-                        every = len(both) == left.sensitivity.shape[3]
-                        units = slice(None) if every else sorted(both)
-                        one, two = left.sensitivity[:, row, q, units], right.sensitivity[:, other, p, units]
-                        total.addcmul_(one @ two.T, product)
+                    common = left.active[row][q] & right.active[other][p]
+                    if common:
+                        is_all = len(common) == left.sensitivity.shape[3]
+                        units = slice(None) if is_all else sorted(common)
+                        by_left, by_right = left.sensitivity[:, row, q, units], right.sensitivity[:, other, p, units]
+                        total.addcmul_(by_left @ by_right.T, product)
         return total
 
 
@@ -317,7 +317,7 @@ class DenseSystem(System):
 
     def explained(self, block: Block) -> tuple[Tensor, Tensor]:
         """See :meth:`System.explained`."""
-        across = torch.cat([cross_kernel(known, block) for known in self.blocks]) / self.total
+        across = torch.cat([cross_kernel(rows, block) for rows in self.blocks]) / self.total
         half = torch.cat(self.factor.forward(list(across.split(self.heights))))
         by_parameter = torch.cat(self.factor.forward(list(self.by_parameter.split(self.heights))))
         return block.variance.flatten() / self.total - half.square().sum(0), half.T @ by_parameter

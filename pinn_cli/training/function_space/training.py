@@ -78,8 +78,8 @@ class FunctionSpacePosterior:
         """(p,), in prior standard deviations, what the model leaves out and each parameter may have taken in."""
         if not self.frame.uncertain:
             return self.unit
-        own = self.frame.motion.own_by_parameter(self.frame.physics, self.point)[0][:, self.frame.vector.column]
-        rms = own.square().mean(0).sqrt() * self.unit
+        slopes = self.frame.motion.own_by_parameter(self.frame.physics, self.point)[0][:, self.frame.vector.column]
+        rms = slopes.square().mean(0).sqrt() * self.unit
         hidden = noise.misfit(1, 1) / rms.clamp(min=torch.finfo(rms.dtype).tiny)
         return hidden / torch.hypot(torch.ones_like(hidden), hidden)
 
@@ -113,16 +113,18 @@ class FunctionSpacePosterior:
         moves, acts = self.frame.at(observation_time[samples]), self.frame.at(physics_time[samples])
         variance = torch.cat([self._variance(moves, self._motion(moves)), self._variance(acts, self._force(acts))])
         rows = variance.clamp(min=0.0).sqrt().cpu().numpy()
-        every = np.array([np.interp(time, time[samples], row) for row in rows]).reshape(len(QUANTITIES), -1, len(time))
-        return Response(time, *(quantity.T for quantity in every))
+        deviations = np.array([np.interp(time, time[samples], row) for row in rows]).reshape(
+            len(QUANTITIES), -1, len(time)
+        )
+        return Response(time, *(quantity.T for quantity in deviations))
 
     def _variance(self, segments: Segments, quantities: Callable[[Point], Tensor]) -> Tensor:
         """(R, P): with the parameters known, and what not knowing them adds."""
         block, _, by_parameter = self.frame.linearised(segments, self.point, quantities)
-        known, following = self.system.explained(block)
+        held, following = self.system.explained(block)
         sensitivity = by_parameter.flatten(0, 1) * self.unit - following
         unknown = ((sensitivity @ self.covariance) * sensitivity).sum(1)
-        return (known + unknown).view(block.rows, -1)
+        return (held + unknown).view(block.rows, -1)
 
 
 @dataclass(frozen=True)
@@ -154,37 +156,37 @@ class FunctionSpaceGaussNewton:
         if not isinstance(design, Mlp):
             hint = f"network={design.name} has neither a linear readout nor layers"
             raise InputError("training", "gauss_newton", "adam or lbfgs for this network", hint)
-        own = problem.alone
-        every = targets(own.record, own.dynamics, run.device)
-        most = None if follows_features(design.build(own.record)) else self.most_residuals
-        collocation = collocate(own, every, self.collocation_points, most)
-        network = design.build(own.record, torch.float64, points=len(collocation.target.physics_time))
+        alone = problem.alone
+        all_targets = targets(alone.record, alone.dynamics, run.device)
+        most = None if follows_features(design.build(alone.record)) else self.most_residuals
+        collocation = collocate(alone, all_targets, self.collocation_points, most)
+        network = design.build(alone.record, torch.float64, points=len(collocation.target.physics_time))
         network.reset(run.seed)
         gain = network.make_nearly_linear()
-        frame = NetworkFrame(network.to(run.device), own, collocation.target)
-        force, velocity = force_and_velocity_scale(own)
+        frame = NetworkFrame(network.to(run.device), alone, collocation.target)
+        force, velocity = force_and_velocity_scale(alone)
         noise = collocation.noise_model(SOFT * force, CONTINUITY_TOLERANCE * velocity)
         equations = NetworkEquations(frame, FIRST_PRECISION * gain**2, self.most_residuals)
         with History(run.progress, run.watch, iterations=self.iterations) as history:
             limits = self.iterations, self.tolerance
             search = FunctionSpaceSearch(equations, noise, force, *limits, self.learn_spread, history)
             train(search, run)
-        response = acting_force(_response(search, every), collocation.filtered_force, search.model)
+        response = acting_force(_response(search, all_targets), collocation.filtered_force, search.model)
         posterior = FunctionSpacePosterior(search)
-        std = posterior.std(every.observation_time, every.physics_time, own.record.time)
+        std = posterior.std(all_targets.observation_time, all_targets.physics_time, alone.record.time)
         estimates, correlation = _parameters(search, posterior)
         summary = _summary(search) | {"device": run.device}
-        found = FoundNoise(discrepancy=search.noise.discrepancy)
-        return Estimate(response, std, estimates, history.table(), summary, correlation, noise=found)
+        found_noise = FoundNoise(discrepancy=search.noise.discrepancy)
+        return Estimate(response, std, estimates, history.table(), summary, correlation, noise=found_noise)
 
 
 @torch.no_grad()
-def _response(search: FunctionSpaceSearch, every: Targets) -> Response:
+def _response(search: FunctionSpaceSearch, all_targets: Targets) -> Response:
     """Motion and force at all the record's samples."""
     frame, point = search.equations.frame, search.point
-    states = (frame.states(frame.at(time), point) for time in (every.observation_time, every.physics_time))
-    seen, felt = (each_of(group, lambda history: history[0]) for group in states)
-    return estimated_response(frame.problem.record, frame.dynamics, frame.parameters(point), seen, felt)
+    states = (frame.states(frame.at(time), point) for time in (all_targets.observation_time, all_targets.physics_time))
+    observed, enforced = (each_of(group, lambda history: history[0]) for group in states)
+    return estimated_response(frame.problem.record, frame.dynamics, frame.parameters(point), observed, enforced)
 
 
 def _parameters(

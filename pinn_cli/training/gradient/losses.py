@@ -71,8 +71,8 @@ class Losses:
         if self.simultaneous:
             states = network(target.observation_time)
             return states, states
-        both = network(torch.cat((target.observation_time, target.physics_time)))
-        halves = [(None, None) if x is None else x.tensor_split(2) for x in both]
+        joint = network(torch.cat((target.observation_time, target.physics_time)))
+        halves = [(None, None) if x is None else x.tensor_split(2) for x in joint]
         observed, enforced = zip(*halves, strict=True)
         return States(*observed), States(*enforced)
 

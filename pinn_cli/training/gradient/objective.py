@@ -70,7 +70,7 @@ class Objective:
         self.equalised = weights == EQUALISED
         self.weights = fixed_weights(PAPER_WEIGHTS if isinstance(weights, str) else weights)
         self.physics_factor = 1.0
-        self._known: Evaluation | None = None
+        self._evaluation: Evaluation | None = None
 
     def begin_stage(self, stage: int, physics_factor: float) -> None:
         """Weigh the terms as the stage (counted from 0) does."""
@@ -89,12 +89,12 @@ class Objective:
 
     def __call__(self) -> Evaluation:
         """The loss at the nearest point within the bounds; it need not be finite. With its gradient it is kept."""
-        known, at, weights = self._known, self.vector, self.term_weights()
-        is_known = known is not None and known.known_gradient is not None
-        if known is None or not is_known or known.weights != weights or not torch.equal(known.at, at):
+        evaluation, at, weights = self._evaluation, self.vector, self.term_weights()
+        is_known = evaluation is not None and evaluation.known_gradient is not None
+        if evaluation is None or not is_known or evaluation.weights != weights or not torch.equal(evaluation.at, at):
             terms = {name: weights[name] * term for name, term in self.terms().items()}
-            known = self._known = Evaluation(torch.stack(list(terms.values())).sum(), terms, weights, at)
-        return known
+            evaluation = self._evaluation = Evaluation(torch.stack(list(terms.values())).sum(), terms, weights, at)
+        return evaluation
 
     def terms(self) -> dict[str, Tensor]:
         """Unweighted ones by name."""

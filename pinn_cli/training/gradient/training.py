@@ -157,20 +157,20 @@ class GradientTraining(Training):
         """See :meth:`Training.solve`."""
         if problem.priors:
             raise InputError("training", self.name, "gauss_newton with scheme=bayesian", "it gives no likelihood")
-        own = problem.alone
+        alone = problem.alone
         # Clock times have too few digits in float32: begin at 0.
-        time = own.record.time
-        own = replace(own, record=replace(own.record, time=time - time[0]))
-        descent = self.descent(own, design, run)
+        time = alone.record.time
+        alone = replace(alone, record=replace(alone.record, time=time - time[0]))
+        descent = self.descent(alone, design, run)
         with descent.history:
             train(descent, run)
         network, parameters = descent.objective.network, descent.objective.parameters
-        every = targets(own.record, own.dynamics, run.device, DTYPES[self.dtype])
+        all_targets = targets(alone.record, alone.dynamics, run.device, DTYPES[self.dtype])
         with torch.no_grad():
-            seen, felt = network(every.observation_time), network(every.physics_time)
-            response = estimated_response(own.record, own.dynamics, parameters(), seen, felt)
+            observed, enforced = network(all_targets.observation_time), network(all_targets.physics_time)
+            response = estimated_response(alone.record, alone.dynamics, parameters(), observed, enforced)
         response = replace(response, time=time)
-        unknown = Response.unknown(time, own.record.ndof)
+        unknown = Response.unknown(time, alone.record.ndof)
         summary = {**descent.summary(), "dtype": self.dtype, "device": run.device}
         return Estimate(response, unknown, parameters.estimates(), descent.history.table(), summary)
 

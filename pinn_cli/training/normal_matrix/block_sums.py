@@ -40,22 +40,22 @@ class BlockSums:
             by: (I, R, p + 1), by the parameters, and the residuals.
         """
         if len(rows) < rows.shape[2]:
-            for group, (own, beside) in enumerate(zip(rows, by, strict=True)):
-                self._add_group(first + group * stride, own, beside)
+            for group, (group_rows, group_by) in enumerate(zip(rows, by, strict=True)):
+                self._add_group(first + group * stride, group_rows, group_by)
             return
-        groups, each, features, functions = rows.shape
+        groups, per_group, features, functions = rows.shape
         last = (groups - 1) * stride + 1
         count = last - 1 + features
-        below, beside = (np.zeros((count, features, each, width)) for width in (functions, by.shape[2]))
+        below, border = (np.zeros((count, features, per_group, width)) for width in (functions, by.shape[2]))
         for b in range(features):
-            below[b : b + last : stride, b], beside[b : b + last : stride, b] = rows[:, :, b], by
-        below, beside = (x.reshape(count, features * each, -1) for x in (below, beside))
+            below[b : b + last : stride, b], border[b : b + last : stride, b] = rows[:, :, b], by
+        below, border = (x.reshape(count, features * per_group, -1) for x in (below, border))
         across = below.swapaxes(1, 2)
-        self.border[first : first + count] += across @ beside
+        self.border[first : first + count] += across @ border
         for shift in range(features):
             # Rows under both: of the earlier feature all but the last groups, of the later one all but the first.
-            both = (features - shift) * each
-            products = across[: count - shift, :, :both] @ below[shift:, shift * each :]
+            shared = (features - shift) * per_group
+            products = across[: count - shift, :, :shared] @ below[shift:, shift * per_group :]
             self._block(shift)[first : first + count - shift] += products
 
     def add_products(self, first: int, shift: int, products: np.ndarray, coupling: np.ndarray) -> None:
@@ -69,8 +69,8 @@ class BlockSums:
         self.border[first : first + features] += (flat.T @ by).reshape(features, functions, -1)
         products = (flat.T @ flat).reshape(features, functions, features, functions)
         for shift in range(features):
-            own = np.arange(features - shift)
-            self._block(shift)[first : first + features - shift] += products[own, :, own + shift]
+            earlier = np.arange(features - shift)
+            self._block(shift)[first : first + features - shift] += products[earlier, :, earlier + shift]
 
     def _block(self, shift: int) -> np.ndarray:
         """(count, n, n), of every feature's functions with those of a later one."""
@@ -79,9 +79,9 @@ class BlockSums:
 
     def line(self, offset: int) -> np.ndarray:
         """(count n,), a diagonal of the lower half by its columns: so far below the main one."""
-        by_feature, by_function, one = self._later.strides
+        by_feature, by_function, entry = self._later.strides
         start = self._later[:, :, offset:]
-        shape, strides = self._later.shape[:2], (by_feature, by_function + one)
+        shape, strides = self._later.shape[:2], (by_feature, by_function + entry)
         return np.lib.stride_tricks.as_strided(start, shape, strides, writeable=False).reshape(-1)
 
 
@@ -95,8 +95,8 @@ def by_shift(gram: np.ndarray, stride: int) -> list[np.ndarray]:
     out = [np.zeros(last - 1 + features - shift) for shift in range(features)]
     for shift, total in enumerate(out):
         if groups < features:
-            for group, own in enumerate(gram):
-                total[group * stride : group * stride + features - shift] += np.diagonal(own, -shift)
+            for group, products in enumerate(gram):
+                total[group * stride : group * stride + features - shift] += np.diagonal(products, -shift)
         else:
             for b in range(features - shift):
                 total[b : b + last : stride] += gram[:, b + shift, b]

@@ -149,9 +149,9 @@ class BorderedFactor(ParameterFactor):
             rows: (size, q), by the readout weights.
             by_parameter: (p, q).
         """
-        own, taken = self.readout.half_solved(rows)
+        half, taken = self.readout.half_solved(rows)
         through = solve_triangular(self.schur, by_parameter - taken, lower=True)
-        deviation: np.ndarray = np.sqrt(np.sum(own**2, axis=0) + np.sum(through**2, axis=0))
+        deviation: np.ndarray = np.sqrt(np.sum(half**2, axis=0) + np.sum(through**2, axis=0))
         return deviation
 
 
@@ -179,13 +179,13 @@ class SharedSystem:
     def factor(self, damping: float = 0.0) -> SharedFactor | None:
         """Cholesky factors with the diagonal scaled to one plus ``damping``; None if not positive definite."""
         eliminated = self.members.keep(BorderedSystem.eliminated, self.systems, [damping] * len(self.systems))
-        found = self.members.map(_complement, eliminated)
+        complements = self.members.map(_complement, eliminated)
         total, determinants = np.zeros((len(self.repeated),) * 2), []
-        for columns, own in zip(self.columns, found, strict=True):
-            if own is None:
+        for columns, complement in zip(self.columns, complements, strict=True):
+            if complement is None:
                 return None
-            total[np.ix_(columns, columns)] += own[0]
-            determinants.append(own[1])
+            total[np.ix_(columns, columns)] += complement[0]
+            determinants.append(complement[1])
         total[np.diag_indices_from(total)] -= (1.0 + damping) * self.repeated
         total = total if self.held is None else np.linalg.inv(self.held)
         try:
@@ -196,15 +196,15 @@ class SharedSystem:
 
     def readout_step(self) -> np.ndarray | None:
         """All readout weights' part of the solution with the parameters held; None if not positive definite."""
-        found = self.members.map(BorderedSystem.readout_step, self.systems)
-        steps = [step for step in found if step is not None]
-        return np.concatenate(steps) if len(steps) == len(found) else None
+        parts = self.members.map(BorderedSystem.readout_step, self.systems)
+        steps = [step for step in parts if step is not None]
+        return np.concatenate(steps) if len(steps) == len(parts) else None
 
     def decrease(self, step: tuple[np.ndarray, np.ndarray]) -> float:
         """What the system's own solution (w, x) takes off 2 [g, h] [w, x] + [w, x] H [w, x]."""
         ends = np.cumsum(self.members.map(attrgetter("band.size"), self.systems))
-        own = zip(np.split(step[0], ends[:-1]), (step[1][columns] for columns in self.columns), strict=True)
-        return sum(self.members.map(BorderedSystem.decrease, self.systems, list(own))) + float(self.pull @ step[1])
+        parts = zip(np.split(step[0], ends[:-1]), (step[1][columns] for columns in self.columns), strict=True)
+        return sum(self.members.map(BorderedSystem.decrease, self.systems, list(parts))) + float(self.pull @ step[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,12 +229,12 @@ class SharedFactor(ParameterFactor):
         members, columns = system.members, system.columns
         reduced = members.keep(Eliminated.reduced, self.eliminated, system.systems)
         right = system.pull.copy()
-        for own, part in zip(columns, members.map(itemgetter(1), reduced), strict=True):
-            right[own] += part
+        for places, part in zip(columns, members.map(itemgetter(1), reduced), strict=True):
+            right[places] += part
         right = right if system.held is None else np.zeros_like(right)
         x = self.corner_covariance @ right
         x = self._bounded(right, lower) if lower is not None and np.any(x < lower) else x
-        steps = members.map(Eliminated.readout_step, self.eliminated, reduced, [x[own] for own in columns])
+        steps = members.map(Eliminated.readout_step, self.eliminated, reduced, [x[places] for places in columns])
         return np.concatenate(steps), x
 
     def _bounded(self, right: np.ndarray, lower: np.ndarray) -> np.ndarray:
@@ -263,6 +263,6 @@ class SharedFactor(ParameterFactor):
         return np.linalg.cholesky(np.linalg.inv(self.corner_covariance[np.ix_(columns, columns)]))
 
 
-def _complement(found: Eliminated | None) -> tuple[np.ndarray, float] | None:
+def _complement(eliminated: Eliminated | None) -> tuple[np.ndarray, float] | None:
     """The Schur complement (p, p), and the logarithm of the determinant of A."""
-    return None if found is None else (found.complement, found.readout.log_determinant)
+    return None if eliminated is None else (eliminated.complement, eliminated.readout.log_determinant)

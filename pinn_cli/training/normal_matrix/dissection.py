@@ -39,7 +39,7 @@ class Front:
 
     Attributes:
         start, stop: Which weights are eliminated, as places in the order of elimination.
-        left: (m,), the weights that are left, likewise, ascending.
+        boundary: (m,), the weights that are left, likewise, ascending.
         parameters: (q,), ascending.
         band_column, band_row, band_source: Which entries of the front are in the band, and which of the band's values
             each is.
@@ -51,7 +51,7 @@ class Front:
 
     start: int
     stop: int
-    left: np.ndarray
+    boundary: np.ndarray
     parameters: np.ndarray
     band_column: np.ndarray
     band_row: np.ndarray
@@ -70,7 +70,7 @@ class Front:
     @property
     def remaining(self) -> int:
         """Rows of the front that are not eliminated."""
-        return len(self.left) + len(self.parameters)
+        return len(self.boundary) + len(self.parameters)
 
     @property
     def entries(self) -> int:
@@ -101,19 +101,19 @@ class FrontTree:
 
     def __init__(self, grid: Grid, root: Separated, border: csr_matrix) -> None:
         self.grid, self.border, self._root = grid, border, root
-        every = _after_their_children(root)
-        self.order = np.concatenate([node.weights for node, _ in every])
+        nodes = _after_their_children(root)
+        self.order = np.concatenate([node.weights for node, _ in nodes])
         self.rank = np.argsort(self.order)
         features, functions = np.meshgrid(
             np.arange(-grid.span, grid.span + 1), np.arange(-grid.reach, grid.reach + 1), indexing="ij"
         )
-        self._apart = features.reshape(-1), functions.reshape(-1)
-        beside = np.abs(self._apart[0] * grid.functions + self._apart[1])
-        self.offsets = np.unique(beside)
-        self._line = np.searchsorted(self.offsets, beside)
+        self._distances = features.reshape(-1), functions.reshape(-1)
+        distances = np.abs(self._distances[0] * grid.functions + self._distances[1])
+        self.offsets = np.unique(distances)
+        self._line = np.searchsorted(self.offsets, distances)
         self.fronts: list[Front] = []
         stop = 0
-        for node, children in every:
+        for node, children in nodes:
             start, stop = stop, stop + len(node.weights)
             self.fronts.append(self._front(start, stop, children))
         self._place_children()
@@ -141,8 +141,8 @@ class FrontTree:
 
     def suits(self, border: csr_matrix) -> bool:
         """Whether another border has its entries at the same places."""
-        mine = self.border
-        return np.array_equal(mine.indptr, border.indptr) and np.array_equal(mine.indices, border.indices)
+        expected = self.border
+        return np.array_equal(expected.indptr, border.indptr) and np.array_equal(expected.indices, border.indices)
 
     def _front(self, start: int, stop: int, children: list[int]) -> Front:
         weights = self.order[start:stop]
@@ -151,14 +151,16 @@ class FrontTree:
         counts = last - first
         entries = np.repeat(first - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
         inherited = [self.fronts[child] for child in children]
-        left = np.unique(np.concatenate([row, *(child.left for child in inherited)]))
-        left = left[left >= stop]
+        boundary = np.unique(np.concatenate([row, *(child.boundary for child in inherited)]))
+        boundary = boundary[boundary >= stop]
         touched = self.border.indices[entries]
         parameters = np.unique(np.concatenate([touched, *(child.parameters for child in inherited)]))
         k = stop - start
-        at = np.where(row < stop, row - start, k + np.searchsorted(left, row))
-        of_border = np.repeat(np.arange(k), counts), k + len(left) + np.searchsorted(parameters, touched)
-        return Front(start, stop, left, parameters, column, at, source, *of_border, entries.astype(np.int64), children)
+        at = np.where(row < stop, row - start, k + np.searchsorted(boundary, row))
+        of_border = np.repeat(np.arange(k), counts), k + len(boundary) + np.searchsorted(parameters, touched)
+        return Front(
+            start, stop, boundary, parameters, column, at, source, *of_border, entries.astype(np.int64), children
+        )
 
     def _neighbours(self, weights: np.ndarray, start: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Entries of the band in the columns of weights that are eliminated: column, row, and which of its values.
@@ -167,24 +169,24 @@ class FrontTree:
         """
         grid, size = self.grid, self.size
         feature, function = np.divmod(weights, grid.functions)
-        feature, function = feature[:, None] + self._apart[0], function[:, None] + self._apart[1]
+        feature, function = feature[:, None] + self._distances[0], function[:, None] + self._distances[1]
         inside = (feature >= 0) & (feature < grid.features) & (function >= 0) & (function < grid.functions)
         column, which = np.nonzero(inside)
-        other = (feature * grid.functions + function)[inside]
-        row = self.rank[other]
+        neighbour = (feature * grid.functions + function)[inside]
+        row = self.rank[neighbour]
         kept = row >= start + column
-        column, which, other, row = column[kept], which[kept], other[kept], row[kept]
-        return column, row, self._line[which] * size + np.minimum(other, weights[column])
+        column, which, neighbour, row = column[kept], which[kept], neighbour[kept], row[kept]
+        return column, row, self._line[which] * size + np.minimum(neighbour, weights[column])
 
     def _place_children(self) -> None:
         for front in self.fronts:
             for number in front.children:
                 child = self.fronts[number]
                 k = front.eliminated
-                weights = np.where(child.left < front.stop, child.left - front.start, k)
-                beyond = child.left >= front.stop
-                weights[beyond] += np.searchsorted(front.left, child.left[beyond])
-                parameters = k + len(front.left) + np.searchsorted(front.parameters, child.parameters)
+                weights = np.where(child.boundary < front.stop, child.boundary - front.start, k)
+                beyond = child.boundary >= front.stop
+                weights[beyond] += np.searchsorted(front.boundary, child.boundary[beyond])
+                parameters = k + len(front.boundary) + np.searchsorted(front.parameters, child.parameters)
                 child.runs = _runs(np.concatenate((weights, parameters)), k)
 
 
@@ -202,8 +204,8 @@ def _after_their_children(root: Separated) -> list[tuple[Separated, list[int]]]:
 
 def _runs(places: np.ndarray, end: int) -> Runs:
     """Ascending places as ranges, none of which goes on beyond an end."""
-    apart = np.flatnonzero((np.diff(places) != 1) | (places[1:] == end)) + 1
-    starts = np.concatenate(([0], apart)) if len(places) else places
+    breaks = np.flatnonzero((np.diff(places) != 1) | (places[1:] == end)) + 1
+    starts = np.concatenate(([0], breaks)) if len(places) else places
     lengths = np.diff(np.append(starts, len(places)))
     return [(int(s), int(places[s]), int(n)) for s, n in zip(starts, lengths, strict=True)]
 
@@ -276,9 +278,9 @@ class Choice(NamedTuple):
     length: int
 
 
-def fronts(count: int, eliminated: float, left: float) -> tuple[float, float]:
+def fronts(count: int, eliminated: float, remaining: float) -> tuple[float, float]:
     """Cost and entries of the factor, of so many fronts with so many rows that are eliminated and that are left."""
-    k, m = eliminated, left
+    k, m = eliminated, remaining
     cost = CHOLESKY * k**3 / 3 + SOLUTION * k**2 * m + k * m**2 + ENTRY * (k + m) ** 2 + FRONT
     return count * cost, count * k * (k + m)
 
@@ -309,15 +311,15 @@ class Dissection:
         """What a cut across an axis takes to separate its sides."""
         return self.grid.span if axis == "features" else self.grid.reach
 
-    def _left(self, part: Part, features: float, functions: float) -> float:
+    def _remaining(self, part: Part, features: float, functions: float) -> float:
         """Weights and parameters around a part, of which so many features and functions are eliminated."""
         grid = self.grid
-        beside, along = grid.reach * (part.below + part.above), grid.span * (part.before + part.after)
+        across, along = grid.reach * (part.below + part.above), grid.span * (part.before + part.after)
         parameters = grid.parameters * min(1.0, (functions + 2 * grid.reach) / grid.functions)
-        return along * (functions + beside) + features * beside + parameters
+        return along * (functions + across) + features * across + parameters
 
     def _cheapest(self, part: Part) -> Choice:
-        size, around = part.features * part.functions, self._left(part, part.features, part.functions)
+        size, around = part.features * part.functions, self._remaining(part, part.features, part.functions)
         options = [slabs for axis in ("features", "functions") for slabs in self._slabs(part, axis)]
         if size <= self.largest or not options:
             options.append(Choice(*fronts(1, size, around), "leaf", "features", 0))
@@ -332,16 +334,16 @@ class Dissection:
 
     def _slabs(self, part: Part, axis: str) -> Iterator[Choice]:
         """Slab after slab along an axis, of several lengths."""
-        every, length = getattr(part, axis), 1
-        across = part.features * part.functions // every
+        total, length = getattr(part, axis), 1
+        across = part.features * part.functions // total
         open_end = part._replace(**{"after" if axis == "features" else "above": True})
         # Along the features there is always one; all features of a function are one where they are few.
         most = max(self.largest, across) if axis == "features" else self.largest
-        while length <= every and length * across <= most:
+        while length <= total and length * across <= most:
             # Half of the slabs, on average, have been eliminated; the next ones are left as well.
-            done = {axis: min(every, every / 2 + self._thick(axis))}
-            left = self._left(open_end, **{"features": part.features, "functions": part.functions} | done)
-            yield Choice(*fronts(math.ceil(every / length), length * across, left), "slabs", axis, length)
+            done = {axis: min(total, total / 2 + self._thick(axis))}
+            remaining = self._remaining(open_end, **{"features": part.features, "functions": part.functions} | done)
+            yield Choice(*fronts(math.ceil(total / length), length * across, remaining), "slabs", axis, length)
             length *= 2
 
     def _halves(self, part: Part, axis: str) -> tuple[Part, Part]:

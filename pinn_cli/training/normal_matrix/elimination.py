@@ -61,19 +61,19 @@ class Elimination:
             pivot = kept[place : place + k * k].reshape((k, k), order="F")
             under = kept[place + k * k : place + front.entries].reshape((m, k), order="F")
             place += front.entries
-            left = np.zeros((m, m), order="F")
+            update = np.zeros((m, m), order="F")
             for child in (child for child in front.children if child in waiting):
-                _add(pivot, under, left, waiting.pop(child), tree.fronts[child].runs)
+                _add(pivot, under, update, waiting.pop(child), tree.fronts[child].runs)
             if dpotrf(pivot, lower=1, clean=0, overwrite_a=1)[1]:
                 return None
             pivots.append(pivot)
             below.append(under)
             if m:
                 dtrsm(1.0, pivot, under, side=1, lower=1, trans_a=1, overwrite_b=1)
-                waiting[number] = dsyrk(-1.0, under, beta=1.0, c=left, lower=1, overwrite_c=1)
-        for number, left in waiting.items():  # of the roots: parameters alone
-            own = tree.fronts[number].parameters
-            gram[np.ix_(own, own)] -= left
+                waiting[number] = dsyrk(-1.0, under, beta=1.0, c=update, lower=1, overwrite_c=1)
+        for number, update in waiting.items():  # of the roots: parameters alone
+            parameters = tree.fronts[number].parameters
+            gram[np.ix_(parameters, parameters)] -= update
         return cls(tree, scale, pivots, below, np.tril(gram) + np.tril(gram, -1).T)
 
     @property
@@ -85,8 +85,8 @@ class Elimination:
     def operations(self) -> float:
         """Additions and multiplications that the factor, the half solved border and its gram took."""
         sizes = np.array([under.shape for under in self.below], dtype=float)
-        left, k = sizes.T
-        return float(np.sum(k * (k + 1) * (2 * k + 1) / 6 + left * k**2 + k * left**2))
+        remaining, k = sizes.T
+        return float(np.sum(k * (k + 1) * (2 * k + 1) / 6 + remaining * k**2 + k * remaining**2))
 
     @property
     def log_determinant(self) -> float:
@@ -107,12 +107,12 @@ class Elimination:
         half = np.ascontiguousarray((columns / self.scale[:, None])[self.tree.order])
         taken = np.zeros((len(self.border_gram), columns.shape[1]))
         for front, pivot, under in zip(self.tree.fronts, self.pivots, self.below, strict=True):
-            own, m = half[front.start : front.stop], len(front.left)
-            if not own.any():  # functions of the last weights alone begin late
+            block, m = half[front.start : front.stop], len(front.boundary)
+            if not block.any():  # functions of the last weights alone begin late
                 continue
-            dtrsm(1.0, pivot, own.T, side=1, lower=1, trans_a=1, overwrite_b=1)
-            moved = under @ own
-            half[front.left] -= moved[:m]
+            dtrsm(1.0, pivot, block.T, side=1, lower=1, trans_a=1, overwrite_b=1)
+            moved = under @ block
+            half[front.boundary] -= moved[:m]
             taken[front.parameters] += moved[m:]
         return half.reshape(right.shape), taken.reshape(len(taken), *right.shape[1:])
 
@@ -126,10 +126,10 @@ class Elimination:
         columns = np.array(half if half.ndim == 2 else half[:, None], order="C")
         by = x.reshape(len(x), columns.shape[1])
         for front, pivot, under in self._backward():
-            own, m = columns[front.start : front.stop], len(front.left)
-            own -= under[:m].T @ columns[front.left]
-            own += under[m:].T @ by[front.parameters]
-            dtrsm(1.0, pivot, own.T, side=1, lower=1, overwrite_b=1)
+            block, m = columns[front.start : front.stop], len(front.boundary)
+            block -= under[:m].T @ columns[front.boundary]
+            block += under[m:].T @ by[front.parameters]
+            dtrsm(1.0, pivot, block.T, side=1, lower=1, overwrite_b=1)
         out = np.empty_like(columns)
         out[self.tree.order] = columns
         return (out / self.scale[:, None]).reshape(half.shape)
@@ -150,20 +150,20 @@ class Elimination:
         """
         out = np.zeros((len(self.tree.offsets), self.tree.size))
         flat = out.reshape(-1)
-        known: dict[int, np.ndarray] = {}
+        roots: dict[int, np.ndarray] = {}
         for number in reversed(range(len(self.tree.fronts))):
             front, pivot = self.tree.fronts[number], self.pivots[number]
-            k, m = front.eliminated, len(front.left)
-            left = known.pop(number) if m else np.zeros((0, 0))
-            root = np.zeros((k + m, k + left.shape[1]))
+            k, m = front.eliminated, len(front.boundary)
+            boundary_root = roots.pop(number) if m else np.zeros((0, 0))
+            root = np.zeros((k + m, k + boundary_root.shape[1]))
             root[:k, :k] = np.tril(dtrtri(pivot, lower=1)[0]).T
             if m:
-                through = self.below[number][:m].T @ left
-                root[:k, k:], root[k:, k:] = -dtrsm(1.0, pivot, through, lower=1, trans_a=1), left
+                through = self.below[number][:m].T @ boundary_root
+                root[:k, k:], root[k:, k:] = -dtrsm(1.0, pivot, through, lower=1, trans_a=1), boundary_root
             whole = root @ root.T
             flat[front.band_source] = whole[front.band_row, front.band_column]
-            for child in (child for child in front.children if len(self.tree.fronts[child].left)):
-                known[child] = _taken(root, self.tree.fronts[child])
+            for child in (child for child in front.children if len(self.tree.fronts[child].boundary)):
+                roots[child] = _taken(root, self.tree.fronts[child])
         for line, offset in zip(out, self.tree.offsets.tolist(), strict=True):
             size = self.tree.size - offset
             line[:size] /= self.scale[:size] * self.scale[offset:]
@@ -204,19 +204,19 @@ def _scaled(tree: FrontTree, band: Diagonals, unit: np.ndarray) -> np.ndarray:
     return out.reshape(-1)
 
 
-def _add(pivot: np.ndarray, under: np.ndarray, left: np.ndarray, more: np.ndarray, runs: Runs) -> None:
+def _add(pivot: np.ndarray, under: np.ndarray, update: np.ndarray, more: np.ndarray, runs: Runs) -> None:
     """Add the lower half of what is left of a front to the parts of the front that it belongs to."""
     k = len(pivot)
     for i, (row, above, rows) in enumerate(runs):
-        for column, there, columns in runs[: i + 1]:
-            part, at = (left, k) if there >= k else (under, 0) if above >= k else (pivot, 0)
+        for column, target, columns in runs[: i + 1]:
+            part, at = (update, k) if target >= k else (under, 0) if above >= k else (pivot, 0)
             down = above if part is pivot else above - k
-            part[down : down + rows, there - at : there - at + columns] += more[
+            part[down : down + rows, target - at : target - at + columns] += more[
                 row : row + rows, column : column + columns
             ]
 
 
 def _taken(root: np.ndarray, child: Front) -> np.ndarray:
     """(m, r), a root of what is left of another front, without parameters, from that of the front it belongs to."""
-    index = np.concatenate([np.arange(there, there + n) for _, there, n in child.runs])[: len(child.left)]
+    index = np.concatenate([np.arange(target, target + n) for _, target, n in child.runs])[: len(child.boundary)]
     return triangular_root(root[index])

@@ -41,7 +41,7 @@ class RowPattern:
             apart in many distances.
     """
 
-    _own: Tensor
+    _source: Tensor
     _sign: Tensor
 
     def __init__(self, dynamics: Dynamics, vector: ParameterVector[Tensor], like: Tensor) -> None:
@@ -49,13 +49,13 @@ class RowPattern:
         self.dynamics, self.vector = dynamics, vector
         self.offsets, self.coupled, self.reach = coupling.offsets, coupling.coupled, coupling.reach
         self.order, self.rank = coupling.order, coupling.rank
-        self.own = self.offsets.index(0)
+        self.own_slot = self.offsets.index(0)
         self.kinds = tuple(kind for kind in vector.kinds if kind not in OUTSIDE_THE_EQUATIONS)
         self.count = vector.places
         self._place_parameters(like)
-        beside = np.where(self.coupled, coupling.neighbours, dynamics.size)
+        neighbours = np.where(self.coupled, coupling.neighbours, dynamics.size)
         self._neighbours, self._touching = (
-            torch.as_tensor(index, device=like.device) for index in (beside, coupling.touching)
+            torch.as_tensor(index, device=like.device) for index in (neighbours, coupling.touching)
         )
         self._by_offset = torch.as_tensor(coupling.by_offset).to(like)
         # Of functions that are all coupled, one product with a matrix (C, n D) is faster than a sum over its terms.
@@ -84,7 +84,7 @@ class RowPattern:
         touching, weight = _touching(branches.matrix, [self.dynamics.branch(kind) for kind in own_kinds])
         most = max([1, touching.shape[1], *(len(vector.nominal[kind]) for kind in shared)])
         shape = (self.dynamics.size, len(self.kinds), most)
-        places, own, sign = np.full(shape, -1), np.full(shape, -1), np.zeros(shape)
+        places, sources, sign = np.full(shape, -1), np.full(shape, -1), np.zeros(shape)
         self._shared: list[tuple[int, slice, Tensor]] = []
         start = 0
         for kind in vector.kinds:
@@ -96,7 +96,7 @@ class RowPattern:
             which = np.arange(members) if kind == MASS else structure.carriers[kind][1]
             count = len(which)
             if kind == MASS:
-                places[:n, number, 0], own[:n, number, 0] = first + np.arange(n), start + np.arange(n)
+                places[:n, number, 0], sources[:n, number, 0] = first + np.arange(n), start + np.arange(n)
                 sign[:n, number, 0] = 1.0
             elif kind in shared:
                 places[:, number, :members] = first + np.arange(members)
@@ -107,14 +107,14 @@ class RowPattern:
             else:
                 member = np.full(branches.shape[0] + 1, -1)
                 member[self.dynamics.branch(kind)] = np.arange(count)
-                there = member[touching]
+                touched = member[touching]
                 width = slice(0, touching.shape[1])
-                places[:, number, width] = np.where(there < 0, -1, first + there)
-                own[:, number, width] = np.where(there < 0, -1, start + there)
+                places[:, number, width] = np.where(touched < 0, -1, first + touched)
+                sources[:, number, width] = np.where(touched < 0, -1, start + touched)
                 sign[:, number, width] = weight
             start += count
         self.places = places
-        self._own = torch.as_tensor(np.where(own < 0, start, own), device=like.device)
+        self._source = torch.as_tensor(np.where(sources < 0, start, sources), device=like.device)
         self._member = torch.as_tensor(np.where(places < 0, self.count, places), device=like.device)
         self._sign = torch.as_tensor(sign).to(like)
 
@@ -139,14 +139,14 @@ class RowPattern:
         np.add.at(out, (row, self.dynamics.coupling.neighbours[row, slot]), slots[row, slot])
         return out
 
-    def by_parameter(self, own: Tensor) -> Tensor:
+    def by_parameter(self, slopes: Tensor) -> Tensor:
         """(..., n, kinds, F), rows by parameter, from what they do to every connection or mass that has one."""
-        rows = _with_none(own)[..., self._own] * self._sign
+        rows = _with_none(slopes)[..., self._source] * self._sign
         for number, part, pull in self._shared:
-            rows[..., number, :] = (own[..., part] @ pull).unflatten(-1, (len(self.coupled), -1))
+            rows[..., number, :] = (slopes[..., part] @ pull).unflatten(-1, (len(self.coupled), -1))
         return rows
 
-    def strength(self, own: Tensor) -> Tensor:
+    def strength(self, slopes: Tensor) -> Tensor:
         """(..., count), the size of what each parameter does to its own connection or mass; see :meth:`by_parameter`.
 
         One that several connections share pulls at many coordinates, and so does a connection of modes: then it is the
@@ -158,11 +158,11 @@ class RowPattern:
             members = len(self.vector.nominal[kind])
             if kind in pulls:
                 part, pull = pulls[kind]
-                rows = (own[..., part] @ pull).unflatten(-1, (len(self.coupled), -1))
+                rows = (slopes[..., part] @ pull).unflatten(-1, (len(self.coupled), -1))
                 blocks.append(rows.square().sum(-2).sqrt()[..., :members])
                 start = part.stop
             else:
-                blocks.append(own[..., start : start + members] * self._length(kind, own))
+                blocks.append(slopes[..., start : start + members] * self._length(kind, slopes))
                 start += members
         return torch.cat(blocks, -1)
 
@@ -190,8 +190,8 @@ class RowPattern:
 
     def standing(self, first: int, stop: int) -> slice | np.ndarray:
         """The functions at some places of the band; a slice takes no copies."""
-        own: np.ndarray = self.order[first:stop]
-        return slice(first, stop) if self.natural else own
+        functions: np.ndarray = self.order[first:stop]
+        return slice(first, stop) if self.natural else functions
 
     def in_order(self, values: Tensor) -> Tensor:
         """Values (..., n) of the functions in the band's order."""
@@ -205,13 +205,13 @@ class RowPattern:
         """
         coupled = self.coupled[self.order]
         often = 2 * coupled.sum(axis=0) > len(coupled)
-        apart = (np.diff(self.offsets) != 1) | ~(often[1:] & often[:-1])
-        edges = [0, *(np.flatnonzero(apart) + 1).tolist(), len(self.offsets)]
-        found = []
+        breaks = (np.diff(self.offsets) != 1) | ~(often[1:] & often[:-1])
+        edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(self.offsets)]
+        runs = []
         for start, stop in pairwise(edges):
             rows = np.flatnonzero(coupled[:, start:stop].any(axis=1))
-            found.append((slice(start, stop), int(rows[0]), int(rows[-1]) + 1))
-        return found
+            runs.append((slice(start, stop), int(rows[0]), int(rows[-1]) + 1))
+        return runs
 
     def every_function(self, slots: Tensor) -> Tensor:
         """(..., n, n), derivatives by every function in the band's order, from those in the slots (..., n, D)."""
@@ -231,9 +231,9 @@ class RowPattern:
 
     def uncertain_columns(self, parameter: Tensor, dof: int) -> Tensor:
         """Rows of one DOF by every uncertain parameter, (..., kinds, F) to (..., p)."""
-        own = self._member[dof].flatten().to(parameter.device)
+        members = self._member[dof].flatten().to(parameter.device)
         out = parameter.new_zeros((*parameter.shape[:-2], self.count + 1))
-        out[..., own] = parameter.flatten(-2)
+        out[..., members] = parameter.flatten(-2)
         out[..., -1] = 0.0
         return out[..., torch.as_tensor(self.vector.column, device=parameter.device)]
 

@@ -111,21 +111,23 @@ class RowSums:
     @property
     def main(self) -> np.ndarray:
         """(size,), the main diagonal."""
-        own = self._blocks[self.reach, 0, self._inside]
-        return own if self._full is None else own + self._full.line(0)
+        diagonal = self._blocks[self.reach, 0, self._inside]
+        return diagonal if self._full is None else diagonal + self._full.line(0)
 
     @property
     def band(self) -> Diagonals:
         """Of the readout weights against each other, (size, size)."""
-        apart = np.arange(-self.reach, self.reach + 1)[self._used | (self._full is not None)].tolist()
-        every = [(shift * self.n + near, shift, near) for near in apart for shift in range(self.features)]
-        offsets = sorted({0, *(offset for offset, _, _ in every if offset > 0)})
+        distances = np.arange(-self.reach, self.reach + 1)[self._used | (self._full is not None)].tolist()
+        entries = [
+            (shift * self.n + distance, shift, distance) for distance in distances for shift in range(self.features)
+        ]
+        offsets = sorted({0, *(offset for offset, _, _ in entries if offset > 0)})
         place = {offset: line for line, offset in enumerate(offsets)}
         values = np.zeros((len(offsets), self.size))
         values[0] = self.main
-        for offset, shift, near in every:
-            if offset > 0 and self._used[near + self.reach]:
-                values[place[offset]] += self._blocks[near + self.reach, shift, self._inside]
+        for offset, shift, distance in entries:
+            if offset > 0 and self._used[distance + self.reach]:
+                values[place[offset]] += self._blocks[distance + self.reach, shift, self._inside]
         if self._full is not None:
             for offset in offsets[1:]:
                 values[place[offset]] += self._full.line(offset)
@@ -164,8 +166,8 @@ class RowSums:
         pairs = [(one, other) for one in rows.touched for other in rows.touched if _together(one, other)]
         for part, first in self._runs(rows.feature):
             place = (first + 1) * self.n
-            for one in rows.touched:
-                self._add_border(one, rows, part, place)
+            for touched in rows.touched:
+                self._add_border(touched, rows, part, place)
             for one, other in pairs:
                 self._add_block(one, other, part, place)
 
@@ -202,13 +204,17 @@ class RowSums:
         is_full = 2 * entries.nnz > self.n**2
         weights = np.zeros((self.n, self.n))
         np.add.at(weights, (column, row), entries.data)
-        lines = [] if is_full else [(apart, np.diagonal(weights, apart)) for apart in np.unique(row - column).tolist()]
+        lines = (
+            []
+            if is_full
+            else [(distance, np.diagonal(weights, distance)) for distance in np.unique(row - column).tolist()]
+        )
         for part, first in self._runs(feature):
             for shift, products in enumerate(by_shift(gram[part], self._stride)):
                 if is_full:
                     self._of_all.add_products(first, shift, products, weights)
-                for apart, line in lines:
-                    self._add_line(products[:, None] * line, apart, shift, first)
+                for distance, line in lines:
+                    self._add_line(products[:, None] * line, distance, shift, first)
 
     def add_moment(self, feature: Tensor, moment: np.ndarray) -> None:
         """Add features against residuals (I, B, functions) of all functions, as they come, to the gradient."""
@@ -239,64 +245,64 @@ class RowSums:
         places = rows.places.T
         used = places >= 0
         np.add.at(self.slope, places[used], products[..., -1][used])
-        both = used[:, :, None] & used[:, None]
-        row, column = (np.broadcast_to(x, both.shape)[both] for x in (places[:, :, None], places[:, None]))
-        np.add.at(self.corner, (row, column), products[..., :-1][both])
+        pairs = used[:, :, None] & used[:, None]
+        row, column = (np.broadcast_to(x, pairs.shape)[pairs] for x in (places[:, :, None], places[:, None]))
+        np.add.at(self.corner, (row, column), products[..., :-1][pairs])
 
     def _add_block(self, one: Touched, other: Touched, part: slice, place: int) -> None:
         """Products of the features of some functions, later ones, with those of others."""
         row, stop = max(one.row, other.row), min(one.stop, other.stop)
         left, right = (x.features[..., part, row - x.row : stop - x.row] for x in (one, other))
         for (d, b), products in _products(left, right):
-            apart = one.first - other.first - d
+            distance = one.first - other.first - d
             # Functions further apart are never in one row.
-            near = slice(max(0, -self.reach - apart), max(0, self.reach + 1 - apart))
+            near = slice(max(0, -self.reach - distance), max(0, self.reach + 1 - distance))
             if near.start < near.stop and near.start < len(products):
                 column = place + b * self.n + other.first + d + row
-                self._add_column(products[near], apart + near.start, column)
+                self._add_column(products[near], distance + near.start, column)
 
-    def _add_column(self, products: np.ndarray, apart: int, column: int) -> None:
+    def _add_column(self, products: np.ndarray, distance: int, column: int) -> None:
         """Add (D, B - b, I, w), of D functions from a distance on by B - b features from the same one on."""
-        assert -self.reach <= apart <= self.reach + 1 - len(products), "functions of one row stand within the band"
-        at = apart + self.reach
+        assert -self.reach <= distance <= self.reach + 1 - len(products), "functions of one row stand within the band"
+        at = distance + self.reach
         self._used[at : at + len(products)] = True
         line, strides = self._length, (self.features * self._length, self._length, self._step, 1)
         cells = self._view(self._blocks, at * self.features * line + column, products.shape, strides)
         cells += products
 
-    def _add_line(self, products: np.ndarray, apart: int, shift: int, first: int) -> None:
+    def _add_line(self, products: np.ndarray, distance: int, shift: int, first: int) -> None:
         """Add (features, functions): all that have one in this distance, of the features from the first on."""
-        assert abs(apart) <= self.reach, "functions of one row stand within the band"
-        at = apart + self.reach
+        assert abs(distance) <= self.reach, "functions of one row stand within the band"
+        at = distance + self.reach
         self._used[at] = True
         cells = self._blocks[at, shift, self._inside].reshape(-1, self.n)[first : first + len(products)]
-        cells[:, max(0, -apart) : self.n - max(0, apart)] += products
+        cells[:, max(0, -distance) : self.n - max(0, distance)] += products
 
-    def _add_border(self, one: Touched, rows: Rows, part: slice, place: int) -> None:
+    def _add_border(self, touched: Touched, rows: Rows, part: slice, place: int) -> None:
         """Products of features with what the parameters do, and with the residual."""
-        by = rows.by[:, None, ..., part, one.row : one.stop]
+        by = rows.by[:, None, ..., part, touched.row : touched.stop]
         # Of several rows the same function is touched by one after the other: each of the D has a line.
-        lines, step = (len(one.features), self._length + 1) if rows.by.shape[-1] > 1 else (1, 1)
-        for (number, _), products in _products(one.features[..., part, :], by):
-            array = self._lines(one, rows.places[number] if number < len(rows.places) else None, lines)
+        lines, step = (len(touched.features), self._length + 1) if rows.by.shape[-1] > 1 else (1, 1)
+        for (number, _), products in _products(touched.features[..., part, :], by):
+            array = self._lines(touched, rows.places[number] if number < len(rows.places) else None, lines)
             for b in range(self.features):
-                start = place + b * self.n + one.first + one.row
+                start = place + b * self.n + touched.first + touched.row
                 shape = len(products), *products.shape[2:]
                 cells = self._view(array, start, shape, (step, self._step, 1))
                 cells += products[:, b]
 
-    def _lines(self, one: Touched, places: np.ndarray | None, lines: int) -> np.ndarray:
+    def _lines(self, touched: Touched, places: np.ndarray | None, lines: int) -> np.ndarray:
         """(lines, length) of one parameter of rows, at its places (rows,); of the gradient where there are none."""
         if places is None:
             if len(self._gradient) < lines:
                 more = np.zeros((lines - len(self._gradient), self._length))
                 self._gradient = np.concatenate((self._gradient, more))
             return self._gradient
-        key = places.tobytes(), one.first, one.row, len(one.features)
+        key = places.tobytes(), touched.first, touched.row, len(touched.features)
         if key not in self._border:
-            functions, row = np.full((lines, self.n), -1), np.arange(one.row, one.stop)
-            for d in range(len(one.features)):
-                at = one.first + d + row
+            functions, row = np.full((lines, self.n), -1), np.arange(touched.row, touched.stop)
+            for d in range(len(touched.features)):
+                at = touched.first + d + row
                 inside = (at >= 0) & (at < self.n)
                 functions[d % lines, at[inside]] = places[row[inside]]
             self._border[key] = functions, np.zeros((lines, self._length))
@@ -329,7 +335,7 @@ def _products(left: np.ndarray, right: np.ndarray) -> Iterator[tuple[tuple[int, 
         for place in columns:
             yield place, left[:, place[1] :, 0] * right[place][0]
         return
-    one, other = (x.reshape(-1, *x.shape[2:]).transpose(2, 3, 0, 1) for x in (left, right))
-    gram = (np.ascontiguousarray(other) @ np.ascontiguousarray(one).swapaxes(2, 3)).transpose(2, 3, 0, 1)
+    left_rows, right_rows = (x.reshape(-1, *x.shape[2:]).transpose(2, 3, 0, 1) for x in (left, right))
+    gram = (np.ascontiguousarray(right_rows) @ np.ascontiguousarray(left_rows).swapaxes(2, 3)).transpose(2, 3, 0, 1)
     for place, products in zip(columns, gram, strict=True):
         yield place, products.reshape(*left.shape[:2], *products.shape[1:])[:, place[1] :]

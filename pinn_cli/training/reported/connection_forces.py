@@ -71,8 +71,8 @@ def _by_parameter(posterior: ReadoutPosterior, slope: Linearisation, connection:
     held = torch.zeros((*slope.stiffness.shape[:2], len(uncertain)), dtype=slope.stiffness.dtype)
     for i, (parameter, scale) in enumerate(zip(uncertain, equations.scale.tolist(), strict=True)):
         members = structure.members.get(parameter.kind, np.array([], dtype=np.int64))
-        own = parameter.kind in slope.by_parameter and members[parameter.index] == connection
-        branch = equations.dynamics.branch(parameter.kind)[parameter.index] if own else -1
+        acts = parameter.kind in slope.by_parameter and members[parameter.index] == connection
+        branch = equations.dynamics.branch(parameter.kind)[parameter.index] if acts else -1
         if branch == connection:
             held[..., i] = scale * slope.by_parameter[parameter.kind][..., parameter.index]
     return held
@@ -89,10 +89,10 @@ def dissipated_energy(posterior: ReadoutPosterior) -> tuple[np.ndarray, np.ndarr
     energy, by_weight = np.zeros(len(connections)), np.zeros((equations.layout.size, len(connections)))
     by_kind: dict[str, Tensor] = {}
     for part in equations.windows(segments):
-        own = _Energy.of(equations, posterior.point, part)
-        energy += own.each.numpy()
-        own.add_by_weight(by_weight, equations, part)
-        for kind, slope in own.by_kind.items():
+        part_energy = _Energy.of(equations, posterior.point, part)
+        energy += part_energy.dissipated.numpy()
+        part_energy.add_by_weight(by_weight, equations, part)
+        for kind, slope in part_energy.by_kind.items():
             by_kind[kind] = by_kind[kind] + slope if kind in by_kind else slope
     return energy, posterior.factor.deviations(by_weight, _gradient_of_parameters(equations, by_kind))
 
@@ -103,8 +103,8 @@ def _gradient_of_parameters(equations: NormalEquations, by_kind: dict[str, Tenso
     out = np.zeros((len(equations.uncertain), len(structure.added)))
     for row, parameter in enumerate(equations.uncertain):
         if parameter.kind in by_kind:
-            own = structure.added == structure.members[parameter.kind][parameter.index]
-            out[row, own] = scale[row] * float(by_kind[parameter.kind][parameter.index])
+            connection = structure.added == structure.members[parameter.kind][parameter.index]
+            out[row, connection] = scale[row] * float(by_kind[parameter.kind][parameter.index])
     return out
 
 
@@ -113,13 +113,13 @@ class _Energy:
     """What connections dissipate in some groups of samples, and how it changes.
 
     Attributes:
-        each: (C,), J.
+        dissipated: (C,), J.
         by_value, by_rate: (I, S, C), by their elongations and the rates of these.
         by_hidden: (I, S, h), by the hidden forces.
         by_kind: Kind of parameter to (members,), by every member.
     """
 
-    each: Tensor
+    dissipated: Tensor
     by_value: Tensor
     by_rate: Tensor
     by_hidden: Tensor
@@ -136,18 +136,21 @@ class _Energy:
         ends[0], ends[-1] = 1.0, -1.0
 
         def energy(e: Tensor, de: Tensor, z: Tensor, *values: Tensor) -> Tensor:
-            own = {**parameters, **dict(zip(structure.carriers, values, strict=True))}
-            power, stored = dissipated_power(structure, e, de, own, z), stored_by_memory(structure, z, own)
-            each, released = (
+            all_parameters = {**parameters, **dict(zip(structure.carriers, values, strict=True))}
+            power, stored = (
+                dissipated_power(structure, e, de, all_parameters, z),
+                stored_by_memory(structure, z, all_parameters),
+            )
+            dissipated, released = (
                 (segments.gather(torch.as_tensor(x).to(e))[..., None] * of_time).sum((0, 1))
                 for x, of_time in ((weight, power), (ends, stored))
             )
-            each = each.index_add(0, torch.as_tensor(structure.memory), released)
-            return each[torch.as_tensor(structure.added)]
+            dissipated = dissipated.index_add(0, torch.as_tensor(structure.memory), released)
+            return dissipated[torch.as_tensor(structure.added)]
 
         z, given = jet.value[..., dynamics.hidden], (parameters[kind] for kind in structure.carriers)
-        each, (by_e, by_de, by_z, *by) = slopes(energy, e, de, z, *given)
-        return cls(each, by_e, by_de, by_z, dict(zip(structure.carriers, by, strict=True)))
+        dissipated, (by_e, by_de, by_z, *by) = slopes(energy, e, de, z, *given)
+        return cls(dissipated, by_e, by_de, by_z, dict(zip(structure.carriers, by, strict=True)))
 
     def add_by_weight(self, out: np.ndarray, equations: NormalEquations, part: slice) -> None:
         """Add the derivatives (size, C) by the readout weights that are alive in these groups."""

@@ -41,7 +41,11 @@ def end_state(evidence: RecordEvidence, solution: RecordSolution) -> EndState:
     feature = segments.feature[alive][0].numpy()
     value, rate = (x[alive][0, 0].numpy() for x in (segments.displacement, segments.velocity))
     motion, hidden = np.arange(dynamics.ndof), np.arange(dynamics.size)[dynamics.hidden]
-    wanted = [(function, phi) for phi, own in ((value, motion), (rate, motion), (value, hidden)) for function in own]
+    wanted = [
+        (function, phi)
+        for phi, functions in ((value, motion), (rate, motion), (value, hidden))
+        for function in functions
+    ]
     places = [equations.layout.positions(feature, np.full(len(feature), function)) for function, _ in wanted]
     rows = np.zeros((equations.layout.size, len(wanted)))
     for column, (place, (_, phi)) in enumerate(zip(places, wanted, strict=True)):
@@ -58,16 +62,16 @@ def end_state(evidence: RecordEvidence, solution: RecordSolution) -> EndState:
     )
 
 
-def handed_over(found: Inference) -> HandOver:
+def handed_over(inference: Inference) -> HandOver:
     """Parameters and state at :attr:`pinn_cli.scheme.problem.Problem.hand_over`.
 
     Args:
-        found: The solution from all samples, of one record.
+        inference: The solution from all samples, of one record.
 
     Raises:
         DivergenceError: The samples before that time have no solution.
     """
-    equations, problem = found.evidence.equations.each[0], found.evidence.problem.alone
+    equations, problem = inference.evidence.equations.by_record[0], inference.evidence.problem.alone
     assert problem.hand_over is not None
     network, record = equations.network, problem.record
     assert isinstance(network, SplineNetwork)
@@ -80,15 +84,15 @@ def handed_over(found: Inference) -> HandOver:
         network.ndof, network.start, network.start + intervals * network.spacing, intervals, network.degree,
         network.continuity, network.readout.dtype,
     )  # fmt: skip
-    evidence = found.solver.evidence(JointProblem.of(early), [shorter])
-    point = found.trained.solution.point
-    start = Point(point.unknowns[: evidence.equations.each[0].layout.size], point.parameters)
+    evidence = inference.solver.evidence(JointProblem.of(early), [shorter])
+    point = inference.trained.solution.point
+    start = Point(point.unknowns[: evidence.equations.by_record[0].layout.size], point.parameters)
     if early.uncertain:
-        start = softer_point(evidence, found.trained.noise, start)
-    trained = evidence.train(found.trained.noise, start)
+        start = softer_point(evidence, inference.trained.noise, start)
+    trained = evidence.train(inference.trained.noise, start)
     if trained is None or not torch.isfinite(trained.solution.point.unknowns).all():
         raise DivergenceError(f"the samples up to {problem.hand_over:g} s alone have no solution to hand over")
     hidden = coherent_misfit(evidence.equations.columns, evidence.each_record(parameter_force, trained))
     _, _, known = parameter_posterior(evidence.equations, trained, hidden)
     (end,) = evidence.each_record(end_state, trained)
-    return HandOver(known, end, found.discrepancy)
+    return HandOver(known, end, inference.discrepancy)

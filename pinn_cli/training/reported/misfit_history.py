@@ -86,12 +86,12 @@ def _inputs(
     equations, noise, record = evidence.equations, solution.noise, evidence.problem.record
     dynamics = equations.dynamics
     structure, loads = dynamics.structure, dynamics.inputs.loads
-    felt = structure.shapes.matrix
+    shapes = structure.shapes.matrix
     for dof in np.flatnonzero(record.sensors(FORCE)):
         function = dynamics.loads.start + loads.index(dof) if loads else None
         sigma = (noise.response[FORCE] if loads else noise.force)[dof]
         if np.isfinite(sigma) and sigma > 0.0:
-            yield felt[dof], float(sigma), record.force[:, dof], function
+            yield shapes[dof], float(sigma), record.force[:, dof], function
     if dynamics.inputs.ground and record.ground_acceleration is not None:
         sigma = noise.response[GROUND][0]
         if np.isfinite(sigma) and sigma > 0.0:

@@ -28,8 +28,8 @@ def model_log_evidence(evidence: Evidence, trained: Trained) -> float:
 
     NaN where the equations alone cannot be solved, or a sensor is compared with what the equations say of it.
     """
-    each = evidence.each_record(sensors_term, trained)
-    return float(sum(each)) + evidence.parameter_term(trained.solution.point, trained.noise, trained.factor)
+    terms = evidence.each_record(sensors_term, trained)
+    return float(sum(terms)) + evidence.parameter_term(trained.solution.point, trained.noise, trained.factor)
 
 
 def sensors_term(evidence: RecordEvidence, solution: RecordSolution) -> float:
@@ -49,7 +49,7 @@ def sensors_term(evidence: RecordEvidence, solution: RecordSolution) -> float:
 
 def _count(evidence: RecordEvidence) -> int:
     """Samples of all response sensors."""
-    return int(sum(channels.samples[channels.there].sum() for channels in evidence.equations.channels))
+    return int(sum(channels.samples[channels.present].sum() for channels in evidence.equations.channels))
 
 
 def of_motion(evidence: RecordEvidence, noise: NoiseModel) -> NoiseModel:
@@ -58,5 +58,5 @@ def of_motion(evidence: RecordEvidence, noise: NoiseModel) -> NoiseModel:
     for channels in evidence.equations.channels:
         # Of each sample the deviation with which all of them together say the root mean square.
         size = channels.numbers("rms") * np.sqrt(channels.samples)
-        response[channels.name] = np.where(size > 0.0, size, np.where(channels.there, 1.0, np.nan))
+        response[channels.name] = np.where(size > 0.0, size, np.where(channels.present, 1.0, np.nan))
     return replace(noise, response=response)

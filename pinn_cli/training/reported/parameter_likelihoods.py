@@ -153,9 +153,9 @@ def parameter_likelihoods(evidence: Evidence, trained: Trained) -> ParameterLike
     equations = evidence.equations
     marginal = marginal_likelihood(evidence, trained)
     point, scale = trained.solution.point.parameters.numpy(), equations.scale
-    force, own = evidence.each_record(force_of_motion, trained)[0]
-    slope = np.zeros((*own.shape[:2], len(scale)))
-    slope[..., equations.columns[0]] = own
+    force, record_slope = evidence.each_record(force_of_motion, trained)[0]
+    slope = np.zeros((*record_slope.shape[:2], len(scale)))
+    slope[..., equations.columns[0]] = record_slope
     moved = force + slope @ (marginal.peak - _physical(equations, point))
     return ParameterLikelihoods(marginal, conditional_likelihood(evidence, trained), moved, slope)
 
@@ -185,10 +185,10 @@ def marginal_likelihood(evidence: Evidence, trained: Trained) -> MarginalLikelih
     rows = []
     for s in np.linspace(-reach, reach, S_POINTS if reach else 1):
         louder = trained.noise.each(NoiseModel.with_force_scale, float(np.exp(s)))
-        found = evidence.train(louder, trained.solution.point) or trained
+        retrained = evidence.train(louder, trained.solution.point) or trained
         # With the parameters integrated out again, s is the Gaussian.
-        level = 0.5 * (found.factor.parameter_log_determinant - trained.factor.parameter_log_determinant)
-        rows.append((s, level, *_without_prior(evidence.equations, found)))
+        level = 0.5 * (retrained.factor.parameter_log_determinant - trained.factor.parameter_log_determinant)
+        rows.append((s, level, *_without_prior(evidence.equations, retrained)))
     nodes, levels, peaks, precisions = (np.array(values) for values in zip(*rows, strict=True))
     return MarginalLikelihood(names, sigma, nodes, levels, peaks, precisions, (float(s_mean), float(s_std)))
 
@@ -226,10 +226,10 @@ def conditional_likelihood(evidence: Evidence, trained: Trained) -> ConditionalL
     equations = evidence.equations
     p = len(equations.uncertain)
     gram, moment, square, scatter, count = np.zeros((p, p)), np.zeros(p), 0.0, 0.0, 0
-    for columns, own in zip(equations.columns, evidence.each_record(force_regression, trained), strict=True):
-        gram[np.ix_(columns, columns)] += own.gram
-        moment[columns] += own.moment
-        square, scatter, count = square + own.square, scatter + own.scatter, count + own.count
+    for columns, regression in zip(equations.columns, evidence.each_record(force_regression, trained), strict=True):
+        gram[np.ix_(columns, columns)] += regression.gram
+        moment[columns] += regression.moment
+        square, scatter, count = square + regression.square, scatter + regression.scatter, count + regression.count
     moved = -np.linalg.lstsq(gram, moment, rcond=None)[0]
     peak = _physical(equations, trained.solution.point.parameters.numpy()) + moved
     names = tuple(q.name for q in equations.uncertain)

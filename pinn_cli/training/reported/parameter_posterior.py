@@ -46,24 +46,24 @@ def parameter_posterior(
     covariance = trained.factor.corner_covariance if covariance is None else covariance
     # What follows is about parameters alone: a first state is integrated out.
     uncertain, lower = [p for p in equations.uncertain if p.kind != INITIAL_STATE], equations.lower
-    own = slice(len(uncertain))
-    mode, scale, peak, covariance, lower = mode[own], scale[own], peak[own], covariance[own, own], lower[own]
+    kept = slice(len(uncertain))
+    mode, scale, peak, covariance, lower = mode[kept], scale[kept], peak[kept], covariance[kept, kept], lower[kept]
     known = ParameterKnowledge(
         np.array([p.prescribed for p in uncertain]) + scale * peak,
         covariance * np.outer(scale, scale),
-        hidden[0][own] / scale,
-        hidden[1][own] / scale**2,
+        hidden[0][kept] / scale,
+        hidden[1][kept] / scale**2,
         scale,
         np.where(equations.unknown, np.nan, [p.prescribed for p in equations.uncertain]),
         trained.noise.spread,
     )
-    prior = equations.each[0].problem.prior
+    prior = equations.by_record[0].problem.prior
     if prior is not None:
-        then = trained.noise.records[0].earlier_misfit
+        earlier_misfit = trained.noise.records[0].earlier_misfit
         known = replace(
             known,
-            told=known.told + then * prior.told,
-            weight=known.weight + then**2 * prior.weight,
+            told=known.told + earlier_misfit * prior.told,
+            weight=known.weight + earlier_misfit**2 * prior.weight,
             first_std=prior.first_std,
             prescribed=prior.prescribed,
             spread=prior.spread,
@@ -77,7 +77,7 @@ def parameter_posterior(
 
 
 def coherent_misfit(
-    columns: Sequence[np.ndarray], each: Sequence[tuple[np.ndarray, int]]
+    columns: Sequence[np.ndarray], ratios: Sequence[tuple[np.ndarray, int]]
 ) -> tuple[np.ndarray, np.ndarray]:
     """What tells how much of what the model leaves out each parameter may have taken in: its sums over the records.
 
@@ -92,14 +92,14 @@ def coherent_misfit(
 
     Args:
         columns: Of every record, the places of its parameters among all p.
-        each: Of every record, see :func:`parameter_force`.
+        ratios: Of every record, see :func:`parameter_force`.
     """
     size = 1 + max((int(c.max()) for c in columns if len(c)), default=-1)
     weighed, weights = np.zeros(size), np.zeros(size)
-    for own, (ratio, values) in zip(columns, each, strict=True):
+    for places, (ratio, values) in zip(columns, ratios, strict=True):
         limited = np.minimum(ratio, LARGEST_CONTRAST)
-        weighed[own] += values * limited
-        weights[own] += values * limited**2
+        weighed[places] += values * limited
+        weights[places] += values * limited**2
     return weighed, weights
 
 

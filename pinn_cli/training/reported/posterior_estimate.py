@@ -43,7 +43,7 @@ COMPARED = 1e-6
 def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -> Estimate:
     """Means, standard deviations, parameters and summary of trained networks, one for every record."""
     hidden = coherent_misfit(evidence.equations.columns, evidence.each_record(parameter_force, trained))
-    found = {
+    common = {
         "iterations": len(history.rows),
         "factorisations": history.factorisations,
         "stop_reason": "converged" if trained.solution.converged else "iteration limit",
@@ -52,37 +52,37 @@ def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -
         "parameter_spread": trained.noise.spread,
     }
     table = history.table()
-    each = [
-        replace(own, history=table, summary=found | own.summary)
-        for own in evidence.each_record(record_estimate, trained)
+    estimates = [
+        replace(estimate, history=table, summary=common | estimate.summary)
+        for estimate in evidence.each_record(record_estimate, trained)
     ]
-    estimate = with_parameters(evidence, each, parameter_posterior(evidence.equations, trained, hidden))
-    if len(each) > 1:
+    estimate = with_parameters(evidence, estimates, parameter_posterior(evidence.equations, trained, hidden))
+    if len(estimates) > 1:
         return replace(estimate, disagreements=disagreements(evidence, trained))
     return replace(estimate, end=evidence.each_record(end_state, trained)[0])
 
 
 def with_parameters(
     evidence: Evidence,
-    each: Sequence[Estimate],
+    estimates: Sequence[Estimate],
     posterior: tuple[list[ParameterEstimate], np.ndarray, ParameterKnowledge],
 ) -> Estimate:
     """One estimate of all records from that of each, with these parameters, their correlation, and what is known."""
     parameters, correlation, known = posterior
     records = tuple(
-        replace(own, **_own_parameters(parameters, correlation, problem, columns[: len(problem.uncertain)]))
-        for own, problem, columns in zip(each, evidence.problem, evidence.equations.columns, strict=True)
+        replace(estimate, **_own_parameters(parameters, correlation, problem, columns[: len(problem.uncertain)]))
+        for estimate, problem, columns in zip(estimates, evidence.problem, evidence.equations.columns, strict=True)
     )
-    every: dict[str, Any] = {"parameters": parameters, "correlation": correlation, "known": known}
-    return replace(records[0], records=records if len(records) > 1 else (), **every)
+    common: dict[str, Any] = {"parameters": parameters, "correlation": correlation, "known": known}
+    return replace(records[0], records=records if len(records) > 1 else (), **common)
 
 
 def _own_parameters(
-    every: Sequence[ParameterEstimate], correlation: np.ndarray, problem: Problem, columns: np.ndarray
+    estimates: Sequence[ParameterEstimate], correlation: np.ndarray, problem: Problem, columns: np.ndarray
 ) -> dict[str, Any]:
     """One record's parameters as its problem has them, and their correlation."""
     pairs = zip(columns, problem.uncertain, strict=True)
-    parameters = [replace(every[column], parameter=parameter) for column, parameter in pairs]
+    parameters = [replace(estimates[column], parameter=parameter) for column, parameter in pairs]
     return {"parameters": parameters, "correlation": correlation[np.ix_(columns, columns)]}
 
 
@@ -104,10 +104,14 @@ def record_estimate(evidence: RecordEvidence, solution: RecordSolution) -> Estim
         _values_taken(evidence, solution),
     )
     summary |= _of_unknown_forces(equations, solution)
-    if equations.known is not None:
-        summary["spectral_misfit"] = equations.known.misfit
+    if equations.known_parameters is not None:
+        summary["spectral_misfit"] = equations.known_parameters.misfit
     connections, misfit = _connections(posterior, response), misfit_history(evidence, solution)
-    left = {name: samples for own in equations.channels for name, samples in own.left(point).items()}
+    left = {
+        name: samples
+        for channels in equations.channels
+        for name, samples in channels.residuals_of_samples(point).items()
+    }
     return Estimate(
         response,
         std,
@@ -217,8 +221,8 @@ def _share_force(
 def _values_taken(evidence: RecordEvidence, solution: RecordSolution) -> dict[str, np.ndarray]:
     """Name of sensors to how many values of each one's samples the solution has taken up."""
     taken = values_taken(evidence, solution).response
-    every = evidence.equations.channels
-    return {own.name: np.where(own.there, taken[own.name], np.nan) for own in every}
+    all_channels = evidence.equations.channels
+    return {channels.name: np.where(channels.present, taken[channels.name], np.nan) for channels in all_channels}
 
 
 def disagreements(evidence: Evidence, trained: Trained) -> tuple[Disagreement, ...]:
@@ -232,13 +236,17 @@ def disagreements(evidence: Evidence, trained: Trained) -> tuple[Disagreement, .
     at, scale = trained.solution.point.parameters.numpy(), equations.scale
     precision = equations.precision(trained.noise).numpy()
     start = np.array([p.prescribed for p in equations.uncertain])
-    for columns, (whole, every) in zip(equations.columns, evidence.each_record(own_information, trained), strict=True):
+    for columns, (whole, whole_pull) in zip(
+        equations.columns, evidence.each_record(own_information, trained), strict=True
+    ):
         # A bound holds others back, and says nothing about chance.
         free = at[columns] > equations.lower[columns]
-        own, information, pull = columns[free], whole[np.ix_(free, free)], every[free]
-        square, freedom = _against_chance(information, pull, covariance[np.ix_(own, own)])
-        alone = at[own] + np.linalg.solve(information + np.diag(precision[own]), pull)
-        values = {equations.uncertain[i].name: float(start[i] + scale[i] * x) for i, x in zip(own, alone, strict=True)}
+        places, information, pull = columns[free], whole[np.ix_(free, free)], whole_pull[free]
+        square, freedom = _against_chance(information, pull, covariance[np.ix_(places, places)])
+        alone = at[places] + np.linalg.solve(information + np.diag(precision[places]), pull)
+        values = {
+            equations.uncertain[i].name: float(start[i] + scale[i] * x) for i, x in zip(places, alone, strict=True)
+        }
         out.append(Disagreement(square, freedom, values))
     return tuple(out)
 

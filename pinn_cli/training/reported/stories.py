@@ -32,76 +32,88 @@ SEGMENTS = 10
 PREDICTS_NOTHING = 100.0
 
 
-def with_stories(found: Inference, estimate: Estimate) -> Estimate:
+def with_stories(inference: Inference, estimate: Estimate) -> Estimate:
     """The estimate with the parameters of the story that predicts the record best, and what each of them says.
 
     What the model lacks is asked of that story: what no force has taken up is left where it shows.
 
     Args:
-        found: Its solutions.
+        inference: Its solutions.
         estimate: Of the story in which a force acts that the model leaves out; its motion is that in any case.
     """
-    problems, best = found.evidence.problem.each, _Told(OF_FORCE, found.evidence.problem.each, estimate, found.trained)
+    problems, best = (
+        inference.evidence.problem.each,
+        _Candidate(OF_FORCE, inference.evidence.problem.each, estimate, inference.trained),
+    )
     stories: tuple[Story, ...] = ()
-    if found.free:
+    if inference.free:
         free = min(
-            (_Told(OF_RESPONSE, problems, of_free_running(found, free, estimate), free.trained) for free in found.free),
-            key=lambda told: told.rank,
+            (
+                _Candidate(OF_RESPONSE, problems, of_free_running(inference, free, estimate), free.trained)
+                for free in inference.free
+            ),
+            key=lambda candidate: candidate.rank,
         )
-        best, other = sorted((best, free), key=lambda told: told.rank)
+        best, other = sorted((best, free), key=lambda candidate: candidate.rank)
         stories = best.story, other.story
-    lacking = found.evidence.each_record(doubts, best.trained, [own.std for own in estimate.by_record])
+    lacking = inference.evidence.each_record(
+        doubts, best.trained, [record_estimate.std for record_estimate in estimate.by_record]
+    )
     records = zip(best.estimate.records, lacking, strict=False)
-    told = tuple(replace(own, doubts=one) for own, one in records)
-    return replace(best.estimate, stories=stories, doubts=lacking[0], records=told)
+    candidate = tuple(replace(record_estimate, doubts=record_doubts) for record_estimate, record_doubts in records)
+    return replace(best.estimate, stories=stories, doubts=lacking[0], records=candidate)
 
 
-def of_free_running(found: Inference, free: FreeRunning, estimate: Estimate) -> Estimate:
+def of_free_running(inference: Inference, free: FreeRunning, estimate: Estimate) -> Estimate:
     """The same motion, with the parameters of the structure that runs free, and the force that it then takes.
 
     No record averages out how the parameters vary, nor what the other story says of them.
     """
-    equations, varying = found.evidence.equations, np.hypot(free.varying, apart(found, free, estimate))
+    equations, varying = inference.evidence.equations, np.hypot(free.varying, story_distance(inference, free, estimate))
     misfit = varying, np.ones(len(varying))
     parameters, correlation, known = parameter_posterior(equations, free.trained, misfit, free.covariance)
     if not any(p.held for p in parameters):
         # A mean that a bound moves is no longer what makes the structure run; of one on its bound there is no other.
         modes = free.trained.solution.point.parameters.numpy() * equations.scale
         parameters = [_at_mode(p, p.parameter.value(float(x))) for p, x in zip(parameters, modes, strict=False)]
-    point = Point(found.trained.solution.point.unknowns, free.trained.solution.point.parameters)
-    moved = replace(found.trained, solution=replace(found.trained.solution, point=point))
-    each = zip(estimate.by_record, found.evidence.each_record(misfit_history, moved), strict=True)
+    point = Point(inference.trained.solution.point.unknowns, free.trained.solution.point.parameters)
+    moved = replace(inference.trained, solution=replace(inference.trained.solution, point=point))
+    pairs = zip(estimate.by_record, inference.evidence.each_record(misfit_history, moved), strict=True)
     changed_estimate = with_parameters(
-        found.evidence, [replace(own, misfit=misfit) for own, misfit in each], (parameters, correlation, known)
+        inference.evidence,
+        [replace(record_estimate, misfit=misfit) for record_estimate, misfit in pairs],
+        (parameters, correlation, known),
     )
     changed = {name: getattr(changed_estimate, name) for name in ("parameters", "correlation", "known", "misfit")}
-    first, *_ = motions = [tuple(own.parameters) for own in estimate.by_record]
+    first, *_ = motions = [tuple(record_estimate.parameters) for record_estimate in estimate.by_record]
     records = zip(changed_estimate.records, motions, strict=False)
-    of_records = tuple(replace(own, of_motion=motion) for own, motion in records)
+    of_records = tuple(replace(record_estimate, of_motion=motion) for record_estimate, motion in records)
     return replace(estimate, **changed, records=of_records, of_motion=first)
 
 
-def apart(found: Inference, free: FreeRunning, estimate: Estimate) -> np.ndarray:
+def story_distance(inference: Inference, free: FreeRunning, estimate: Estimate) -> np.ndarray:
     """(p,), how far the story of a force is from that of a free run, in prior deviations, beyond what both allow for.
 
     A spring that changes with time moves the one by a small part of what it moves the other: both cannot be right.
     """
-    at, scale = free.trained.solution.point.parameters.numpy(), found.evidence.equations.scale
+    at, scale = free.trained.solution.point.parameters.numpy(), inference.evidence.equations.scale
     # A first state is no parameter, and comes last.
-    own = slice(len(estimate.parameters))
-    told = np.array([(p.estimate - p.parameter.prescribed, p.std) for p in estimate.parameters]).T / scale[own]
+    kept = slice(len(estimate.parameters))
+    estimates = np.array([(p.estimate - p.parameter.prescribed, p.std) for p in estimate.parameters]).T / scale[kept]
     beyond = np.zeros(len(at))
-    beyond[own] = (at[own] - told[0]) ** 2 - told[1] ** 2 - (np.diag(free.covariance) + free.varying**2)[own]
+    beyond[kept] = (
+        (at[kept] - estimates[0]) ** 2 - estimates[1] ** 2 - (np.diag(free.covariance) + free.varying**2)[kept]
+    )
     return np.sqrt(np.maximum(beyond, 0.0))
 
 
-def _at_mode(found: ParameterEstimate, mode: float) -> ParameterEstimate:
-    lower, upper = min(found.lower_90, mode), max(found.upper_90, mode)
-    return replace(found, estimate=mode, lower_90=lower, upper_90=upper)
+def _at_mode(parameter: ParameterEstimate, mode: float) -> ParameterEstimate:
+    lower, upper = min(parameter.lower_90, mode), max(parameter.upper_90, mode)
+    return replace(parameter, estimate=mode, lower_90=lower, upper_90=upper)
 
 
 @dataclass(frozen=True, eq=False)
-class _Told:
+class _Candidate:
     """A story, and what it misses of the response's sensors of all records: a mean NMSE, %."""
 
     name: str
@@ -127,8 +139,8 @@ class _Told:
         return Story(self.name, tuple(self.estimate.parameters), self.free_run, self.segments)
 
     def _missed(self, parts: int) -> float:
-        each = zip(self.problems, self.estimate.by_record, strict=True)
-        return float(np.mean([_missed_of(problem, own, parts) for problem, own in each]))
+        records = zip(self.problems, self.estimate.by_record, strict=True)
+        return float(np.mean([_missed_of(problem, estimate, parts) for problem, estimate in records]))
 
 
 def _missed_of(problem: Problem, estimate: Estimate, parts: int) -> float:
@@ -149,8 +161,8 @@ def _squares(record: Record, response: Response, part: slice) -> np.ndarray:
     """(C,) sum of squares of what a simulation leaves of every channel in a part of the record."""
     out = []
     for channel in channels(record):
-        left = channel.measured[part] - channel.of(response)
-        out.append(float(np.sum(left[channel.there[part]] ** 2)))
+        residual = channel.measured[part] - channel.of(response)
+        out.append(float(np.sum(residual[channel.there[part]] ** 2)))
     return np.array(out)
 
 

@@ -49,17 +49,17 @@ def searched(evidence: Evidence, noise: NoiseLevels, force: float, second_start:
     Raises:
         DivergenceError: Even the softest physics cannot be solved.
     """
-    found = scanned(evidence, noise, force, evidence.equations.start())
-    if holds(found, force):
-        return found
+    first = scanned(evidence, noise, force, evidence.equations.start())
+    if holds(first, force):
+        return first
     start = second_start()
     if start is None:
-        return found
+        return first
     try:
-        other = scanned(evidence, noise, SUSPICIOUS_DISCREPANCY * force, start)
+        second = scanned(evidence, noise, SUSPICIOUS_DISCREPANCY * force, start)
     except DivergenceError:
-        return found
-    return max(found, other, key=lambda trained: trained.log_evidence)
+        return first
+    return max(first, second, key=lambda trained: trained.log_evidence)
 
 
 def holds(trained: Trained, force: float) -> bool:
@@ -85,7 +85,7 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
     """
     point, discrepancy, idle, stride = start, largest, 0, SCAN_FACTOR
     best: Trained | None = None
-    indifferent = min(filter(None, map(negligible, evidence.equations.each, noise.records)), default=0.0)
+    indifferent = min(filter(None, map(negligible, evidence.equations.by_record, noise.records)), default=0.0)
     while discrepancy > FINEST_OF_START * largest and idle < PATIENCE:
         trained = evidence.train(noise.with_discrepancy(discrepancy), point)
         followed = best is not None and best.solution.converged

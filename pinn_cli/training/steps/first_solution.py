@@ -45,11 +45,11 @@ def simulated_start(equations: NormalEquations) -> Point | None:
     coordinates = motion.displacement if motion.coordinates is None else motion.coordinates[:, 0]
     supports = None if motion.supports is None else motion.supports[:, 0]
     functions = [coordinates, *(x for x in (motion.hidden, supports, motion.ground_acceleration) if x is not None)]
-    every = np.column_stack([*functions, problem.record.force[:, list(problem.inputs.loads)]])
+    histories = np.column_stack([*functions, problem.record.force[:, list(problem.inputs.loads)]])
     segments, network = equations.observation, equations.network
     projection = FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
     like = equations.target.force
-    weights = projection.coefficients(torch.as_tensor(every).to(like))
+    weights = projection.coefficients(torch.as_tensor(histories).to(like))
     return Point(equations.layout.unknowns(weights.to(like)), equations.start().parameters)
 
 
@@ -61,14 +61,14 @@ NOTHING_EXPLAINED, NOISIER = 0.3, (3.0, 10.0)
 def identify_by_spectra(problem: JointProblem, solver: Solver) -> tuple[JointProblem, Solver]:
     """The problem and its solver, with the parameters that the spectra of its sensors tell, where these tell them."""
     learn_spread = solver.learn_spread and not problem.is_informed
-    every = [(start, known_parameters(start, learn_spread)) for start in problem.starts]
-    found = [(start, known) for start, known in every if known is not None and known.converged]
-    if not found:
+    starts = [(start, known_parameters(start, learn_spread)) for start in problem.starts]
+    solved = [(start, parameters) for start, parameters in starts if parameters is not None and parameters.converged]
+    if not solved:
         return problem, solver
-    best, known = max(found, key=lambda one: one[1].log_likelihood)
+    best, parameters = max(solved, key=lambda pair: pair[1].log_likelihood)
     vector = ParameterVector(best.structure.parameters_like(np.empty(0)), best.alone.uncertain)
-    best = best.present(vector.values(known.distance * vector.each("prior_std")))
-    return best, replace(solver, known=known, learn_spread=False)
+    best = best.present(vector.values(parameters.distance * vector.each("prior_std")))
+    return best, replace(solver, known_parameters=parameters, learn_spread=False)
 
 
 def first_solution(problem: JointProblem, solver: Solver) -> Inference:
@@ -80,22 +80,24 @@ def first_solution(problem: JointProblem, solver: Solver) -> Inference:
         DivergenceError: None could be solved.
     """
     (network, *_), (start, *_) = solver.networks(problem), problem.starts
-    part = None if solver.known is not None else part_of_record(start, network)
-    found = None
+    part = None if solver.known_parameters is not None else part_of_record(start, network)
+    inference = None
     if part is not None:
-        found = _through_a_part(problem, solver, network, part)
+        inference = _through_a_part(problem, solver, network, part)
         problem = replace(problem, elsewhere=tuple)  # what lies there has been looked for
-    found = found or _from_every_start(problem, solver)[0]
-    return replace(found, trained=solver.settled(found.evidence, found.trained))
+    inference = inference or _from_every_start(problem, solver)[0]
+    return replace(inference, trained=solver.settled(inference.evidence, inference.trained))
 
 
 def _through_a_part(
     problem: JointProblem, solver: Solver, network: LinearReadout, part: tuple[Problem, LinearReadout]
 ) -> Inference | None:
     """The solution next to that of a part of the record; None where it is not a good model."""
-    own, shorter = part
+    part_problem, shorter = part
     try:
-        of_part, largest = _from_every_start(problem.changed(partial(replace, record=own.record)), solver, [shorter])
+        of_part, largest = _from_every_start(
+            problem.changed(partial(replace, record=part_problem.record)), solver, [shorter]
+        )
         if not holds(of_part.trained, largest):
             return None
         of_whole = of_part.problem.changed(partial(replace, record=problem.alone.record))
@@ -117,14 +119,14 @@ def _from_every_start(
     Raises:
         DivergenceError: None could be solved.
     """
-    found, failure = _solutions(problem.starts, solver, networks)
-    if not found:
+    solutions, failure = _solutions(problem.starts, solver, networks)
+    if not solutions:
         raise failure or DivergenceError("there is no start")
-    best = max(found, key=_log_evidence)
+    best = max(solutions, key=_log_evidence)
     if not _holds(best):
         # Of models that do not hold the one that follows the sensors most would be taken.
-        others, _ = _solutions(problem.elsewhere(), solver, networks)
-        best = max([best, *filter(_holds, others)], key=_log_evidence)
+        elsewhere, _ = _solutions(problem.elsewhere(), solver, networks)
+        best = max([best, *filter(_holds, elsewhere)], key=_log_evidence)
     return best
 
 
@@ -132,7 +134,7 @@ def _solutions(
     starts: Sequence[JointProblem], solver: Solver, networks: Sequence[LinearReadout] | None
 ) -> tuple[list[tuple[Inference, float]], DivergenceError | None]:
     """Those that there are, each with the force that acts, N; and why the last one failed that did."""
-    found: list[tuple[Inference, float]] = []
+    solutions: list[tuple[Inference, float]] = []
     failure: DivergenceError | None = None
     for start in starts:
         evidence = solver.evidence(start, networks)
@@ -142,16 +144,16 @@ def _solutions(
         except DivergenceError as error:
             failure = error
             continue
-        found.append((Inference(evidence, trained, solver), noise.discrepancy))
-    return found, failure
+        solutions.append((Inference(evidence, trained, solver), noise.discrepancy))
+    return solutions, failure
 
 
-def _holds(found: tuple[Inference, float]) -> bool:
-    return holds(found[0].trained, found[1])
+def _holds(solution: tuple[Inference, float]) -> bool:
+    return holds(solution[0].trained, solution[1])
 
 
-def _log_evidence(found: tuple[Inference, float]) -> float:
-    return found[0].trained.log_evidence
+def _log_evidence(solution: tuple[Inference, float]) -> float:
+    return solution[0].trained.log_evidence
 
 
 def soft_to_stiff(evidence: Evidence, noise: NoiseLevels) -> Trained:
@@ -175,7 +177,7 @@ def soft_to_stiff(evidence: Evidence, noise: NoiseLevels) -> Trained:
 
 def _simulated_start(evidence: Evidence) -> Point | None:
     """See :func:`simulated_start`; None where there is none of any record."""
-    points = [simulated_start(own) for own in evidence.equations.each]
+    points = [simulated_start(equations) for equations in evidence.equations.by_record]
     return evidence.equations.joined(points) if all(points) else None  # type: ignore[arg-type]
 
 

@@ -102,7 +102,7 @@ def spectrum_in_band(evidence: RecordEvidence, solution: RecordSolution) -> Driv
         return likelihood, Drive(math.sqrt(level), correlation_time, damping_ratio)
 
     now, _ = fit(inputs.correlation_time, inputs.damping_ratio)
-    likelihood, best = max((fit(*process) for process in _processes(inputs)), key=lambda found: found[0])
+    likelihood, best = max((fit(*process) for process in _processes(inputs)), key=lambda fitted: fitted[0])
     return best if likelihood > now + DECISIVE_SPECTRUM else None
 
 
@@ -135,9 +135,9 @@ def reaches_beyond(evidence: RecordEvidence, solution: RecordSolution) -> float:
     mass = equations.prescribed["m"].numpy()
     share = [
         # White noise of the points has so much power per frequency less than that of the samples.
-        (level / mass[dof] / white_level(felt, record.step, top)) ** 2 / equations.refinement
+        (level / mass[dof] / white_level(acceleration, record.step, top)) ** 2 / equations.refinement
         for dof in inputs.forces
-        if np.isfinite(felt := record.acceleration[:, dof]).all()
+        if np.isfinite(acceleration := record.acceleration[:, dof]).all()
     ]
     return wider if share and OF_FORCES[0] < np.median(share) < OF_FORCES[1] else 1.0
 
@@ -169,12 +169,12 @@ def drive_below(
         drive = averages.by_interval(residual)[:, functions].numpy()
         return (np.abs(np.fft.rfft(drive, axis=0)) ** 2).sum(1) / len(drive)
 
-    found = power(equations.motion.residual(point))
+    spectrum = power(equations.motion.residual(point))
     moved = [functions_moved for _, functions_moved in equations.motion.moved(point, solution.drawn(DRAWS))]
-    scatter = np.zeros_like(found)
+    scatter = np.zeros_like(spectrum)
     for of_draw in zip(*moved, strict=True):
         scatter += power(torch.cat(of_draw)) / DRAWS
     determined = functions.stop - functions.start - scatter / float(innovation[functions][0]) ** 2
-    frequency = rate * np.arange(len(found)) / (2.0 * (len(found) - 1))
+    frequency = rate * np.arange(len(spectrum)) / (2.0 * (len(spectrum) - 1))
     inside = (frequency > 0.0) & (frequency <= top)
-    return DriveSpectrum(frequency[inside], found[inside], determined[inside])
+    return DriveSpectrum(frequency[inside], spectrum[inside], determined[inside])

@@ -39,54 +39,54 @@ CELLS, CELLS_IN_A_ROW = 200, 20
 FREEDOM = 1.5 * CELLS / CELLS_IN_A_ROW - 1.0
 
 
-def fit_free_run(found: Inference) -> Inference | None:
+def fit_free_run(inference: Inference) -> Inference | None:
     """The same with solutions whose structure runs free, each with less of a discrepancy; None: the motion does that.
 
     A spline does not follow every motion of a structure that runs free, so the last one need not be the best. Where a
     force is free nothing tells it from what the model leaves out; windows and samplers go on from the solution itself.
     """
-    problem = found.problem
-    goes_on = found.is_informed or problem.first.hand_over is not None or bool(problem.priors)
+    problem = inference.problem
+    goes_on = inference.is_informed or problem.first.hand_over is not None or bool(problem.priors)
     if goes_on or problem.has_unknown_forces or not problem.identifies:
         return None
-    evidence, last = found.evidence, found.trained
+    evidence, last = inference.evidence, inference.trained
     floors = evidence.each_record(floor, last)
     if not _is_misled(evidence, last, floors):
         return None
     first, free = last.noise.records, []
     for part in PARTS_LEFT:
-        ends = [max(part * own.discrepancy, least.discrepancy) for own, least in zip(first, floors, strict=True)]
+        ends = [max(part * noise.discrepancy, least.discrepancy) for noise, least in zip(first, floors, strict=True)]
         followed = _followed(evidence, last, ends, first)
         if followed is None:
             break
         last = followed
         if last.solution.converged:
             free.append(FreeRunning(last, *_deviations(evidence, last)))
-    return replace(found, free=free) if free else None
+    return replace(inference, free=free) if free else None
 
 
-def _followed(evidence: Evidence, found: Trained, ends: list[float], first: tuple[NoiseModel, ...]) -> Trained | None:
+def _followed(evidence: Evidence, trained: Trained, ends: list[float], first: tuple[NoiseModel, ...]) -> Trained | None:
     """The solution with a discrepancy that has come down to its end, step by step; None where it cannot be solved."""
     for _ in range(FREE_ROUNDS):
-        levels = tuple(evidence.each_record(_stiffer, found, ends, first))
-        again = evidence.train(replace(found.noise, records=levels), found.solution.point)
+        levels = tuple(evidence.each_record(_stiffer, trained, ends, first))
+        again = evidence.train(replace(trained.noise, records=levels), trained.solution.point)
         if again is None or not np.isfinite(again.log_evidence):
             return None
-        pairs = zip(again.noise.records, found.noise.records, strict=True)
+        pairs = zip(again.noise.records, trained.noise.records, strict=True)
         moved = [np.abs(_log_response(new) - _log_response(old)) for new, old in pairs]
-        found = again
+        trained = again
         settled = float(np.nanmax(np.concatenate(moved), initial=0.0)) < SETTLED
-        if settled and all(own.discrepancy <= end for own, end in zip(levels, ends, strict=True)):
+        if settled and all(noise.discrepancy <= end for noise, end in zip(levels, ends, strict=True)):
             break
-    return found
+    return trained
 
 
 def _is_misled(evidence: Evidence, trained: Trained, least: list[NoiseModel]) -> bool:
     """Whether the record is far less probable without any discrepancy; or far more, where the search went astray."""
     levels = list(zip(trained.noise.records, least, strict=True))
-    if all(level.discrepancy <= SCAN_FACTOR * own.discrepancy for level, own in levels):
+    if all(level.discrepancy <= SCAN_FACTOR * lowest.discrepancy for level, lowest in levels):
         return False
-    without = tuple(replace(level, discrepancy=own.discrepancy) for level, own in levels)
+    without = tuple(replace(level, discrepancy=lowest.discrepancy) for level, lowest in levels)
     stiff = evidence.train(replace(trained.noise, records=without), trained.solution.point)
     return stiff is None or not abs(stiff.log_evidence - trained.log_evidence) < DECISIVE_DROP
 
@@ -102,8 +102,8 @@ def _stiffer(evidence: RecordEvidence, solution: RecordSolution, end: float, fir
         end: Of the discrepancy.
         first: Noise of the sensors, and of the inputs, which keep theirs.
     """
-    left, size = _left_and_size(evidence, solution.point)
-    beyond = [np.maximum(left[q] - first.response[q] ** 2, 0.0) / size[q] for q in left]
+    residual, size = _mean_squares(evidence, solution.point)
+    beyond = [np.maximum(residual[q] - first.response[q] ** 2, 0.0) / size[q] for q in residual]
     part = np.nanmean(np.concatenate(beyond)) if beyond else 0.0
     response = {q: np.sqrt(level**2 + part * size.get(q, 0.0)) for q, level in first.response.items()}
     discrepancy = max(solution.noise.discrepancy / SCAN_FACTOR, end)
@@ -113,15 +113,15 @@ def _stiffer(evidence: RecordEvidence, solution: RecordSolution, end: float, fir
     return replace(solution.noise, response=response, force=of_force * first.force, discrepancy=discrepancy)
 
 
-def _left_and_size(evidence: RecordEvidence, point: Point) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+def _mean_squares(evidence: RecordEvidence, point: Point) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Mean squares of what a point leaves of the response's sensors, and of these, by name; NaN of no sensor."""
-    left, size = {}, {}
-    for own in evidence.equations.channels:
-        response = own.there & ~own.acting
+    residual, size = {}, {}
+    for channels in evidence.equations.channels:
+        response = channels.present & ~channels.acting
         if response.any():
-            left[own.name] = np.where(response, own.squares(point) / own.samples, np.nan)
-            size[own.name] = np.where(own.there, response * own.numbers("rms") ** 2, np.nan)
-    return left, size
+            residual[channels.name] = np.where(response, channels.squares(point) / channels.samples, np.nan)
+            size[channels.name] = np.where(channels.present, response * channels.numbers("rms") ** 2, np.nan)
+    return residual, size
 
 
 def _log_response(noise: NoiseModel) -> np.ndarray:
@@ -132,10 +132,10 @@ def _deviations(evidence: Evidence, trained: Trained) -> tuple[np.ndarray, np.nd
     """Covariance (p, p) and standard deviation (p,), see :class:`FreeRunning`."""
     white = trained.factor.corner_covariance
     scores, varying = np.zeros((len(white), len(white))), np.zeros(len(white))
-    found = evidence.each_record(_score_covariance, trained)
-    for columns, (of_score, of_condition) in zip(evidence.equations.columns, found, strict=True):
+    covariances = evidence.each_record(_score_covariance, trained)
+    for columns, (of_score, of_condition) in zip(evidence.equations.columns, covariances, strict=True):
         scores[np.ix_(columns, columns)] += of_score
-        varying[columns] += of_condition / len(found)
+        varying[columns] += of_condition / len(covariances)
     prior = evidence.equations.precision(trained.noise).numpy()
     covariance = white @ (scores + np.diag(prior)) @ white
     # No residual tells more than white noise of its size.
@@ -152,8 +152,8 @@ def _score_covariance(evidence: RecordEvidence, solution: RecordSolution) -> tup
     white = solution.factor.corner_covariance
     scores, information = (_in_parts(x) for x in _scores(evidence, solution))
     # Of a fit to the whole record the parts know, and few of them tell a variance roughly (Student 1908).
-    each = CELLS / CELLS_IN_A_ROW / (1.0 - CELLS_IN_A_ROW / CELLS) * FREEDOM / (FREEDOM - 2.0) / len(scores)
-    of_score = each * scores.T @ scores
+    correction = CELLS / CELLS_IN_A_ROW / (1.0 - CELLS_IN_A_ROW / CELLS) * FREEDOM / (FREEDOM - 2.0) / len(scores)
+    of_score = correction * scores.T @ scores
     by_chance = np.diag(white @ of_score @ white)
     loud = 0.5 * np.log(np.trace(information @ white, axis1=1, axis2=2).clip(1e-12))
     varying = np.zeros(len(white))
@@ -186,22 +186,25 @@ def _scores(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
     count = len(point.parameters)
     still = np.zeros(solution.factor.readout.size)
     steps = [
-        Point(torch.as_tensor(-solution.factor.readout.solved(still, own)).to(point.unknowns), torch.as_tensor(own))
-        for own in np.eye(count)
+        Point(
+            torch.as_tensor(-solution.factor.readout.solved(still, direction)).to(point.unknowns),
+            torch.as_tensor(direction),
+        )
+        for direction in np.eye(count)
     ]
     scores, information = np.zeros((CELLS, count)), np.zeros((CELLS, count, count))
 
-    def add(left: torch.Tensor, moved: list[torch.Tensor], first: int, total: int) -> None:
+    def add(residual: torch.Tensor, moved: list[torch.Tensor], first: int, total: int) -> None:
         """Of residuals (groups, ...) and what each step moves them by, over their noise."""
-        rows = torch.stack(moved, dim=-1).reshape(len(left), -1, count)
-        place = (first + np.arange(len(left))) * CELLS // total
-        np.add.at(scores, place, torch.einsum("gs,gsp->gp", left.reshape(len(left), -1), rows).numpy())
+        rows = torch.stack(moved, dim=-1).reshape(len(residual), -1, count)
+        place = (first + np.arange(len(residual))) * CELLS // total
+        np.add.at(scores, place, torch.einsum("gs,gsp->gp", residual.reshape(len(residual), -1), rows).numpy())
         np.add.at(information, place, (rows.mT @ rows).numpy())
 
     # What acts on the structure is as it was measured: what its sensors leave says nothing of the model.
-    for own in (own for own in equations.channels if not own.acting.all()):
-        root = torch.as_tensor(np.nan_to_num(~own.acting / noise.response[own.name])).to(point.unknowns)
-        for piece, (at, moved) in zip(own.residuals(point), own.moved(point, steps), strict=True):
+    for channels in (channels for channels in equations.channels if not channels.acting.all()):
+        root = torch.as_tensor(np.nan_to_num(~channels.acting / noise.response[channels.name])).to(point.unknowns)
+        for piece, (at, moved) in zip(channels.residuals(point), channels.moved(point, steps), strict=True):
             add(piece.residual * root[at], [change * root[at] for change in moved], piece.first, piece.groups)
     physics, of_physics = equations.motion.residual(point), equations.motion.weight(noise).sqrt()
     for part, forces in equations.motion.moved(point, steps):

@@ -43,20 +43,20 @@ def solve_under_known_levels(evidence: Evidence, noise: NoiseLevels) -> Trained 
         return _under_levels(evidence, noise, problem.spectral.levels)
     if problem.prior is None:
         return None
-    levels, equations = problem.prior.levels, evidence.equations.each[0]
+    levels, equations = problem.prior.levels, evidence.equations.by_record[0]
     if not np.isfinite(levels.discrepancy) or not levels.force > 0:
         return None
     force, _ = force_and_velocity_scale(problem)
     rate = (levels.step / problem.record.step * equations.refinement) ** 0.5
-    known = levels.discrepancy * rate * force / levels.force
+    known_discrepancy = levels.discrepancy * rate * force / levels.force
     if levels.windows is not None:
-        known = levels.windows.start * discrepancy_unit(evidence)
-    discrepancy = max(known, LEAST_START * force)
+        known_discrepancy = levels.windows.start * discrepancy_unit(evidence)
+    discrepancy = max(known_discrepancy, LEAST_START * force)
     if discrepancy > SUSPICIOUS_DISCREPANCY * force * rate:
         return None
     of_force = levels.sensors.get("force")
-    own = noise.each(_with_known_response, levels.sensors).with_discrepancy(discrepancy)
-    own = own.each(lambda own: replace(own, force=_known_where(own.force, of_force)))
+    known_noise = noise.each(_with_known_response, levels.sensors).with_discrepancy(discrepancy)
+    known_noise = known_noise.each(lambda noise: replace(noise, force=_known_where(noise.force, of_force)))
     point = evidence.equations.start()
     try:
         # Uncertain springs times a motion are no linear force either: physics is stiff after a window, and where
@@ -64,13 +64,13 @@ def solve_under_known_levels(evidence: Evidence, noise: NoiseLevels) -> Trained 
         stiff = levels.windows is not None or not equations.dynamics.is_plain
         bilinear = stiff and len(problem.uncertain) > 0
         if problem.structure.nonlinearity_name != "linear" or bilinear:
-            softer = evidence.train(softened(own, force), point, ON_THE_WAY)
+            softer = evidence.train(softened(known_noise, force), point, ON_THE_WAY)
             if softer is None or not softer.solution.converged:
                 return None
             point = softer.solution.point
-        trained = evidence.train(own, point)
+        trained = evidence.train(known_noise, point)
         if trained is not None and trained.solution.converged:
-            trained = _as_driven(evidence, trained, known) or trained
+            trained = _as_driven(evidence, trained, known_discrepancy) or trained
     except DivergenceError:
         return None
     return trained if trained is not None and trained.solution.converged else None
@@ -80,8 +80,8 @@ def _under_levels(evidence: Evidence, noise: NoiseLevels, levels: Mapping[str, n
     """The solution under levels that spectra say; what disturbs the motion is no more than the load cell's."""
     least = LEAST_START * force_and_velocity_scale(evidence.problem.first)[0]
     discrepancy = float(max(np.nanmax(levels[FORCE]), least))
-    known = noise.each(_with_known_response, levels).with_discrepancy(discrepancy)
-    return evidence.train(known, evidence.equations.start())
+    known_noise = noise.each(_with_known_response, levels).with_discrepancy(discrepancy)
+    return evidence.train(known_noise, evidence.equations.start())
 
 
 def softened(noise: NoiseLevels, force: float) -> NoiseLevels:
@@ -109,7 +109,9 @@ def _as_driven(evidence: Evidence, trained: Trained, discrepancy: float) -> Trai
     if trained.noise.records[0].innovation is None:
         return None
     (driven,) = evidence.each_record(updated, trained, evidence.each_record(floor, trained))
-    noise = trained.noise.each(lambda own: replace(own, discrepancy=discrepancy, innovation=driven.innovation))
+    noise = trained.noise.each(
+        lambda record_noise: replace(record_noise, discrepancy=discrepancy, innovation=driven.innovation)
+    )
     return evidence.train(noise, trained.solution.point)
 
 
@@ -127,13 +129,13 @@ def as_fine_as_before(design: NetworkDesign, problem: Problem, network: LinearRe
     return design if finer is None else finer
 
 
-def _with_known_response(noise: NoiseModel, known: Mapping[str, np.ndarray]) -> NoiseModel:
-    return replace(noise, response={q: _known_where(own, known.get(q)) for q, own in noise.response.items()})
+def _with_known_response(noise: NoiseModel, levels: Mapping[str, np.ndarray]) -> NoiseModel:
+    return replace(noise, response={q: _known_where(level, levels.get(q)) for q, level in noise.response.items()})
 
 
-def _known_where(start: np.ndarray, known: np.ndarray | None) -> np.ndarray:
+def _known_where(start: np.ndarray, level: np.ndarray | None) -> np.ndarray:
     """Levels of sensors that there are, as they were if they were there."""
-    if known is None or known.shape[0] > start.shape[0]:
+    if level is None or level.shape[0] > start.shape[0]:
         return start
-    there = np.pad(known, (0, len(start) - len(known)), constant_values=np.nan)
-    return np.where(np.isfinite(start) & np.isfinite(there) & (there > 0), there, start)
+    padded = np.pad(level, (0, len(start) - len(level)), constant_values=np.nan)
+    return np.where(np.isfinite(start) & np.isfinite(padded) & (padded > 0), padded, start)

@@ -26,24 +26,24 @@ NEGLIGIBLE_PULL = 0.1
 LARGEST_MOVE = 2.0
 
 
-def move_to_marginal_peak(found: Inference) -> Inference | None:
+def move_to_marginal_peak(inference: Inference) -> Inference | None:
     """The solution with the most probable parameters, the motion integrated out; None where it has them."""
-    if found.is_informed or found.at_marginal_peak:
+    if inference.is_informed or inference.at_marginal_peak:
         return None
-    evidence, trained = found.evidence, found.trained
+    evidence, trained = inference.evidence, inference.trained
     held, pulls, moved = zip(*evidence.each_record(pull_on, trained), strict=True)
     if not np.isfinite(moved).all():
         return None
     if max(moved) < NEGLIGIBLE_PULL:
-        return replace(found, at_marginal_peak=True)
+        return replace(inference, at_marginal_peak=True)
     evidence.each_record(pulled, trained, pulls)
     again = evidence.train(trained.noise, trained.solution.point)
     if again is None or not again.solution.converged or again.log_evidence < trained.log_evidence - NEGLIGIBLE_GAIN:
         evidence.each_record(pulled, trained, held)
         return None
-    moved_there = replace(found, trained=again)
+    at_peak = replace(inference, trained=again)
     # As large as the forces are with these parameters: with less damping smaller ones make the same motion.
-    return set_force_level(moved_there) or moved_there
+    return set_force_level(at_peak) or at_peak
 
 
 def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray | None, np.ndarray, float]:
@@ -60,16 +60,18 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
 
     def factor(shift: np.ndarray) -> float:
         moved = replace(point, parameters=point.parameters + point.parameters.new_tensor(shift))
-        of_equations, of_all = (equations.assemble(moved, own).readout_log_determinant() for own in (alone, noise))
+        of_equations, of_all = (
+            equations.assemble(moved, levels).readout_log_determinant() for levels in (alone, noise)
+        )
         return 0.5 * (of_equations - of_all)
 
     # Under forces that nobody measured, what is believed of a parameter does not hold it.
     anyhow = bool(equations.dynamics.inputs.forces)
     wanted = [(p.unknown or anyhow) and p.kind not in OUTSIDE_THE_EQUATIONS for p in equations.uncertain]
-    here, pull = factor(np.zeros(len(std))) if any(wanted) else 0.0, np.zeros(len(std))
+    unshifted, pull = factor(np.zeros(len(std))) if any(wanted) else 0.0, np.zeros(len(std))
     for i in np.flatnonzero(wanted):
         # A discrepancy in a part of the band has as much fewer values: it was widened for these.
-        slope = noise.occupied * (factor(std * (np.arange(len(std)) == i)) - here) / std[i]
+        slope = noise.occupied * (factor(std * (np.arange(len(std)) == i)) - unshifted) / std[i]
         pull[i] = np.clip(slope, before[i] - LARGEST_MOVE / std[i], before[i] + LARGEST_MOVE / std[i])
     # The record may be computed in another process, which alone knows what pulls at it.
     return equations.pull, pull, float(np.max(np.abs(pull - before) * std, initial=0.0))

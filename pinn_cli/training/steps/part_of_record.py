@@ -60,8 +60,8 @@ def part_of_record(whole: JointProblem, network: LinearReadout) -> tuple[Problem
         return None
     stop = network.start + intervals * network.spacing
     shape = intervals, network.degree, network.continuity, network.readout.dtype
-    own = replace(problem, record=record.until(round(samples)))
-    return own, SplineNetwork(network.ndof, network.start, stop, *shape)
+    part = replace(problem, record=record.until(round(samples)))
+    return part, SplineNetwork(network.ndof, network.start, stop, *shape)
 
 
 def _is_stationary(record: Record, samples: int) -> bool:
@@ -88,18 +88,19 @@ def whole_from(
         evidence: Of the whole.
         noise: Where a search of the whole would begin.
     """
-    equations, own = evidence.equations, evidence.equations.each[0]
+    equations, record_equations = evidence.equations, evidence.equations.by_record[0]
     equations.share_ridges(of_part.equations)
     noise, largest_of_whole = replace(noise, spread=part.noise.spread), noise.discrepancy
     steps = min(
-        _steps(largest, part.noise.discrepancy), _steps_to_indifference(noise, negligible(own, noise.records[0]))
+        _steps(largest, part.noise.discrepancy),
+        _steps_to_indifference(noise, negligible(record_equations, noise.records[0])),
     )
     # A scan of the whole would take one step, then two at a time: from an odd one on both try the same discrepancies.
     begin = noise.with_discrepancy(largest_of_whole / SCAN_FACTOR ** max(steps - 1 + steps % 2, 0))
     point = Point(equations.start().unknowns, part.solution.point.parameters)
     point = equations.followed(point, begin)
-    found = scanned(evidence, noise, begin.discrepancy, point)
-    return found if found.solution.converged and _are_near(begin, found.noise) else None
+    whole = scanned(evidence, noise, begin.discrepancy, point)
+    return whole if whole.solution.converged and _are_near(begin, whole.noise) else None
 
 
 def _steps(largest: float, discrepancy: float) -> int:
@@ -112,6 +113,6 @@ def _steps_to_indifference(noise: NoiseLevels, least: float) -> int:
     return int(np.ceil(np.log(noise.discrepancy / least) / np.log(SCAN_FACTOR))) if least > 0 else MOST_SCAN_STEPS
 
 
-def _are_near(begin: NoiseLevels, found: NoiseLevels) -> bool:
+def _are_near(begin: NoiseLevels, end: NoiseLevels) -> bool:
     """Whether the discrepancy was found near the place where it was looked for first."""
-    return found.discrepancy > begin.discrepancy / SCAN_FACTOR ** (NEAR_STEPS + 0.5)
+    return end.discrepancy > begin.discrepancy / SCAN_FACTOR ** (NEAR_STEPS + 0.5)

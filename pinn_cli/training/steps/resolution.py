@@ -75,8 +75,8 @@ def _for_the_motion(evidence: RecordEvidence, solution: RecordSolution, error: n
         for part in equations.windows(segments):
             values = equations.dynamics.sensed("acceleration", equations.jet(segments, drawn, part))
             square += values.square().sum((0, 1)).numpy() / RESOLUTION_DRAWS
-    known = np.sqrt(square / segments.samples)
-    worst = float(np.max(error[known > 0] / known[known > 0], initial=0.0))
+    std = np.sqrt(square / segments.samples)
+    worst = float(np.max(error[std > 0] / std[std > 0], initial=0.0))
     is_linear = equations.dynamics.structure.nonlinearity_name == "linear"
     return float((worst / (TOLERATED if is_linear else TOLERATED_NONLINEAR)) ** (1.0 / ORDER))
 
@@ -100,16 +100,16 @@ def _for_the_parameters(evidence: RecordEvidence, solution: RecordSolution) -> f
     equations = evidence.equations
     parameters = equations.parameters(solution.point)
     std = np.sqrt(np.diag(solution.factor.corner_covariance)) * equations.scale.numpy()
-    known = [
+    relative = [
         s / float(parameters[p.kind][p.index])
         for s, p in zip(std, equations.uncertain, strict=True)
         if p.kind in ("k", FACTOR) and float(parameters[p.kind][p.index]) > 0
     ]
-    if not known:
+    if not relative:
         return 1.0
     network = equations.network
     assert isinstance(network, SplineNetwork)
-    wanted = _highest_resonance(equations, solution) * (1.0 + (TOLERATED * min(known)) ** (-1.0 / network.degree))
+    wanted = _highest_resonance(equations, solution) * (1.0 + (TOLERATED * min(relative)) ** (-1.0 / network.degree))
     return wanted * network.spacing
 
 

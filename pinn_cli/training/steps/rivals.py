@@ -34,40 +34,42 @@ AS_GOOD = 6.0
 LOWEST = 0.01
 
 
-def choose_equivalent_structure(found: Inference) -> Inference | None:
+def choose_equivalent_structure(inference: Inference) -> Inference | None:
     """The solution that lies nearest to the start among those that are as probable as any; None: there is one alone."""
-    if found.is_informed:
+    if inference.is_informed:
         return None
-    solutions = [found]
-    for values in _others(found):
-        other = _solved(found, values)
-        if other is not None and all(_differ(other, one) for one in solutions):
-            solutions.append(other)
+    solutions = [inference]
+    for values in _rival_values(inference):
+        rival = _solved(inference, values)
+        if rival is not None and all(_differ(rival, solution) for solution in solutions):
+            solutions.append(rival)
     if len(solutions) == 1:
         return None
-    best = max(one.trained.log_evidence for one in solutions)
-    as_good = [one for one in solutions if one.trained.log_evidence > best - AS_GOOD]
+    best = max(solution.trained.log_evidence for solution in solutions)
+    as_good = [solution for solution in solutions if solution.trained.log_evidence > best - AS_GOOD]
     as_good.sort(key=_distance)
     first = as_good[0]
-    rivals = [_rival(one, one.trained.log_evidence - first.trained.log_evidence) for one in as_good[1:]]
-    trained = first.trained if first is found else first.solver.settled(first.evidence, first.trained)
+    rivals = [_rival(solution, solution.trained.log_evidence - first.trained.log_evidence) for solution in as_good[1:]]
+    trained = first.trained if first is inference else first.solver.settled(first.evidence, first.trained)
     return replace(first, trained=trained, rivals=tuple(rivals))
 
 
-def _others(found: Inference) -> list[dict[Parameter, float]]:
+def _rival_values(inference: Inference) -> list[dict[Parameter, float]]:
     """Values of the unknown parameters of structures that do the same."""
-    problem, values = found.problem, _values(found)
+    problem, values = inference.problem, _values(inference)
     unknown = [p for p in values if p.unknown and p.kind in (MASS, "k")]
     if not unknown or problem.structure.is_modal:
         return []
     structure = problem.structure.with_values({p: x for p, x in values.items() if p.kind not in CALIBRATION_UNITS})
-    others = rivals_of(structure, unknown, seen_by(structure, [own.record for own in problem]), MOST_WEIGHED)
-    return [other | _dampers(values, other) for other in others]
+    rivals = rivals_of(
+        structure, unknown, seen_by(structure, [record_problem.record for record_problem in problem]), MOST_WEIGHED
+    )
+    return [rival | _dampers(values, rival) for rival in rivals]
 
 
-def _dampers(values: dict[Parameter, float], other: dict[Parameter, float]) -> dict[Parameter, float]:
+def _dampers(values: dict[Parameter, float], rival: dict[Parameter, float]) -> dict[Parameter, float]:
     """Unknown dampers with the loss factors that their springs had."""
-    springs = {p.index: x / values[p] for p, x in other.items() if p.kind == "k"}
+    springs = {p.index: x / values[p] for p, x in rival.items() if p.kind == "k"}
     return {p: x * springs[p.index] for p, x in values.items() if p.kind == "c" and p.unknown and p.index in springs}
 
 
@@ -78,8 +80,8 @@ def seen_by(structure: Structure, records: Sequence[Record]) -> Seen:
     sensing: list[np.ndarray] = []
     inputs: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     for record in records:
-        others = [channel for channel in record.calibrated if not channel.is_column]
-        for channel in (*channels(record, QUANTITIES), *others):
+        calibrated = [channel for channel in record.calibrated if not channel.is_column]
+        for channel in (*channels(record, QUANTITIES), *calibrated):
             weights = np.zeros(structure.ndof)
             weights[list(channel.weights)] = list(channel.weights.values())
             if channel.quantity in RESPONSE_QUANTITIES:
@@ -95,61 +97,63 @@ def seen_by(structure: Structure, records: Sequence[Record]) -> Seen:
     return Seen(np.reshape(sensing, (-1, structure.ndof)), Acting.of(inputs, structure.ndof), low, high)
 
 
-def _solved(found: Inference, values: dict[Parameter, float]) -> Inference | None:
+def _solved(inference: Inference, values: dict[Parameter, float]) -> Inference | None:
     """The solution next to these values, under the same noise and damped in its own modes; None where there is none."""
-    equations, point = found.evidence.equations, found.trained.solution.point
+    equations, point = inference.evidence.equations, inference.trained.solution.point
     moved = point.parameters.clone()
     for i, p in enumerate(equations.uncertain):
         if p in values:
             moved[i] = (values[p] - p.prescribed) / equations.scale[i]
-    there = Point(point.unknowns, moved)
-    solution = replace(found.trained.solution, point=there)
-    begun = _damped_in_own_modes(replace(found, trained=replace(found.trained, solution=solution)))
+    moved_point = Point(point.unknowns, moved)
+    solution = replace(inference.trained.solution, point=moved_point)
+    begun = _damped_in_own_modes(replace(inference, trained=replace(inference.trained, solution=solution)))
     try:
-        followed = begun.evidence.equations.followed(there, found.trained.noise)
-        again = begun.evidence.train(found.trained.noise, followed)
+        followed = begun.evidence.equations.followed(moved_point, inference.trained.noise)
+        again = begun.evidence.train(inference.trained.noise, followed)
     except DivergenceError:
         return None
     return replace(begun, trained=again) if again is not None and again.solution.converged else None
 
 
-def _damped_in_own_modes(found: Inference) -> Inference:
+def _damped_in_own_modes(inference: Inference) -> Inference:
     """The same point of a problem whose damping of the whole is that of the structure there."""
-    problem = problem_in_own_modes(found)
+    problem = problem_in_own_modes(inference)
     if problem is None:
-        return found
-    evidence = found.solver.evidence(problem)
-    evidence.equations.share_ridges(found.evidence.equations)
-    return replace(found, evidence=evidence)
+        return inference
+    evidence = inference.solver.evidence(problem)
+    evidence.equations.share_ridges(inference.evidence.equations)
+    return replace(inference, evidence=evidence)
 
 
-def _values(found: Inference) -> dict[Parameter, float]:
-    equations = found.evidence.equations
-    scaled = found.trained.solution.point.parameters.numpy() * equations.scale
+def _values(inference: Inference) -> dict[Parameter, float]:
+    equations = inference.evidence.equations
+    scaled = inference.trained.solution.point.parameters.numpy() * equations.scale
     return {p: p.value(float(x)) for p, x in zip(equations.uncertain, scaled, strict=True)}
 
 
 def _differ(a: Inference, b: Inference) -> bool:
     """Whether two solutions are not one."""
     equations = a.evidence.equations
-    mine, theirs = (np.array(list(_values(one).values())) for one in (a, b))
-    spread = sum(np.diag(one.trained.factor.corner_covariance) for one in (a, b)) ** 0.5
-    apart = np.abs(mine - theirs)
+    values_a, values_b = (np.array(list(_values(inference).values())) for inference in (a, b))
+    spread = sum(np.diag(inference.trained.factor.corner_covariance) for inference in (a, b)) ** 0.5
+    distance = np.abs(values_a - values_b)
     relevant = np.array([p.unknown and p.kind in LINEAR_UNITS for p in equations.uncertain])
     return bool(
         (
-            (apart > RIVALS_APART * spread * equations.scale) & (apart > RIVALS_LEAST_APART * np.abs(mine)) & relevant
+            (distance > RIVALS_APART * spread * equations.scale)
+            & (distance > RIVALS_LEAST_APART * np.abs(values_a))
+            & relevant
         ).any()
     )
 
 
-def _distance(found: Inference) -> float:
+def _distance(inference: Inference) -> float:
     """Of the unknown masses and springs from what the user says, else from where they started, as logarithms."""
-    springs = {p: x for p, x in _values(found).items() if p.unknown and p.kind in (MASS, "k")}
+    springs = {p: x for p, x in _values(inference).items() if p.unknown and p.kind in (MASS, "k")}
     pairs = [(x, p.said if p.said > 0 else p.prescribed) for p, x in springs.items()]
     return sum(math.log(x / start) ** 2 for x, start in pairs if x > 0 and start > 0)
 
 
-def _rival(found: Inference, log_odds: float) -> Rival:
-    values = {p.name: x for p, x in _values(found).items() if p.unknown and p.kind not in CALIBRATION_UNITS}
+def _rival(inference: Inference, log_odds: float) -> Rival:
+    values = {p.name: x for p, x in _values(inference).items() if p.unknown and p.kind not in CALIBRATION_UNITS}
     return Rival(values, log_odds)

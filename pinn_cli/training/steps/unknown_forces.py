@@ -17,16 +17,16 @@ from pinn_cli.training.steps.force_spectrum import Drive, level_in_band, reaches
 CORRELATION_ROUNDS = 3
 
 
-def widen_force_band(found: Inference) -> Inference | None:
+def widen_force_band(inference: Inference) -> Inference | None:
     """The solution with unknown forces that reach as far as they do, see :func:`reaches_beyond`; None: they do."""
-    factors, solver = found.evidence.each_record(reaches_beyond, found.trained), found.solver
+    factors, solver = inference.evidence.each_record(reaches_beyond, inference.trained), inference.solver
     if max(factors) <= 1.0:
         return None
-    each = list(zip(solver.designs, factors, found.problem, strict=True))
-    designs = tuple(design.finer(factor, own.record) for design, factor, own in each)
+    records = list(zip(solver.designs, factors, inference.problem, strict=True))
+    designs = tuple(design.finer(factor, record_problem.record) for design, factor, record_problem in records)
     if not all(designs):
         return None
-    problem = JointProblem.of(*(_of_wider_band(own, factor) for _, factor, own in each))
+    problem = JointProblem.of(*(_of_wider_band(record_problem, factor) for _, factor, record_problem in records))
     return first_solution(problem, replace(solver, designs=designs))  # type: ignore[arg-type]
 
 
@@ -36,19 +36,23 @@ def _of_wider_band(problem: Problem, factor: float) -> Problem:
     return replace(problem, inputs=wider)
 
 
-def fit_force_spectrum(found: Inference) -> Inference | None:
+def fit_force_spectrum(inference: Inference) -> Inference | None:
     """The solution under the most probable spectrum of the unknown forces; None where it has that already."""
-    drives = found.evidence.each_record(spectrum_in_band, found.trained)
+    drives = inference.evidence.each_record(spectrum_in_band, inference.trained)
     if not any(drives):
         return None
-    pairs = zip(found.problem, drives, strict=True)
-    problem = JointProblem.of(*(_of_spectrum(own, drive) for own, drive in pairs))
-    evidence = found.solver.evidence(problem, [own.network for own in found.evidence.equations.each])
+    pairs = zip(inference.problem, drives, strict=True)
+    problem = JointProblem.of(*(_of_spectrum(record_problem, drive) for record_problem, drive in pairs))
+    evidence = inference.solver.evidence(
+        problem, [equations.network for equations in inference.evidence.equations.by_record]
+    )
     levels = [None if drive is None else drive.level for drive in drives]
-    again = evidence.train(_with_levels(found.evidence, found.trained.noise, levels), found.trained.solution.point)
+    again = evidence.train(
+        _with_levels(inference.evidence, inference.trained.noise, levels), inference.trained.solution.point
+    )
     if again is None or not again.solution.converged:
         return None
-    return replace(found, evidence=evidence, trained=found.solver.settled(evidence, again, CORRELATION_ROUNDS))
+    return replace(inference, evidence=evidence, trained=inference.solver.settled(evidence, again, CORRELATION_ROUNDS))
 
 
 def _of_spectrum(problem: Problem, drive: Drive | None) -> Problem:
@@ -58,22 +62,22 @@ def _of_spectrum(problem: Problem, drive: Drive | None) -> Problem:
     return replace(problem, inputs=inputs)
 
 
-def set_force_level(found: Inference) -> Inference | None:
+def set_force_level(inference: Inference) -> Inference | None:
     """The solution with unknown forces as large as they are in the record's band; None without any."""
-    if not found.problem.has_unknown_forces:
+    if not inference.problem.has_unknown_forces:
         return None
-    levels = found.evidence.each_record(level_in_band, found.trained)
-    again = found.evidence.train(
-        _with_levels(found.evidence, found.trained.noise, levels), found.trained.solution.point
+    levels = inference.evidence.each_record(level_in_band, inference.trained)
+    again = inference.evidence.train(
+        _with_levels(inference.evidence, inference.trained.noise, levels), inference.trained.solution.point
     )
-    return replace(found, trained=again) if again is not None and again.solution.converged else None
+    return replace(inference, trained=again) if again is not None and again.solution.converged else None
 
 
 def _with_levels(evidence: Evidence, noise: NoiseLevels, levels: Sequence[float | None]) -> NoiseLevels:
     """The same noise with unknown forces of every record that are driven so much; None: as before."""
-    forces = [own.dynamics.forces for own in evidence.equations.each]
-    each = (
-        own if level is None else own.driven_by(level, at)
-        for own, level, at in zip(noise.records, levels, forces, strict=True)
+    forces = [equations.dynamics.forces for equations in evidence.equations.by_record]
+    driven = (
+        record_noise if level is None else record_noise.driven_by(level, at)
+        for record_noise, level, at in zip(noise.records, levels, forces, strict=True)
     )
-    return replace(noise, records=tuple(each))
+    return replace(noise, records=tuple(driven))

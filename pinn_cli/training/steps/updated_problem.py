@@ -45,13 +45,15 @@ def has_turns(problem: Problem) -> bool:
     return problem.dynamics.structure is not problem.structure
 
 
-def with_turning_points(found: Inference, problem: JointProblem) -> JointProblem:
+def with_turning_points(inference: Inference, problem: JointProblem) -> JointProblem:
     """The problem with the turning points of a solution of it; the same where all laws are smooth."""
     if not has_turns(problem.first):
         return problem
-    each = zip(problem, found.by_record, found.trained.noise.records, strict=True)
-    turning = ((one, _turning_points(*own, noise.discrepancy)) for one, own, noise in each)
-    return JointProblem.of(*(replace(one, turning_points=points) for one, points in turning))
+    records = zip(problem, inference.by_record, inference.trained.noise.records, strict=True)
+    turning = (
+        (record_problem, _turning_points(*solution, noise.discrepancy)) for record_problem, solution, noise in records
+    )
+    return JointProblem.of(*(replace(record_problem, turning_points=points) for record_problem, points in turning))
 
 
 def _turning_points(equations: NormalEquations, point: Point, discrepancy: float) -> TurningPoints | None:
@@ -66,102 +68,114 @@ def _turning_points(equations: NormalEquations, point: Point, discrepancy: float
     for group, stuck, part in zip(structure.groups, sticking, structure.parts, strict=True):
         speed = group.nonlinearity.reversal_speed
         if group.nonlinearity is not stuck.nonlinearity and speed is not None:
-            own = rate[:, part.connections]
-            turning |= (own.abs() < STRAIGHT_SPEEDS * speed).any(1)
-            turning[1:] |= (own[1:] * own[:-1] < 0).any(1)
+            group_rate = rate[:, part.connections]
+            turning |= (group_rate.abs() < STRAIGHT_SPEEDS * speed).any(1)
+            turning[1:] |= (group_rate[1:] * group_rate[:-1] < 0).any(1)
     assert isinstance(equations.network, SplineNetwork)
     turns = TurningPoints(time[turning].numpy(), 1.0, 1.0, discrepancy)
     near = turns.near(equations.averages.times(time), equations.network.spacing)
     square = equations.motion.residual(point)[:, 0, equations.dynamics.has_mass].square().mean(1).numpy()
     if not 0.0 < near.mean() < MOST_LOOSENED:
         return None
-    before, (level, other) = equations.problem.turning_points, (float(np.sqrt(square[x].mean())) for x in (near, ~near))
+    before, (level, elsewhere) = (
+        equations.problem.turning_points,
+        (float(np.sqrt(square[x].mean())) for x in (near, ~near)),
+    )
     if before is None:
-        return replace(turns, level=level, looser=max(FIRST_LOOSER, level / other))
-    return replace(turns, level=before.level, looser=before.level / other)
+        return replace(turns, level=level, looser=max(FIRST_LOOSER, level / elsewhere))
+    return replace(turns, level=before.level, looser=before.level / elsewhere)
 
 
-def update_modes(found: Inference) -> Inference | None:
+def update_modes(inference: Inference) -> Inference | None:
     """The solution in its own modes, which move with masses and stiffnesses: damping of the whole, and coordinates.
 
     The next modes are those of the last solution. What parameters do to the modes is left out of the linearised
     equations: of the stiffness's part it is the damping ratio. None where they are the same.
     """
-    problem = problem_in_own_modes(found)
-    return None if problem is None else _carried_to(found, problem, found.solver)
+    problem = problem_in_own_modes(inference)
+    return None if problem is None else _carried_to(inference, problem, inference.solver)
 
 
-def problem_in_own_modes(found: Inference) -> JointProblem | None:
+def problem_in_own_modes(inference: Inference) -> JointProblem | None:
     """The problem in the modes at a solution's parameters; None where they are those that it has."""
-    before, problem = found.problem.structure, _present(found)
+    before, problem = inference.problem.structure, _present(inference)
     moved = not problem.structure.shares_coordinates(before) or problem.structure.damping_apart(before) > SAME_MODES
     return problem if moved else None
 
 
-def loosen_at_turning_points(found: Inference) -> Inference | None:
+def loosen_at_turning_points(inference: Inference) -> Inference | None:
     """The solution with a level of its own where contacts turn; None where what is left elsewhere falls no more."""
-    before, problem = found.problem.first.turning_points, with_turning_points(found, _present(found))
-    settled = before is not None and found.trained.noise.discrepancy > SAME_LEVEL * before.discrepancy
-    return None if problem.first.turning_points is None or settled else _carried_to(found, problem, found.solver)
+    before, problem = inference.problem.first.turning_points, with_turning_points(inference, _present(inference))
+    settled = before is not None and inference.trained.noise.discrepancy > SAME_LEVEL * before.discrepancy
+    return (
+        None if problem.first.turning_points is None or settled else _carried_to(inference, problem, inference.solver)
+    )
 
 
-def refine_features(found: Inference) -> Inference | None:
+def refine_features(inference: Inference) -> Inference | None:
     """The solution in finer features for the records that want them; None where none does, or they find none.
 
     Finer ones would reach further beyond the band, where forces that nobody measured are free.
     """
-    if found.problem.has_unknown_forces:
+    if inference.problem.has_unknown_forces:
         return None
-    wanted = found.evidence.each_record(knots_wanted, found.trained)
-    each = zip(found.solver.designs, wanted, found.problem, strict=True)
-    finer = [design.finer(factor, own.record) if factor >= WORTHWHILE else None for design, factor, own in each]
+    wanted = inference.evidence.each_record(knots_wanted, inference.trained)
+    records = zip(inference.solver.designs, wanted, inference.problem, strict=True)
+    finer = [
+        design.finer(factor, record_problem.record) if factor >= WORTHWHILE else None
+        for design, factor, record_problem in records
+    ]
     if not any(finer):
         return None
-    designs: tuple[NetworkDesign, ...] = tuple(new or old for new, old in zip(finer, found.solver.designs, strict=True))
-    again = _carried_to(found, with_turning_points(found, _present(found)), replace(found.solver, designs=designs))
-    return None if again is None else replace(again, narrowed=_narrowed(found, again))
+    designs: tuple[NetworkDesign, ...] = tuple(
+        new or old for new, old in zip(finer, inference.solver.designs, strict=True)
+    )
+    again = _carried_to(
+        inference, with_turning_points(inference, _present(inference)), replace(inference.solver, designs=designs)
+    )
+    return None if again is None else replace(again, narrowed=_narrowed(inference, again))
 
 
 def _narrowed(coarse: Inference, fine: Inference) -> float:
     """How many times as large the deviation of an unknown parameter was in coarser features; of all the most."""
     unknown = fine.evidence.equations.unknown
-    before, after = (np.diag(found.trained.factor.corner_covariance)[unknown] for found in (coarse, fine))
+    before, after = (np.diag(inference.trained.factor.corner_covariance)[unknown] for inference in (coarse, fine))
     return float(np.sqrt(np.max(before / after, initial=0.0)))
 
 
-def _present(found: Inference) -> JointProblem:
+def _present(inference: Inference) -> JointProblem:
     """The problem of a solution, with damping of the whole and coordinates in the modes of the structure there."""
-    equations, point = found.by_record[0]
-    problem, values = found.problem, {k: x.numpy() for k, x in equations.parameters(point).items()}
+    equations, point = inference.by_record[0]
+    problem, values = inference.problem, {k: x.numpy() for k, x in equations.parameters(point).items()}
     # A state that is handed over has its coordinates, and so have parameters that spectra determine.
     first = problem.first
-    free = first.prior is None and first.hand_over is None and equations.known is None
+    free = first.prior is None and first.hand_over is None and equations.known_parameters is None
     if free and FACTOR in values and not problem.structure.is_exact_at(values[FACTOR], SAME_FACTORS):
         problem = problem.reduced_at(values[FACTOR])
     return problem.present(values)
 
 
-def _carried_to(found: Inference, problem: JointProblem, solver: Solver) -> Inference | None:
+def _carried_to(inference: Inference, problem: JointProblem, solver: Solver) -> Inference | None:
     """The same solution of a problem that is posed in another way; None where it cannot be solved."""
     evidence = solver.evidence(problem)
     levels, points = [], []
-    before, now = zip(found.by_record, found.trained.noise.records, strict=True), evidence.equations
-    for ((coarse, point), noise), fine in zip(before, now.each, strict=True):
+    before, now = zip(inference.by_record, inference.trained.noise.records, strict=True), evidence.equations
+    for ((coarse, point), noise), fine in zip(before, now.by_record, strict=True):
         more = (fine.refinement / coarse.refinement) ** 0.5
         discrepancy, per_sample = more * noise.discrepancy, fine.refinement
         levels.append(replace(noise, discrepancy=discrepancy, points_per_sample=per_sample))
         points.append(carried_over(point, coarse, fine))
-    every, point = replace(found.trained.noise, records=tuple(levels)), now.joined(points)
+    carried_noise, point = replace(inference.trained.noise, records=tuple(levels)), now.joined(points)
     if problem.structure.nonlinearity_name != "linear" or now.uncertain:
-        point = softer_point(evidence, every, point)
-    again = evidence.train(every, point)
+        point = softer_point(evidence, carried_noise, point)
+    again = evidence.train(carried_noise, point)
     # About turns single steps of Gauss-Newton leave a little undone; what settles the levels goes on.
     if again is None or not (again.solution.converged or problem.first.turning_points is not None):
         return None
     again = solver.settled(evidence, again)
-    if _is_noisier(again.noise, found.trained.noise):
+    if _is_noisier(again.noise, inference.trained.noise):
         return None
-    return replace(found, evidence=evidence, trained=again, solver=solver)
+    return replace(inference, evidence=evidence, trained=again, solver=solver)
 
 
 def _is_noisier(fine: NoiseLevels, coarse: NoiseLevels) -> bool:

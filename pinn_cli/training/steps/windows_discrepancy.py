@@ -38,14 +38,18 @@ CONTRADICTION = 3.0
 NEAR_LOSS = 1e-3
 
 
-def combine_windows(found: Inference) -> Inference | None:
+def combine_windows(inference: Inference) -> Inference | None:
     """The solution of a window under the discrepancy that all windows say; None of a record that is none."""
-    first, known = found.problem.first, found.solver.known
+    first, known_parameters = inference.problem.first, inference.solver.known_parameters
     goes_on = first.prior is not None and first.prior.levels.windows is not None
-    if known is not None or found.problem.has_unknown_forces or not (first.hand_over is not None or goes_on):
+    if (
+        known_parameters is not None
+        or inference.problem.has_unknown_forces
+        or not (first.hand_over is not None or goes_on)
+    ):
         return None
-    trained, discrepancy = of_all_windows(found.evidence, found.trained)
-    return replace(found, trained=trained, discrepancy=discrepancy)
+    trained, discrepancy = of_all_windows(inference.evidence, inference.trained)
+    return replace(inference, trained=trained, discrepancy=discrepancy)
 
 
 def of_all_windows(evidence: Evidence, trained: Trained) -> tuple[Trained, DiscrepancyEvidence]:
@@ -59,89 +63,93 @@ def of_all_windows(evidence: Evidence, trained: Trained) -> tuple[Trained, Discr
     before = None if prior is None else prior.levels.windows
     unit = discrepancy_unit(evidence)
     top = float(np.log10(trained.noise.discrepancy / unit))
-    found_before = np.inf if before is None or not before.common else float(np.log10(before.start))
+    earlier = np.inf if before is None or not before.common else float(np.log10(before.start))
     (lowest,) = evidence.each_record(floor, trained)
-    least = min(float(np.log10(lowest.discrepancy / unit)), found_before)
-    own = _own(evidence, trained, unit, (least, top))
-    places = _places(own, before)
-    if own is None:
+    least = min(float(np.log10(lowest.discrepancy / unit)), earlier)
+    own_evidence = _own_evidence(evidence, trained, unit, (least, top))
+    places = _places(own_evidence, before)
+    if own_evidence is None:
         return trained, DiscrepancyEvidence(10.0**top, False, places, _at(before, places))
-    total = own.at(places) + _at(before, places)
-    least = float(own.places[0])
+    total = own_evidence.at(places) + _at(before, places)
+    least = float(own_evidence.places[0])
     tried = np.sort(np.concatenate((places[places > least], [least, top])))
-    sums = own.at(tried) + _at(before, tried)
+    sums = own_evidence.at(tried) + _at(before, tried)
     chosen = least if sums[0] >= sums.max() - NEGLIGIBLE_GAIN else float(tried[np.argmax(sums)])
-    common = bool(own.at(np.array([chosen]))[0] >= -CONTRADICTION)
-    found = _under(evidence, trained, unit, chosen) if common and chosen != top else None
-    if found is None:
-        chosen, found = top, trained
+    common = bool(own_evidence.at(np.array([chosen]))[0] >= -CONTRADICTION)
+    solution = _under(evidence, trained, unit, chosen) if common and chosen != top else None
+    if solution is None:
+        chosen, solution = top, trained
     factor = before.start / 10.0**chosen if before is not None and before.common and common else 1.0
-    found = replace(found, noise=found.noise.each(lambda own: replace(own, earlier_misfit=factor)))
-    return found, DiscrepancyEvidence(10.0**chosen, common, places, total)
+    solution = replace(
+        solution, noise=solution.noise.each(lambda record_noise: replace(record_noise, earlier_misfit=factor))
+    )
+    return solution, DiscrepancyEvidence(10.0**chosen, common, places, total)
 
 
 def discrepancy_unit(evidence: Evidence) -> float:
     """N, of a discrepancy that is the force that acts, in a sample of one second."""
-    first = evidence.equations.each[0]
+    first = evidence.equations.by_record[0]
     force, _ = force_and_velocity_scale(first.problem)
     return float(force * (first.refinement / first.problem.record.step) ** 0.5)
 
 
-def _own(evidence: Evidence, trained: Trained, unit: float, between: tuple[float, float]) -> DiscrepancyEvidence | None:
+def _own_evidence(
+    evidence: Evidence, trained: Trained, unit: float, between: tuple[float, float]
+) -> DiscrepancyEvidence | None:
     """What a window says by itself, over its own most probable one; None where even none at all is improbable."""
     least, top = between
-    found = {top: 0.0}
+    values = {top: 0.0}
 
     def tried(place: float) -> float:
         noise = trained.noise.with_discrepancy(unit * 10.0**place)
-        other = evidence.train(noise, trained.solution.point, NEAR_LOSS, goes_on=True)
-        stiff = other is None or not np.isfinite(other.log_evidence)
-        return -np.inf if other is None or stiff else other.log_evidence - trained.log_evidence
+        again = evidence.train(noise, trained.solution.point, NEAR_LOSS, goes_on=True)
+        stiff = again is None or not np.isfinite(again.log_evidence)
+        return -np.inf if again is None or stiff else again.log_evidence - trained.log_evidence
 
     while least < top and not np.isfinite(value := tried(least)):  # stiffer than these numbers can follow
         least += 1.0
     if least < top:
-        found[least] = value
+        values[least] = value
         if value <= -DECISIVE_DROP:
             return None
     place = STEP_DECADES * np.floor(top / STEP_DECADES)
     while place > least and np.isfinite(value := 0.0 if place == top else tried(place)):
-        found[place] = value
-        if abs(value - found[least]) <= FLAT_EVIDENCE:
+        values[place] = value
+        if abs(value - values[least]) <= FLAT_EVIDENCE:
             break
         place -= STEP_DECADES
     place, highest = (
         STEP_DECADES * np.floor(top / STEP_DECADES + 1.0),
         STEP_DECADES * np.floor(top / STEP_DECADES + HIGHEST),
     )
-    while place <= highest and (value := tried(place)) > max(found.values()) - DECISIVE_DROP:
-        found[place] = value
+    while place <= highest and (value := tried(place)) > max(values.values()) - DECISIVE_DROP:
+        values[place] = value
         place += STEP_DECADES
-    found[place] = max(found.values()) - DECISIVE_DROP  # or less: as improbable
-    places = sorted(found)
-    return DiscrepancyEvidence(10.0**top, True, np.array(places), np.array([found[place] for place in places]))
+    values[place] = max(values.values()) - DECISIVE_DROP  # or less: as improbable
+    places = sorted(values)
+    return DiscrepancyEvidence(10.0**top, True, np.array(places), np.array([values[place] for place in places]))
 
 
 def _under(evidence: Evidence, trained: Trained, unit: float, place: float) -> Trained | None:
-    found = evidence.train(trained.noise.with_discrepancy(unit * 10.0**place), trained.solution.point)
-    return found if found is not None and found.solution.converged else None
+    again = evidence.train(trained.noise.with_discrepancy(unit * 10.0**place), trained.solution.point)
+    return again if again is not None and again.solution.converged else None
 
 
-def _places(*each: DiscrepancyEvidence | None) -> np.ndarray:
+def _places(*evidences: DiscrepancyEvidence | None) -> np.ndarray:
     """Whole steps over all that was tried."""
-    every = np.concatenate([np.zeros(0), *(one.places for one in each if one is not None)])
-    if len(every) == 0:
-        return every
-    return STEP_DECADES * np.arange(np.floor(every.min() / STEP_DECADES), np.ceil(every.max() / STEP_DECADES) + 1)
+    tried = np.concatenate([np.zeros(0), *(evidence.places for evidence in evidences if evidence is not None)])
+    if len(tried) == 0:
+        return tried
+    return STEP_DECADES * np.arange(np.floor(tried.min() / STEP_DECADES), np.ceil(tried.max() / STEP_DECADES) + 1)
 
 
 def _at(windows: DiscrepancyEvidence | None, places: np.ndarray) -> np.ndarray:
     return np.zeros(len(places)) if windows is None else windows.at(places)
 
 
-def count_independent_values(found: Inference) -> Inference:
+def count_independent_values(inference: Inference) -> Inference:
     """The solution with the discrepancy that its own colour asks for."""
-    return replace(found, trained=widened(found.evidence, found.trained))
+    return replace(inference, trained=widened(inference.evidence, inference.trained))
 
 
 def widened(evidence: Evidence, trained: Trained) -> Trained:

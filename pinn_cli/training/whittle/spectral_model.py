@@ -171,9 +171,9 @@ class SpectralModel:
         x = np.zeros(self.size)
         x[self.places["noise"]] = np.log(self.first_noise)
         at_sensors = self._response(x).value
-        every = np.einsum("gsf,gsf->g", at_sensors, at_sensors.conj()).real
+        unit_power = np.einsum("gsf,gsf->g", at_sensors, at_sensors.conj()).real
         power = self.spectrum.power[:, : len(self.first_noise)].sum(1)
-        x[self.places["shape"]] = 0.5 * np.log(np.median(power / every))
+        x[self.places["shape"]] = 0.5 * np.log(np.median(power / unit_power))
         return x
 
     def _response(self, x: np.ndarray) -> FrequencyResponse:
@@ -201,7 +201,7 @@ class SpectralModel:
         """What one prior standard deviation of each parameter adds to the coefficients: they are linear in it."""
         none = self.coefficients(np.zeros(len(self.spread)))
         return [
-            tuple(more - own for more, own in zip(self.coefficients(unit), none, strict=True))
+            tuple(more - without for more, without in zip(self.coefficients(unit), none, strict=True))
             for unit in np.eye(len(self.spread))
         ]
 
@@ -236,10 +236,12 @@ class SpectralModel:
             moved = response.slope(mass, stiffness + 1j * omega * damping)
             product = moved @ weighed
             slopes[i], seen_slopes[i] = product + product.conj().transpose(0, 2, 1), moved[:, :, seen]
-        own = at_sensors[:, :, : self.unknown_forces, None] * weighed[:, None, : self.unknown_forces]  # (G, S, U, S)
-        own = own + own.conj().transpose(0, 3, 2, 1)
-        slopes[places["shape"]] = self.shape.T[:, :, None, None] * own.sum(2)
-        slopes[places["forces"]] = own.transpose(2, 0, 1, 3)
+        by_force = (
+            at_sensors[:, :, : self.unknown_forces, None] * weighed[:, None, : self.unknown_forces]
+        )  # (G, S, U, S)
+        by_force = by_force + by_force.conj().transpose(0, 3, 2, 1)
+        slopes[places["shape"]] = self.shape.T[:, :, None, None] * by_force.sum(2)
+        slopes[places["forces"]] = by_force.transpose(2, 0, 1, 3)
         slopes[places["together"]] = common.conj().transpose(0, 2, 1) @ common
         slopes[places["noise"]] = 0.0
         for i, variance in enumerate(noise):

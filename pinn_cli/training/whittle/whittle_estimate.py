@@ -127,9 +127,9 @@ class Whittle:
         diagonal[self.model.places["parameters"]] = np.where(self.believed, spreads[2] ** -2, 1.0)
         diagonal[self.model.places["noise"]] = NOISE_SPREAD**-2
         diagonal[self.model.places["together"]] = 1.0
-        out, prior, own = np.diag(diagonal), self.model.problem.prior, self.model.places["parameters"]
+        out, prior, places = np.diag(diagonal), self.model.problem.prior, self.model.places["parameters"]
         if prior is not None:
-            out[own, own] = prior.precision * np.sqrt(np.outer(diagonal[own], diagonal[own]))
+            out[places, places] = prior.precision * np.sqrt(np.outer(diagonal[places], diagonal[places]))
         for rows, spread in zip((self.bends, self.differences), spreads[:2], strict=True):
             out += rows.T @ rows / spread**2
         return out
@@ -156,9 +156,9 @@ class Whittle:
 
     @property
     def _has_centre(self) -> np.ndarray:
-        own = np.zeros(self.model.size)
-        own[self.model.places["noise"]] = 1.0
-        return own
+        mask = np.zeros(self.model.size)
+        mask[self.model.places["noise"]] = 1.0
+        return mask
 
     def _whitened(self, x: np.ndarray) -> Whitened | None:
         """At unknowns (q,); None where the covariance is not positive definite."""
@@ -168,12 +168,12 @@ class Whittle:
         except np.linalg.LinAlgError:
             return None
         unit = np.linalg.inv(root)
-        left, crossed = self._left(model.seen)
+        residual, crossed = self._residual_spectra(model.seen)
         logs = 2.0 * np.log(np.einsum("gss->gs", root).real).sum(1)
         hermitian = unit.conj().transpose(0, 2, 1)
         crossed = crossed @ hermitian
         slopes = unit @ model.slopes @ hermitian
-        return Whitened(logs, unit @ left @ hermitian, slopes, unit @ model.seen_slopes, crossed)
+        return Whitened(logs, unit @ residual @ hermitian, slopes, unit @ model.seen_slopes, crossed)
 
     @cached_property
     def _expected(self) -> ExpectedSpectra:
@@ -190,13 +190,13 @@ class Whittle:
         values, vectors = np.linalg.eigh(more / unit)
         self.leaked = unit * ((vectors * np.maximum(values, 0.0)[:, None]) @ vectors.conj().transpose(0, 2, 1))
 
-    def _left(self, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _residual_spectra(self, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(G, S, S), what measured forces leave of the responses, which see so much (G, S, L) of them; (G, L, S)."""
         sensors = seen.shape[1]
-        own, loads = self.spectrum.cross[:, :sensors, :sensors], self.spectrum.of_acting
+        responses, loads = self.spectrum.cross[:, :sensors, :sensors], self.spectrum.of_acting
         cross, back = self.spectrum.cross[:, sensors:, :sensors], seen.conj().transpose(0, 2, 1)
-        left = own - seen @ cross - cross.conj().transpose(0, 2, 1) @ back + seen @ loads @ back
-        return left, loads @ back - cross
+        residual = responses - seen @ cross - cross.conj().transpose(0, 2, 1) @ back + seen @ loads @ back
+        return residual, loads @ back - cross
 
     def _of_measured(self, seen: np.ndarray) -> np.ndarray:
         loads = self.spectrum.of_acting * self.spectrum.count[:, None, None]
@@ -209,29 +209,29 @@ class Whittle:
         believed = np.flatnonzero(self.believed)
         if not self.learn_spread or not len(believed):
             return np.array([*of_forces, spreads[2]])
-        found = updated_spread(x[believed], np.diag(covariance)[believed], spreads[2])
-        return np.array([*of_forces, max(1.0, found)])
+        spread = updated_spread(x[believed], np.diag(covariance)[believed], spreads[2])
+        return np.array([*of_forces, max(1.0, spread)])
 
     def maximised(self, x: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, Scored, bool] | None:
         """The most probable unknowns by Fisher scoring with Levenberg's damping, and whether they are converged."""
-        here, damping = self.scored(x, precision), FIRST_FISHER_DAMPING
-        if here is None:
+        scored, damping = self.scored(x, precision), FIRST_FISHER_DAMPING
+        if scored is None:
             return None
         for _ in range(WHITTLE_STEPS):
-            held = (x <= self.lower) & (here.gradient > 0.0)
+            held = (x <= self.lower) & (scored.gradient > 0.0)
             while True:
-                moved = np.maximum(x + self._limited(_step(here, damping, held)), self.lower)
-                there = self.scored(moved, precision)
-                if there is not None and there.value <= here.value + NEGLIGIBLE_DECREASE:
+                moved = np.maximum(x + self._limited(_step(scored, damping, held)), self.lower)
+                trial = self.scored(moved, precision)
+                if trial is not None and trial.value <= scored.value + NEGLIGIBLE_DECREASE:
                     break
                 damping *= 10.0
                 if damping > LARGEST_FISHER_DAMPING:
-                    return x, here, False
-            decrease, x, here = here.value - there.value, moved, there
+                    return x, scored, False
+            decrease, x, scored = scored.value - trial.value, moved, trial
             damping = max(damping / 10.0, 1e-12)
             if decrease < NEGLIGIBLE_DECREASE and damping < 1.0:
-                return x, here, True
-        return x, here, False
+                return x, scored, True
+        return x, scored, False
 
     def _limited(self, step: np.ndarray) -> np.ndarray:
         """A step that changes no logarithm by more than a factor of about ten."""
@@ -241,20 +241,20 @@ class Whittle:
     def misfit(self, x: np.ndarray) -> float:
         """See :attr:`KnownParameters.misfit`: where the sensors' whitened spectra are no unit matrix beyond chance."""
         plain, seen = self.model.power(x)
-        left, _ = self._left(seen)
+        residual, _ = self._residual_spectra(seen)
         try:
             unit = np.linalg.inv(np.linalg.cholesky(self._expected(self.model, x)))
         except np.linalg.LinAlgError:  # what a measured force leaks is a difference, which rounding may turn
             unit = np.linalg.inv(np.linalg.cholesky(plain + self.leaked))
-        power, count = unit @ left @ unit.conj().transpose(0, 2, 1), self.spectrum.count
+        power, count = unit @ residual @ unit.conj().transpose(0, 2, 1), self.spectrum.count
         part = np.floor(np.log(self.spectrum.omega / self.spectrum.omega[0]) / np.log(PART_RATIO)).astype(int)
         worst, parts, size = 0.0, part[-1] + 1, power.shape[-1]
         for number in range(parts):
-            own = part == number
-            values = count[own].sum()
+            lines = part == number
+            values = count[lines].sum()
             if values < FEWEST_IN_PART:
                 continue
-            off = np.einsum("g,gst->st", count[own], power[own]) / values - np.eye(size)
+            off = np.einsum("g,gst->st", count[lines], power[lines]) / values - np.eye(size)
             by_chance = chdtrc(size**2, values * np.sum(np.abs(off) ** 2)) * parts
             if by_chance < IMPROBABLE_PART:
                 worst = max(worst, float(np.linalg.norm(off, 2)))
@@ -285,26 +285,28 @@ def known_parameters(whole: JointProblem, learn_spread: bool = True) -> KnownPar
     for round_ in range(PRIOR_ROUNDS):
         if round_:
             whittle.allow_for_leakage(x)
-        found = whittle.maximised(x, whittle.precision(spreads))
-        if found is None:
+        maximum = whittle.maximised(x, whittle.precision(spreads))
+        if maximum is None:
             return None
-        x, scored, converged = found
+        x, scored, converged = maximum
         model.follow_modes(x)
         covariance, before = np.linalg.inv(scored.information), spreads
         spreads = whittle.updated(spreads, x, covariance)
         if round_ and np.abs(np.log(spreads / before)).max() < PRIOR_SETTLED:
             break
-    own = model.places["parameters"]
+    places = model.places["parameters"]
     misfit, doubt = whittle.misfit(x), _scored_damping(whittle, x, before)
-    return KnownParameters(x[own], covariance[own, own], -scored.value, converged, misfit, float(before[2]), doubt)
+    return KnownParameters(
+        x[places], covariance[places, places], -scored.value, converged, misfit, float(before[2]), doubt
+    )
 
 
 def _already_estimated(problem: Problem) -> KnownParameters:
     """What somebody else has found already."""
-    found, unit = problem.spectral, np.array([parameter.prior_std for parameter in problem.uncertain])
-    assert found is not None
-    covariance = found.covariance / np.outer(unit, unit)
-    return KnownParameters(np.zeros(len(unit)), covariance, found.log_likelihood, True, found.misfit, 1.0)
+    spectral, unit = problem.spectral, np.array([parameter.prior_std for parameter in problem.uncertain])
+    assert spectral is not None
+    covariance = spectral.covariance / np.outer(unit, unit)
+    return KnownParameters(np.zeros(len(unit)), covariance, spectral.log_likelihood, True, spectral.misfit, 1.0)
 
 
 def _scored_damping(whittle: Whittle, x: np.ndarray, spreads: np.ndarray) -> DampingDoubt | None:
@@ -320,14 +322,14 @@ def _scored_damping(whittle: Whittle, x: np.ndarray, spreads: np.ndarray) -> Dam
     start = np.concatenate((x[:p], np.zeros(new), x[p:]))
     more.leaked = whittle.leaked
     more.centre = np.concatenate((whittle.centre[:p], np.zeros(new), whittle.centre[p:]))
-    found, without = more.maximised(start, more.precision(spreads)), whittle.scored(x, whittle.precision(spreads))
-    if found is None or without is None:
+    maximum, without = more.maximised(start, more.precision(spreads)), whittle.scored(x, whittle.precision(spreads))
+    if maximum is None or without is None:
         return None
-    there, scored, _ = found
+    moved, scored, _ = maximum
     volume = np.linalg.slogdet(without.information)[1] - np.linalg.slogdet(scored.information)[1]
     log_odds = without.value - scored.value + 0.5 * float(volume)
     unit = more.model.spread
-    distances = start[: p + new] * unit, there[: p + new] * unit
+    distances = start[: p + new] * unit, moved[: p + new] * unit
     return damping_doubt(JointProblem.of(problem), extended, extended.alone.uncertain, distances, log_odds)
 
 
@@ -345,5 +347,5 @@ def _spread(rows: np.ndarray, x: np.ndarray, covariance: np.ndarray, before: flo
     if not len(rows):
         return before
     determined = len(rows) - np.trace(rows @ covariance @ rows.T) / before**2
-    found = np.sqrt(np.sum((rows @ x) ** 2) / max(determined, 1e-3 * len(rows)))
-    return float(np.clip(found, max(LEAST_SPREAD, 0.2 * before), 5.0 * before))
+    spread = np.sqrt(np.sum((rows @ x) ** 2) / max(determined, 1e-3 * len(rows)))
+    return float(np.clip(spread, max(LEAST_SPREAD, 0.2 * before), 5.0 * before))

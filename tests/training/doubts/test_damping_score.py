@@ -56,7 +56,7 @@ def test_a_ratio_for_each_mode_is_told_beside_dampers(count):
     found = doubt(records, small_chain("linear"), "c")
     assert found.of_modes
     assert found.log_odds > DECISIVE_DAMPING
-    np.testing.assert_allclose(found.others, RATIO, rtol=0.2)
+    np.testing.assert_allclose(found.other_ratios, RATIO, rtol=0.2)
 
 
 @pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.slow)])
@@ -76,7 +76,7 @@ def test_both_models_have_one_prior_of_the_motion():
     extended = with_other_damping(found.problem, {kind: x.numpy() for kind, x in own.parameters(at).items()})
     evidence = found.solver.evidence(extended, [own.network])
     evidence.equations.share_ridges(found.evidence.equations)
-    (other,) = evidence.equations.each
+    (other,) = evidence.equations.by_record
     again = Point(other.layout.unknowns(own.layout.weights(at.unknowns)), at.parameters)
     noise = found.trained.noise.records[0]
     assert other.ridge.loss(again, noise) == pytest.approx(own.ridge.loss(at, noise), rel=1e-9)

@@ -22,8 +22,8 @@ def spectra(value: float, seed: int = 0) -> LeftSpectra:
 def test_a_slow_column_is_found_below_fast_noise(seed: int):
     """All of the noise together is some hundred times as large as what the column leaves at low frequencies."""
     found = spectra(0.05, seed)
-    before = found.fit([], found.left)
-    fit, other = found.fit([0], found.left), found.fit([1], found.left)
+    before = found.fit([], found.energy)
+    fit, other = found.fit([0], found.energy), found.fit([1], found.energy)
     std = fit.information[0] ** -0.5
     assert abs(fit.step[0] - 0.05) < 4.0 * std < 0.03
     assert before.minus_log - fit.minus_log > 15.0
@@ -33,7 +33,7 @@ def test_a_slow_column_is_found_below_fast_noise(seed: int):
 @pytest.mark.parametrize("seed", range(5))
 def test_a_column_that_is_not_there_gains_nothing(seed: int):
     found = spectra(0.0, seed)
-    gain = found.fit([], found.left).minus_log - found.fit([0], found.left).minus_log
+    gain = found.fit([], found.energy).minus_log - found.fit([0], found.energy).minus_log
     assert -0.1 < gain < 5.0
 
 

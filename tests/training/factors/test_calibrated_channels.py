@@ -58,7 +58,7 @@ def test_samples_that_may_have_felt_motion_outside_the_record_are_left_out():
     record = np.linspace(0.0, 9.7, 500)
     late, on_time = (posed(known)[0] for known in (FOUR, {}))
     for equations, first, last in ((late, 1.7 + 0.19, 8.3 - 0.11), (on_time, 1.7, 8.3)):
-        (rows,) = equations.channels[-1].each
+        (rows,) = equations.channels[-1].channels
         rows.channel = replace(rows.channel, time=record, measured=record)
         np.testing.assert_array_equal(rows._inside(1.7, 8.3), (record >= first) & (record <= last))
 
@@ -66,7 +66,7 @@ def test_samples_that_may_have_felt_motion_outside_the_record_are_left_out():
 def test_a_delay_beyond_the_record_s_reach_is_refused_and_takes_no_memory():
     """All samples then stood in the last interval, and every interval's features were held for as many."""
     equations, noise = posed()
-    point, (rows,) = equations.start(), equations.channels[-1].each
+    point, (rows,) = equations.start(), equations.channels[-1].channels
     place = next(i for i, parameter in enumerate(equations.uncertain) if parameter.kind == "delay")
     held = equations.losses(point, noise) and rows.moment(0.04).segments.mask.shape
     for by, finite in ((2.9, True), (-2.9, True), (3.1, False), (200.0, False)):
@@ -80,8 +80,8 @@ def test_what_is_left_of_every_sample_is_in_what_it_feels():
     equations, _ = posed()
     point = equations.start()
     (channels,) = (own for own in equations.channels if own.name == CALIBRATED)
-    (channel,) = channels.each
-    left = channels.left(point)["x"]
+    (channel,) = channels.channels
+    left = channels.residuals_of_samples(point)["x"]
     assert (np.isfinite(left) == channel.kept).all()
     squares = float(channels.squares(point)[0])
     assert float(np.nansum(left**2)) == pytest.approx(squares / 1.2**2)

@@ -82,7 +82,7 @@ class Linearised:
         if isinstance(factor, CalibratedChannels):
             with torch.no_grad():
                 delays = [float(x) for x in self.own.parameters(at)["delay"]]
-            for channel, delay, piece, by in zip(factor.each, delays, pieces, root, strict=True):
+            for channel, delay, piece, by in zip(factor.channels, delays, pieces, root, strict=True):
                 yield channel.moment(delay).segments.scatter(piece) * by
         else:
             yield torch.cat(list(pieces)) * factor.weight(self.noise).sqrt()

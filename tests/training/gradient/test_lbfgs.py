@@ -18,7 +18,7 @@ class PlainObjective(Objective):
     """A function of one vector, whose last entries may have lower bounds."""
 
     def __init__(self, function: Callable[[Tensor], Tensor], start: Tensor, lower: tuple[float, ...] = ()) -> None:
-        self.function, self.x, self._known, self.physics_factor = function, nn.Parameter(start.clone()), None, 1.0
+        self.function, self.x, self._evaluation, self.physics_factor = function, nn.Parameter(start.clone()), None, 1.0
         self.weights = {"loss": 1.0}
         bounds = torch.tensor(lower, dtype=start.dtype)
         self.parameters = SimpleNamespace(count=len(lower), lower=bounds, respect_bounds=self.respect_bounds)

@@ -46,7 +46,7 @@ def posed(true: Structure, model: Structure, uncertain: tuple[Parameter, ...], *
 
 
 def solved(evidence: Evidence, discrepancy: float = 3e-4) -> Trained:
-    (equations,) = evidence.equations.each
+    (equations,) = evidence.equations.by_record
     noise = shown_noise(equations.problem.record, discrepancy, 1.0)
     trained = evidence.train(levels_of(noise), equations.start())
     assert trained.solution.converged
@@ -99,7 +99,7 @@ FREE = (
 @pytest.fixture(scope="module")
 def free() -> tuple[NormalEquations, Trained]:
     evidence = posed(small_chain(), small_chain(), FREE)
-    return evidence.equations.each[0], solved(evidence)
+    return evidence.equations.by_record[0], solved(evidence)
 
 
 def test_without_bounds_it_is_the_gaussian_of_the_dense_hessian(free):
@@ -132,7 +132,7 @@ def test_the_priors_are_those_of_the_user_whatever_spread_was_learned(free):
 def test_a_bound_far_below_leaves_the_interval_centred(free):
     far = (unknown("k", 1, 20.0, 200.0), unknown("kappa", 1, 10.0, 1000.0))
     evidence = posed(small_chain(), small_chain(), far)
-    for given in estimated(evidence.equations.each[0], solved(evidence))[0]:
+    for given in estimated(evidence.equations.by_record[0], solved(evidence))[0]:
         assert given.estimate > 10.0 * given.std
         assert given.upper_90 - given.estimate == pytest.approx(NINETY * given.std, rel=1e-5)
         assert given.estimate - given.lower_90 == pytest.approx(NINETY * given.std, rel=1e-5)
@@ -144,7 +144,7 @@ def held(request: pytest.FixtureRequest):
     kappa = unknown("kappa", 1, request.param, 1000.0)
     evidence = posed(chain_with_kappa(100.0, -4.0, 100.0), small_chain(), (unknown("k", 1, 20.0, 200.0), kappa))
     trained = solved(evidence)
-    (equations,) = evidence.equations.each
+    (equations,) = evidence.equations.by_record
     return equations, trained, *physical(equations, trained)
 
 
@@ -190,7 +190,7 @@ def test_misfit_is_the_discrepancy_over_the_force_of_one_prior_deviation():
         for kind, value in (("m", 10.0), ("c", 1.0), ("k", 15.0), ("kappa", 100.0))
     )
     evidence = posed(small_chain(), small_chain(), uncertain)
-    (equations,), trained = evidence.equations.each, solved(evidence)
+    (equations,), trained = evidence.equations.by_record, solved(evidence)
     motion = equations.flat_states(equations.physics, trained.solution.point)
     e, de = (x[:, 1] - x[:, 0] for x in motion[:2])
     per_unit = (motion[2][:, 1], de, e, e**3)
@@ -219,7 +219,7 @@ def test_the_interval_of_a_stiffness_covers_it_where_the_model_forgets_the_cubic
     """
     stiffnesses = tuple(unknown("k", dof, 20.0, 200.0) for dof in names)
     evidence = posed(small_chain(), small_chain("linear"), stiffnesses, duration=duration)
-    (equations,) = evidence.equations.each
+    (equations,) = evidence.equations.by_record
     noise = levels_of(shown_noise(equations.problem.record, 1.0, 1.0))
     trained = widened(evidence, scanned(evidence, noise, 1.0, equations.start()))
     hessian = 200.0 * np.sqrt(np.diag(trained.factor.corner_covariance))

@@ -7,7 +7,7 @@ import pytest
 import torch
 from small_estimates import parameter_estimate
 
-from pinn_cli.training.reported.stories import apart
+from pinn_cli.training.reported.stories import story_distance
 
 
 def test_what_the_other_story_says_counts_beyond_what_both_allow_for():
@@ -22,4 +22,4 @@ def test_what_the_other_story_says_counts_beyond_what_both_allow_for():
     # Of three unknowns the last is a first state, which is no parameter.
     forced = SimpleNamespace(parameters=[parameter_estimate(f"k_{i}", 10.0, 10.0, 0.2, 9.7, 10.3) for i in (1, 2)])
     expected = [(1.5**2 - 0.01 - 0.1**2) ** 0.5, 0.0, 0.0]
-    assert apart(found, free, forced) == pytest.approx(expected, rel=1e-6)
+    assert story_distance(found, free, forced) == pytest.approx(expected, rel=1e-6)

@@ -27,7 +27,7 @@ SAMPLES, STEP, AMPLITUDE = 1201, 0.05, 2.0
 
 def trained(evidence: Evidence, point: Point | None = None) -> Trained:
     """A solution under the first noise levels, at a point if one is given."""
-    found = evidence.train(levels_of(starting_noise(evidence.equations.each[0])), evidence.equations.start())
+    found = evidence.train(levels_of(starting_noise(evidence.equations.by_record[0])), evidence.equations.start())
     return found if point is None else replace(found, solution=replace(found.solution, point=point))
 
 
@@ -42,7 +42,7 @@ def fitted_sine(per_period: float, degree: int = 6) -> tuple[float, float]:
     points = 12
     omega = 2.0 * np.pi / (per_period * points * STEP)
     evidence = posed(Problem(structure, record), Spline(degree=degree, intervals=(SAMPLES + 1) // points))
-    (equations,) = evidence.equations.each
+    (equations,) = evidence.equations.by_record
     segments, time = equations.physics, equations.target.physics_time
     features = output_features(equations.network, segments)[0]
     sine = AMPLITUDE * torch.sin(omega * time)[:, None]
@@ -79,7 +79,7 @@ def wanted(snr_db: float, knots: float, unknown: bool = False) -> float:
     record = measured(structure, snr_db=snr_db, duration=40.0, samples=801).record.keep({"acceleration": (1, 2)})
     uncertain = (Parameter("k", 0, 15.0, 150.0, unknown=True),) if unknown else ()
     evidence = posed(Problem(structure, record, uncertain), Spline(knots_per_period=knots))
-    noise = levels_of(starting_noise(evidence.equations.each[0]))
+    noise = levels_of(starting_noise(evidence.equations.by_record[0]))
     return of_record(knots_wanted, evidence, searched(evidence, noise, noise.discrepancy, lambda: None))
 
 
@@ -108,7 +108,7 @@ def test_a_motion_is_carried_over_to_finer_features():
     record = measured(structure, snr_db=40.0).record.keep({"acceleration": (1, 2)})
     coarse = posed(Problem(structure, record), Spline())
     fine = posed(Problem(structure, record), Spline(least_knots=8.0))
-    (few,), (many,) = coarse.equations.each, fine.equations.each
+    (few,), (many,) = coarse.equations.by_record, fine.equations.by_record
     assert many.network.count > 1.3 * few.network.count
     at = trained(coarse)
     point = carried_over(at.solution.point, few, many)

@@ -54,7 +54,7 @@ def test_spectra_are_as_expected_on_average(measured):
         x[model.places["shape"]] = 0.5 * np.log(100.0**2 * RATE / 2.0 / EDGE)
         x[model.places["noise"]] = np.log(made.noise)
         plain, seen = model.power(x)
-        left, _ = Whittle(model, True)._left(seen)
+        left, _ = Whittle(model, True)._residual_spectra(seen)
         for which, power in enumerate((left, ExpectedSpectra(model)(model, x), plain)):
             for part, (low, high) in enumerate(parts):
                 own = (model.spectrum.frequency >= low) & (model.spectrum.frequency < high)
