@@ -61,14 +61,14 @@ class Cause:
 
     Attributes:
         record: Put right.
-        told: The finding, of the structure that was fitted with it; None: then it is none.
+        finding: The finding, of the structure that was fitted with it; None: then it is none.
         factor: How many times what was said what is free comes out, of that structure.
         doubted: Channel whose gain and delay are free.
         free: Kind and places of masses, dampers or springs that are held; dampers have one ratio.
     """
 
     record: Record
-    told: Callable[[Candidate], Finding | None]
+    finding: Callable[[Candidate], Finding | None]
     factor: Callable[[Candidate], float] = lambda _: 1.0
     doubted: Channel | None = None
     free: tuple[str, Sequence[int]] = (MASS, ())
@@ -101,13 +101,13 @@ def causes(problem: Problem, believed: Structure, estimated: Structure, excused:
     dampers = np.flatnonzero(~np.isnan(fits.known["c"])).tolist()
     asked = list(every_cause(believed, record, *fits.suspects(record, without), dampers))
     roughly = np.array([fits.fitted(cause, AT_FIRST)[1] for cause in asked])
-    most, found = min(LEFT, EXPLAINED * without.misfit), []
+    most, explained = min(LEFT, EXPLAINED * without.misfit), []
     for i in sorted(np.argsort(roughly)[:FOLLOWED].tolist()):
         fitted, minus_log = fits.fitted(asked[i])
-        finding = asked[i].told(fitted) if fitted.misfit < most else None
+        finding = asked[i].finding(fitted) if fitted.misfit < most else None
         if finding is not None:
-            found.append((minus_log, finding))
-    return _told(found)
+            explained.append((minus_log, finding))
+    return _most_probable(explained)
 
 
 def _in_columns(record: Record, excused: Sequence[str]) -> Record | None:
@@ -121,21 +121,24 @@ def _in_columns(record: Record, excused: Sequence[str]) -> Record | None:
 
     if not acts or not any(map(stays, channels(record))) or any(channel.is_input for channel in doubted):
         return None
-    own = replace(record.only(stays), calibrated=(), felt=())
-    return own if what_acts(own) else None
+    kept = replace(record.only(stays), calibrated=(), felt=())
+    return kept if what_acts(kept) else None
 
 
-def _told(found: list[tuple[float, Finding]]) -> list[Finding]:
+def _most_probable(explained: list[tuple[float, Finding]]) -> list[Finding]:
     """The most probable one, and beside what else it is."""
-    if not found:
+    if not explained:
         return []
-    least = min(minus_log for minus_log, _ in found)
-    best = next(one for minus_log, one in found if minus_log < least + AS_PROBABLE)  # sensors come before what acts
-    others = [
-        one.suspect for minus_log, one in found if minus_log < least + DECISIVE_CAUSE and one.suspect != best.suspect
+    least = min(minus_log for minus_log, _ in explained)
+    # Sensors come before what acts.
+    best = next(finding for minus_log, finding in explained if minus_log < least + AS_PROBABLE)
+    suspects = [
+        finding.suspect
+        for minus_log, finding in explained
+        if minus_log < least + DECISIVE_CAUSE and finding.suspect != best.suspect
     ]
-    others = list(dict.fromkeys(others))
-    said = f"; or something is wrong with the {', the '.join(others)}, which explains it as well" if others else ""
+    suspects = list(dict.fromkeys(suspects))
+    said = f"; or something is wrong with the {', the '.join(suspects)}, which explains it as well" if suspects else ""
     return [replace(best, text=best.text + said)]
 
 
@@ -156,7 +159,7 @@ class _Fits:
     @cached_property
     def guesses(self) -> list[dict[str, np.ndarray]]:
         """``m`` and ``k`` where the fits start."""
-        return [{kind: _sizes(linear_parts(one, ())[kind]) for kind in (MASS, "k")} for one in self.begun]
+        return [{kind: _sizes(linear_parts(structure, ())[kind]) for kind in (MASS, "k")} for structure in self.begun]
 
     def fitted(self, cause: Cause, survivors: Sequence[int] = CAUSE_SURVIVORS) -> tuple[Candidate, float]:
         """The structure that comes nearest to the record, and minus the logarithm of the record's probability."""
@@ -165,29 +168,29 @@ class _Fits:
         fit = self._fit(cause.record, known, cause.doubted)
         model = JointFit([fit])
         starts = [x for guess in self.guesses for x in grid_of_starts(model, [cause.record], guess)]
-        found = nearest(model, starts, survivors)[0]
-        values, off = fit.common.size, np.log(abs(cause.factor(found))) / WRONG
-        minus_log = values * np.log(max(found.misfit, 1e-12)) + cause.numbers * np.log(values) + off**2
-        return found, 0.5 * float(minus_log)
+        candidate = nearest(model, starts, survivors)[0]
+        values, off = fit.common.size, np.log(abs(cause.factor(candidate))) / WRONG
+        minus_log = values * np.log(max(candidate.misfit, 1e-12)) + cause.numbers * np.log(values) + off**2
+        return candidate, 0.5 * float(minus_log)
 
-    def suspects(self, record: Record, found: Candidate) -> tuple[list[Channel], list[Parameter]]:
+    def suspects(self, record: Record, candidate: Candidate) -> tuple[list[Channel], list[Parameter]]:
         """Sensors of which a structure misses most; held masses and springs that explain most, by their scores."""
         given = [p for p in self.structure.every_parameter() if p.kind in (MASS, "k") and p.prescribed > 0]
-        known = {kind: found.parameters[kind].copy() for kind in self.known}
+        known = {kind: candidate.parameters[kind].copy() for kind in self.known}
         for p in given:
             known[p.kind][p.index] = np.nan
         fit = self._fit(record, known)
         fit.smooth(WIDTHS[-1])
-        x = fit.structure.start(found.parameters[MASS], found.parameters["k"])
-        left, slopes = fit.residual(x), fit.slopes(x)
-        missed = (np.abs(left) ** 2).sum((0, 2))
+        x = fit.structure.start(candidate.parameters[MASS], candidate.parameters["k"])
+        residual, slopes = fit.residual(x), fit.slopes(x)
+        missed = (np.abs(residual) ** 2).sum((0, 2))
         sensors = list(fit.spectra.sensors)
         worst = [sensors[i] for i in np.argsort(-missed, kind="stable")[:SUSPECTED]]
-        columns, rest = real_rows(slopes.reshape(left.size, -1)), real_rows(left.reshape(-1))
+        columns, rest = real_rows(slopes.reshape(residual.size, -1)), real_rows(residual.reshape(-1))
         held = np.array([not np.isnan(self.known[p.kind][p.index]) for p in given], dtype=bool)
         basis, _ = np.linalg.qr(columns[:, ~held])
-        own = columns[:, held] - basis @ (basis.T @ columns[:, held])
-        explained = (own.T @ rest) ** 2 / np.maximum((own**2).sum(axis=0), 1e-300)
+        independent = columns[:, held] - basis @ (basis.T @ columns[:, held])
+        explained = (independent.T @ rest) ** 2 / np.maximum((independent**2).sum(axis=0), 1e-300)
         doubtful = [p for p, is_held in zip(given, held, strict=True) if is_held]
         most = [doubtful[i] for i in np.argsort(-explained)[:SUSPECTED]]
         return [channel for channel in sensors if channel in worst], most
@@ -216,15 +219,15 @@ def every_cause(
     acting = [*channels(record, (FORCE,)), *channels(record, (GROUND,))]
     for seconds in SECONDS:
         reason = f"the structure does what was measured if the time is in {SECONDS[seconds]}"
-        told = Finding("time_unit", "time", f"{reason}; multiply the time column by {seconds:.6g}", "failed")
-        yield Cause(replace(record, time=record.time * seconds), _always(told))
+        finding = Finding("time_unit", "time", f"{reason}; multiply the time column by {seconds:.6g}", "failed")
+        yield Cause(replace(record, time=record.time * seconds), _always(finding))
     for channel in (*sensors, *acting):
         yield _calibrated(record, channel, 1.0)
         yield _calibrated(record.showing([replace(channel, measured=-channel.measured)]), channel, -1.0)
-    for one, other in combinations(sensors, 2):
-        if one.quantity == other.quantity:
-            exchanged = replace(one, measured=other.measured), replace(other, measured=one.measured)
-            yield Cause(record.showing(exchanged), _always(swap_finding(one, other)))
+    for first, second in combinations(sensors, 2):
+        if first.quantity == second.quantity:
+            exchanged = replace(first, measured=second.measured), replace(second, measured=first.measured)
+            yield Cause(record.showing(exchanged), _always(swap_finding(first, second)))
     for channel in (*sensors, *channels(record, (FORCE,))):
         for dof in range(record.ndof):
             if not record.sensors(channel.quantity)[dof]:
@@ -253,27 +256,27 @@ def _always(finding: Finding) -> Callable[[Candidate], Finding]:
 def _calibrated(record: Record, channel: Channel, sign: float) -> Cause:
     """A channel has a gain, or a delay."""
 
-    def gain(found: Candidate) -> float:
-        return sign * found.calibration[channel.name]["gain"]
+    def gain(candidate: Candidate) -> float:
+        return sign * candidate.calibration[channel.name]["gain"]
 
-    def told(found: Candidate) -> Finding | None:
-        value, delay = gain(found), found.calibration[channel.name]["delay"]
+    def finding(candidate: Candidate) -> Finding | None:
+        value, delay = gain(candidate), candidate.calibration[channel.name]["delay"]
         if not 1.0 / LEAST_FACTOR < value < LEAST_FACTOR:
             of = ACTS if channel.quantity in (FORCE, GROUND) else MOVES
             return factor_finding(channel, value, of, TOLD_WITHIN * abs(value))
         return None if abs(delay) < LEAST_DELAY_CAUSE * record.step else late_finding(channel, delay, record.step)
 
-    return Cause(record, told, gain, channel)
+    return Cause(record, finding, gain, channel)
 
 
 def _other(record: Record, structure: Structure, given: Parameter) -> Cause:
     """A mass or a spring is another one."""
 
-    def factor(found: Candidate) -> float:
-        return float(found.parameters[given.kind][given.index]) / given.prescribed
+    def factor(candidate: Candidate) -> float:
+        return float(candidate.parameters[given.kind][given.index]) / given.prescribed
 
-    def told(found: Candidate) -> Finding | None:
-        times = factor(found)
+    def finding(candidate: Candidate) -> Finding | None:
+        times = factor(candidate)
         if 1.0 / LEAST_FACTOR < times < LEAST_FACTOR:
             return None
         value = f"{given.name} = {times * given.prescribed:.4g} {given.unit}"
@@ -281,17 +284,17 @@ def _other(record: Record, structure: Structure, given: Parameter) -> Cause:
         kind = "mass" if given.kind == MASS else "stiffness"
         return Finding(kind, given.name, f"{reason}; check {structure.labels.setting(given)}")
 
-    return Cause(record, told, factor, free=(given.kind, [given.index]))
+    return Cause(record, finding, factor, free=(given.kind, [given.index]))
 
 
 def _damping(record: Record, structure: Structure, dampers: Sequence[int]) -> Cause:
     """The dampers are others."""
     given = linear_parts(structure, ())["c"][dampers]
     reason = "with other dampers than the prescribed ones the structure does what was measured"
-    told = Finding("damping", "c", f"{reason}: the model of damping is wrong; let c be unknown (scheme.unknown)")
+    finding = Finding("damping", "c", f"{reason}: the model of damping is wrong; let c be unknown (scheme.unknown)")
 
-    def factor(found: Candidate) -> float:
-        times = found.parameters["c"][dampers][given > 0] / given[given > 0]
+    def factor(candidate: Candidate) -> float:
+        times = candidate.parameters["c"][dampers][given > 0] / given[given > 0]
         return float(np.exp(np.mean(np.log(times)))) if times.size else 1.0
 
-    return Cause(record, _always(told), factor, free=("c", dampers))
+    return Cause(record, _always(finding), factor, free=("c", dampers))

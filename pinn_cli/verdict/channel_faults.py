@@ -55,23 +55,23 @@ def channel_faults(prediction: Prediction, excused: Sequence[str] = ()) -> list[
         prediction: Of a structure that may be right.
         excused: Names of channels whose fault is known already, which are not compared.
     """
-    found = comparisons(prediction, excused)
-    own = {c.channel.name: explained(c) for c in found}
-    faulty = [c for c in found if own[c.channel.name] is not None or c.misfit > REPRODUCED]
+    compared = comparisons(prediction, excused)
+    explanations = {c.channel.name: explained(c) for c in compared}
+    faulty = [c for c in compared if explanations[c.channel.name] is not None or c.misfit > REPRODUCED]
     if not faulty:
         return []
-    if len(faulty) == len(found):
-        common = _common_fault(found)
+    if len(faulty) == len(compared):
+        common = _common_fault(compared)
         if common is not None:
             return [common]
     moved = _exchanged(faulty, prediction) or _misplaced(faulty, prediction)
-    mended = [finding for c in faulty if (finding := own[c.channel.name]) is not None]
-    complete = len(mended) == len(faulty) and max(finding.left for finding in mended) <= REPRODUCED
-    if moved is not None and (not complete or moved.left < max(finding.left for finding in mended)):
+    mended = [finding for c in faulty if (finding := explanations[c.channel.name]) is not None]
+    complete = len(mended) == len(faulty) and max(finding.misfit for finding in mended) <= REPRODUCED
+    if moved is not None and (not complete or moved.misfit < max(finding.misfit for finding in mended)):
         return [moved]
-    if complete and (len(mended) == 1 or len(mended) < len(found)):
-        return mended if len(found) > 1 else [_or_force(mended[0])]
-    return _odd_one_out(faulty, found) if not mended else []
+    if complete and (len(mended) == 1 or len(mended) < len(compared)):
+        return mended if len(compared) > 1 else [_or_force(mended[0])]
+    return _odd_one_out(faulty, compared) if not mended else []
 
 
 def _or_force(finding: Finding) -> Finding:
@@ -83,9 +83,9 @@ def _or_force(finding: Finding) -> Finding:
 
 def explained(comparison: Comparison) -> Finding | None:
     """The fault of one channel that mends it best; None where it has none, or none that mends it."""
-    found = [f for f in (_factor(comparison), _delay(comparison), _offset(comparison)) if f is not None]
-    best = min(found, key=lambda finding: finding.left, default=None)
-    if best is None or best.left > REPRODUCED or best.left > MENDS * comparison.misfit:
+    faults = [f for f in (_factor(comparison), _delay(comparison), _offset(comparison)) if f is not None]
+    best = min(faults, key=lambda finding: finding.misfit, default=None)
+    if best is None or best.misfit > REPRODUCED or best.misfit > MENDS * comparison.misfit:
         return None
     return best
 
@@ -94,8 +94,8 @@ def _factor(c: Comparison) -> Finding | None:
     if not _off(c):
         return None
     moves = f"what the structure does under the measured {c.acting}"
-    found = factor_finding(c.channel, c.factor.value, moves, c.factor.std)
-    return replace(found, left=c.factor.left)
+    finding = factor_finding(c.channel, c.factor.value, moves, c.factor.std)
+    return replace(finding, misfit=c.factor.misfit)
 
 
 def factor_finding(channel: Channel, value: float, of: str, std: float = 0.0) -> Finding:
@@ -133,7 +133,7 @@ def _remedy(kind: str, setting: str, value: float) -> str:
 def _delay(c: Comparison) -> Finding | None:
     if not c.delay.differs(0.0, LEAST_DELAY_FAULT * c.record.step, DEVIATIONS):
         return None
-    return replace(late_finding(c.channel, c.delay.value, c.record.step), left=c.delay.left)
+    return replace(late_finding(c.channel, c.delay.value, c.record.step), misfit=c.delay.misfit)
 
 
 def late_finding(channel: Channel, delay: float, step: float) -> Finding:
@@ -149,32 +149,36 @@ def _offset(c: Comparison) -> Finding | None:
         return None
     share, name = 100 * abs(c.offset.value) / rms, c.channel.name
     reason = f"the {name} has an offset of {c.offset.value:.4g} ({share:.0f} % of its rms)"
-    return Finding("offset", name, f"{reason}; subtract it from its column", left=c.offset.left)
+    return Finding("offset", name, f"{reason}; subtract it from its column", misfit=c.offset.misfit)
 
 
-def _common_fault(found: Sequence[Comparison]) -> Finding | None:
+def _common_fault(compared: Sequence[Comparison]) -> Finding | None:
     """What all of several channels share: then the force is to blame, or the ground's sensor, whichever there is."""
-    factors, delays = [c.factor for c in found], [c.delay for c in found]
-    record, forced = found[0].record, found[0].forced
+    factors, delays = [c.factor for c in compared], [c.delay for c in compared]
+    record, forced = compared[0].record, compared[0].forced
     shaken = record.ground_acceleration is not None
-    if len(found) == 1 or bool(forced) == shaken:
+    if len(compared) == 1 or bool(forced) == shaken:
         return None
     name, setting = "ground acceleration", f"data.{GROUND}"
     if not shaken:
         name, setting = f"force of DOF {', '.join(forced)}", "data.force"
     value = float(np.median([f.value for f in factors]))
-    if all(_off(c) for c in found) and all(abs(f.value / value - 1) < SAME_FACTOR for f in factors):
-        left = max(f.left for f in factors)
+    if all(_off(c) for c in compared) and all(abs(f.value / value - 1) < SAME_FACTOR for f in factors):
+        misfit = max(f.misfit for f in factors)
         kind, text = _factor_in_words(1 / value, factors[0].std)
         reason = f"every sensor says that the {name} is {text} what acts"
         remedy = _remedy(kind, setting, 1 / value)
-        return Finding(kind, name, f"{reason}; {remedy}", left=left) if left <= REPRODUCED else None
+        return Finding(kind, name, f"{reason}; {remedy}", misfit=misfit) if misfit <= REPRODUCED else None
     late = float(np.median([d.value for d in delays]))
     shifted = all(d.differs(0.0, LEAST_DELAY_FAULT * record.step, DEVIATIONS) for d in delays)
     if shifted and all(abs(d.value - late) < 0.2 * record.step for d in delays):
-        left = max(d.left for d in delays)
+        misfit = max(d.misfit for d in delays)
         reason = f"every sensor says that the {name} is {abs(late):.4g} s {'early' if late > 0 else 'late'}"
-        return Finding("delay", name, f"{reason}; shift its column in time", left=left) if left <= REPRODUCED else None
+        return (
+            Finding("delay", name, f"{reason}; shift its column in time", misfit=misfit)
+            if misfit <= REPRODUCED
+            else None
+        )
     return None
 
 
@@ -182,17 +186,20 @@ def _exchanged(faulty: Sequence[Comparison], prediction: Prediction) -> Finding 
     """Two sensors of one kind that fit each other's place."""
     if len(faulty) != 2 or faulty[0].channel.quantity != faulty[1].channel.quantity:
         return None
-    one, other = faulty
-    after = [compare(one.channel, prediction, other.channel.dof), compare(other.channel, prediction, one.channel.dof)]
-    left = max(c.misfit for c in after)
-    if left > REPRODUCED or left > MENDS_BY_MOVING * max(one.misfit, other.misfit):
+    first, second = faulty
+    after = [
+        compare(first.channel, prediction, second.channel.dof),
+        compare(second.channel, prediction, first.channel.dof),
+    ]
+    misfit = max(c.misfit for c in after)
+    if misfit > REPRODUCED or misfit > MENDS_BY_MOVING * max(first.misfit, second.misfit):
         return None
-    return replace(swap_finding(one.channel, other.channel), left=left)
+    return replace(swap_finding(first.channel, second.channel), misfit=misfit)
 
 
-def swap_finding(one: Channel, other: Channel) -> Finding:
+def swap_finding(first: Channel, second: Channel) -> Finding:
     """That two channels are in each other's place."""
-    name = f"{one.quantity} of DOFs {one.where} and {other.where}"
+    name = f"{first.quantity} of DOFs {first.where} and {second.where}"
     return Finding("swap", name, f"the {name} fit each other's place; swap their columns")
 
 
@@ -200,13 +207,13 @@ def _misplaced(faulty: Sequence[Comparison], prediction: Prediction) -> Finding 
     """One sensor that fits another DOF."""
     if len(faulty) != 1:
         return None
-    (one,) = faulty
-    others = [dof for dof in range(prediction.record.ndof) if dof != one.channel.dof]
-    tried = [(compare(one.channel, prediction, dof).misfit, dof) for dof in others]
-    left, dof = min(tried, default=(np.inf, 0))
-    if left > REPRODUCED or left > MENDS_BY_MOVING * one.misfit:
+    (comparison,) = faulty
+    dofs = [dof for dof in range(prediction.record.ndof) if dof != comparison.channel.dof]
+    tried = [(compare(comparison.channel, prediction, dof).misfit, dof) for dof in dofs]
+    misfit, dof = min(tried, default=(np.inf, 0))
+    if misfit > REPRODUCED or misfit > MENDS_BY_MOVING * comparison.misfit:
         return None
-    return replace(misplaced_finding(one.channel, prediction.record.dof_name(dof)), left=left)
+    return replace(misplaced_finding(comparison.channel, prediction.record.dof_name(dof)), misfit=misfit)
 
 
 def misplaced_finding(channel: Channel, dof: str) -> Finding:
@@ -215,13 +222,13 @@ def misplaced_finding(channel: Channel, dof: str) -> Finding:
     return Finding("misplaced", channel.name, f"the {channel.name} fits DOF {dof}; {check}")
 
 
-def _odd_one_out(faulty: Sequence[Comparison], found: Sequence[Comparison]) -> list[Finding]:
+def _odd_one_out(faulty: Sequence[Comparison], compared: Sequence[Comparison]) -> list[Finding]:
     """The one sensor that is not predicted by a structure that predicts at least two others."""
-    if len(faulty) != 1 or len(found) < 3:
+    if len(faulty) != 1 or len(compared) < 3:
         return []
     name = faulty[0].channel.name
     reason = f"the {name} alone is not what the structure does under the measured {faulty[0].acting}"
-    return [Finding("sensor", name, f"{reason}; check that sensor, or leave it out", left=faulty[0].misfit)]
+    return [Finding("sensor", name, f"{reason}; check that sensor, or leave it out", misfit=faulty[0].misfit)]
 
 
 def unit_of(factor: float, std: float = 0.0) -> str:

@@ -75,9 +75,11 @@ def _other_damping(estimate: Estimate) -> list[Finding]:
     doubt = estimate.damping_doubt
     if doubt is None or not len(doubt.ratios) or doubt.log_odds < DECISIVE_DAMPING:
         return []
-    apart = np.abs(doubt.other_ratios - doubt.ratios) / np.maximum(np.abs(doubt.ratios), np.abs(doubt.other_ratios))
-    worst = int(np.argmax(apart))
-    if apart[worst] < RATIOS_APART:
+    difference = np.abs(doubt.other_ratios - doubt.ratios) / np.maximum(
+        np.abs(doubt.ratios), np.abs(doubt.other_ratios)
+    )
+    worst = int(np.argmax(difference))
+    if difference[worst] < RATIOS_APART:
         return []
     model, remedy = (
         ("a damping ratio for each mode", "try system.damping={ratio: [null, ...]}, a null for each mode in the band")
@@ -93,9 +95,9 @@ def _other_damping(estimate: Estimate) -> list[Finding]:
 
 def _finding(doubt: Doubt, held: set[str]) -> Finding:
     what, remedy = _said(doubt)
-    own = f"{OWN.get(doubt.kind)}_{doubt.of.removeprefix('connection ')}"
-    if own in held:
-        remedy = f"{own} is held at its bound, 0: check the channels, or let it be negative (scheme.positive)"
+    parameter = f"{OWN.get(doubt.kind)}_{doubt.of.removeprefix('connection ')}"
+    if parameter in held:
+        remedy = f"{parameter} is held at its bound, 0: check the channels, or let it be negative (scheme.positive)"
     share = f", {100.0 * doubt.share:.0f} % of what it leaves out" if doubt.share > LEAST_SHARE else ""
     odds = f"the record is exp({doubt.log_odds:.0f}) times as probable with it"
     moved = f"{doubt.moved} moves by {doubt.moves:.1f} standard deviations"

@@ -19,14 +19,14 @@ class Finding:
         suspect: The channel, parameter or setting: ``acceleration of DOF 3``, ``m_2``.
         text: One plain sentence: what was found, and what to try.
         word: The best that the run can be called with this in it.
-        left: Of a cause that mends the prediction, the largest NMSE of any channel that stays; 0 of all others.
+        misfit: Of a cause that mends the prediction, the largest NMSE of any channel that stays; 0 of all others.
     """
 
     kind: str
     suspect: str
     text: str
     word: Word = "questionable"
-    left: float = 0.0
+    misfit: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -63,11 +63,11 @@ def _untold(problem: Problem, estimate: Estimate) -> list[Finding]:
     if not problem.inputs.forces:
         return []
     std, motion = (np.sqrt(np.mean(x.displacement**2, axis=0)) for x in (estimate.std, estimate.response))
-    left = np.flatnonzero(std > UNTOLD * motion)
-    if not left.size:
+    open_dofs = np.flatnonzero(std > UNTOLD * motion)
+    if not open_dofs.size:
         return []
-    worst = 100.0 * float(np.max(std[left] / np.maximum(motion[left], np.finfo(float).tiny)))
-    names = problem.record.dof_names(left.tolist())
+    worst = 100.0 * float(np.max(std[open_dofs] / np.maximum(motion[open_dofs], np.finfo(float).tiny)))
+    names = problem.record.dof_names(open_dofs.tolist())
     text = (
         f"unmeasured forces leave the displacement of {names} open: its standard deviation is up to {worst:.0f} % of it"
     )
@@ -86,14 +86,14 @@ def _driven(record: Record) -> list[Finding]:
     return [Finding("driven", record.dof_names(dofs), text, "sound")]
 
 
-def _modes(found: SpectralEstimate) -> list[Finding]:
+def _modes(spectral: SpectralEstimate) -> list[Finding]:
     """What the spectra of a band show beside the modes that were found."""
-    if found.missing is not None:
-        text = f"a mode at {found.missing:.4g} Hz is in the band and not in the model"
+    if spectral.missing is not None:
+        text = f"a mode at {spectral.missing:.4g} Hz is in the band and not in the model"
         return [Finding("missing_mode", "system.modes", f"{text}; ask for more (system.modes)")]
-    if found.misfit <= LEFT_OF_POWER:
+    if spectral.misfit <= LEFT_OF_POWER:
         return []
-    share = f"{100.0 * found.misfit:.0f} %"
+    share = f"{100.0 * spectral.misfit:.0f} %"
     text = f"in a part of the band the modes leave {share} of the sensors' power, more than noise does"
     remedy = (
         "frequencies may be right, damping and masses not; check the force, the sensors and whether the level matters"
@@ -164,22 +164,22 @@ def _under_forces(problem: Problem, estimate: Estimate) -> list[Finding]:
     """
     if not problem.uncertain or not problem.inputs.forces or "spectral_misfit" in estimate.summary:
         return []
-    found, unheld = [], _unheld(problem)
+    findings, unheld = [], _unheld(problem)
     some_are_held = len(unheld) < len(problem.uncertain)
     if unheld and some_are_held:
         names = ", ".join(unheld)
         text = f"of {names} nothing is known but through the spectrum of a force that was not measured"
         remedy = "do not trust them and their intervals; measure the force, or prescribe them"
-        found.append(Finding("output_only_parameters", names, f"{text}: {remedy}"))
+        findings.append(Finding("output_only_parameters", names, f"{text}: {remedy}"))
     if some_are_held and estimate.summary.get("at_marginal_peak"):
-        return found
+        return findings
     text = (
         "some forces were not measured, parameters were uncertain, and the record was explained with the most probable"
         " forces, not with all that are possible: damping comes out too small then, stiffnesses up to some per cent"
         " off, and intervals too narrow"
     )
     remedy = "measure the forces, or prescribe the parameters (scheme.parameter_uncertainty=0)"
-    return [*found, Finding("output_only_parameters", "parameters", f"{text}; {remedy}")]
+    return [*findings, Finding("output_only_parameters", "parameters", f"{text}; {remedy}")]
 
 
 def _unheld(problem: Problem) -> list[str]:
@@ -210,7 +210,7 @@ def _unheld(problem: Problem) -> list[str]:
 
 def _energy(structure: Structure) -> list[Finding]:
     """Connections with memory whose parameters allow them to create energy."""
-    parameters, found = structure.parameters_like(np.empty(0)), []
+    parameters, findings = structure.parameters_like(np.empty(0)), []
     for group, part in zip(structure.groups, structure.parts, strict=True):
         if not isinstance(group.nonlinearity, Hysteresis):
             continue
@@ -221,8 +221,8 @@ def _energy(structure: Structure) -> list[Finding]:
                 f"the hysteresis of connection {name} ({group.nonlinearity.name}) can create energy with its parameters"
             )
             text += "; where the record's amplitudes do not go, do not trust it"
-            found.append(Finding("energy", f"connection {name}", text, "sound"))
-    return found
+            findings.append(Finding("energy", f"connection {name}", text, "sound"))
+    return findings
 
 
 def sampling_findings(problem: Problem, estimate: Estimate, structure: Structure) -> list[Finding]:
@@ -238,7 +238,7 @@ def sampling_findings(problem: Problem, estimate: Estimate, structure: Structure
 
 def _rare_forces(record: Record) -> list[Finding]:
     """Forces with content up to the Nyquist frequency, such as white ones, where nobody said how they go on."""
-    found = []
+    findings = []
     for channel in channels(record, (FORCE,)) if record.assumed else ():
         frequency, power = periodogram(channel.measured, record.step)
         share = float(power[frequency > UPPER_END * frequency[-1]].sum() / power.sum()) if power.any() else 0.0
@@ -249,8 +249,8 @@ def _rare_forces(record: Record) -> list[Finding]:
             " its samples is not known, and intervals may be too narrow"
         )
         remedy = "sample faster, or say what it does: data.intersample=zero_order_hold, first_order_hold, band_limited"
-        found.append(Finding("intersample", channel.name, f"{text}; {remedy}"))
-    return found
+        findings.append(Finding("intersample", channel.name, f"{text}; {remedy}"))
+    return findings
 
 
 def _rare_ground(record: Record, estimate: Estimate, structure: Structure) -> list[Finding]:
@@ -261,8 +261,10 @@ def _rare_ground(record: Record, estimate: Estimate, structure: Structure) -> li
     (channel,) = channels(record, (GROUND,))
     if not reaches_nyquist(ground, record.step, float(np.nan_to_num(estimate.noise.of(channel)))):
         return []
-    told = _told_apart(structure, record, replace(record, ground_acceleration=held_by_lines(ground)), estimate)
-    if told < TOLD_APART:
+    deviations = _deviations_between(
+        structure, record, replace(record, ground_acceleration=held_by_lines(ground)), estimate
+    )
+    if deviations < TOLD_APART:
         return []
     text = (
         f"the ground's acceleration has content up to the Nyquist frequency, {0.5 / record.step:.4g} Hz, and how it"
@@ -272,14 +274,14 @@ def _rare_ground(record: Record, estimate: Estimate, structure: Structure) -> li
     return [Finding("intersample", "ground", f"{text}; {remedy}")]
 
 
-def _told_apart(structure: Structure, record: Record, other: Record, estimate: Estimate) -> float:
+def _deviations_between(structure: Structure, record: Record, other: Record, estimate: Estimate) -> float:
     """Standard deviations by which responses to the inputs of two records differ, of the sensor that tells most."""
-    one, two = predicted(structure, record), predicted(structure, other)
-    if one is None or two is None:
+    first, second = predicted(structure, record), predicted(structure, other)
+    if first is None or second is None:
         return 0.0
-    told = [0.0]
+    deviations = [0.0]
     for channel in channels(record):
         noise = estimate.noise.of(channel)
         if noise > 0:
-            told.append(float(np.linalg.norm(channel.of(one.response) - channel.of(two.response)) / noise))
-    return max(told)
+            deviations.append(float(np.linalg.norm(channel.of(first.response) - channel.of(second.response)) / noise))
+    return max(deviations)

@@ -52,15 +52,15 @@ PREDICTED_WELL = 0.02
 def contradictions(estimate: Estimate) -> list[Finding]:
     """A finding for the record that is farthest from the others, if it pulls at the parameters beyond chance."""
     together = {p.name: p.estimate for p in estimate.parameters}
-    found = []
-    for number, one in enumerate(estimate.disagreements, start=1):
-        off = {name: value / together[name] - 1.0 for name, value in one.alone.items() if together.get(name)}
+    contradicting = []
+    for number, disagreement in enumerate(estimate.disagreements, start=1):
+        off = {name: value / together[name] - 1.0 for name, value in disagreement.alone.items() if together.get(name)}
         far = sorted((name for name in off if abs(off[name]) > LEAST_APART), key=lambda name: -abs(off[name]))
-        if one.square > APART**2 * one.freedom and far:
-            found.append((abs(off[far[0]]), number, far[:CAUSES_NAMED]))
-    if not found:
+        if disagreement.square > APART**2 * disagreement.freedom and far:
+            contradicting.append((abs(off[far[0]]), number, far[:CAUSES_NAMED]))
+    if not contradicting:
         return []
-    _, number, names = max(found)
+    _, number, names = max(contradicting)
     alone = estimate.disagreements[number - 1].alone
     named = ", ".join(f"{name} = {alone[name]:.4g} (all together: {together[name]:.4g})" for name in names)
     others = "the other one" if len(estimate.disagreements) == 2 else "the others"
@@ -69,14 +69,14 @@ def contradictions(estimate: Estimate) -> list[Finding]:
     return [Finding("contradiction", f"record {number}", text)]
 
 
-def verdict_of_records(each: Sequence[Verdict | None], among: Sequence[Finding] = ()) -> Verdict | None:
+def verdict_of_records(by_record: Sequence[Verdict | None], among: Sequence[Finding] = ()) -> Verdict | None:
     """The worst of all; what every record says in the same words, as of the parameters, is told once.
 
     Args:
-        each: Of every record; None where there is none.
+        by_record: Of every record; None where there is none.
         among: What they say of each other, and what is said of all.
     """
-    verdicts = [verdict for verdict in each if verdict is not None]
+    verdicts = [verdict for verdict in by_record if verdict is not None]
     if len(verdicts) < 2:
         return Verdict.of([*verdicts[0].reasons, *among]) if verdicts else None
     texts = [{finding.text for finding in verdict.reasons} for verdict in verdicts]
@@ -101,18 +101,18 @@ def change_findings(estimate: Estimate) -> list[Finding]:
     changes = estimate.changes
     if changes is None:
         return []
-    found, names = [], ", ".join(change.parameter.name for change in changes.found)
+    findings, names = [], ", ".join(change.parameter.name for change in changes.found)
     if changes.chance < changes.improbable:
         remedy = "check units, gains and DOFs of its channels; if the structure is another one now, identify it anew"
         beyond = f"beyond what changes of {names} explain" if names else "and no one parameter explains it"
         chance = f"by chance {changes.chance:.1g}" if changes.chance >= LEAST_TOLD else f"by chance below {LEAST_TOLD}"
         text = f"the record contradicts the earlier ones {beyond} ({chance}); {remedy}"
-        found.append(Finding("contradiction", "record", text))
+        findings.append(Finding("contradiction", "record", text))
     if len(changes.found) > 1:
         remedy = "check the channels, or learn their gains along (data.channels)"
         text = f"{names} changed at once; a sensor whose gain changed looks like that as well: {remedy}"
-        found.append(Finding("changes", names, text))
-    return found
+        findings.append(Finding("changes", names, text))
+    return findings
 
 
 def judge(
@@ -133,8 +133,8 @@ def judge(
             it is off, %; NaN elsewhere.
     """
     record, structure = problem.record, estimated_structure(problem.structure, estimate.parameters)
-    own = record_faults(record) + _unreached(problem) + first_sample_findings(record, estimate)
-    excused = [finding.suspect for finding in own]
+    faults = record_faults(record) + _unreached(problem) + first_sample_findings(record, estimate)
+    excused = [finding.suspect for finding in faults]
     run = as_run(record, estimate)
     if free_run is None:
         prediction = predicted(structure, run, estimate.response.state(0))
@@ -151,17 +151,17 @@ def judge(
     follows_well = misfit <= PREDICTED_WELL
     missed = resonance_findings(problem, structure) if not follows_well and problem.spectral is None else []
     lacks, is_sound = doubt_findings(estimate), all(finding.word == "sound" for finding in findings + missed)
-    told = bool(lacks) and lacks[0].kind not in TOLD_BY_CAUSES
+    lacks_something = bool(lacks) and lacks[0].kind not in TOLD_BY_CAUSES
     # Where the free run follows the sensors, a filter, a tilt or a law that is shown to be lacking is the cause. Wide
     # deviations of the parameters may excuse whatever it misses: then a cause of this folder goes before, if any.
     follows = all(finding.kind != "free_run" and finding.word != "failed" for finding in findings)
-    causes = lacks if told and follows and (prediction is None or misfit <= NOT_AT_ALL) else []
+    causes = lacks if lacks_something and follows and (prediction is None or misfit <= NOT_AT_ALL) else []
     if not causes and not is_sound and not follows_well:
         causes = fitted_causes(problem, _believed(problem, estimate), structure, excused)
     # Elsewhere it is what explains most of what the model leaves out, or wrong damping; and whatever is small, of which
     # the estimated structure, held fixed, says less than one whose parameters are free.
-    explains = told and (lacks[0].kind == "damping" or estimate.doubts[0].share > MOST_EXPLAINED)
-    if not causes and (explains or follows_well or (told and follows)):
+    explains = lacks_something and (lacks[0].kind == "damping" or estimate.doubts[0].share > MOST_EXPLAINED)
+    if not causes and (explains or follows_well or (lacks_something and follows)):
         causes = lacks
     if not causes and prediction is not None:
         causes = channel_faults(prediction, excused)
@@ -170,7 +170,7 @@ def judge(
         prescribed = predicted(_believed(problem, estimate), record)
         causes = [] if prescribed is None else channel_faults(prescribed, excused)
     # A fault that is named draws everything along.
-    return Verdict.of(own + (causes or ([] if own else lacks)) + findings + missed)
+    return Verdict.of(faults + (causes or ([] if faults else lacks)) + findings + missed)
 
 
 def _contradicted(problem: Problem, agreement: float) -> list[Finding]:
@@ -188,8 +188,8 @@ def _unreached(problem: Problem) -> list[Finding]:
     """Sensors of which the model can say nothing: whatever they show is no fault of theirs, nor of any other sensor."""
     dofs = unreached_dofs(problem)
     text = "no force of the model reaches that sensor; add the connection that is missing, or the force there"
-    found = [channel for channel in channels(problem.record) if channel.dof in dofs]
-    return [Finding("unreached", c.name, f"the {c.name} cannot be explained: {text} (data.force)") for c in found]
+    unreached = [channel for channel in channels(problem.record) if channel.dof in dofs]
+    return [Finding("unreached", c.name, f"the {c.name} cannot be explained: {text} (data.force)") for c in unreached]
 
 
 def _furthest(estimate: Estimate) -> float:

@@ -58,10 +58,10 @@ def parameter_findings(problem: Problem, estimate: Estimate, structure: Structur
     unknown = [p for p in estimate.before_any_record if p.unknown]
     believed = [p for p in estimate.parameters if not p.unknown]
     of_each = (f for p in unknown for f in (_far_from_believed(p), _undetermined(p, kinds.get(p.name, ""))))
-    found = [f for f in of_each if f is not None]
+    findings = [f for f in of_each if f is not None]
     return (
-        _spans(structure, estimate, {f.suspect for f in found if f.kind == "not_identified"})
-        + found
+        _spans(structure, estimate, {f.suspect for f in findings if f.kind == "not_identified"})
+        + findings
         + _narrowed(estimate)
         + _beyond_bounds(estimate)
         + _rivals(estimate)
@@ -141,15 +141,15 @@ def _narrowed(estimate: Estimate) -> list[Finding]:
 
 def _rivals(estimate: Estimate) -> list[Finding]:
     """Other solutions that the record cannot tell from the one that is reported."""
-    found = []
+    findings = []
     for rival in estimate.rivals:
         values = ", ".join(f"{name} = {x:.4g}" for name, x in rival.values.items())
         more, fewer = math.exp(max(rival.log_odds, 0.0)), math.exp(max(-rival.log_odds, 0.0))
         odds = f"{more:.3g} times as probable" if rival.log_odds > 0 else f"1/{fewer:.3g} as probable"
         text = f"another structure explains the record as well ({odds}): {values}; the nearest to the start is reported"
         remedy = "measure at another DOF, or prescribe a parameter of which you know something"
-        found.append(Finding("rival", "parameters", f"{text}; {remedy}"))
-    return found
+        findings.append(Finding("rival", "parameters", f"{text}; {remedy}"))
+    return findings
 
 
 def _moved(believed: Sequence[ParameterEstimate]) -> list[Finding]:
@@ -177,7 +177,7 @@ def _spread(estimate: Estimate) -> list[Finding]:
 
 def _spans(structure: Structure, estimate: Estimate, undetermined: Collection[str]) -> list[Finding]:
     """Connections that move further than their law goes, a guess there, or less, which leaves terms undetermined."""
-    found, untold = [], sought_laws(structure, [p for p in estimate.parameters if p.name in undetermined])
+    findings, untold = [], sought_laws(structure, [p for p in estimate.parameters if p.name in undetermined])
     for place, law in enumerate(structure.laws):
         for over, span in law.spans.items():
             motion = estimate.response.stretching[OVER.index(over)]
@@ -188,8 +188,8 @@ def _spans(structure: Structure, estimate: Estimate, undetermined: Collection[st
                 name = structure.labels.connection(place)
                 text = f"the {over} of connection {name} goes from {low:.3g} to {high:.3g}, its law from {span[0]:.3g}"
                 text += f" to {span[1]:.3g}; give it {over}: [{SPARE * low:.3g}, {SPARE * high:.3g}]"
-                found.append(Finding("law", f"connection {name}", text, "sound"))
-    return found
+                findings.append(Finding("law", f"connection {name}", text, "sound"))
+    return findings
 
 
 def _frequencies(structure: Structure, record: Record, loose: Sequence[int]) -> list[Finding]:
@@ -201,22 +201,24 @@ def _frequencies(structure: Structure, record: Record, loose: Sequence[int]) -> 
         int(np.sum(frequencies[frequencies > 0 if loose else ...] < least)),
     )
     of_structure, suspect = "natural frequencies of the estimated structure are", "natural frequencies"
-    found = []
+    findings = []
     # Modes beyond the record are there for what they bend under slow forces.
     if above == len(frequencies) if structure.is_modal else above:
         text = f"{above} of {len(frequencies)} {of_structure} above the Nyquist frequency, {nyquist:.4g} Hz"
         text += f" (the highest: {frequencies[-1]:.4g} Hz); check the time axis and the units"
-        found.append(Finding("frequencies", suspect, text, failed_if(above == len(frequencies))))
+        findings.append(Finding("frequencies", suspect, text, failed_if(above == len(frequencies))))
     if below:
         text = f"{below} {of_structure} below one period per record, {least:.4g} Hz; check the time axis and the units"
-        found.append(Finding("frequencies", suspect, text, failed_if(below == len(frequencies))))
+        findings.append(Finding("frequencies", suspect, text, failed_if(below == len(frequencies))))
     if loose and not record.sensors("displacement")[[dof for dof in loose if dof < record.ndof]].any():
         text = f"the structure is not held: {record.dof_names(loose)} can move as a rigid body; without a displacement"
-        found.append(Finding("held", suspect, f"{text} sensor there, displacements are known up to a drift", "sound"))
+        findings.append(
+            Finding("held", suspect, f"{text} sensor there, displacements are known up to a drift", "sound")
+        )
     if np.isnan(frequencies).any():
         text = "the estimated structure is unstable: it has a negative stiffness"
-        found.append(Finding("frequencies", suspect, text, "failed"))
-    return found
+        findings.append(Finding("frequencies", suspect, text, "failed"))
+    return findings
 
 
 def baseline_findings(estimate: Estimate, baseline: Estimate | None, record: Record) -> list[Finding]:
@@ -227,31 +229,31 @@ def baseline_findings(estimate: Estimate, baseline: Estimate | None, record: Rec
 
 
 def _parameters_apart(estimate: Estimate, baseline: Estimate) -> list[Finding]:
-    others, found = {p.name: p for p in baseline.parameters}, []
+    of_baseline, findings = {p.name: p for p in baseline.parameters}, []
     for p in estimate.parameters:
-        other = others.get(p.name)
+        other = of_baseline.get(p.name)
         if other is None:
             continue
-        apart, allowed = abs(p.estimate - other.estimate), APART * float(np.hypot(p.std, other.std))
-        if apart > allowed and apart > LEAST_APART * max(abs(p.estimate), abs(other.estimate)):
-            theirs = f"the baseline's {other.estimate:.4g} +- {other.std:.2g}"
-            text = f"{p.name} is {p.estimate:.4g} +- {p.std:.2g}, and {theirs}"
-            found.append(Finding("baseline", p.name, f"{text}: one of them is wrong; look at the free run of each"))
-    return found
+        difference, allowed = abs(p.estimate - other.estimate), APART * float(np.hypot(p.std, other.std))
+        if difference > allowed and difference > LEAST_APART * max(abs(p.estimate), abs(other.estimate)):
+            baseline_text = f"the baseline's {other.estimate:.4g} +- {other.std:.2g}"
+            text = f"{p.name} is {p.estimate:.4g} +- {p.std:.2g}, and {baseline_text}"
+            findings.append(Finding("baseline", p.name, f"{text}: one of them is wrong; look at the free run of each"))
+    return findings
 
 
 def _displacements_apart(estimate: Estimate, baseline: Estimate, record: Record) -> list[Finding]:
-    ours, theirs = estimate.response.displacement, baseline.response.displacement
-    apart = np.sqrt(np.mean((ours - theirs) ** 2, axis=0))
+    displacement, of_baseline = estimate.response.displacement, baseline.response.displacement
+    difference = np.sqrt(np.mean((displacement - of_baseline) ** 2, axis=0))
     allowed = APART * np.sqrt(np.mean(estimate.std.displacement**2 + baseline.std.displacement**2, axis=0))
-    size = np.maximum(np.std(ours, axis=0), np.std(theirs, axis=0))
-    dofs = np.flatnonzero((apart > allowed) & (apart > LEAST_RESPONSE_APART * size))
+    size = np.maximum(np.std(displacement, axis=0), np.std(of_baseline, axis=0))
+    dofs = np.flatnonzero((difference > allowed) & (difference > LEAST_RESPONSE_APART * size))
     if not dofs.size:
         return []
-    worst = int(dofs[np.argmax(apart[dofs] / size[dofs])])
+    worst = int(dofs[np.argmax(difference[dofs] / size[dofs])])
     text = f"the displacement of {record.dof_names(dofs)} is not the baseline's"
     place = f"DOF {record.dof_name(worst)}"
-    extent = f"{100 * apart[worst] / size[worst]:.0f} % of its rms apart on {place}"
+    extent = f"{100 * difference[worst] / size[worst]:.0f} % of its rms apart on {place}"
     return [Finding("baseline", f"displacement of {place}", f"{text}: {extent}; look at the free run")]
 
 

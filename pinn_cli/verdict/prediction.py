@@ -72,9 +72,13 @@ def predicted(structure: Structure, record: Record, start: Sequence[np.ndarray] 
         response = free_run(structure, part, start)
     except NoFreeRunError:
         return None
-    found = prediction_of(structure, part, response)
-    short = found is not None and part is not record and len(part.time) < SAMPLES_PER_POLE * len(found.modes.poles)
-    return None if short else found
+    prediction = prediction_of(structure, part, response)
+    short = (
+        prediction is not None
+        and part is not record
+        and len(part.time) < SAMPLES_PER_POLE * len(prediction.modes.poles)
+    )
+    return None if short else prediction
 
 
 def prediction_of(structure: Structure, record: Record, response: Response) -> Prediction | None:
@@ -92,12 +96,12 @@ def felt_modes(modes: Modes, channel: Channel) -> tuple[int, ...]:
     return tuple(upper[np.abs(shape) > 1e-9 * np.max(np.abs(modes.shapes))].tolist())
 
 
-def decays(modes: Modes, felt: Sequence[int], record: Record) -> np.ndarray:
+def decays(modes: Modes, mode_numbers: Sequence[int], record: Record) -> np.ndarray:
     """Orthonormal histories (N, p), p <= 2n: all that a free motion can put into a channel that feels some modes.
 
     Whatever the structure did before the record began lies in their span.
     """
-    poles = modes.poles[list(felt)]
+    poles = modes.poles[list(mode_numbers)]
     time = record.time - record.time[0]
     waves = np.exp(np.minimum(poles.real, 0.0) * time[:, None] + 1j * poles.imag * time[:, None])
     basis, triangle = np.linalg.qr(np.hstack([waves.real, waves.imag]))
@@ -112,12 +116,12 @@ class Reading:
     Attributes:
         value: In its unit.
         std: Its standard deviation, the colour of the residual allowed for.
-        left: NMSE of the channel once it is put right.
+        misfit: NMSE of the channel once it is put right.
     """
 
     value: float
     std: float
-    left: float
+    misfit: float
 
     def differs(self, other: float, size: float, deviations: float) -> bool:
         """Whether it is off by more than ``size``, and by more than so many standard deviations."""
@@ -231,8 +235,8 @@ def compare(channel: Channel, prediction: Prediction, as_dof: int | None = None)
     columns = np.column_stack((measured, place.of(prediction.response), np.ones(len(measured))))
     columns = columns - basis @ (basis.T @ columns)
     power = max(float(np.var(measured)), np.finfo(float).tiny)
-    own, expected, constant = (np.ascontiguousarray(column) for column in columns.T)
-    return Comparison(channel, own, expected, constant, power, record)
+    projected, expected, constant = (np.ascontiguousarray(column) for column in columns.T)
+    return Comparison(channel, projected, expected, constant, power, record)
 
 
 def comparisons(prediction: Prediction, excused: Sequence[str] = ()) -> list[Comparison]:

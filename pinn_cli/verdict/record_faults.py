@@ -40,9 +40,10 @@ def record_faults(record: Record) -> list[Finding]:
     """The faults of all channels, at most one of each."""
     tests = (_still, _copied, _clipped, _dropped_out, _off_zero, _hums)
     return [
-        found
+        first_fault
         for channel in channels(record, (*RESPONSE_QUANTITIES, GROUND, *SUPPORT))
-        if (found := next((fault for test in tests if (fault := test(channel, record)) is not None), None)) is not None
+        if (first_fault := next((fault for test in tests if (fault := test(channel, record)) is not None), None))
+        is not None
     ]
 
 
@@ -120,10 +121,10 @@ def _off_zero(channel: Channel, record: Record) -> Finding | None:
 
 def _hums(channel: Channel, record: Record) -> Finding | None:
     acting = channels(record, (FORCE, GROUND, *SUPPORT), excused=[channel.name])
-    found = hum(channel.measured, record.step, [other.measured for other in acting])
-    if found is None:
+    steady = hum(channel.measured, record.step, [input_channel.measured for input_channel in acting])
+    if steady is None:
         return None
-    line, share = found
+    line, share = steady
     text = f"the {channel.name} hums: {100 * share:.0f} % of its power is a steady line at {line:g} Hz of the mains"
     return Finding("hum", channel.name, f"{text}, which nothing that acts has; filter it out, or leave that sensor out")
 
@@ -135,41 +136,41 @@ def first_sample_findings(record: Record, estimate: Estimate) -> list[Finding]:
     the sensor is told that is furthest off. Where none is, the model may leave out a force.
     """
     count, misfit = max(3, math.ceil(BEGINNING * len(record.time))), estimate.misfit
-    worst, told, left = 0.0, "", np.zeros(0)
+    worst, fault, residual = 0.0, "", np.zeros(0)
     for channel in channels(record, (*RESPONSE_QUANTITIES, FORCE, GROUND, *SUPPORT)):
-        found = channel.of(estimate.response)
-        gap = ~(np.isfinite(found) & channel.there)
-        off = np.where(gap, 0.0, channel.measured - found)
+        estimated = channel.of(estimate.response)
+        gap = ~(np.isfinite(estimated) & channel.there)
+        off = np.where(gap, 0.0, channel.measured - estimated)
         far = _far_off(off, np.where(gap, 0.0, channel.measured), channel.of(estimate.std), count)
         if far > worst:
-            worst, left, at = far, off, int(np.argmax(np.abs(off[:count])))
-            numbers = f"was measured as {channel.measured[at]:.3g} and estimated as {found[at]:.3g}"
-            told = f"the {channel.name} {numbers} at {record.time[at]:.4g} s"
-    if not told and misfit is not None and len(misfit.history) == len(record.time) and misfit.acting > 0.0:
-        force, every = np.linalg.norm(misfit.history.astype(float), axis=1), np.ones(len(record.time))
-        if _far_off(force, misfit.acting * every, misfit.rest * every, count):
-            left, at = force, int(np.argmax(force[:count]))
-            told = f"the model leaves out a force of {force[at]:.3g} N at {record.time[at]:.4g} s"
-    if not told:
+            worst, residual, at = far, off, int(np.argmax(np.abs(off[:count])))
+            numbers = f"was measured as {channel.measured[at]:.3g} and estimated as {estimated[at]:.3g}"
+            fault = f"the {channel.name} {numbers} at {record.time[at]:.4g} s"
+    if not fault and misfit is not None and len(misfit.history) == len(record.time) and misfit.acting > 0.0:
+        force, ones = np.linalg.norm(misfit.history.astype(float), axis=1), np.ones(len(record.time))
+        if _far_off(force, misfit.acting * ones, misfit.rest * ones, count):
+            residual, at = force, int(np.argmax(force[:count]))
+            fault = f"the model leaves out a force of {force[at]:.3g} N at {record.time[at]:.4g} s"
+    if not fault:
         return []
-    last = int(np.flatnonzero(np.abs(left[:count]) > ABOVE_REST * np.std(left[count:])).max(initial=0))
-    text = f"the first {last + 1} samples are far off: {told}; leave them out (data.start={record.time[last + 1]:.4g})"
+    last = int(np.flatnonzero(np.abs(residual[:count]) > ABOVE_REST * np.std(residual[count:])).max(initial=0))
+    text = f"the first {last + 1} samples are far off: {fault}; leave them out (data.start={record.time[last + 1]:.4g})"
     return [Finding("first_samples", "record", text)]
 
 
-def _far_off(left: np.ndarray, signal: np.ndarray, std: np.ndarray, count: int) -> float:
+def _far_off(residual: np.ndarray, signal: np.ndarray, std: np.ndarray, count: int) -> float:
     """What is left of the first samples, over the signal; 0 where it is no more than the rest, or ``std``, allows.
 
     Args:
-        left: (N,), of every sample.
+        residual: (N,), of every sample.
         signal: (N,).
         std: (N,), of what was estimated; NaN where it is unknown.
         count: Of the first samples.
     """
-    parts = left[:count], left[count:], signal[:count], np.nan_to_num(std[:count])
-    first, rest, begins, known = map(_rms, parts)
+    parts = residual[:count], residual[count:], signal[:count], np.nan_to_num(std[:count])
+    first, rest, begins, deviation = map(_rms, parts)
     size = max(float(np.std(signal)), begins)
-    allowed = max(FAR_OFF * size, ABOVE_REST * rest, ABOVE_REST * known)
+    allowed = max(FAR_OFF * size, ABOVE_REST * rest, ABOVE_REST * deviation)
     return first / size if first > allowed > 0.0 else 0.0
 
 

@@ -62,9 +62,9 @@ def sensor_findings(problem: Problem, estimate: Estimate, prediction: Prediction
             return []
         text = "the estimated structure is unstable or too stiff for a free run; check units, masses and the time axis"
         return [Finding("free_run", "model", text, "failed")]
-    every = comparisons(prediction)
-    noise = {c.channel.name: _noise_share(c, estimate) for c in every}
-    bad = [c for c in every if c.misfit > max(GOOD, ALLOWED * noise[c.channel.name])]
+    compared = comparisons(prediction)
+    noise = {c.channel.name: _noise_share(c, estimate) for c in compared}
+    bad = [c for c in compared if c.misfit > max(GOOD, ALLOWED * noise[c.channel.name])]
     if not bad:
         return []
     moved = _propagated(problem, estimate, prediction, bad)
@@ -133,12 +133,12 @@ def random_structure(problem: Problem, estimate: Estimate, random: np.random.Gen
 def noise_findings(problem: Problem, estimate: Estimate) -> list[Finding]:
     """Every finding of this page, in the order of the channels."""
     seen = every_channel(problem.record, (*RESPONSE_QUANTITIES, GROUND, *SUPPORT))
-    found = [f for c in seen for f in (_level(c, estimate), _colour(c, problem.record, estimate)) if f is not None]
+    findings = [f for c in seen for f in (_level(c, estimate), _colour(c, problem.record, estimate)) if f is not None]
     # Where a force that nobody measured acts on every DOF, or as many act as there are sensors, any motion is rightly
     # followed.
     free = len(problem.inputs.forces) >= min(problem.record.ndof, len(seen))
     copied = [] if free or _holds_within_noise(problem, estimate) else _copied(problem.record, estimate)
-    return found + _discrepancy(problem, estimate) + copied + _unfinished(estimate)
+    return findings + _discrepancy(problem, estimate) + copied + _unfinished(estimate)
 
 
 def _level(channel: Channel, estimate: Estimate) -> Finding | None:
@@ -226,7 +226,7 @@ def _copied(record: Record, estimate: Estimate) -> list[Finding]:
         for channel, count in zip(record.calibrated, taken.get(CALIBRATED, ()), strict=False)
         if channel.quantity in RESPONSE_QUANTITIES
     ]
-    followed, samples = np.sum([each for each in counts if np.isfinite(each[0])] or [(0, 1)], axis=0)
+    followed, samples = np.sum([pair for pair in counts if np.isfinite(pair[0])] or [(0, 1)], axis=0)
     if followed < COPIED * samples:
         return []
     text = f"{followed:.0f} effective parameters follow the {samples:.0f} samples of all response sensors"
