@@ -265,7 +265,7 @@ def results_of(job: Job, problem: JointProblem, estimate: Estimate, **more: Any)
         shown=None if config.between is None else checked_times("report.between", config.between, record.time),
         **more,
     )
-    return replace(results, further=further_results(results, problem.each[1:], prepared.truths[1:]))
+    return replace(results, further=further_results(results, problem.by_record[1:], prepared.truths[1:]))
 
 
 def inspect(composed: DictConfig, terminal: Terminal | None = None) -> None:

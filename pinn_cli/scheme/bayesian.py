@@ -180,10 +180,10 @@ class Bayesian(EstimationScheme):
         values = {p: start.value for p, start in starts.items()}
         records = [calibrated_starts(each, values) for each in records]
         scales = {parameter: starts[parameter].scale for parameter in chosen}
-        own = read_priors(self.priors, prescribed)
-        priors = with_defaults(own, scales, self.positive)
+        given_priors = read_priors(self.priors, prescribed)
+        priors = with_defaults(given_priors, scales, self.positive)
         said = (replace(p, said=given.get(p, math.nan)) for p in chosen)
-        unknown = tuple(_unknown(p, priors[p], starts[p], p in own) for p in said)
+        unknown = tuple(_unknown(p, priors[p], starts[p], p in given_priors) for p in said)
         structure = at_starts(prescribed, unknown)
         return JointProblem.of(*map(_with_priors, self.joint_problem(structure, records, unknown)))
 

@@ -31,11 +31,11 @@ def calibrated_starts(record: Record, starts: Mapping[Parameter, float]) -> Reco
         record: What was measured.
         starts: Where parameters start, those of the structure among them.
     """
-    found: defaultdict[str, dict[str, float]] = defaultdict(dict)
+    by_sensor: defaultdict[str, dict[str, float]] = defaultdict(dict)
     for parameter, value in starts.items():
         if parameter.kind in CALIBRATION_UNITS:
-            found[parameter.label][parameter.kind] = value
-    return record.started_at(found)
+            by_sensor[parameter.label][parameter.kind] = value
+    return record.started_at(by_sensor)
 
 
 def sensor_parameters(record: Record) -> tuple[Parameter, ...]:
@@ -97,13 +97,13 @@ class Doubt:
 
 def doubts_of(records: Sequence[Record]) -> list[Doubt]:
     """Gains and delays that are not known, of channels in a column of a DOF; of those of one name the first one's."""
-    found: dict[tuple[str, str], Doubt] = {}
+    doubts: dict[tuple[str, str], Doubt] = {}
     for record in records:
         for channel in (channel for channel in record.calibrated if channel.is_column):
             for kind in ("gain", "delay"):
                 if not (number := channel.number(kind)).is_known:
-                    found.setdefault((kind, channel.key), Doubt(kind, channel.key, number.value, number.std))
-    return list(found.values())
+                    doubts.setdefault((kind, channel.key), Doubt(kind, channel.key, number.value, number.std))
+    return list(doubts.values())
 
 
 def doubts_about(channel: Channel, step: float) -> list[Doubt]:
@@ -147,8 +147,8 @@ class ChannelDoubts:
         for value, doubt, channel in zip(y, self.doubts, self.channels, strict=True):
             if channel is not None:
                 log[:, channel] += value * self._slope(doubt)
-        every = np.exp(log)
-        return every[:, : self.sensors], every[:, self.sensors :]
+        factors = np.exp(log)
+        return factors[:, : self.sensors], factors[:, self.sensors :]
 
     def slopes(self, parts: np.ndarray) -> list[np.ndarray]:
         """(B, S, F), of the cross spectra by every unknown; (F, B, S, F) are what each input makes of them."""
@@ -167,7 +167,7 @@ class ChannelDoubts:
 
     def places(self, channel: int) -> dict[str, int]:
         """Kind to the place of a channel's doubts among the unknowns."""
-        return {self.doubts[i].kind: i for i, own in enumerate(self.channels) if own == channel}
+        return {self.doubts[i].kind: i for i, number in enumerate(self.channels) if number == channel}
 
     def tried_delays(self, doubt: Doubt) -> np.ndarray:
         """(D,), in prior standard deviations, close enough to meet every valley."""
@@ -178,6 +178,6 @@ class ChannelDoubts:
         """Name of a sensor to the gain and delay (s) that the unknowns say."""
         out: dict[str, dict[str, float]] = {}
         for value, doubt in zip(y, self.doubts, strict=True):
-            found = doubt.believed * np.exp(value) if doubt.kind == "gain" else doubt.believed + value * doubt.std
-            out.setdefault(doubt.sensor, {})[doubt.kind] = float(found)
+            number = doubt.believed * np.exp(value) if doubt.kind == "gain" else doubt.believed + value * doubt.std
+            out.setdefault(doubt.sensor, {})[doubt.kind] = float(number)
         return out

@@ -23,19 +23,19 @@ class JointProblem:
     """The problems of all records: one structure, and what is uncertain in two of them is one parameter.
 
     Attributes:
-        each: Of every record. Each has its own sensors, length, noise, initial motion and inputs.
+        by_record: Of every record. Each has its own sensors, length, noise, initial motion and inputs.
         other_starts: The same from other starts of the unknown parameters, for a training that can compare solutions.
         elsewhere: Makes the same from further starts, for where none of those leads to a model that holds.
     """
 
-    each: tuple[Problem, ...]
+    by_record: tuple[Problem, ...]
     other_starts: tuple[JointProblem, ...] = ()
     elsewhere: Callable[[], tuple[JointProblem, ...]] = tuple
 
     @classmethod
-    def of(cls, *each: Problem) -> JointProblem:
+    def of(cls, *problems: Problem) -> JointProblem:
         """From one start alone."""
-        return cls(each)
+        return cls(problems)
 
     @classmethod
     def of_records(
@@ -73,16 +73,16 @@ class JointProblem:
         )
 
     def __iter__(self) -> Iterator[Problem]:
-        return iter(self.each)
+        return iter(self.by_record)
 
     def __len__(self) -> int:
         """How many records there are."""
-        return len(self.each)
+        return len(self.by_record)
 
     @property
     def first(self) -> Problem:
         """That of the first record, which has what all have in common as well."""
-        return self.each[0]
+        return self.by_record[0]
 
     @property
     def alone(self) -> Problem:
@@ -91,13 +91,13 @@ class JointProblem:
         Raises:
             ValueError: There are several.
         """
-        (own,) = self.each
-        return own
+        (problem,) = self.by_record
+        return problem
 
     @property
     def starts(self) -> tuple[JointProblem, ...]:
         """The same from every start of the unknown parameters, this one's first."""
-        return (JointProblem(self.each), *self.other_starts)
+        return (JointProblem(self.by_record), *self.other_starts)
 
     @property
     def structure(self) -> Structure:
@@ -106,7 +106,7 @@ class JointProblem:
 
     def present(self, values: Mapping[str, np.ndarray]) -> JointProblem:
         """The same with damping of the whole in the modes of some masses and stiffnesses, see `Structure.present`."""
-        return JointProblem(tuple(own.present(values) for own in self.each))
+        return JointProblem(tuple(problem.present(values) for problem in self.by_record))
 
     def reduced_at(self, factors: np.ndarray) -> JointProblem:
         """The same in coordinates that are exact for some factors, see :meth:`Structure.reduced_at`."""
@@ -114,16 +114,16 @@ class JointProblem:
 
     def in_coordinates_of(self, structure: Structure) -> JointProblem:
         """The same with its structure in the coordinates that a reduction of its finite-element model has."""
-        return self.changed(lambda own: own.in_coordinates_of(structure))
+        return self.changed(lambda problem: problem.in_coordinates_of(structure))
 
     def changed(self, how: Callable[[Problem], Problem]) -> JointProblem:
         """The same with the problem of every record changed, from every start."""
 
         def all_of(problems: tuple[JointProblem, ...]) -> tuple[JointProblem, ...]:
-            return tuple(one.changed(how) for one in problems)
+            return tuple(joint.changed(how) for joint in problems)
 
-        each = tuple(how(own) for own in self.each)
-        return JointProblem(each, all_of(self.other_starts), lambda: all_of(self.elsewhere()))
+        changed = tuple(how(problem) for problem in self.by_record)
+        return JointProblem(changed, all_of(self.other_starts), lambda: all_of(self.elsewhere()))
 
     @property
     def priors(self) -> tuple[Prior, ...]:
@@ -138,12 +138,12 @@ class JointProblem:
     @property
     def has_unknown_forces(self) -> bool:
         """Whether forces act that nobody measured, in any record."""
-        return any(own.inputs.forces for own in self.each)
+        return any(problem.inputs.forces for problem in self.by_record)
 
     @property
     def identifies(self) -> bool:
         """Whether any parameter is unknown."""
-        return any(own.identifies for own in self.each)
+        return any(problem.identifies for problem in self.by_record)
 
 
 def _as_before(parameter: Parameter, believed: dict[tuple[str, str], Parameter]) -> Parameter:
@@ -153,11 +153,13 @@ def _as_before(parameter: Parameter, believed: dict[tuple[str, str], Parameter])
     """
     if parameter.kind not in CALIBRATION_UNITS or parameter.kind in OF_ONE_CHANNEL:
         return parameter
-    known = believed.setdefault((parameter.kind, parameter.label), parameter)
-    if parameter.unknown and known.unknown:
-        return replace(parameter, prior_std=known.prior_std)
-    if (parameter.prescribed, parameter.prior_std) != (known.prescribed, known.prior_std):
-        said = f"{parameter.prescribed:g} +- {parameter.prior_std:g} and {known.prescribed:g} +- {known.prior_std:g}"
+    earlier = believed.setdefault((parameter.kind, parameter.label), parameter)
+    if parameter.unknown and earlier.unknown:
+        return replace(parameter, prior_std=earlier.prior_std)
+    if (parameter.prescribed, parameter.prior_std) != (earlier.prescribed, earlier.prior_std):
+        said = (
+            f"{parameter.prescribed:g} +- {parameter.prior_std:g} and {earlier.prescribed:g} +- {earlier.prior_std:g}"
+        )
         hint = "a sensor that was calibrated anew has another name"
         raise InputError("data.channels", f"{parameter.name}: {said}", "the same in all records", hint)
     return parameter

@@ -139,7 +139,7 @@ class LinearFit:
                 carried[:, :, i] = back * structure.by_supports[:, channel.dof]
         self.acting = Acting(pushed, shaken, carried)
         absolute = [sensor.quantity == "acceleration" and record.frame == "absolute" for sensor in s.sensors]
-        self.felt = shaken[self.sensed] * np.array(absolute)[:, None]
+        self.ground_shown = shaken[self.sensed] * np.array(absolute)[:, None]
         self.smooth(WIDTHS[0])
 
     def smooth(self, width: float) -> None:
@@ -154,7 +154,7 @@ class LinearFit:
 
     def outline(self, x: np.ndarray) -> float:
         """Squares of the misfit of sizes alone, each channel as large as it comes nearest, whatever is in doubt."""
-        cross = (self._response(x).value + self.felt) @ self.of_acting
+        cross = (self._response(x).value + self.ground_shown) @ self.of_acting
         size, common = np.abs(self.scale * self._smoothed(cross)), np.abs(self.common)
         gain = (size * common).sum(0) / np.maximum((size**2).sum(0), 1e-300)
         return float(np.sum((gain * size - common) ** 2))
@@ -168,11 +168,11 @@ class LinearFit:
             x[list(places.values())] = 0.0
             parts = self._parts(x)
             acts, number = channel >= doubts.sensors, channel - doubts.sensors
-            own = self.scale * self._smoothed(parts[number] if acts else parts.sum(0))
-            rest = self.scale * self._smoothed(parts.sum(0)) - own if acts else np.zeros_like(own)
-            pick = np.ones(own.shape[1], bool) if acts else np.arange(own.shape[1]) == channel
-            own, wanted = own[:, pick], (self.common - rest)[:, pick]
-            together = (own.conj() * wanted).sum((1, 2))
+            part = self.scale * self._smoothed(parts[number] if acts else parts.sum(0))
+            rest = self.scale * self._smoothed(parts.sum(0)) - part if acts else np.zeros_like(part)
+            pick = np.ones(part.shape[1], bool) if acts else np.arange(part.shape[1]) == channel
+            part, wanted = part[:, pick], (self.common - rest)[:, pick]
+            together = (part.conj() * wanted).sum((1, 2))
             sign = -1.0 if acts else 1.0
             gain = 1.0
             if "delay" in places:
@@ -183,7 +183,7 @@ class LinearFit:
                 x[places["delay"]], gain = tried[best], float(shifted[best])
             else:
                 gain = float(together.real.sum())
-            ratio = gain / max(float((np.abs(own) ** 2).sum()), 1e-300)
+            ratio = gain / max(float((np.abs(part) ** 2).sum()), 1e-300)
             if "gain" in places and ratio > 0:
                 x[places["gain"]] = float(np.clip(sign * np.log(ratio), -FARTHEST, FARTHEST))
         return x
@@ -208,7 +208,7 @@ class LinearFit:
 
     def _parts(self, x: np.ndarray) -> np.ndarray:
         """(F, B, S, F), what each input adds to the cross spectra; all together, (1, B, S, F), without doubts."""
-        response = self._response(x).value + self.felt
+        response = self._response(x).value + self.ground_shown
         if not len(self.doubts):
             return (response @ self.of_acting)[None]
         of_sensors, of_inputs = self.doubts.factors(x[self.structure.count :])
@@ -231,21 +231,21 @@ class JointFit:
     """The misfits of several records of one structure: its unknowns, then gains and delays of their sensors.
 
     Args:
-        each: Of every record, with the same doubts.
+        fits: Of every record, with the same doubts.
     """
 
-    def __init__(self, each: Sequence[LinearFit]) -> None:
-        self.each, self.structure, self.doubts = each, each[0].structure, each[0].doubts
+    def __init__(self, fits: Sequence[LinearFit]) -> None:
+        self.fits, self.structure, self.doubts = fits, fits[0].structure, fits[0].doubts
 
     def smooth(self, width: float) -> None:
         """See :meth:`LinearFit.smooth`."""
-        for fit in self.each:
+        for fit in self.fits:
             fit.smooth(width)
 
     @property
     def size(self) -> float:
         """Sum of squares of all that there is to explain."""
-        return max(sum(fit.size for fit in self.each), 1e-300)
+        return max(sum(fit.size for fit in self.fits), 1e-300)
 
     def start(self, mass: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
         """See :meth:`LinearStructure.start`; sensors are as they are believed to be."""
@@ -253,17 +253,17 @@ class JointFit:
 
     def aligned(self, x: np.ndarray) -> np.ndarray:
         """See :meth:`LinearFit.aligned`; a sensor of two records is where the last of them wants it."""
-        for fit in self.each:
+        for fit in self.fits:
             x = fit.aligned(x)
         return x
 
     def outline(self, x: np.ndarray) -> float:
         """See :meth:`LinearFit.outline`, over all that there is to explain."""
-        return sum(fit.outline(x) for fit in self.each) / self.size
+        return sum(fit.outline(x) for fit in self.fits) / self.size
 
     def misfit(self, x: np.ndarray) -> float:
         """See :class:`pinn_cli.scheme.screening.Candidate`."""
-        return sum(float(np.sum(np.abs(fit.residual(x)) ** 2)) for fit in self.each) / self.size
+        return sum(float(np.sum(np.abs(fit.residual(x)) ** 2)) for fit in self.fits) / self.size
 
     def calibration(self, x: np.ndarray) -> dict[str, dict[str, float]]:
         """See :class:`pinn_cli.scheme.screening.Candidate`."""
@@ -275,14 +275,14 @@ class JointFit:
             return self.misfit(x), x
 
         def residual(x: np.ndarray) -> np.ndarray:
-            return real_rows(np.concatenate([fit.residual(x).reshape(-1) for fit in self.each]))
+            return real_rows(np.concatenate([fit.residual(x).reshape(-1) for fit in self.fits]))
 
         def jacobian(x: np.ndarray) -> np.ndarray:
-            return real_rows(np.concatenate([fit.slopes(x).reshape(-1, len(x)) for fit in self.each]))
+            return real_rows(np.concatenate([fit.slopes(x).reshape(-1, len(x)) for fit in self.fits]))
 
         bounds = (x - FARTHEST, x + FARTHEST)
-        found = least_squares(residual, x, jacobian, bounds, loss="soft_l1", f_scale=0.3, max_nfev=START_EVALUATIONS)
-        return self.misfit(found.x), found.x
+        solution = least_squares(residual, x, jacobian, bounds, loss="soft_l1", f_scale=0.3, max_nfev=START_EVALUATIONS)
+        return self.misfit(solution.x), solution.x
 
 
 def last_ends(stretch: np.ndarray) -> np.ndarray:

@@ -26,9 +26,9 @@ def check_given(prescribed: Structure, unknown: Collection[Parameter] = ()) -> N
             missing.setdefault(parameter.kind, []).append(parameter)
     if not missing:
         return
-    every = [parameter for parameters in missing.values() for parameter in parameters]
-    settings = ", ".join(dict.fromkeys(prescribed.labels.setting(parameter) for parameter in every))
-    units = ", ".join(dict.fromkeys(f"{p.kind} in {p.unit}" for p in every))
+    all_missing = [parameter for parameters in missing.values() for parameter in parameters]
+    settings = ", ".join(dict.fromkeys(prescribed.labels.setting(parameter) for parameter in all_missing))
+    units = ", ".join(dict.fromkeys(f"{p.kind} in {p.unit}" for p in all_missing))
     named = bool(prescribed.labels.connections)
     names = ", ".join(_shown([p.name for p in ps], named) for ps in missing.values())
     given = "a number" if named else f"a number or a list of {prescribed.ndof}"

@@ -42,7 +42,7 @@ def problem_of_model(
     within = (known.most_probable(model.lower), known.covariance) if updates else known.within(model.lower)
     mean, covariance = within
     std = np.sqrt(np.diag(covariance))
-    own = [
+    parameters = [
         replace(p, prescribed=float(m), prior_std=float(s), scale=None, unknown=updates and p.unknown)
         for p, m, s in zip(model.parameters, mean, std, strict=True)
     ]
@@ -51,9 +51,9 @@ def problem_of_model(
     prior = JointPrior.of(before, model.levels)
     sensors = sensor_parameters(record)
     problem = Problem(
-        model.structure.with_values({p: p.prescribed for p in own}),
+        model.structure.with_values({p: p.prescribed for p in parameters}),
         record,
-        (*own, *sensors),
+        (*parameters, *sensors),
         acceleration_through,
         initial_motion,
         inputs=inputs_of(model.structure, record, unknown_force),

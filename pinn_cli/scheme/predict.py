@@ -89,10 +89,10 @@ def _checked_start(start: Any, structure: Structure) -> tuple[np.ndarray, np.nda
         raise InputError("scheme.start", start, STARTS_ALLOWED)
     if structure.is_modal:
         raise InputError("scheme.start", dict(start), "rest with a finite-element model", "its coordinates are modes")
-    found = []
+    states = []
     for name in ("displacement", "velocity"):
         values = entries(start.get(name, zeros.tolist()))
         if len(values) != len(zeros) or not all(is_finite_number(value) for value in values):
             raise InputError(f"scheme.start.{name}", values, f"a list of {len(zeros)} numbers, one for each DOF")
-        found.append(np.array(values, dtype=float))
-    return found[0], found[1]
+        states.append(np.array(values, dtype=float))
+    return states[0], states[1]

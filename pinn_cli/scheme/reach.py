@@ -51,9 +51,9 @@ def unreached_dofs(problem: Problem) -> list[int]:
 
 def tell_if_unreached(problem: JointProblem) -> None:
     """Say before anything is solved which sensors no force of the model can move."""
-    for number, own in enumerate(problem, start=1):
-        dofs = unreached_dofs(own)
+    for number, record_problem in enumerate(problem, start=1):
+        dofs = unreached_dofs(record_problem)
         if dofs:
             of = f"record {number}: " if len(problem) > 1 else ""
             text = "%sno force reaches %s, where there is a sensor: no connection joins it to where one acts; add the "
-            log.warning(text + "connection, or the force there (data.force)", of, own.record.dof_names(dofs))
+            log.warning(text + "connection, or the force there (data.force)", of, record_problem.record.dof_names(dofs))

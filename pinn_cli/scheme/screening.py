@@ -52,8 +52,8 @@ class PowerFit(LinearFit):
 
     def __init__(self, record: Record, structure: LinearStructure) -> None:
         super().__init__(record, structure)
-        every = np.eye(record.ndof)
-        self.acting = Acting.forces(every if record.unforced.all() else every[:, ~record.unforced])
+        identity = np.eye(record.ndof)
+        self.acting = Acting.forces(identity if record.unforced.all() else identity[:, ~record.unforced])
 
     def smooth(self, width: float) -> None:
         """See :meth:`LinearFit.smooth`."""
@@ -82,8 +82,8 @@ class PowerFit(LinearFit):
     def _without_spectrum(self, logarithms: np.ndarray) -> np.ndarray:
         """Weighed logarithms (O, S) without what the forces' spectrum can make up for."""
         flat = logarithms.reshape(-1)
-        left: np.ndarray = flat - self.basis @ (self.basis.T @ flat)
-        return left.reshape(logarithms.shape)
+        residual: np.ndarray = flat - self.basis @ (self.basis.T @ flat)
+        return residual.reshape(logarithms.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,15 +125,15 @@ class Screening:
         influence: np.ndarray | None = None,
         further: Sequence[Record] = (),
     ) -> None:
-        every = [each for each in (record, *further) if each.observed.any()]
-        records = [each for each in every if what_acts(each)]
+        observed = [each for each in (record, *further) if each.observed.any()]
+        records = [each for each in observed if what_acts(each)]
         doubts = doubts_of(records)
-        self.guess, self.records, self.model = guess, records or every, None
-        if every and (doubts or any(np.isnan(known[kind]).any() for kind in ("m", "k"))):
+        self.guess, self.records, self.model = guess, records or observed, None
+        if observed and (doubts or any(np.isnan(known[kind]).any() for kind in ("m", "k"))):
             structure = LinearStructure(stretch, known, guess["k"], influence)
             fits = [LinearFit(each, structure, doubts) for each in records]
             # Where nobody measured what acts, resonances show in the sensors alone.
-            self.model = JointFit(fits or [PowerFit(each, structure) for each in every])
+            self.model = JointFit(fits or [PowerFit(each, structure) for each in observed])
 
     def candidates(self) -> list[Candidate]:
         """The best first; none where nothing is unknown."""
@@ -158,17 +158,17 @@ def nearest(
     widths: Sequence[float] = WIDTHS,
 ) -> list[Candidate]:
     """The structures at which starts end, the best first; so many go on to each width of the smoothing."""
-    found: list[tuple[float, np.ndarray]] = []
+    ends: list[tuple[float, np.ndarray]] = []
     for width, most in zip(widths, survivors, strict=False):
         model.smooth(width)
         starts = [model.aligned(x) for x in starts] if width == WIDTHS[0] else starts
         ranked = sorted((model.misfit(x), i) for i, x in enumerate(starts))
         starts = [starts[i] for _, i in ranked[:most]]
         nearer = _distinct(sorted((model.fitted(x) for x in starts), key=lambda pair: pair[0]))
-        if found and found[0][0] < MUCH and nearer[0][0] > NEARLY_NOTHING:
+        if ends and ends[0][0] < MUCH and nearer[0][0] > NEARLY_NOTHING:
             break  # resonances that move with the amplitude have no such sharp picture
-        found, starts = nearer, [x for _, x in nearer]
-    return [Candidate(model.structure.parameters(x), misfit, model.calibration(x), x) for misfit, x in found]
+        ends, starts = nearer, [x for _, x in nearer]
+    return [Candidate(model.structure.parameters(x), misfit, model.calibration(x), x) for misfit, x in ends]
 
 
 def grid_of_starts(model: JointFit, records: Sequence[Record], guess: Mapping[str, np.ndarray]) -> list[np.ndarray]:
@@ -216,10 +216,10 @@ def common_factors(
     return np.asarray(10.0 ** np.linspace(least, most, max(2, int(per_decade * (most - least)))))
 
 
-def _distinct(found: list[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:
+def _distinct(ends: list[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:
     """Without those that ended where a better one did."""
     kept: list[tuple[float, np.ndarray]] = []
-    for misfit, x in found:
+    for misfit, x in ends:
         if all(np.abs(x - other).max() > SAME_START for _, other in kept):
             kept.append((misfit, x))
     return kept
@@ -229,12 +229,14 @@ def _alike(model: JointFit, best: Candidate, guess: Mapping[str, np.ndarray]) ->
     x, said = best.unknowns.copy(), model.start(guess["m"], guess["k"])
     model.smooth(WIDTHS[-1])
     most = TOLD * model.misfit(x)
-    told = np.array([max(model.misfit(x - step), model.misfit(x + step)) > most for step in ONE_OFF * np.eye(len(x))])
+    determined = np.array(
+        [max(model.misfit(x - step), model.misfit(x + step)) > most for step in ONE_OFF * np.eye(len(x))]
+    )
     masses, springs = (len(model.structure.free[kind]) for kind in ("m", "k"))
     for kind in (slice(0, masses), slice(masses, masses + springs)):
-        if told[kind].any():
-            off = np.median((x - said)[kind][told[kind]])
-            x[kind] = np.where(told[kind], x[kind], said[kind] + off)
+        if determined[kind].any():
+            off = np.median((x - said)[kind][determined[kind]])
+            x[kind] = np.where(determined[kind], x[kind], said[kind] + off)
     return Candidate(model.structure.parameters(x), model.misfit(x), best.calibration, x)
 
 

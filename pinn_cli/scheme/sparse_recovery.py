@@ -66,8 +66,8 @@ class SparseRecovery(EstimationScheme):
 
 def _calibrated(prescribed: Structure, records: Sequence[Record]) -> list[Record]:
     """The records whose sensors' unknown gains and delays start where they fit the prescribed structure."""
-    if not any(parameter.unknown for each in records for parameter in sensor_parameters(each)):
+    if not any(parameter.unknown for record in records for parameter in sensor_parameters(record)):
         return list(records)
     (starts,) = Starts(prescribed, records, (), {}, most=1)
     values = {parameter: start.value for parameter, start in starts.items()}
-    return [calibrated_starts(each, values) for each in records]
+    return [calibrated_starts(record, values) for record in records]

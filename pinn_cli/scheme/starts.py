@@ -50,8 +50,8 @@ def parameter_scales(structure: Structure, records: Sequence[Record]) -> dict[st
         structure: For its laws and, where no force is measured, its masses.
         records: What was measured.
     """
-    every = [_scales(structure, record) for record in records]
-    return {kind: float(np.median([scales[kind] for scales in every])) for kind in every[0]}
+    by_record = [_scales(structure, record) for record in records]
+    return {kind: float(np.median([scales[kind] for scales in by_record])) for kind in by_record[0]}
 
 
 def _scales(structure: Structure, record: Record) -> dict[str, float]:
@@ -59,9 +59,11 @@ def _scales(structure: Structure, record: Record) -> dict[str, float]:
     measured = record.force[:, record.sensors("force")]
     force = float(np.sqrt(np.mean(measured**2))) if measured.size else 0.0
     masses = structure.parameters[MASS].detach().cpu().double().numpy()
-    known = masses[np.isfinite(masses) & (masses > 0)]
+    known_masses = masses[np.isfinite(masses) & (masses > 0)]
     # Without a load cell the force is that of the masses; where nobody knows those either, of one kilogram.
-    force = force if force > 0 else size["acceleration"] * (float(np.median(known)) if known.size else 1.0)
+    force = (
+        force if force > 0 else size["acceleration"] * (float(np.median(known_masses)) if known_masses.size else 1.0)
+    )
     scales = {"m": force / size["acceleration"]}
     for kind, alone in unit_forces(structure, size["displacement"], size["velocity"]).items():
         per_unit = float(alone.max())
@@ -80,7 +82,7 @@ def unit_forces(structure: Structure, elongation: float, rate: float) -> dict[st
     e, de = (np.full(structure.incidence.shape[0], value) for value in (elongation, rate))
     forces = {}
     for kind, members in structure.members.items():
-        alone = {name: np.full(len(other), float(name == kind)) for name, other in structure.parameters.items()}
+        alone = {name: np.full(len(values), float(name == kind)) for name, values in structure.parameters.items()}
         forces[kind] = np.abs(structure.connection_force(e, de, alone)[members])
     return forces
 
@@ -136,7 +138,9 @@ class Starts:
         """The most promising first."""
         if self.prescribed.is_modal:
             return iter([self._at(_of_modes(self.prescribed, self.unknown, self.given))])
-        return iter([self._at(one.parameters) | _of_sensors(one.calibration) for one in self.promising])
+        return iter(
+            [self._at(candidate.parameters) | _of_sensors(candidate.calibration) for candidate in self.promising]
+        )
 
     def elsewhere(self) -> list[dict[Parameter, Start]]:
         """Starts for where those led to no model that holds: linear structures that fit as well, about the best."""
@@ -144,24 +148,26 @@ class Starts:
         if self.most is not None or not searched or not self._linear:
             return []
         alike, *others = self._screening.others(self._linear[0])
-        found: list[Candidate] = []
-        for one in (alike, *(one for one in others if one.misfit <= RIVAL * self._linear[0].misfit)):
-            if all(_apart(one, other, self.unknown) for other in (*self.promising, *found)):
-                found.append(one)
-        return [self._at(one.parameters) | _of_sensors(one.calibration) for one in found[:MOST_RIVALS]]
+        rivals: list[Candidate] = []
+        for candidate in (alike, *(c for c in others if c.misfit <= RIVAL * self._linear[0].misfit)):
+            if all(_are_distinct(candidate, taken, self.unknown) for taken in (*self.promising, *rivals)):
+                rivals.append(candidate)
+        return [
+            self._at(candidate.parameters) | _of_sensors(candidate.calibration) for candidate in rivals[:MOST_RIVALS]
+        ]
 
     @cached_property
     def promising(self) -> list[Candidate]:
         """Linear structures, or what was given, to begin with."""
-        most, candidates, own = self.most, self._linear, Candidate(_unscreened(self._known, self._guess), np.inf)
+        most, candidates, start = self.most, self._linear, Candidate(_unscreened(self._known, self._guess), np.inf)
         if most is None:
             candidates = [c for c in candidates[:MOST_RIVALS] if c.misfit <= RIVAL * candidates[0].misfit]
-        own = replace(own, calibration=candidates[0].calibration if candidates else {})
+        start = replace(start, calibration=candidates[0].calibration if candidates else {})
         if not candidates[:most]:
-            return [own if most == 0 else self._by_own_motion(own)]
+            return [start if most == 0 else self._by_own_motion(start)]
         said = most != 1 and _is_said(self.unknown, self.given)
-        if said and all(_apart(own, one, self.unknown) for one in candidates[:most]):
-            candidates = [*candidates[: None if most is None else most - 1], own]
+        if said and all(_are_distinct(start, candidate, self.unknown) for candidate in candidates[:most]):
+            candidates = [*candidates[: None if most is None else most - 1], start]
         return candidates[: most or None]
 
     @cached_property
@@ -186,9 +192,9 @@ class Starts:
     @cached_property
     def _linear(self) -> list[Candidate]:
         """Linear structures that come near to the record."""
-        scattered = any(misses_samples(channel, each) for each in self.records for channel in each.calibrated)
-        every = [] if self.most == 0 else self._screening.candidates()
-        return [c for c in every if c.misfit < (NEARLY_NOTHING if scattered else HOPELESS)]
+        scattered = any(misses_samples(channel, record) for record in self.records for channel in record.calibrated)
+        candidates = [] if self.most == 0 else self._screening.candidates()
+        return [c for c in candidates if c.misfit < (NEARLY_NOTHING if scattered else HOPELESS)]
 
     @cached_property
     def _screening(self) -> Screening:
@@ -196,7 +202,7 @@ class Starts:
         record, *further = self.records
         return Screening(record, stretch, self._known, self._guess, self.prescribed.with_ground, further)
 
-    def _by_own_motion(self, own: Candidate) -> Candidate:
+    def _by_own_motion(self, candidate: Candidate) -> Candidate:
         """Of a structure that is no linear one, with the common factor on its unknown springs that its free run tells.
 
         See :mod:`pinn_cli.scheme.own_motion`. Where parameters of a law are unknown, the free run says nothing of
@@ -205,18 +211,18 @@ class Starts:
         prescribed, unknown = self.prescribed, self.unknown
         free = [] if any(p.kind not in LINEAR_UNITS for p in unknown) else [p.index for p in unknown if p.kind == "k"]
         stretch = prescribed.stretch.matrix[prescribed.added].toarray()[:, : prescribed.coordinates]
-        factors = common_factors(stretch, own.parameters["m"], own.parameters["k"], self.records, FREE_RUNS)
-        best, least = own, np.inf
+        factors = common_factors(stretch, candidate.parameters["m"], candidate.parameters["k"], self.records, FREE_RUNS)
+        best, least = candidate, np.inf
         for factor in factors[np.abs(np.log10(factors)) <= DECADES_OFF] if free else ():
-            k = own.parameters["k"].copy()
+            k = candidate.parameters["k"].copy()
             k[free] *= factor
-            starts = self._at(own.parameters | {"k": k})
+            starts = self._at(candidate.parameters | {"k": k})
             structure = prescribed.with_values({parameter: start.value for parameter, start in starts.items()})
             if is_linear(structure):
                 break  # it has been compared
-            apart = distance(structure, self.records)
-            if apart < least:
-                best, least = replace(own, parameters=own.parameters | {"k": k}), apart
+            misfit = distance(structure, self.records)
+            if misfit < least:
+                best, least = replace(candidate, parameters=candidate.parameters | {"k": k}), misfit
         return best
 
     def _at(self, linear: Mapping[str, np.ndarray]) -> dict[Parameter, Start]:
@@ -230,7 +236,7 @@ class Starts:
         typical = {kind: _median_size(linear[kind], scales[kind]) for kind in (MASS, "k")}
         usual = np.full(len(linear["k"]), typical["k"])
         if prescribed.is_modal:
-            usual = _stiffness_felt(prescribed)
+            usual = _stiffness_between_ends(prescribed)
             usual = usual[: len(linear["k"])]  # behind them are parts, which have no spring of their own
         stretch = prescribed.incidence.matrix[: len(usual)]
         mass = linear["m"][last_ends(stretch.toarray())]
@@ -275,10 +281,10 @@ def _is_said(unknown: Collection[Parameter], given: Mapping[Parameter, float]) -
     return bool(said) and all(said)
 
 
-def _apart(one: Candidate, other: Candidate, unknown: Collection[Parameter]) -> bool:
+def _are_distinct(first: Candidate, second: Candidate, unknown: Collection[Parameter]) -> bool:
     """Whether two starts are two."""
     places = [(p.kind, p.index) for p in unknown if p.kind in (MASS, "k")]
-    return any(abs(np.log(one.parameters[k][i] / other.parameters[k][i])) > SAME_START for k, i in places)
+    return any(abs(np.log(first.parameters[k][i] / second.parameters[k][i])) > SAME_START for k, i in places)
 
 
 def _of_sensors(calibration: Mapping[str, Mapping[str, float]]) -> dict[Parameter, Start]:
@@ -309,22 +315,22 @@ def _of_modes(
 ) -> dict[str, np.ndarray]:
     """The linear part of a structure in modal coordinates: its modes are those of its matrices."""
     linear = {kind: prescribed.parameters[kind].detach().cpu().double().numpy().copy() for kind in LINEAR_UNITS}
-    modes, felt = prescribed.groups[0].incidence.shape[0], _stiffness_felt(prescribed)
+    modes, stiffness = prescribed.groups[0].incidence.shape[0], _stiffness_between_ends(prescribed)
     for parameter in unknown:
         if parameter.kind == "k" and parameter.index >= modes:
-            linear["k"][parameter.index] = given.get(parameter, felt[parameter.index])
+            linear["k"][parameter.index] = given.get(parameter, stiffness[parameter.index])
         elif parameter.kind == "c":
             linear["c"][parameter.index] = 0.0
     return linear
 
 
-def _stiffness_felt(prescribed: Structure) -> np.ndarray:
+def _stiffness_between_ends(prescribed: Structure) -> np.ndarray:
     """(C,), what every connection of modes feels between its ends, N/m: one over the modes' flexibility."""
     stretch = prescribed.incidence.matrix.toarray()
     k = prescribed.parameters["k"].detach().cpu().double().numpy()[: prescribed.coordinates]
     held = np.where(k > 0, k, np.median(k[k > 0]) if (k > 0).any() else 1.0)
-    felt: np.ndarray = 1.0 / (stretch**2 @ (1.0 / held))
-    return felt
+    stiffness: np.ndarray = 1.0 / (stretch**2 @ (1.0 / held))
+    return stiffness
 
 
 def _median_size(values: np.ndarray, otherwise: float) -> float:

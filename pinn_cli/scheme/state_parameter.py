@@ -101,13 +101,13 @@ class StateParameter(EstimationScheme):
         and none of them is asked for. Beside supports that move such damping is not of the masses alone: there is none.
         """
         dampers, whole = prescribed.parameters["c"], prescribed.coordinates <= MOST_RATIOS
-        own = prescribed.groups[0].incidence.shape[0] if prescribed.is_modal else len(dampers)
-        given = prescribed.is_damped_as_whole or prescribed.supports > 0 or not bool(dampers[:own].isnan().all())
+        split = prescribed.groups[0].incidence.shape[0] if prescribed.is_modal else len(dampers)
+        given = prescribed.is_damped_as_whole or prescribed.supports > 0 or not bool(dampers[:split].isnan().all())
         if given or records[0].simulated:
             return prescribed
         if self.unknown is not None and any(p.kind == "c" for p in self._chosen(prescribed, records)):
             return prescribed
-        undamped = prescribed.with_parameters(c=torch.cat([torch.zeros_like(dampers[:own]), dampers[own:]]))
+        undamped = prescribed.with_parameters(c=torch.cat([torch.zeros_like(dampers[:split]), dampers[split:]]))
         if not whole:
             log.warning("nothing is said of damping: Rayleigh's is unknown, a_0 and a_1 (system.damping)")
             return damped(undamped, {"rayleigh": [None, None]})
@@ -135,9 +135,9 @@ class StateParameter(EstimationScheme):
         def posed(start: Mapping[Parameter, Start]) -> JointProblem:
             unknown = [self._unknown(p, start[p], given.get(p, math.nan)) for p in chosen]
             uncertain = tuple(sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.index)))
-            values = {parameter: one.value for parameter, one in start.items()}
-            own = [calibrated_starts(each, values) for each in records]
-            return self.joint_problem(at_starts(prescribed, unknown), own, uncertain)
+            values = {parameter: parameter_start.value for parameter, parameter_start in start.items()}
+            calibrated = [calibrated_starts(each, values) for each in records]
+            return self.joint_problem(at_starts(prescribed, unknown), calibrated, uncertain)
 
         starts = Starts(prescribed, records, chosen, given, self.starts)
         first, *others = map(posed, starts)

@@ -77,10 +77,10 @@ def unknown_parameters(
         chosen = {name for pattern in patterns for name in _matching(pattern, structure, names, "scheme.unknown")}
         if not chosen:
             raise InputError("scheme.unknown", unknown, "null, or at least one name such as k_2")
-    found = [parameter for name, parameter in names.items() if name in chosen | of_whole]
-    for parameter in found:
+    parameters = [parameter for name, parameter in names.items() if name in chosen | of_whole]
+    for parameter in parameters:
         _check_touched(parameter, structure, records, forces_free)
-    return found
+    return parameters
 
 
 def _hidden_connections(structure: Structure, observed: np.ndarray) -> np.ndarray:
@@ -99,18 +99,18 @@ def _matching(pattern: Any, structure: Structure, names: Mapping[str, Parameter]
     """Names that a name or a pattern means. ``k_*`` means every k and no k_2: what stands before the _ is a kind."""
     if isinstance(pattern, str) and pattern in names:
         return [pattern]
-    found = []
+    matches = []
     if isinstance(pattern, str):
         kinds = [kind for kind in structure.parameters if pattern.startswith(f"{kind}_")]
-        found = [
+        matches = [
             name
             for name, p in names.items()
             if (p.kind in kinds and fnmatchcase(name, pattern) and fnmatchcase(p.whose, pattern[len(p.kind) + 1 :]))
             or (not kinds and fnmatchcase(name, pattern))
         ]
-    if not found:
+    if not matches:
         raise InputError(setting, pattern, *_allowed(pattern, structure, names))
-    return found
+    return matches
 
 
 def _allowed(pattern: Any, structure: Structure, names: Mapping[str, Parameter]) -> tuple[str, str]:

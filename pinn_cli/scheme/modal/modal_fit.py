@@ -113,8 +113,8 @@ class Noise:
 
     def roots(self, response: np.ndarray) -> np.ndarray:
         """(B, S, S), inverses of the covariances' Cholesky factors, from frequency responses (B, S)."""
-        own = self.force * response
-        covariance = own[:, :, None] * own.conj()[:, None, :] + np.diag(self.sensors**2)
+        of_force = self.force * response
+        covariance = of_force[:, :, None] * of_force.conj()[:, None, :] + np.diag(self.sensors**2)
         inverse: np.ndarray = np.linalg.inv(np.linalg.cholesky(covariance))
         return inverse
 
@@ -131,7 +131,7 @@ class ModalFit:
             `unit`.
         unit: (S,).
         noise: See :class:`Noise`.
-        left: (B, S), residuals in units of their standard deviation.
+        residuals: (B, S), residuals in units of their standard deviation.
         missed: (B, S), the same over the sensors' rms.
         log_likelihood: Of the sensors' lines.
     """
@@ -142,7 +142,7 @@ class ModalFit:
     residues: np.ndarray
     covariance: np.ndarray
     noise: Noise
-    left: np.ndarray
+    residuals: np.ndarray
     missed: np.ndarray
     log_likelihood: float
 
@@ -168,8 +168,8 @@ class ModalFit:
     def is_distinct(self) -> bool:
         """Whether no two modes outside the band are at one place, where residues without end cancel each other."""
         outside, widths = self.frequencies[~self.within], (self.ratios * self.frequencies)[~self.within]
-        apart = np.abs(np.subtract.outer(outside, outside)) + np.abs(np.subtract.outer(widths, widths))
-        return bool((apart + np.eye(len(widths)) >= ONE_PLACE * np.minimum.outer(widths, widths)).all())
+        distances = np.abs(np.subtract.outer(outside, outside)) + np.abs(np.subtract.outer(widths, widths))
+        return bool((distances + np.eye(len(widths)) >= ONE_PLACE * np.minimum.outer(widths, widths)).all())
 
     @property
     def excess(self) -> np.ndarray:
@@ -177,31 +177,31 @@ class ModalFit:
 
         About a mode are the lines nearest to it, within two widths of its resonance or as many as tell the power.
         """
-        power = np.mean(np.abs(self.left) ** 2, axis=1)
+        power = np.mean(np.abs(self.residuals) ** 2, axis=1)
         away = np.abs(self.spectra.frequency[:, None] - self.frequencies)
         widths = 2.0 * self.ratios * self.frequencies
         near = away <= np.maximum(2.0 * widths, np.sort(away, axis=0)[min(LINES_IN_PART, len(away) - 1)])
-        found: np.ndarray = np.maximum(1.0, (power[:, None] * near).sum(0) / near.sum(0))
-        return found
+        excess: np.ndarray = np.maximum(1.0, (power[:, None] * near).sum(0) / near.sum(0))
+        return excess
 
     @property
     def misfit(self) -> float:
         """Part of the sensors' power that is left in the part of the band that fits worst, beyond noise; 0: in none."""
-        worst, own = 0.0, np.abs(self.spectra.response) ** 2
-        lines = np.array_split(np.arange(len(self.left)), max(1, len(self.left) // LINES_IN_PART))
+        worst, response_power = 0.0, np.abs(self.spectra.response) ** 2
+        lines = np.array_split(np.arange(len(self.residuals)), max(1, len(self.residuals) // LINES_IN_PART))
         for part in lines:
-            power = np.abs(self.left[part]) ** 2
+            power = np.abs(self.residuals[part]) ** 2
             if chdtrc(2 * power.size, 2.0 * float(power.sum())) * len(lines) < IMPROBABLE_PART:
-                worst = max(worst, float(np.sum(np.abs(self.missed[part]) ** 2) / np.sum(own[part])))
+                worst = max(worst, float(np.sum(np.abs(self.missed[part]) ** 2) / np.sum(response_power[part])))
         return worst
 
     def response(self, frequency: np.ndarray) -> np.ndarray:
         """(F, S), frequency responses in the sensors' units per newton."""
         s, (omega, zeta) = 2j * np.pi * frequency, self.every_mode
-        found: np.ndarray = (
+        response: np.ndarray = (
             s[:, None] ** self.spectra.orders * (self.residues @ (1.0 / _denominators(s, omega, zeta)).T).T
         )
-        return found
+        return response
 
 
 class BandModel:
@@ -235,9 +235,9 @@ class BandModel:
         s, unit = self.spectra.s, self.centre
         line = (unit**2 / _denominators(s, omega, zeta)).T
         leaked = line / self.spectra.gain
-        both = np.stack((leaked, leaked * s / unit), axis=2)
+        leakage = np.stack((leaked, leaked * s / unit), axis=2)
         driven = (self._driven[:, None] * line)[..., None]
-        return np.concatenate((driven, np.broadcast_to(both, (len(driven), *both.shape))), axis=3)
+        return np.concatenate((driven, np.broadcast_to(leakage, (len(driven), *leakage.shape))), axis=3)
 
     @property
     def _driven(self) -> np.ndarray:
@@ -272,8 +272,8 @@ class BandModel:
         target = np.einsum("bts,bs->bt", roots, self.spectra.response).reshape(-1)
         q, r = np.linalg.qr(real_rows(weighed))
         target = real_rows(target)
-        found = solve_triangular(r, q.T @ target).reshape(sensors, unknowns)
-        return Solved(q, r, found, target - q @ (q.T @ target))
+        coefficients = solve_triangular(r, q.T @ target).reshape(sensors, unknowns)
+        return Solved(q, r, coefficients, target - q @ (q.T @ target))
 
     def slopes_left(self, x: np.ndarray, roots: np.ndarray, solved: Solved) -> tuple[np.ndarray, np.ndarray]:
         """What x does to the residual, linear unknowns following (Kaufman 1975), and to those: (rows, q), (S P, q)."""
@@ -306,7 +306,7 @@ def fitted(spectra: BandSpectra, x: np.ndarray, noise: Noise | None = None, roun
         before, noise = noise, _noise(model, x, solved, response)
         if np.abs(np.log(noise.sensors / before.sensors)).max() < 0.02:
             break
-    return _found(model, x, noise, response)
+    return _modal_fit(model, x, noise, response)
 
 
 def _moved(model: BandModel, x: np.ndarray, roots: np.ndarray) -> np.ndarray:
@@ -330,11 +330,11 @@ def _moved(model: BandModel, x: np.ndarray, roots: np.ndarray) -> np.ndarray:
         return memo[key]
 
     start = np.clip(x, bounds[0] + 1e-9, bounds[1] - 1e-9)
-    found = least_squares(
+    solution = least_squares(
         lambda x: solved(x).residual, start, lambda x: model.slopes_left(x, roots, solved(x))[0],
         bounds=bounds, x_scale=np.concatenate((np.exp(x[count:]), np.ones(count))), max_nfev=FIT_EVALUATIONS, xtol=1e-9,
     )  # fmt: skip
-    return np.asarray(found.x)
+    return np.asarray(solution.x)
 
 
 def _of_force(model: BandModel, x: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
@@ -355,28 +355,28 @@ def _missed(model: BandModel, x: np.ndarray, solved: Solved) -> np.ndarray:
 def _noise(model: BandModel, x: np.ndarray, solved: Solved, response: np.ndarray) -> Noise:
     """The most probable levels for the residuals, those that were fitted counted."""
     lines, sensors = model.spectra.response.shape
-    left = _missed(model, x, solved)
+    residuals = _missed(model, x, solved)
     count = 2 * lines * sensors
     freedom = max(count - solved.coefficients.size - len(x), 1) / count
-    left = left / np.sqrt(freedom)
-    start = np.log(np.append(np.median(np.abs(left), axis=0) + FINEST_KNOWN, 1e-3))
+    residuals = residuals / np.sqrt(freedom)
+    start = np.log(np.append(np.median(np.abs(residuals), axis=0) + FINEST_KNOWN, 1e-3))
 
     def minus_log(levels: np.ndarray) -> float:
         variance = np.exp(2.0 * levels)
         over = np.abs(response) ** 2 / variance[:-1]  # (B, S)
         whole = 1.0 + variance[-1] * over.sum(1)
-        along = np.einsum("bs,bs,s->b", response.conj(), left, 1.0 / variance[:-1])
+        along = np.einsum("bs,bs,s->b", response.conj(), residuals, 1.0 / variance[:-1])
         value = lines * 2.0 * levels[:-1].sum() + np.log(whole).sum()
-        square = np.abs(left) ** 2 / variance[:-1]
+        square = np.abs(residuals) ** 2 / variance[:-1]
         value += square.sum() - (variance[-1] * np.abs(along) ** 2 / whole).sum()
         return float(value)
 
     bounds = [(np.log(FINEST_KNOWN), np.log(10.0))] * (sensors + 1)
-    found = minimize(minus_log, start, method="L-BFGS-B", bounds=bounds)
-    return Noise(np.exp(found.x[:-1]), float(np.exp(found.x[-1])))
+    optimum = minimize(minus_log, start, method="L-BFGS-B", bounds=bounds)
+    return Noise(np.exp(optimum.x[:-1]), float(np.exp(optimum.x[-1])))
 
 
-def _found(model: BandModel, x: np.ndarray, noise: Noise, response: np.ndarray) -> ModalFit:
+def _modal_fit(model: BandModel, x: np.ndarray, noise: Noise, response: np.ndarray) -> ModalFit:
     spectra, count = model.spectra, len(x) // 2
     roots = noise.roots(response)
     solved = model.solved(x, roots)
@@ -394,9 +394,9 @@ def _found(model: BandModel, x: np.ndarray, noise: Noise, response: np.ndarray) 
     unit = np.repeat(model.of_residues * model.centre**2, count)
     scale = np.append(np.ones(2 * count), unit)
     residues = solved.coefficients[:, : count + 2] * (model.of_residues * model.centre**2)[:, None]
-    left = solved.residual[: lines * sensors] + 1j * solved.residual[lines * sensors :]
-    left = left.reshape(lines, sensors)
-    log_likelihood = 2.0 * np.log(np.abs(np.einsum("bss->bs", roots))).sum() - np.sum(np.abs(left) ** 2)
+    residuals = solved.residual[: lines * sensors] + 1j * solved.residual[lines * sensors :]
+    residuals = residuals.reshape(lines, sensors)
+    log_likelihood = 2.0 * np.log(np.abs(np.einsum("bss->bs", roots))).sum() - np.sum(np.abs(residuals) ** 2)
     order = np.argsort(x[:count])
     places = np.concatenate((order, count + order, *(2 * count + i * count + order for i in range(sensors))))
     covariance = (scale[:, None] * covariance * scale)[np.ix_(places, places)]
@@ -404,7 +404,7 @@ def _found(model: BandModel, x: np.ndarray, noise: Noise, response: np.ndarray) 
     residues = np.hstack((residues[:, order], residues[:, count:]))
     missed = _missed(model, x, solved)
     frequencies = omega / (2.0 * np.pi)
-    return ModalFit(spectra, frequencies, zeta, residues, covariance, noise, left, missed, float(log_likelihood))
+    return ModalFit(spectra, frequencies, zeta, residues, covariance, noise, residuals, missed, float(log_likelihood))
 
 
 def _with_residual(omega: np.ndarray, zeta: np.ndarray, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -415,5 +415,5 @@ def _with_residual(omega: np.ndarray, zeta: np.ndarray, band: tuple[float, float
 
 def _denominators(s: np.ndarray, omega: np.ndarray, zeta: np.ndarray) -> np.ndarray:
     """(B, R)."""
-    found: np.ndarray = s[:, None] ** 2 + 2.0 * zeta * omega * s[:, None] + omega**2
-    return found
+    denominators: np.ndarray = s[:, None] ** 2 + 2.0 * zeta * omega * s[:, None] + omega**2
+    return denominators

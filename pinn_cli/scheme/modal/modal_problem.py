@@ -115,12 +115,13 @@ class _Modes:
     def _masses(self) -> tuple[np.ndarray, np.ndarray]:
         """(R + 2,), kg, and of every mode the sensor that tells it."""
         residues = np.abs(self.fit.residues)
-        there = [i for i, (_, dof) in enumerate(self.fit.spectra.sensors) if dof == self.driven]
+        collocated = [i for i, (_, dof) in enumerate(self.fit.spectra.sensors) if dof == self.driven]
         largest = residues.argmax(axis=0)
-        if not there:
+        if not collocated:
             return 1.0 / residues[largest, range(len(largest))], largest
-        own = self.fit.residues[there[0]]
-        return 1.0 / np.maximum(own, LEAST_RESIDUE * residues.max(axis=0)), np.full(len(largest), there[0])
+        driving_point = self.fit.residues[collocated[0]]
+        mass = 1.0 / np.maximum(driving_point, LEAST_RESIDUE * residues.max(axis=0))
+        return mass, np.full(len(largest), collocated[0])
 
     def _estimate(self, made: Structure, modes: np.ndarray, reference: np.ndarray) -> SpectralEstimate:
         """Of the parameters of modes in the band."""

@@ -33,62 +33,62 @@ def searched(spectra: BandSpectra, count: int | None = None, starts: Sequence[fl
         count: Modes in the band; None: as many as the criterion wants.
         starts: Hz, where the first ones are looked for; empty: wherever they are.
     """
-    found: ModalFit | None = None
+    fit: ModalFit | None = None
     if starts:
         first = np.concatenate((2.0 * np.pi * np.array(starts), np.full(len(starts), FIRST_RATIO)))
-        found = fitted(spectra, np.log(first))
+        fit = fitted(spectra, np.log(first))
     while True:
-        within = 0 if found is None else int(found.within.sum())
+        within = 0 if fit is None else int(fit.within.sum())
         lacking = count is not None and within < count
-        tried = _starts(spectra, found, inside=count is None or lacking)
+        tried = _starts(spectra, fit, inside=count is None or lacking)
         again = _best(spectra, tried)
         more = int(again.within.sum()) > within and (count is None or lacking)
-        if found is not None and gain(found, again) <= 0.0 and not (more and lacking):
-            return found
-        found = again
+        if fit is not None and gain(fit, again) <= 0.0 and not (more and lacking):
+            return fit
+        fit = again
 
 
-def missing_mode(found: ModalFit) -> float | None:
+def missing_mode(fit: ModalFit) -> float | None:
     """Frequency, Hz, of a mode more in the band that makes the record more probable; None: there is none."""
-    again = _best(found.spectra, _starts(found.spectra, found, inside=True))
-    if gain(found, again) <= 0.0 or again.within.sum() <= found.within.sum():
+    again = _best(fit.spectra, _starts(fit.spectra, fit, inside=True))
+    if gain(fit, again) <= 0.0 or again.within.sum() <= fit.within.sum():
         return None
     new = again.frequencies[again.within]
-    apart = np.abs(new[:, None] - found.frequencies[None, found.within]).min(axis=1)
-    return float(new[apart.argmax()])
+    distance = np.abs(new[:, None] - fit.frequencies[None, fit.within]).min(axis=1)
+    return float(new[distance.argmax()])
 
 
 def _best(spectra: BandSpectra, starts: Sequence[np.ndarray]) -> ModalFit:
     """The most probable one of the modes near several starts."""
-    each = (fitted(spectra, x, rounds=1) for x in starts)
-    likely = max(each, key=lambda fit: (fit.is_distinct, fit.log_likelihood))
-    return fitted(spectra, likely.x, replace(likely.noise, force=0.0))
+    fits = (fitted(spectra, x, rounds=1) for x in starts)
+    best = max(fits, key=lambda fit: (fit.is_distinct, fit.log_likelihood))
+    return fitted(spectra, best.x, replace(best.noise, force=0.0))
 
 
 def gain(before: ModalFit, after: ModalFit) -> float:
     """How much more probable a mode more makes the record, its unknowns paid for (Schwarz 1978)."""
     if not after.is_distinct:
         return -np.inf
-    lines, sensors = before.left.shape
+    lines, sensors = before.residuals.shape
     price = max(0.5 * (2 + 3 * sensors) * np.log(2.0 * lines * sensors), LEAST_EXPLAINED * lines * sensors)
     return after.log_likelihood - before.log_likelihood - price
 
 
-def _starts(spectra: BandSpectra, found: ModalFit | None, inside: bool) -> list[np.ndarray]:
+def _starts(spectra: BandSpectra, fit: ModalFit | None, inside: bool) -> list[np.ndarray]:
     """Unknowns with one mode more: where it explains most of what is left, or the mode nearest to that split in two."""
-    x = np.empty(0) if found is None else found.x
-    new = _candidate(spectra, x, found, inside)
+    x = np.empty(0) if fit is None else fit.x
+    new = _candidate(spectra, x, fit, inside)
     starts = [_joined(x, *new)]
-    if found is None or not found.within.any() or not inside:
+    if fit is None or not fit.within.any() or not inside:
         return starts
-    own = np.flatnonzero(found.within)
-    nearest = own[np.abs(np.log(2.0 * np.pi * found.frequencies[own]) - new[0]).argmin()]
+    within = np.flatnonzero(fit.within)
+    nearest = within[np.abs(np.log(2.0 * np.pi * fit.frequencies[within]) - new[0]).argmin()]
     rest = np.delete(x.reshape(2, -1), nearest, axis=1).reshape(-1)
     omega, zeta = x.reshape(2, -1)[:, nearest]
     for widths in SPLITS:
-        apart = widths * np.exp(zeta)
-        one = _joined(rest, omega - apart, zeta - np.log(2.0))
-        starts.append(_joined(one, omega + apart, zeta - np.log(2.0)))
+        offset = widths * np.exp(zeta)
+        split = _joined(rest, omega - offset, zeta - np.log(2.0))
+        starts.append(_joined(split, omega + offset, zeta - np.log(2.0)))
     return starts
 
 
@@ -97,10 +97,10 @@ def _joined(x: np.ndarray, omega: float, zeta: float) -> np.ndarray:
     return np.column_stack((x.reshape(2, -1), (omega, zeta))).reshape(-1)
 
 
-def _candidate(spectra: BandSpectra, x: np.ndarray, found: ModalFit | None, inside: bool) -> tuple[float, float]:
+def _candidate(spectra: BandSpectra, x: np.ndarray, fit: ModalFit | None, inside: bool) -> tuple[float, float]:
     """Logarithms of the frequency and the damping ratio of the mode that explains most of what x leaves."""
     model = BandModel(spectra)
-    weight = np.ones(len(spectra.sensors)) if found is None else 1.0 / found.noise.sensors
+    weight = np.ones(len(spectra.sensors)) if fit is None else 1.0 / fit.noise.sensors
     low, high = np.log(spectra.band)
     beyond = np.log(BEYOND)
     grid = np.linspace(low - beyond, high + beyond, int((high - low + 2.0 * beyond) / SPACING))
@@ -108,24 +108,29 @@ def _candidate(spectra: BandSpectra, x: np.ndarray, found: ModalFit | None, insi
         grid = grid[(grid < low) | (grid > high)]
     tried = np.array([(f + np.log(2.0 * np.pi), np.log(zeta)) for f in grid for zeta in RATIOS_TRIED])
     basis = [np.linalg.qr(real_rows(columns))[0] for columns in model.columns(x)]
-    left = [real_rows(y) - q @ (q.T @ real_rows(y)) for y, q in zip(spectra.response.T, basis, strict=True)]
+    residuals = [real_rows(y) - q @ (q.T @ real_rows(y)) for y, q in zip(spectra.response.T, basis, strict=True)]
     explained = np.concatenate(
         [
-            sum(f**2 * _explained(own, q, y) for own, q, y, f in zip(each, basis, left, weight, strict=True))
-            for each in (model.candidates(some) for some in np.array_split(tried, -(-len(tried) // TRIED_AT_ONCE)))
+            sum(
+                f**2 * _explained(columns, q, y)
+                for columns, q, y, f in zip(candidates, basis, residuals, weight, strict=True)
+            )
+            for candidates in (
+                model.candidates(some) for some in np.array_split(tried, -(-len(tried) // TRIED_AT_ONCE))
+            )
         ]
     )
     omega, zeta = tried[int(explained.argmax())]
     return float(omega), float(zeta)
 
 
-def _explained(columns: np.ndarray, basis: np.ndarray, left: np.ndarray) -> np.ndarray:
+def _explained(columns: np.ndarray, basis: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """(T,), squares of what is left (rows,) that each candidate's columns (T, B, 3) explain beside a basis."""
     new = np.concatenate((columns.real, columns.imag), axis=1)
     new = new - basis @ (basis.T @ new)
     new /= np.linalg.norm(new, axis=1, keepdims=True)
     turned = np.ascontiguousarray(new.transpose(0, 2, 1))
-    along = turned @ left
+    along = turned @ residual
     gram = turned @ new + 1e-10 * np.eye(new.shape[-1])
-    found: np.ndarray = np.einsum("tc,tc->t", along, np.linalg.solve(gram, along[..., None])[..., 0])
-    return found
+    explained: np.ndarray = np.einsum("tc,tc->t", along, np.linalg.solve(gram, along[..., None])[..., 0])
+    return explained

@@ -41,10 +41,8 @@ def with_stories(inference: Inference, estimate: Estimate) -> Estimate:
         inference: Its solutions.
         estimate: Of the story in which a force acts that the model leaves out; its motion is that in any case.
     """
-    problems, best = (
-        inference.evidence.problem.each,
-        _Candidate(OF_FORCE, inference.evidence.problem.each, estimate, inference.trained),
-    )
+    problems = inference.evidence.problem.by_record
+    best = _Candidate(OF_FORCE, problems, estimate, inference.trained)
     stories: tuple[Story, ...] = ()
     if inference.free:
         free = min(
