@@ -147,11 +147,11 @@ def _model(words: ModelFile, arrays: Mapping[str, np.ndarray], directory: Path) 
             raise ValueError(f"{name} holds other things than numbers")
     structure = structure_of(words, _part("structure", arrays))
     known = ParameterKnowledge(**_fields("parameters", arrays))
-    told, end = _made(DiscrepancyEvidence, "told", arrays), _made(EndState, "end", arrays)
+    windows, end = _made(DiscrepancyEvidence, "told", arrays), _made(EndState, "end", arrays)
     misfit = _made(Misfit, "misfit", arrays)
     count = len(words["parameters"])
-    own = (known.mean, known.told, known.weight, known.first_std, known.prescribed)
-    vectors = [values for values in own if values is not None]
+    per_parameter = (known.mean, known.told, known.weight, known.first_std, known.prescribed)
+    vectors = [values for values in per_parameter if values is not None]
     if {values.shape for values in vectors} != {(count,)} or known.covariance.shape != (count, count):
         raise ValueError(f"its {count} parameters have arrays of other sizes")
     history = None if misfit is None else misfit.history
@@ -167,7 +167,7 @@ def _model(words: ModelFile, arrays: Mapping[str, np.ndarray], directory: Path) 
         )
     )  # fmt: skip
     discrepancy, step, force, features = (arrays[f"level_{name}"].item() for name in _LEVELS)
-    levels = Levels(_part("sigma", arrays), discrepancy, step, force, features, told)
+    levels = Levels(_part("sigma", arrays), discrepancy, step, force, features, windows)
     verdict, reason, draws = words["verdict"], words["reason"], arrays.get("draws")
     return Model(structure, parameters, known, levels, end, verdict, reason, draws, directory, misfit)
 
@@ -235,8 +235,8 @@ def structure_of(words: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> 
         KeyError, ValueError, TypeError, InputError: It is no such content.
     """
     groups = tuple(
-        ConnectionGroup(_law(own), Incidence(_matrix(f"group_{number}", arrays)), _parts(own))
-        for number, own in enumerate(words["groups"])
+        ConnectionGroup(_law(group), Incidence(_matrix(f"group_{number}", arrays)), _parts(group))
+        for number, group in enumerate(words["groups"])
     )
     labels = Labels(*(tuple(map(str, words.get(name, ()))) for name in ("dofs", "connections", "modes", "supports")))
     parameters = {str(k): torch.tensor(np.asarray(arrays[f"value_{k}"], dtype=float)) for k in words["kinds"]}
@@ -246,8 +246,8 @@ def structure_of(words: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> 
     )
     modes = None
     if "shapes" in arrays:
-        own = arrays["shapes"], arrays.get("shapes_with_ground"), stretch, int(words["residual"])
-        modes = Shapes(*own, below=int(words.get("below", 0)), exact_at=arrays.get("shapes_exact_at"))
+        of_shapes = arrays["shapes"], arrays.get("shapes_with_ground"), stretch, int(words["residual"])
+        modes = Shapes(*of_shapes, below=int(words.get("below", 0)), exact_at=arrays.get("shapes_exact_at"))
     pairs = None if weights is None else Pairs(tuple(words["pairs"]), weights)
     return Structure(parameters, groups, labels, arrays.get("influence"), modes, pairs, by_supports=by_supports)
 
@@ -269,8 +269,8 @@ def difference(structure: Structure, other: Structure) -> str:
         return f"{structure.nonlinearity_name} connections of other settings"
     if structure.labels != other.labels:
         return "other names of connections"
-    mine, theirs = (_stretch(one) for one in (structure, other))
-    if mine.shape != theirs.shape or abs(mine - theirs).max() > 1e-9 * abs(theirs).max():
+    stretch, other_stretch = (_stretch(side) for side in (structure, other))
+    if stretch.shape != other_stretch.shape or abs(stretch - other_stretch).max() > 1e-9 * abs(other_stretch).max():
         return "other connections"
     return ""
 

@@ -93,14 +93,14 @@ class ParameterKnowledge:
             return self.mean
         unit = np.sqrt(np.diag(self.covariance))
         root = np.linalg.inv(np.linalg.cholesky(self.covariance / np.outer(unit, unit)))
-        found = lsq_linear(root, root @ (self.mean / unit), (lower / unit, np.inf))
-        out: np.ndarray = np.maximum(unit * found.x, lower)
+        bounded = lsq_linear(root, root @ (self.mean / unit), (lower / unit, np.inf))
+        out: np.ndarray = np.maximum(unit * bounded.x, lower)
         return out
 
     def of(self, chosen: np.ndarray) -> ParameterKnowledge:
         """Of some parameters, the others integrated out."""
-        each = (self.mean, self.told, self.weight, self.first_std)
-        mean, told, weight, first = (values[chosen] for values in each)
+        vectors = (self.mean, self.told, self.weight, self.first_std)
+        mean, told, weight, first = (values[chosen] for values in vectors)
         prescribed = None if self.prescribed is None else self.prescribed[chosen]
         covariance = self.covariance[np.ix_(chosen, chosen)]
         return ParameterKnowledge(mean, covariance, told, weight, first, prescribed, self.spread)

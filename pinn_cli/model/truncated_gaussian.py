@@ -80,10 +80,10 @@ class TruncatedGaussian:
         mean, share = np.array([tail_moments(c) for c in cut]).reshape(-1, 2).T
         # In logarithms, so that a bound far out in the tail is no trouble.
         beyond = [-ndtri_exp(np.log1p(-probability) + log_ndtr(-cut)) for probability in probabilities]
-        found = center + spread * np.stack((mean, *beyond))
+        values = center + spread * np.stack((mean, *beyond))
         # Further out still the centre is so far away that it rounds off what lies above the bound.
-        found = np.where(cut > FAR_TAIL, self.lower + spread * _above_far_cut(cut, probabilities), found)
-        return Marginals(found[0], spread * np.sqrt(share), found[1:])
+        values = np.where(cut > FAR_TAIL, self.lower + spread * _above_far_cut(cut, probabilities), values)
+        return Marginals(values[0], spread * np.sqrt(share), values[1:])
 
     def _without(self, i: int) -> tuple[float, float]:
         """Mean and variance of a coordinate given every bound but its own."""

@@ -92,16 +92,16 @@ class _Propagation(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         slopes, order = _slopes(ctx), ctx.order
-        known = [(k, given) for k, given in enumerate(gradients[: order + 1]) if given is not None]
-        back = [_sum_of_products((slopes[k - j], given, comb(k, j)) for k, given in known if k >= j)
+        incoming = [(k, given) for k, given in enumerate(gradients[: order + 1]) if given is not None]
+        back = [_sum_of_products((slopes[k - j], given, comb(k, j)) for k, given in incoming if k >= j)
                 for j in range(order + 1)]  # fmt: skip
         return None, *back
 
     @staticmethod
     def jvp(ctx: Any, _: None, *tangents: Tensor | None) -> tuple[Tensor | None, ...]:
         slopes, order = _slopes(ctx), ctx.order
-        known = [(j, given) for j, given in enumerate(tangents) if given is not None]
-        out = [_sum_of_products((slopes[k - j], given, comb(k, j)) for j, given in known if j <= k)
+        incoming = [(j, given) for j, given in enumerate(tangents) if given is not None]
+        out = [_sum_of_products((slopes[k - j], given, comb(k, j)) for j, given in incoming if j <= k)
                for k in range(order + 1)]  # fmt: skip
         return (*out, *[None] * (order + 1))
 

@@ -25,9 +25,9 @@ class Conditional(Marginal):
 
     name = "conditional"
 
-    def likelihood(self, known: ParameterLikelihoods) -> ParameterLikelihood:
+    def likelihood(self, likelihoods: ParameterLikelihoods) -> ParameterLikelihood:
         """That with the network's states held as they were trained."""
-        return known.conditional
+        return likelihoods.conditional
 
     def check(self, problem: Problem) -> None:
         """See :meth:`Posterior.check`: the force that a held motion takes says nothing about a sensor."""

@@ -59,18 +59,18 @@ class Marginal(Posterior):
         numbers = range(1, self.chains + 1)
         store = None if run.directory is None else ChainStore.of(run.directory, target, settings, run.seed)
         # Those that a killed run had finished are taken over.
-        found = {number: chain for number in numbers if store and (chain := store.read(number))}
-        if found:
-            log.info("%d of %d chains were finished before and are taken over", len(found), self.chains)
-        iterations = (self.chains - len(found)) * (self.warmup + self.draws)
+        by_number = {number: chain for number in numbers if store and (chain := store.read(number))}
+        if by_number:
+            log.info("%d of %d chains were finished before and are taken over", len(by_number), self.chains)
+        iterations = (self.chains - len(by_number)) * (self.warmup + self.draws)
         with tqdm(total=iterations, disable=None if run.progress else True, unit="it", desc="nuts", leave=False) as bar:
             for number in numbers:
-                if number not in found:
+                if number not in by_number:
                     bar.set_postfix_str(f"chain {number} of {self.chains}", refresh=False)
-                    found[number] = sample_chain(target, run.seed, number, settings, bar.update)
+                    by_number[number] = sample_chain(target, run.seed, number, settings, bar.update)
                     if store:
-                        store.write(number, found[number])
-        chains = [found[number] for number in numbers]
+                        store.write(number, by_number[number])
+        chains = [by_number[number] for number in numbers]
         statistics = {name: np.stack([chain.statistics[name] for chain in chains]) for name in STATISTICS}
         x = target.whitening.coordinates(np.stack([chain.q for chain in chains]))
         seconds = np.array([chain.seconds for chain in chains])

@@ -189,7 +189,7 @@ class ChainStore:
     def write(self, chain: int, draws: ChainDraws) -> None:
         """Put a finished chain on the disk."""
         identity = {"digest": self.digest, "chain": chain, **stamp(FORMAT)}
-        with replacing(self.place(chain)) as beside, beside.open("wb") as file:
+        with replacing(self.place(chain)) as temporary, temporary.open("wb") as file:
             np.savez(
                 file, allow_pickle=False, q=draws.q, seconds=np.array(draws.seconds), **identity, **draws.statistics
             )
@@ -204,11 +204,11 @@ class ChainStore:
         if not place.exists():
             return None
         try:
-            found = read_arrays(place)
-            check_layout({name: value.item() for name, value in found.items() if value.ndim == 0}, FORMAT, place)
-            if (str(found["digest"]), int(found["chain"])) == (self.digest, chain):
-                statistics = {name: found[name] for name in STATISTICS}
-                return ChainDraws(found["q"], statistics, float(found["seconds"]))
+            arrays = read_arrays(place)
+            check_layout({name: value.item() for name, value in arrays.items() if value.ndim == 0}, FORMAT, place)
+            if (str(arrays["digest"]), int(arrays["chain"])) == (self.digest, chain):
+                statistics = {name: arrays[name] for name in STATISTICS}
+                return ChainDraws(arrays["q"], statistics, float(arrays["seconds"]))
         except InputError:
             raise
         except (KeyError, TypeError, ValueError):  # it is sampled again

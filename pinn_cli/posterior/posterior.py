@@ -67,9 +67,9 @@ class Posterior(ABC):
             InputError: It is such.
         """
 
-    def likelihood(self, known: ParameterLikelihoods) -> ParameterLikelihood:
+    def likelihood(self, likelihoods: ParameterLikelihoods) -> ParameterLikelihood:
         """That it draws from: with the network's weights integrated out."""
-        return known.marginal
+        return likelihoods.marginal
 
     @abstractmethod
     def sample(self, likelihood: ParameterLikelihood, priors: Sequence[Prior], run: RunContext) -> PosteriorSamples:

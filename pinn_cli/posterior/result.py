@@ -93,8 +93,8 @@ def force_predictive(
     chains, count = samples.draws.shape[:2]
     kept = min(count, max(PREDICTED_DRAWS // chains, 1))
     draws = np.unique(np.linspace(0, count - 1, kept).round().astype(int))
-    every = -(-len(likelihoods.force) // PREDICTED_SAMPLES)
-    times, dofs = np.arange(0, len(likelihoods.force), every), samples.force_dofs - 1
+    stride = -(-len(likelihoods.force) // PREDICTED_SAMPLES)
+    times, dofs = np.arange(0, len(likelihoods.force), stride), samples.force_dofs - 1
     moved = samples.draws[:, draws] - likelihoods.marginal.peak  # (chains, D, p)
     slope = likelihoods.force_by_parameter[times][:, dofs]  # (T, F, p)
     force = likelihoods.force[times][:, dofs] + np.einsum("cdp,tfp->cdtf", moved, slope)

@@ -169,7 +169,7 @@ def find_mode(log_density: LogDensity, start: np.ndarray, scale: np.ndarray) -> 
             f"the posterior cannot be evaluated at its start, {np.array2string(start, precision=4)} (logarithms of "
             "parameters that are positive, and of the noise): is a prior far from all that the record allows?"
         )
-    found = optimize.minimize(
+    optimum = optimize.minimize(
         descent,
         np.zeros_like(start),
         jac=True,
@@ -177,7 +177,7 @@ def find_mode(log_density: LogDensity, start: np.ndarray, scale: np.ndarray) -> 
         method="trust-exact",
         options={"gtol": LEVEL},
     )
-    mode = start + scale * found.x
+    mode = start + scale * optimum.x
     return mode, _curvature(log_density, mode, scale)
 
 
@@ -288,7 +288,7 @@ class Whitening:
         off = np.empty_like(q)
         for j, place in enumerate(self.near):
             width = self.softplus.width[j]
-            here = self.mode[place] + off[..., :j] @ self.regression[j, :j] + self.scale[j] * q[..., j]
-            x[..., place] = here
-            off[..., j] = width * np.logaddexp(0.0, here / width) - self.theta[j]
+            value = self.mode[place] + off[..., :j] @ self.regression[j, :j] + self.scale[j] * q[..., j]
+            x[..., place] = value
+            off[..., j] = width * np.logaddexp(0.0, value / width) - self.theta[j]
         return off
