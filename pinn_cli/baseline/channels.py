@@ -30,7 +30,7 @@ class ChannelRows:
         samples: Its noise by itself.
         feels: What it feels of the functions of time.
         shown: (N,), what it shows; 0 where it has no sample.
-        there: (N,) bool, where it has one.
+        present: (N,) bool, where it has one.
         since: (N,), time from which its drift counts, s.
     """
 
@@ -38,7 +38,7 @@ class ChannelRows:
     samples: SensorSamples
     feels: Feels
     shown: np.ndarray
-    there: np.ndarray
+    present: np.ndarray
     since: np.ndarray
 
     @classmethod
@@ -46,15 +46,15 @@ class ChannelRows:
         """Of a channel that :func:`check_channels` passes, at the record's times (N,), s."""
         channel = samples.channel
         place, off = channel.places(time)
-        shown, there = np.zeros(len(time)), np.zeros(len(time), dtype=bool)
+        shown, present = np.zeros(len(time)), np.zeros(len(time), dtype=bool)
         late = channel.number("delay").value
         if np.abs(off).max() > ON_TIME:  # it misses no sample, and a spline through them tells what it shows between
             shown[:] = channel.history(time, {"gain": 1.0, "offset": 0.0, "drift": 0.0})
-            there[:] = (time + late >= channel.time[0]) & (time + late <= channel.time[-1])
+            present[:] = (time + late >= channel.time[0]) & (time + late <= channel.time[-1])
         else:
             inside = (place >= 0) & (place < len(time))
-            shown[place[inside]], there[place[inside]] = channel.measured[inside], True
-        return cls(channel, samples, feels, np.where(there, shown, 0.0), there, time + late - channel.start)
+            shown[place[inside]], present[place[inside]] = channel.measured[inside], True
+        return cls(channel, samples, feels, np.where(present, shown, 0.0), present, time + late - channel.start)
 
     def gain(self, parameters: Mapping[str, Tensor]) -> float:
         """Of what it shows over what it feels."""
@@ -63,9 +63,9 @@ class ChannelRows:
     def residual(self, jet: Jet, parameters: Mapping[str, Tensor]) -> np.ndarray:
         """(N,), what it shows minus what it would show of functions (N, F); 0 where it has no sample."""
         offset, drift = (float(parameters[kind][self.channel.index]) for kind in ("offset", "drift"))
-        felt = self.feels.value(jet, parameters).numpy()
-        residual: np.ndarray = self.shown - (self.gain(parameters) * felt + offset + drift * self.since)
-        return residual * self.there
+        measurand = self.feels.value(jet, parameters).numpy()
+        residual: np.ndarray = self.shown - (self.gain(parameters) * measurand + offset + drift * self.since)
+        return residual * self.present
 
     def rows(self, jet: Jet, by: np.ndarray, equations: Equations) -> np.ndarray:
         """(N, columns), derivatives of what it shows. A row of zeros, of a sample that is not there, tells nothing.
@@ -80,15 +80,15 @@ class ChannelRows:
         parts, of_model = self.feels.linearised(jet, parameters)
         for function, order, weight in parts:
             out += gain * np.atleast_1d(weight)[:, None] * by[order][:, function]
-        felt = self.feels.value(jet, parameters).numpy()
-        own = {"gain": felt, "offset": np.ones_like(felt), "drift": self.since}
+        measurand = self.feels.value(jet, parameters).numpy()
+        by_kind = {"gain": measurand, "offset": np.ones_like(measurand), "drift": self.since}
         places = zip(vector.moving, vector.column.tolist(), strict=True)
         for column, (p, place) in enumerate(places, len(out[0]) - len(vector.moving)):
             if place in of_model:
                 out[:, column] += gain * p.prior_std * of_model[place].numpy()
-            if p.kind in own and p.index == self.channel.index:
-                out[:, column] += p.prior_std * own[p.kind]
-        return out * self.there[:, None]
+            if p.kind in by_kind and p.index == self.channel.index:
+                out[:, column] += p.prior_std * by_kind[p.kind]
+        return out * self.present[:, None]
 
 
 def channels_of(record: Record, dynamics: Dynamics) -> list[Channel]:

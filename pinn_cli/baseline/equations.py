@@ -58,16 +58,18 @@ class Equations:
         """All functions and their derivatives, each (N, F), at states (N, s) under forces (N, F), N."""
         value, rate = torch.as_tensor(states[:, : self.dynamics.size]), torch.zeros(len(states), self.dynamics.size)
         rate = rate.to(value).index_copy(1, torch.as_tensor(self.second), torch.as_tensor(states[:, len(self.mass) :]))
-        left = self.dynamics.residual(Jet(value, rate, torch.zeros_like(value)), self.parameters)
-        curvature = torch.as_tensor((force - left.numpy()) / self.mass)
+        residual = self.dynamics.residual(Jet(value, rate, torch.zeros_like(value)), self.parameters)
+        curvature = torch.as_tensor((force - residual.numpy()) / self.mass)
         rate[:, self.first], curvature[:, self.first] = curvature[:, self.first], 0.0
         return Jet(value, rate, curvature)
 
     def highest(self, jet: Jet) -> np.ndarray:
         """(N, F, columns), derivatives of every function's own highest derivative."""
-        own, functions = self.dynamics.linearise(jet, self.parameters), len(self.mass)
+        linearised, functions = self.dynamics.linearise(jet, self.parameters), len(self.mass)
         out = np.zeros((*jet.value.shape, self.columns))
-        by_value, by_rate = ((self._into * x.numpy()[:, None]) @ self._by for x in (own.stiffness, own.damping))
+        by_value, by_rate = (
+            (self._into * x.numpy()[:, None]) @ self._by for x in (linearised.stiffness, linearised.damping)
+        )
         out[:, :, :functions], out[:, :, functions : self.size] = -by_value, -by_rate[:, :, self.second]
         out[:, range(functions), range(self.size, self.size + functions)] = 1.0
         inertia = self.dynamics.inertial_acceleration(jet).numpy()
@@ -76,7 +78,7 @@ class Equations:
                 out[:, p.index, column] = -p.prior_std * inertia[:, p.index]
             elif p in self._pull:
                 carriers, pull = self._pull[p]
-                out[:, :, column] = own.by_parameter[p.kind].numpy()[:, carriers] @ pull
+                out[:, :, column] = linearised.by_parameter[p.kind].numpy()[:, carriers] @ pull
         out /= self.mass[:, None]
         return out
 

@@ -147,17 +147,17 @@ class IteratedSmoother:
         try:
             pull = self.pull_of_gains(trajectory, filtered)
             precision = np.where(self.held, HELD_PRECISION, np.where(self.sharing, levels.spread**-2.0, 1.0))
-            found = regress(filtered, at, precision, pull)
+            regression = regress(filtered, at, precision, pull)
         except (np.linalg.LinAlgError, ValueError) as error:
             raise FloatingPointError(str(error)) from error
-        move, disturbances = filtered.smooth(found.change)
+        move, disturbances = filtered.smooth(regression.change)
         length = self._length(trajectory, move)
-        share = 1.0 if length < SHORT_STEP else self._share(trajectory, move, found, filtered)
-        moved = Trajectory(trajectory.states + share * move, trajectory.parameters + share * found.change[:p])
+        share = 1.0 if length < SHORT_STEP else self._share(trajectory, move, regression, filtered)
+        moved = Trajectory(trajectory.states + share * move, trajectory.parameters + share * regression.change[:p])
         row = {"iteration": len(self.history) + 1, "seconds": time.perf_counter() - self.started}
-        told = {"discrepancy": levels.discrepancy, "log_evidence": found.log_evidence, "step": length}
-        self.history.append(row | told)
-        return Pass(levels, linearised, filtered, found, disturbances, moved, length)
+        summary = {"discrepancy": levels.discrepancy, "log_evidence": regression.log_evidence, "step": length}
+        self.history.append(row | summary)
+        return Pass(levels, linearised, filtered, regression, disturbances, moved, length)
 
     def pull_of_gains(self, trajectory: Trajectory, filtered: Filtered) -> np.ndarray:
         """(p,), derivative of the logarithm of gain^taken by the coefficients.
@@ -188,18 +188,18 @@ class IteratedSmoother:
             raise FloatingPointError("the smoothed trajectory is not finite")
         return float(max(lengths))
 
-    def _share(self, trajectory: Trajectory, move: np.ndarray, found: Regression, filtered: Filtered) -> float:
+    def _share(self, trajectory: Trajectory, move: np.ndarray, regression: Regression, filtered: Filtered) -> float:
         """Largest of 1, 1/2, 1/4, ... of a step that makes the misfit less."""
         p, share = len(trajectory.parameters), 1.0
-        before = self._misfit(trajectory, found, filtered)
+        before = self._misfit(trajectory, regression, filtered)
         for _ in range(HALVINGS):
-            moved = Trajectory(trajectory.states + share * move, trajectory.parameters + share * found.change[:p])
-            if self._misfit(moved, found, filtered) < before:
+            moved = Trajectory(trajectory.states + share * move, trajectory.parameters + share * regression.change[:p])
+            if self._misfit(moved, regression, filtered) < before:
                 break
             share /= 2.0
         return share
 
-    def _misfit(self, trajectory: Trajectory, found: Regression, filtered: Filtered) -> float:
+    def _misfit(self, trajectory: Trajectory, regression: Regression, filtered: Filtered) -> float:
         """Sum of squares that the smoother makes small, nonlinear; infinite where the motion overflows."""
         covariance, m = filtered.model.step_covariance, filtered.innovation.shape[1]
         with np.errstate(over="ignore", invalid="ignore"):
@@ -208,4 +208,4 @@ class IteratedSmoother:
             return np.inf
         misfit = np.sum(residuals[:-1] * np.linalg.solve(covariance[:-1], residuals[:-1, :, None])[..., 0])
         misfit += residuals[-1, :m] @ np.linalg.solve(covariance[-1, :m, :m], residuals[-1, :m])
-        return float(misfit + found.precision @ self.space.coefficients(trajectory) ** 2)
+        return float(misfit + regression.precision @ self.space.coefficients(trajectory) ** 2)

@@ -59,14 +59,14 @@ class _Spread:
 
     def sensed(self, parts: Sequence[tuple[int, csr_matrix]]) -> np.ndarray:
         """(N, C), of sums (order of the derivative, (C, F) weights of the functions), see :meth:`Functions.sensing`."""
-        each = [weights.toarray() @ self.functions[order] for order, weights in parts]
-        return self.of(np.sum(each, axis=0))
+        rows = [weights.toarray() @ self.functions[order] for order, weights in parts]
+        return self.of(np.sum(rows, axis=0))
 
     def of(self, rows: np.ndarray) -> np.ndarray:
         """(N, C), of rows (N, C, columns), see :class:`pinn_cli.baseline.equations.Equations`."""
-        own, past = np.split(rows, [self.covariance.shape[1]], axis=2)  # what parameters do past the state
-        variance = np.sum((own @ self.covariance) * own, axis=2)
-        through = own @ self.by_coefficient
+        of_state, past = np.split(rows, [self.covariance.shape[1]], axis=2)  # what parameters do past the state
+        variance = np.sum((of_state @ self.covariance) * of_state, axis=2)
+        through = of_state @ self.by_coefficient
         through[:, :, : past.shape[2]] += past
         variance += np.sum((through @ self.root) ** 2, axis=2)
         deviation: np.ndarray = np.sqrt(variance.clip(min=0.0))

@@ -67,10 +67,10 @@ class LinearGaussian:
         covariance, spread, gain = self._covariances()
         closed = self.state[:, m:] - gain @ self.state[:, :m]
         seen = (self.observed - self.offset[:, :m])[:, :, None]
-        known = np.concatenate((seen, -self.coefficient[:, :m]), axis=2)
+        columns = np.concatenate((seen, -self.coefficient[:, :m]), axis=2)
         drive = np.concatenate((self.offset[:, m:, None], self.coefficient[:, m:]), axis=2)
-        mean = driven(closed, self.initial, gain @ known + drive)
-        innovation = known - self.state[:, :m] @ mean
+        mean = driven(closed, self.initial, gain @ columns + drive)
+        innovation = columns - self.state[:, :m] @ mean
         return Filtered(self, covariance, mean, innovation, spread, gain, closed)
 
     def _covariances(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -164,8 +164,8 @@ class Filtered:
         prior[:, :s, :s] = self.covariance
         diagonal = np.arange(s, columns.shape[1])
         prior[:, diagonal, diagonal] = self.model.disturbance_variance
-        felt, push = self._noise_rows
-        seen = np.concatenate((self.model.state[:, :m], felt[..., m + s :]), axis=2)
+        of_innovation, push = self._noise_rows
+        seen = np.concatenate((self.model.state[:, :m], of_innovation[..., m + s :]), axis=2)
         gone = np.concatenate((self.closed, push[..., m + s :]), axis=2)
         information = seen.transpose(0, 2, 1) @ np.linalg.solve(self.spread, seen)
         information += gone.transpose(0, 2, 1) @ self._later_information @ gone
@@ -185,10 +185,10 @@ class Filtered:
         Returns:
             (N, m + s + d), the noise found over its variance, and the information likewise.
         """
-        felt, push = self._noise_rows
+        of_innovation, push = self._noise_rows
         _, later = self._scores(self.weighted)
-        scores = felt.transpose(0, 2, 1) @ self.weighted + push.transpose(0, 2, 1) @ later
-        information = np.sum(felt * np.linalg.solve(self.spread, felt), axis=1)
+        scores = of_innovation.transpose(0, 2, 1) @ self.weighted + push.transpose(0, 2, 1) @ later
+        information = np.sum(of_innovation * np.linalg.solve(self.spread, of_innovation), axis=1)
         information += np.sum(push * (self._later_information @ push), axis=1)
         information -= np.sum((scores[..., 1:] @ np.linalg.cholesky(covariance)) ** 2, axis=2)
         return scores @ np.concatenate(([1.0], coefficients)), information
@@ -203,29 +203,31 @@ class Filtered:
             noise: (N, m + s + d, L).
             covariance: (p, p), of the coefficients.
         """
-        felt, push = self._noise_rows
+        of_innovation, push = self._noise_rows
         missed = driven(self.closed, np.zeros((self.mean.shape[1], noise.shape[2])), push @ noise)
-        innovation = felt @ noise + self.model.state[:, : self.innovation.shape[1]] @ missed
+        innovation = of_innovation @ noise + self.model.state[:, : self.innovation.shape[1]] @ missed
         weighted = np.linalg.solve(self.spread, innovation)
-        own = np.einsum("kmi,kmj->ij", innovation, weighted)
+        gram = np.einsum("kmi,kmj->ij", innovation, weighted)
         shared = np.einsum("kmi,kmp->ip", weighted, self.innovation[..., 1:])
-        products: np.ndarray = own - shared @ covariance @ shared.T
+        products: np.ndarray = gram - shared @ covariance @ shared.T
         return products
 
     @property
     def _noise_rows(self) -> tuple[np.ndarray, np.ndarray]:
         """What noise and disturbances do to the innovation (N, m, m + s + d) and, that held, to the next state."""
         m = self.innovation.shape[1]
-        own = np.broadcast_to(np.eye(m + self.mean.shape[1]), self.model.noise.shape)
-        rows = np.concatenate((np.broadcast_to(own, (len(self.mean), *own.shape)), self.model.disturbance), axis=2)
+        identity = np.broadcast_to(np.eye(m + self.mean.shape[1]), self.model.noise.shape)
+        rows = np.concatenate(
+            (np.broadcast_to(identity, (len(self.mean), *identity.shape)), self.model.disturbance), axis=2
+        )
         return rows[:, :m], rows[:, m:] - self.gain @ rows[:, :m]
 
     def _smoothed(self, mean: np.ndarray, weighted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Smoothed states (N, s, c) and disturbances (N, d, c), column by column."""
         score, later = self._scores(weighted)
         m = self.innovation.shape[1]
-        felt, push = (rows[..., m + mean.shape[1] :].transpose(0, 2, 1) for rows in self._noise_rows)
-        disturbances = self.model.disturbance_variance[:, None] * (felt @ weighted + push @ later)
+        of_innovation, push = (rows[..., m + mean.shape[1] :].transpose(0, 2, 1) for rows in self._noise_rows)
+        disturbances = self.model.disturbance_variance[:, None] * (of_innovation @ weighted + push @ later)
         return mean + self.covariance @ score, disturbances
 
     def _scores(self, weighted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -233,16 +235,18 @@ class Filtered:
         observe = self.model.state[:, : self.innovation.shape[1]]
         score = observe.transpose(0, 2, 1) @ weighted
         later = np.zeros_like(score)
-        for back, here, before, after in zip(self.closed[::-1], score[::-1], later[-2::-1], later[::-1], strict=False):
-            np.add(back.T @ after, here, out=before)
+        for back, now, before, after in zip(self.closed[::-1], score[::-1], later[-2::-1], later[::-1], strict=False):
+            np.add(back.T @ after, now, out=before)
         return score + self.closed.transpose(0, 2, 1) @ later, later
 
     @cached_property
     def _later_information(self) -> np.ndarray:
         """(N, s, s), what later observations tell about the state after each step."""
         observe = self.model.state[:, : self.innovation.shape[1]]
-        own = observe.transpose(0, 2, 1) @ np.linalg.solve(self.spread, observe)
-        later = np.zeros_like(own)
-        for through, here, before, after in zip(self.closed[::-1], own[::-1], later[-2::-1], later[::-1], strict=False):
-            np.add(through.T @ after @ through, here, out=before)
+        information = observe.transpose(0, 2, 1) @ np.linalg.solve(self.spread, observe)
+        later = np.zeros_like(information)
+        for through, now, before, after in zip(
+            self.closed[::-1], information[::-1], later[-2::-1], later[::-1], strict=False
+        ):
+            np.add(through.T @ after @ through, now, out=before)
         return later

@@ -32,7 +32,7 @@ def stiffened(smoother: IteratedSmoother, levels: NoiseLevels, wanted: float) ->
     reached = begun(smoother, levels)
     for discrepancy in np.geomspace(levels.discrepancy, wanted, decades + 1):
         reached = smoother.settle(reached.trajectory, levels.with_discrepancy(float(discrepancy)), ROUGH)
-    return settled(smoother, reached, searched=np.arange(len(levels.every)) != len(levels.sensors))
+    return settled(smoother, reached, searched=np.arange(len(levels.values)) != len(levels.sensors))
 
 
 def most_probable(smoother: IteratedSmoother, levels: NoiseLevels) -> Pass:
@@ -46,12 +46,12 @@ def most_probable(smoother: IteratedSmoother, levels: NoiseLevels) -> Pass:
         FloatingPointError: Not even the softest level could be smoothed.
     """
     smoother.hold({"gain"})
-    found = scanned(smoother, begun(smoother, levels))
+    best = scanned(smoother, begun(smoother, levels))
     if smoother.held.any():
         smoother.hold(())
-        softer = found.levels.with_discrepancy(DECADE * found.levels.discrepancy)
-        found = scanned(smoother, smoother.once(found.trajectory, softer))
-    return settled(smoother, found)
+        softer = best.levels.with_discrepancy(DECADE * best.levels.discrepancy)
+        best = scanned(smoother, smoother.once(best.trajectory, softer))
+    return settled(smoother, best)
 
 
 def begun(smoother: IteratedSmoother, levels: NoiseLevels) -> Pass:
@@ -98,8 +98,8 @@ def settled(smoother: IteratedSmoother, best: Pass, searched: np.ndarray | bool 
         promised = 0.5 * float(slope @ step)
         if promised < NEGLIGIBLE_GAIN and damping <= FIRST_CURVATURE:
             break
-        every = best.levels.every * np.exp(np.clip(step, -FURTHEST, FURTHEST))
-        levels = best.levels.moved(np.maximum(every, smoother.space.finest), spread(smoother, best))
+        values = best.levels.values * np.exp(np.clip(step, -FURTHEST, FURTHEST))
+        levels = best.levels.moved(np.maximum(values, smoother.space.finest), spread(smoother, best))
         again = smoother.once(best.trajectory, levels)
         gain = log_evidence(smoother.space, again) - log_evidence(smoother.space, best)
         damping *= 10.0 if gain < 0.0 else 0.1 if gain > 0.5 * promised else 1.0
@@ -109,11 +109,11 @@ def settled(smoother: IteratedSmoother, best: Pass, searched: np.ndarray | bool 
     return best
 
 
-def log_evidence(space: StateSpace, one: Pass) -> float:
+def log_evidence(space: StateSpace, last: Pass) -> float:
     """That of the record and of what spectra show besides, of as many values as there are samples."""
-    there, levels = space.shown > 0.0, one.levels.every
-    misfit = np.log(levels[there] ** 2) + space.shown[there] ** 2 / levels[there] ** 2
-    return float(one.log_evidence - 0.5 * len(space.there) * np.sum(misfit))
+    mask, levels = space.shown > 0.0, last.levels.values
+    misfit = np.log(levels[mask] ** 2) + space.shown[mask] ** 2 / levels[mask] ** 2
+    return float(last.log_evidence - 0.5 * len(space.present) * np.sum(misfit))
 
 
 def asked(smoother: IteratedSmoother, last: Pass) -> tuple[np.ndarray, np.ndarray]:
@@ -123,17 +123,19 @@ def asked(smoother: IteratedSmoother, last: Pass) -> tuple[np.ndarray, np.ndarra
     itself would be most probable (MacKay 1992); the curvature says how they go together. Spectra tell of some sensors'
     noise as well, as much as their samples, see :attr:`StateSpace.shown`.
     """
-    space, found = smoother.space, last.regression
+    space, regression = smoother.space, last.regression
     m = len(space.sensors)
-    noise, information = last.filtered.information_on_noise(found.change, found.covariance)
-    information[:, :m] *= space.there
-    by_level, variance = space.noise_of_levels, last.levels.every**2
-    shown, of_spectrum = space.shown, len(space.there) * (space.shown > 0.0)
+    noise, information = last.filtered.information_on_noise(regression.change, regression.covariance)
+    information[:, :m] *= space.present
+    by_level, variance = space.noise_of_levels, last.levels.values**2
+    shown, of_spectrum = space.shown, len(space.present) * (space.shown > 0.0)
     squares = variance**2 * (np.sum(noise**2, axis=0) @ by_level) + of_spectrum * shown**2
     values = variance * (np.sum(information, axis=0) @ by_level) + of_spectrum
     ratio = squares / (values * variance)
     scale = variance / np.sqrt(ratio)
-    curvature = 2.0 * np.outer(scale, scale) * last.filtered.products(noise[:, :, None] * by_level, found.covariance)
+    curvature = (
+        2.0 * np.outer(scale, scale) * last.filtered.products(noise[:, :, None] * by_level, regression.covariance)
+    )
     return values * np.log(ratio), curvature + np.diag(2.0 * of_spectrum)
 
 
@@ -141,12 +143,12 @@ def spread(smoother: IteratedSmoother, last: Pass) -> float:
     """How far believed parameters are off, in common."""
     if not (smoother.learn_spread and smoother.sharing.any()):
         return last.levels.spread
-    found, sharing, size = last.regression, smoother.sharing, last.levels.spread
-    inverse = np.linalg.inv(found.covariance)
-    pull, precision = inverse @ smoother.space.coefficients(last.trajectory), found.precision
+    regression, sharing, size = last.regression, smoother.sharing, last.levels.spread
+    inverse = np.linalg.inv(regression.covariance)
+    pull, precision = inverse @ smoother.space.coefficients(last.trajectory), regression.precision
     for _ in range(LEVEL_ROUNDS):
-        own = np.where(sharing, size**-2.0, precision)
-        covariance = np.linalg.inv(inverse + np.diag(own - precision))
+        sharpened = np.where(sharing, size**-2.0, precision)
+        covariance = np.linalg.inv(inverse + np.diag(sharpened - precision))
         size = updated_spread((covariance @ pull)[sharing], np.diag(covariance)[sharing], size)
     return size
 

@@ -77,13 +77,13 @@ class NoiseLevels:
         return float(self.forces[0])
 
     @property
-    def every(self) -> np.ndarray:
+    def values(self) -> np.ndarray:
         """(m + L,), of sensors and of forces."""
         return np.concatenate((self.sensors, self.forces))
 
-    def moved(self, every: np.ndarray, spread: float) -> NoiseLevels:
+    def moved(self, values: np.ndarray, spread: float) -> NoiseLevels:
         """Others, in the same order."""
-        sensors, forces = np.split(every, [len(self.sensors)])
+        sensors, forces = np.split(values, [len(self.sensors)])
         return NoiseLevels(sensors, forces, spread)
 
     def with_discrepancy(self, discrepancy: float) -> NoiseLevels:
@@ -128,10 +128,10 @@ class StateSpace:
         self.prescribed = problem.structure.parameters_like(np.empty(0)) | numbers
         self.vector = ParameterVector(self.prescribed, problem.uncertain)
         self.sensors = [
-            ChannelRows.of(SensorSamples(one, record), felt_by(one, self.dynamics, self.vector), record.time)
-            for one in channels
+            ChannelRows.of(SensorSamples(channel, record), felt_by(channel, self.dynamics, self.vector), record.time)
+            for channel in channels
         ]
-        self.there = np.stack([sensor.there for sensor in self.sensors], axis=1)
+        self.present = np.stack([sensor.present for sensor in self.sensors], axis=1)
         self.force_scale, self.velocity_scale = force_and_velocity_scale(problem)
         self.corner = 2.0 * np.pi * record_band(record)
         self.measured = np.zeros(self.dynamics.size, dtype=bool)
@@ -158,8 +158,8 @@ class StateSpace:
         driven = np.zeros(dynamics.size, dtype=bool)
         driven[dynamics.smooth], driven[dynamics.forces] = True, True
         together = functions[:, dynamics.forces].sum(axis=1, keepdims=True)  # few sensors tell them apart
-        each = [functions[:, self.measured], functions[:, dynamics.smooth], together[:, : len(self.inputs.forces)]]
-        return np.concatenate((~driven[:, None], *each), axis=1)
+        blocks = [functions[:, self.measured], functions[:, dynamics.smooth], together[:, : len(self.inputs.forces)]]
+        return np.concatenate((~driven[:, None], *blocks), axis=1)
 
     def first_levels(self) -> NoiseLevels:
         """Where the noise levels start.
@@ -167,15 +167,17 @@ class StateSpace:
         What the sensors' spectra show of their noise; a discrepancy as large as the force that acts; what drives a
         process such that it is as large as what the record is about.
         """
-        driving = self.scales * np.sqrt(4.0 / (self.step * self.inputs.edge))
-        processes = [*driving[self.dynamics.smooth], *(WIDE_PRIOR * driving[self.dynamics.forces][:1])]
+        innovation = self.scales * np.sqrt(4.0 / (self.step * self.inputs.edge))
+        processes = [*innovation[self.dynamics.smooth], *(WIDE_PRIOR * innovation[self.dynamics.forces][:1])]
         forces = [self.force_scale, *(cell.first for cell in self.cells), *processes]
         return NoiseLevels(np.array([sensor.samples.first for sensor in self.sensors]), np.array(forces))
 
     @cached_property
     def finest(self) -> np.ndarray:
         """(m + L,), the least levels that are looked for."""
-        sensors, cells = ([one.finest for one in own] for own in ([s.samples for s in self.sensors], self.cells))
+        sensors, cells = (
+            [samples.finest for samples in group] for group in ([s.samples for s in self.sensors], self.cells)
+        )
         return np.pad([*sensors, 0.0, *cells], (0, self.sources.shape[1] - 1 - len(cells)))
 
     @property
@@ -259,7 +261,7 @@ class StateSpace:
         deviations; their prior is left to the caller.
         """
         m, s = len(self.sensors), self.size
-        variance = self.noise_of_levels @ levels.every**2
+        variance = self.noise_of_levels @ levels.values**2
         state, disturbance, coefficient = np.split(linearised.rows, [s, s + self.dynamics.size], axis=2)
         observed, offset = linearised.residuals[:, :m], -linearised.residuals
         offset[:, :m] = 0.0

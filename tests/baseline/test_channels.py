@@ -52,7 +52,7 @@ def test_a_sample_that_is_missing_tells_nothing() -> None:
     problem = Problem(small_chain("linear"), record, sensor_parameters(record))
     space = StateSpace(problem)
     row = [sensor.channel.key for sensor in space.sensors].index("a2")
-    gone = ~space.there[:, row]
+    gone = ~space.present[:, row]
     assert 0.4 < gone.mean() < 0.6
     linearised = space.linearise(space.start())
     for rows in (linearised.rows, linearised.residuals):
@@ -85,9 +85,9 @@ def test_a_delay_that_is_known_is_taken_out() -> None:
     shown = np.interp(time - 2.4 * record.step, time, record.acceleration[:, 1])
     channel = Channel("a2", "acceleration", {1: 1.0}, time, shown, late)
     channel = StateSpace(Problem(small_chain("linear"), replace(record, calibrated=(channel,)))).sensors[0]
-    seen = channel.there & (np.arange(len(time)) > 5)
+    seen = channel.present & (np.arange(len(time)) > 5)
     assert relative_error(channel.shown[seen], record.acceleration[seen, 1]) < 0.02
-    assert not channel.there[-1]
+    assert not channel.present[-1]
 
 
 @pytest.mark.parametrize(
