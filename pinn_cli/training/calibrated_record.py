@@ -30,10 +30,9 @@ def as_run(record: Record, estimate: Estimate) -> Record:
     What acts on the structure, and what its sensors show, when it runs free: the offset of a load cell belongs to the
     structure's parameters as they do to each other.
     """
-    is_own = estimate.of_motion is None
-    return (
-        as_calibrated(record, estimate) if is_own else compared_record(record, estimate.parameters, estimate.response)
-    )
+    if estimate.of_motion is None:
+        return as_calibrated(record, estimate)
+    return compared_record(record, estimate.parameters, estimate.response)
 
 
 def compared_record(

@@ -67,10 +67,8 @@ class Evidence:
         count: Callable[[int], None] = lambda factorisations: None,
     ) -> None:
         self.records = tuple(map(RecordEvidence, equations))
-        self.equations, self.problem = (
-            LeastSquares(self.records),
-            JointProblem.of(*(record_equations.problem for record_equations in equations)),
-        )
+        self.equations = LeastSquares(self.records)
+        self.problem = JointProblem.of(*(frame.problem for frame in equations))
         self.iterations, self.tolerance = iterations, tolerance
         self.watch, self.learn_spread, self.count = watch, learn_spread, count
         self._is_cautious = False  # whether the last solution refused its undamped step: the next may as well

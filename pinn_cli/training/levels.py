@@ -216,7 +216,8 @@ def _forces(
         discrepancy *= float(np.sqrt((share * misfit).sum() / (share * freedom[enforced]).sum()))
     squares, values = _of_force_sensors(noise, split, freedom)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return noise.force * np.sqrt(squares / values), discrepancy, _driving(evidence, solution, split.seen, freedom)
+        innovation = _innovation(evidence, solution, split.seen, freedom)
+        return noise.force * np.sqrt(squares / values), discrepancy, innovation
 
 
 def _of_force_sensors(noise: NoiseModel, split: ForceResiduals, freedom: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -253,7 +254,9 @@ def force_noise_statistics(evidence: RecordEvidence, solution: RecordSolution) -
     return totals[0] + float(scatter.sum()), totals[1] + record.repeats.freedom * sensors.size
 
 
-def _driving(evidence: RecordEvidence, solution: RecordSolution, seen: np.ndarray, freedom: np.ndarray) -> np.ndarray:
+def _innovation(
+    evidence: RecordEvidence, solution: RecordSolution, seen: np.ndarray, freedom: np.ndarray
+) -> np.ndarray:
     """(functions,) standard deviation of what drives the ground and unknown forces, NaN of all others.
 
     Alike for all unknown forces: few sensors tell them apart.
@@ -297,22 +300,22 @@ def _limited(level: np.ndarray | float, before: np.ndarray | float) -> np.ndarra
 
 def _log_levels(noise: NoiseModel) -> np.ndarray:
     """Logarithms of all standard deviations; 0 where there is no sensor, or none that is not known to be perfect."""
-    driving = np.full(len(noise.force), np.nan) if noise.innovation is None else noise.innovation
-    levels = np.concatenate([*noise.response.values(), noise.force, driving, [noise.discrepancy]])
+    innovation = np.full(len(noise.force), np.nan) if noise.innovation is None else noise.innovation
+    levels = np.concatenate([*noise.response.values(), noise.force, innovation, [noise.discrepancy]])
     return np.log(np.where(np.isfinite(levels) & (levels > 0), levels, 1.0))
 
 
 def _moved(noise: NoiseModel, change: np.ndarray, least: NoiseModel) -> NoiseModel:
     """The levels times exp of a change, in the order of :func:`_log_levels`."""
     sizes = [*(len(level) for level in noise.response.values()), len(noise.force)]
-    *parts, of_force, driving = np.split(np.exp(change[:-1]), np.cumsum(sizes))
+    *parts, of_force, of_innovation = np.split(np.exp(change[:-1]), np.cumsum(sizes))
     response = {
         q: np.maximum(level * part, least.response[q])
         for (q, level), part in zip(noise.response.items(), parts, strict=True)
     }
     force = np.maximum(noise.force * of_force, least.force)
     discrepancy = max(noise.discrepancy * float(np.exp(change[-1])), least.discrepancy)
-    innovation = None if noise.innovation is None else noise.innovation * driving
+    innovation = None if noise.innovation is None else noise.innovation * of_innovation
     return replace(noise, response=response, force=force, discrepancy=discrepancy, innovation=innovation)
 
 

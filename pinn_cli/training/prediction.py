@@ -46,7 +46,7 @@ def parameter_draws(
 
     What falls below a bound is put onto it.
     """
-    estimate, std = (np.array([getattr(parameter, name) for parameter in parameters]) for name in ("estimate", "std"))
+    estimate, std = (np.array([getattr(p, name) for p in parameters]) for name in ("estimate", "std"))
     if not len(parameters):
         return np.zeros((count, 0))
     if correlation is None and len(parameters) == 1:
@@ -56,7 +56,7 @@ def parameter_draws(
     values, vectors = np.linalg.eigh(correlation)
     root = vectors * np.sqrt(values.clip(min=0.0))
     draws = estimate + std * (np.random.default_rng([seed, 2]).standard_normal((count, len(std))) @ root.T)
-    lower = np.array([parameter.parameter.prescribed + parameter.parameter.lower for parameter in parameters])
+    lower = np.array([p.parameter.prescribed + p.parameter.lower for p in parameters])
     return np.maximum(draws, np.where(np.isnan(lower), -np.inf, lower))
 
 
@@ -72,9 +72,9 @@ def drawn_structures(
     """
     nominal = structure.parameters_like(np.empty(0))
     drawn = {kind: np.tile(values, (len(draws), 1)) for kind, values in nominal.items()}
-    for column, parameter in enumerate(parameters):
-        if parameter.kind not in CALIBRATION_UNITS:
-            drawn[parameter.kind][:, parameter.parameter.index] = draws[:, column]
+    for column, estimate in enumerate(parameters):
+        if estimate.kind not in CALIBRATION_UNITS:
+            drawn[estimate.kind][:, estimate.parameter.index] = draws[:, column]
     drawn[MASS] = np.maximum(drawn[MASS], LEAST_MASS * nominal[MASS])
     return drawn
 
@@ -100,22 +100,19 @@ class Predictor(TrainedNetwork):
         Raises:
             DivergenceError: The identified structure cannot be simulated under this force.
         """
-        record_problem = problem.alone
-        structure, record = record_problem.structure, record_problem.record
+        alone = problem.alone
+        structure, record = alone.structure, alone.record
         start = [*self.scheme.start, *([np.zeros(len(structure.memory))] if len(structure.memory) else [])]
         try:
             response = free_run(structure, record, start)
         except NoFreeRunError as error:
             raise DivergenceError(str(error)) from error
-        parameters, correlation = (
-            _estimates(record_problem),
-            None if record_problem.prior is None else record_problem.prior.correlation,
-        )
-        draws = self._draws(record_problem, parameters, correlation, run.seed)
+        parameters, correlation = _estimates(alone), None if alone.prior is None else alone.prior.correlation
+        draws = self._draws(alone, parameters, correlation, run.seed)
         state = np.tile(np.concatenate(start), (len(draws), 1))
-        white, replay = _left_out(record_problem, self.model, response, len(draws), run.seed)
+        white, replay = _left_out(alone, self.model, response, len(draws), run.seed)
         rows = [*(white * np.eye(structure.coordinates))] if white else []
-        rows += _input_noise(record_problem, self.model) if self.scheme.measured_input else []
+        rows += _input_noise(alone, self.model) if self.scheme.measured_input else []
         sources = np.array(rows).reshape(-1, structure.coordinates)
         levels = self.model.levels.sensors if self.scheme.measured_input else {}
         members = Members(

@@ -25,16 +25,16 @@ def starting_noise(equations: NormalEquations) -> NoiseModel:
     if equations.observer is not None:
         response["acceleration"] = starting_levels(problem.record, "acceleration")
     points, dynamics = equations.refinement, problem.dynamics
-    driving, sensors = np.full((2, dynamics.size), np.nan)
+    innovation, sensors = np.full((2, dynamics.size), np.nan)
     if equations.target.measured_force.any():  # otherwise load cells are channels
         sensors[: dynamics.ndof] = starting_levels(problem.record, FORCE)
     # A force of modes acts on a DOF the more, the less this DOF moves with them.
-    driving[dynamics.forces] = force / problem.structure.shapes.scale
-    driving[dynamics.loads] = [np.std(problem.record.force[:, dof]) for dof in dynamics.inputs.loads]
+    innovation[dynamics.forces] = force / problem.structure.shapes.scale
+    innovation[dynamics.loads] = [np.std(problem.record.force[:, dof]) for dof in dynamics.inputs.loads]
     if problem.record.ground_acceleration is not None:
-        driving[dynamics.ground] = np.std(problem.record.ground_acceleration)
+        innovation[dynamics.ground] = np.std(problem.record.ground_acceleration)
     if dynamics.structure.supports:
-        driving[dynamics.supports] = support_amplitudes(problem.record)
+        innovation[dynamics.supports] = support_amplitudes(problem.record)
     continuity = CONTINUITY_TOLERANCE * velocity
     return NoiseModel(
         response,
@@ -42,7 +42,7 @@ def starting_noise(equations: NormalEquations) -> NoiseModel:
         force,
         continuity,
         points_per_sample=points,
-        innovation=None if dynamics.is_plain else driving,
+        innovation=None if dynamics.is_plain else innovation,
         pushes=_pushes(equations),
     )
 

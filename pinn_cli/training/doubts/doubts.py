@@ -213,10 +213,8 @@ class _Asked:
 
     def best(self, chosen: int) -> tuple[ForceTerm | SensorTerm, float]:
         """The term that makes the record most probable beside the first ones, and its gain."""
-        before, named = (
-            self.fits(chosen)[-1],
-            {(candidate.term.kind, candidate.term.of) for candidate in self.terms[:chosen]},
-        )
+        before = self.fits(chosen)[-1]
+        named = {(candidate.term.kind, candidate.term.of) for candidate in self.terms[:chosen]}
         tried = Counter(candidate.term.kind for candidate in self.terms[chosen:])
         gains = [
             -np.inf

@@ -204,11 +204,7 @@ class RowSums:
         is_full = 2 * entries.nnz > self.n**2
         weights = np.zeros((self.n, self.n))
         np.add.at(weights, (column, row), entries.data)
-        lines = (
-            []
-            if is_full
-            else [(distance, np.diagonal(weights, distance)) for distance in np.unique(row - column).tolist()]
-        )
+        lines = [] if is_full else [(d, np.diagonal(weights, d)) for d in np.unique(row - column).tolist()]
         for part, first in self._runs(feature):
             for shift, products in enumerate(by_shift(gram[part], self._stride)):
                 if is_full:

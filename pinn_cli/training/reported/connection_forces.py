@@ -137,10 +137,8 @@ class _Energy:
 
         def energy(e: Tensor, de: Tensor, z: Tensor, *values: Tensor) -> Tensor:
             all_parameters = {**parameters, **dict(zip(structure.carriers, values, strict=True))}
-            power, stored = (
-                dissipated_power(structure, e, de, all_parameters, z),
-                stored_by_memory(structure, z, all_parameters),
-            )
+            power = dissipated_power(structure, e, de, all_parameters, z)
+            stored = stored_by_memory(structure, z, all_parameters)
             dissipated, released = (
                 (segments.gather(torch.as_tensor(x).to(e))[..., None] * of_time).sum((0, 1))
                 for x, of_time in ((weight, power), (ends, stored))

@@ -144,11 +144,11 @@ def _of_unknown_forces(equations: NormalEquations, solution: RecordSolution) -> 
 
     A process of second order that white noise drives has this standard deviation, whatever its damping ratio.
     """
-    inputs, driving = equations.problem.inputs, solution.noise.innovation
-    if not inputs.forces or driving is None:
+    inputs, innovation = equations.problem.inputs, solution.noise.innovation
+    if not inputs.forces or innovation is None:
         return {}
     step = equations.problem.record.step / equations.refinement
-    level = float(driving[equations.dynamics.forces][0]) * (step / (2.0 * inputs.correlation_time)) ** 0.5
+    level = float(innovation[equations.dynamics.forces][0]) * (step / (2.0 * inputs.correlation_time)) ** 0.5
     return {"correlation_time_unknown_force": inputs.correlation_time, "std_unknown_force": level}
 
 

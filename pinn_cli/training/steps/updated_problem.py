@@ -77,10 +77,8 @@ def _turning_points(equations: NormalEquations, point: Point, discrepancy: float
     square = equations.motion.residual(point)[:, 0, equations.dynamics.has_mass].square().mean(1).numpy()
     if not 0.0 < near.mean() < MOST_LOOSENED:
         return None
-    before, (level, elsewhere) = (
-        equations.problem.turning_points,
-        (float(np.sqrt(square[x].mean())) for x in (near, ~near)),
-    )
+    before = equations.problem.turning_points
+    level, elsewhere = (float(np.sqrt(square[x].mean())) for x in (near, ~near))
     if before is None:
         return replace(turns, level=level, looser=max(FIRST_LOOSER, level / elsewhere))
     return replace(turns, level=before.level, looser=before.level / elsewhere)
