@@ -1,11 +1,13 @@
 """The judge of models that are nearly right: without an error the peer finds the truth, with one the truth misses."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from benchmarks.nearly_right.__main__ import overlap_percent, rows
-from benchmarks.nearly_right.machines import machine, measured
+from benchmarks.nearly_right.machines import KINDS, machine, measured
 from benchmarks.nearly_right.output_error import fitted, missed_percent
 
 
@@ -43,3 +45,11 @@ def test_without_an_error_the_program_is_sound_and_runs_as_freely_as_the_fit() -
     assert set(found["verdict"]) == {"sound"}
     assert found["missed"][0] < 1.1 * found["fit_missed"][0] + 1e-3
     assert found["estimate"].to_numpy() == pytest.approx(found["true"].to_numpy(), rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["stick_slip", "second_mode", "sliding_mass", "lagging_load_cell"])
+def test_what_is_missing_is_what_is_named_first(kind: str) -> None:
+    found = rows(kind, 1, [])
+    assert set(found["verdict"]) == {"questionable"}
+    assert re.search(KINDS[kind].names, found["reasons"][0].partition(" | ")[0], re.IGNORECASE)

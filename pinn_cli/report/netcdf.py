@@ -26,7 +26,9 @@ from pinn_cli.report.estimates import (
     support_histories,
 )
 from pinn_cli.report.results import Results
+from pinn_cli.runs.histories import HISTORIES
 from pinn_cli.runs.identity import package_version
+from pinn_cli.runs.reading import stamp
 from pinn_cli.runs.writing import write_bytes
 from pinn_cli.system.parameters import LINEAR_TITLES, Parameter
 from pinn_cli.system.quantities import UNITS
@@ -117,6 +119,7 @@ def _told(long_name: str, units: str = "") -> dict[str, str]:
 
 def write_dataset(dataset: xr.Dataset | xr.DataTree, path: Path | str) -> Path:
     """Write it as netCDF 4 through h5netcdf; in memory first, since HDF5 does not outlive a full disk."""
+    dataset.attrs |= stamp(HISTORIES)
     return write_bytes(dataset.to_netcdf(None, engine="h5netcdf", format="NETCDF4"), path)
 
 

@@ -14,13 +14,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pinn_cli.runs.apart import Answer, read_apart
-from pinn_cli.runs.reading import DamagedError, check_regular, printable
+from pinn_cli.runs.apart import Answer, UnreadableError, read_apart
+from pinn_cli.runs.reading import NUMBER, WRITER, DamagedError, check_layout, check_regular, printable
 
 if TYPE_CHECKING:
     import h5py
     import xarray as xr
 
+# Of their layout; the first had no number.
+HISTORIES = 1
 # Bytes in memory for each of the file: ours are stored as they are.
 _UNFOLDS = 4
 # Groups of a file, beside the one that has them.
@@ -92,6 +94,7 @@ def read_groups(files: Sequence[Path], names: Sequence[str] | None = ("/",)) -> 
 
     Raises:
         DamagedError: The next file cannot be read, or unfolds to more than its size.
+        InputError: A later release wrote it.
     """
     largest = max((file.stat().st_size for file in files if file.is_file()), default=0)
     question = [[str(file) for file in files], names if names is None else list(names)]
@@ -99,7 +102,7 @@ def read_groups(files: Sequence[Path], names: Sequence[str] | None = ("/",)) -> 
         for file in files:
             try:
                 layout, arrays = next(answers)
-            except ValueError as error:
+            except UnreadableError as error:
                 raise DamagedError(file, str(error)) from None
             following = iter(arrays)
             yield {name: _group(group, following) for name, group in layout.items()}
@@ -128,6 +131,8 @@ def stored(files: Sequence[str], names: Sequence[str] | None) -> Iterator[Answer
     for file in map(Path, files):
         check_regular(file, float("inf"))
         with h5py.File(file, "r") as opened:
+            number = np.asarray(opened.attrs.get(NUMBER, 1)).item()
+            check_layout({NUMBER: number, WRITER: opened.attrs.get(WRITER)}, HISTORIES, file)
             _own(opened)
             chosen = names or ["/", *(name for name, node in opened.items() if isinstance(node, h5py.Group))]
             if len(chosen) > _MOST_GROUPS:

@@ -14,8 +14,11 @@ CUBIC, QUADRATIC, FRICTION = "cubic term", "quadratic damping", "friction"
 # Those of its own parameters that are held.
 SPRING, DAMPER = "k", "c"
 ONE_SIDED, BACKLASH, HYSTERESIS, DRIFT = "one-sided spring", "backlash", "hysteresis", "drift"
-# An oscillator that is attached to a DOF.
-MODE = "mode"
+STRIBECK = "Stribeck"
+# What a DOF may carry: an oscillator that is attached to it, and a mass that lies on it.
+MODE, SLIDING = "mode", "sliding mass"
+# Accelerations beyond which such a mass slides, as they are tried, over the rms acceleration.
+SLIDES_AT = (0.6, 1.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +31,7 @@ class LeftOut:
         force: Of elongation, rate and shape to (N,), N, of size one.
         shapes: What the force does not grow with, as it is tried: gaps, or elongations at which it slips, over the rms
             elongation; of most there is none.
+        parameter: Kind of the parameter that says its size in a law that has it.
         least: Of its size: what rubs, slips or has play resists.
     """
 
@@ -35,22 +39,30 @@ class LeftOut:
     unit: str
     force: Callable[[np.ndarray, np.ndarray, float], np.ndarray]
     shapes: tuple[float, ...] = (np.nan,)
+    parameter: str = ""
     least: float = -np.inf
 
 
 LEFT_OUT = (
-    LeftOut(SPRING, "N/m", lambda e, de, _: e),
-    LeftOut(DAMPER, "N s/m", lambda e, de, _: de),
-    LeftOut(CUBIC, "N/m^3", lambda e, de, _: e**3),
+    LeftOut(SPRING, "N/m", lambda e, de, _: e, parameter=SPRING),
+    LeftOut(DAMPER, "N s/m", lambda e, de, _: de, parameter=DAMPER),
+    LeftOut(CUBIC, "N/m^3", lambda e, de, _: e**3, parameter="kappa"),
     LeftOut(QUADRATIC, "N (s/m)^2", lambda e, de, _: abs(de) * de),
-    LeftOut(
-        FRICTION, "N", lambda e, de, _: np.tanh(de / (CREEP * max(float(np.sqrt(np.mean(de**2))), 1e-300))), least=0.0
-    ),
+    LeftOut(FRICTION, "N", lambda e, de, _: _rubbing(de), parameter="F_c", least=0.0),
+    LeftOut(STRIBECK, "N", lambda e, de, at: _rubbing(de) * np.exp(-((_rms(e) / _rms(de) * de / at) ** 2)), (0.1, 0.4)),
     LeftOut(ONE_SIDED, "N/m", lambda e, de, _: np.maximum(e, 0.0)),
-    LeftOut(BACKLASH, "N", lambda e, de, gap: -np.clip(e / gap, -1.0, 1.0), (0.03, 0.2), 0.0),
-    LeftOut(HYSTERESIS, "N", lambda e, de, at: _slipping(e / at), (0.3, 1.0), 0.0),
+    LeftOut(BACKLASH, "N", lambda e, de, gap: -np.clip(e / gap, -1.0, 1.0), (0.03, 0.2), least=0.0),
+    LeftOut(HYSTERESIS, "N", lambda e, de, at: _slipping(e / at), (0.3, 1.0), least=0.0),
     LeftOut(DRIFT, "N/m", lambda e, de, _: e * np.linspace(-0.5, 0.5, len(e))),
 )
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2)))
+
+
+def _rubbing(de: np.ndarray) -> np.ndarray:
+    return np.tanh(de / (CREEP * max(_rms(de), 1e-300)))
 
 
 def _slipping(e: np.ndarray) -> np.ndarray:
@@ -59,6 +71,15 @@ def _slipping(e: np.ndarray) -> np.ndarray:
     for i, step in enumerate(np.diff(e, prepend=e[0]).tolist()):
         force = min(1.0, max(-1.0, force + step))
         out[i] = force
+    return out
+
+
+def sliding(acceleration: np.ndarray, step: float, at: float) -> np.ndarray:
+    """(N,) acceleration of a mass that lies on what moves so and slides beyond ``at``, m/s^2, until both move alike."""
+    out, behind = np.empty(len(acceleration)), 0.0
+    for i, own in enumerate(acceleration.tolist()):
+        out[i] = min(at, max(-at, own + behind / step))
+        behind += (own - out[i]) * step
     return out
 
 

@@ -13,10 +13,13 @@ from pinn_cli.system.left_out import (
     DRIFT,
     FRICTION,
     HYSTERESIS,
+    LEFT_OUT,
     MODE,
     ONE_SIDED,
     QUADRATIC,
+    SLIDING,
     SPRING,
+    STRIBECK,
 )
 from pinn_cli.training.doubts.other_damping import DECISIVE_DAMPING
 from pinn_cli.verdict.finding import Finding
@@ -37,6 +40,7 @@ LACKS = {
     CUBIC: "a cubic term of {number}",
     QUADRATIC: "a quadratic damping of {number}",
     FRICTION: "friction of {number}",
+    STRIBECK: "a friction that differs by {number} where it turns round (Stribeck: larger at rest than in motion)",
     ONE_SIDED: "a one-sided spring of {number} (it is stiffer one way)",
     BACKLASH: "a backlash: {number} are missing beyond a gap of about +-{shape:.2g} m",
     HYSTERESIS: "a hysteresis: {number} that slip at about {shape:.2g} m",
@@ -44,14 +48,15 @@ LACKS = {
 }
 # What acts from a sample to the next one, as a converter puts it out, acts half a sample later than it seems to.
 OF_DELAY = "check its clock (half a sample: data.intersample=zero_order_hold), or say delay: unknown (data.channels)"
-# The parameter of the laws that have it: where the record contradicts its bound, it lacks all the same.
-OWN = {CUBIC: "kappa", FRICTION: "F_c"}
+# Where the record contradicts the bound of its parameter, a law that has it lacks it all the same.
+OWN = {lacking.kind: lacking.parameter for lacking in LEFT_OUT if lacking.parameter}
 # The overrides that add it.
 _GIVE = "give {{of}} law: {law} with {parameters} unknown (system={law}, or in system.connections)"
 LAWS = {
     CUBIC: _GIVE.format(law="duffing", parameters="kappa"),
     QUADRATIC: _GIVE.format(law="power_damping", parameters="mu"),
     FRICTION: _GIVE.format(law="friction", parameters="F_c"),
+    STRIBECK: "give {of} law: spline over its speed, of which no form is asked",
     ONE_SIDED: _GIVE.format(law="polynomial", parameters="k_2 and k_3"),
     BACKLASH: _GIVE.format(law="gap", parameters="k, k_g and gap") + ", or take the play out of it",
     HYSTERESIS: _GIVE.format(law="jenkins", parameters="k_t and F_c") + ", or bouc_wen",
@@ -117,6 +122,10 @@ def _said(doubt: Doubt) -> tuple[str, str]:
         MODE: (
             f"a mode at {doubt.shape:.3g} Hz is not in the model: as if {abs(doubt.value):.2g} kg swung on {doubt.of}",
             "add its mass and spring (system=structure), or keep to the band below (data.decimate)",
+        ),
+        SLIDING: (
+            f"{number} on {doubt.of} slide, beyond about {doubt.shape:.2g} m/s^2",
+            "fasten what lies there, or record a smaller motion",
         ),
         **{kind: (f"the {word} of {doubt.of} is another one, by {changed}", "check it") for kind, word in HELD.items()},
         "gain": (

@@ -11,9 +11,11 @@ import pytest
 import xarray as xr
 from fuzz.changes import HISTORIES, hdf5_
 
+from pinn_cli.report.netcdf import write_dataset
 from pinn_cli.runs import apart, histories
 from pinn_cli.runs.histories import read_groups, read_histories, read_tree
 from pinn_cli.runs.reading import DamagedError
+from pinn_cli.settings.errors import InputError
 
 DEEDS = """
 import ctypes, os, time
@@ -55,6 +57,16 @@ def test_histories_are_what_xarray_reads(file: Path) -> None:
     assert {n: v.dtype for n, v in found.variables.items()} == {n: v.dtype for n, v in expected.variables.items()}
     for name, value in expected.attrs.items():
         assert type(found.attrs[name]) is type(value)
+
+
+def test_what_a_run_writes_has_its_layout_s_number_and_a_later_one_is_refused(tmp_path: Path) -> None:
+    file = write_dataset(dataset(), tmp_path / "x.nc")
+    assert read_histories(file).attrs["format"] == histories.HISTORIES
+    with h5py.File(file, "a") as opened:
+        opened.attrs.update(format=99, written_by="pinn-cli 9.9.9")
+    for group in (["/"], None):
+        with pytest.raises(InputError, match=r"x\.nc=format 99: must be of format 1; pinn-cli 9\.9\.9 wrote it"):
+            list(read_groups([file], group))
 
 
 def test_a_tree_is_what_xarray_reads(tmp_path: Path) -> None:

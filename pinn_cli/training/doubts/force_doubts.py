@@ -18,7 +18,7 @@ from pinn_cli.record.channel import WIDEST_DELAY
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.spectrum import signal_band
 from pinn_cli.system.functions import Jet
-from pinn_cli.system.left_out import DAMPER, LEFT_OUT, MODE, SPRING, LeftOut, resonance
+from pinn_cli.system.left_out import LEFT_OUT, MODE, SLIDES_AT, SLIDING, SPRING, LeftOut, resonance, sliding
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE, MOTION
 from pinn_cli.training.doubts.sensor_doubts import DELAY, Term, delays
@@ -110,21 +110,24 @@ class _Forces:
         return ForceTerm(replace(term, scale=scale), distribution, scale * unit)
 
     def of_connections(self, point: Point) -> Iterator[ForceTerm]:
-        """What a connection may have beside its law, and more or less of a spring or a damper that are held."""
+        """What a connection may have beside its law, and more or less of what its law has but is held."""
         structure = self.equations.dynamics.structure
-        moves = {kind: self._moves(kind) for kind in (SPRING, DAMPER)}
+        moves = {kind.kind: self._moves(kind.parameter, point) for kind in LEFT_OUT}
         pulls = structure.incidence.matrix[structure.added].toarray()
         histories = (x[:, structure.added].T for x in connection_force(self.equations, point, self.motion))
         for connection, pull, e, de, force in zip(structure.added.tolist(), pulls, *histories, strict=True):
             of, state = f"connection {structure.labels.connection(connection)}", (pull, e, de, _rms(force))
-            for kind in (kind for kind in LEFT_OUT if kind.kind not in moves or not moves[kind.kind][connection]):
+            for kind in (kind for kind in LEFT_OUT if not moves[kind.kind][connection]):
                 yield from (self.of_connection(shape * _rms(e), kind, of, state) for shape in kind.shapes)
 
-    def _moves(self, kind: str) -> np.ndarray:
-        """(C,) bool: the connections whose parameter of a kind may move."""
+    def _moves(self, kind: str, point: Point) -> np.ndarray:
+        """(C,) bool: the connections that have a parameter of a kind which may move, and which no bound holds."""
         structure = self.equations.dynamics.structure
-        connections, member = structure.carriers[kind]
-        of = [p.index for p in self.equations.uncertain if p.kind == kind]
+        connections, member = structure.carriers.get(kind, (np.zeros(0, dtype=int),) * 2)
+        at_bound = (point.parameters.numpy() <= self.equations.lower).tolist()
+        of = [
+            p.index for p, held in zip(self.equations.uncertain, at_bound, strict=True) if p.kind == kind and not held
+        ]
         return np.isin(np.arange(len(structure.parameters[SPRING])), connections[np.isin(member, of)])
 
     def of_connection(
@@ -151,6 +154,23 @@ class _Forces:
             size = self.mass[dof] * _rms(acceleration)
             whole = Term(MASS, name, "kg", 1.0, least=-float(self.mass[dof]))  # no mass is left
             yield self.term(whole, self.place[dof], acceleration, size)
+
+    def of_sliding_masses(self) -> Iterator[ForceTerm]:
+        """A part of what a DOF carries that slides on it."""
+        for dof in np.flatnonzero(self.mass > 0.0).tolist():
+            size = _rms(self.acceleration[:, dof])
+            yield from (self.of_sliding_mass(at * size, dof) for at in SLIDES_AT if size > 0.0)
+
+    def of_sliding_mass(self, at: float, dof: int) -> ForceTerm:
+        """One of them."""
+        moved = self.acceleration[:, dof]
+        lying = Term(SLIDING, f"DOF {self.equations.problem.record.dof_name(dof)}", "kg", 1.0, at, least=0.0)
+        plain = self.term(lying, self.place[dof], sliding(moved, self.step, at), self.mass[dof] * _rms(moved))
+
+        def again(at: float) -> Iterator[ForceTerm]:
+            yield self.of_sliding_mass(at, dof)
+
+        return replace(plain, reshaped=again, ratio=SLIDES_AT[1] / SLIDES_AT[0])
 
     def of_loads(self) -> Iterator[ForceTerm]:
         """Load cells that show a force late; what is above their band is noise, which a derivative makes more of."""
@@ -198,11 +218,12 @@ class _Forces:
 
 
 def force_terms(equations: NormalEquations, point: Point) -> list[ForceTerm]:
-    """Of connections, masses, attached oscillators and load cells."""
+    """Of connections, masses, what DOFs carry, and load cells."""
     motion = Jet(*equations.flat_states(equations.physics, point)[:3])
     made = _Forces(equations, motion, equations.target.physics_time.numpy())
     loads = () if equations.problem.inputs.loads else made.of_loads()  # or they are channels, see `sensor_terms`
-    return [*made.of_connections(point), *made.of_masses(), *made.of_oscillators(), *loads]
+    carried = (*made.of_masses(), *made.of_sliding_masses(), *made.of_oscillators())
+    return [*made.of_connections(point), *carried, *loads]
 
 
 def connection_force(equations: NormalEquations, point: Point, motion: Jet) -> tuple[np.ndarray, ...]:
