@@ -22,7 +22,7 @@ from pinn_cli.system.left_out import MODE
 from pinn_cli.system.modes import frequency_with_oscillator
 from pinn_cli.system.priors import HALF_WIDTH_90
 from pinn_cli.training.doubts.force_doubts import ForceTerm, connection_force, force_border, force_terms
-from pinn_cli.training.doubts.left_spectra import WHOLE, Fit, LeftSpectra, left_spectra
+from pinn_cli.training.doubts.left_spectra import WHOLE_RECORD, Fit, LeftSpectra, left_spectra
 from pinn_cli.training.doubts.sensor_doubts import (
     DELAY,
     SensorTerm,
@@ -147,7 +147,7 @@ class _Solution:
         gradient = system.gradient[:, None]
         return cls(equations, point, noise, channels, gradient, eliminated.readout, solution.prior)
 
-    def asked(self, terms: Sequence[ForceTerm | SensorTerm], part: tuple[float, float] = WHOLE) -> _Asked:
+    def asked(self, terms: Sequence[ForceTerm | SensorTerm], part: tuple[float, float] = WHOLE_RECORD) -> _Asked:
         """Further parameters, of a part of the record; forces come first."""
         forces = [one for one in terms if isinstance(one, ForceTerm)]
         sensors = [one for one in terms if isinstance(one, SensorTerm)]

@@ -41,7 +41,7 @@ MOVING = 0.95
 # Rounds of weighted least squares at most, and the change of minus the logarithm that ends them.
 WEIGHTED_ROUNDS, WEIGHTED_SETTLED = 8, 0.01
 # Of a record, from its beginning to its end.
-WHOLE = (0.0, 1.0)
+WHOLE_RECORD = (0.0, 1.0)
 # Added to the diagonal of scaled normal equations: columns may be the same.
 SINGULAR = 1e-13
 
@@ -152,7 +152,7 @@ def left_spectra(
     terms: tuple[Sequence[ForceTerm], Sequence[SensorTerm]],
     moved: np.ndarray,
     believed: np.ndarray,
-    part: tuple[float, float] = WHOLE,
+    part: tuple[float, float] = WHOLE_RECORD,
 ) -> LeftSpectra:
     """Of the parameters and of forces and of what sensors may show, in this order.
 
