@@ -13,7 +13,14 @@ from pinn_cli.record.inputs import SupportErrors, support_motion
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import runge_kutta
-from pinn_cli.record.steps import follower_masses, implicit_steps, made_in_a_sample, method_needed, with_slow_followers
+from pinn_cli.record.steps import (
+    TURNS_OVER,
+    follower_masses,
+    implicit_steps,
+    made_in_a_sample,
+    method_needed,
+    with_slow_followers,
+)
 from pinn_cli.system.structure import Structure
 
 # Samples that are followed at a time: the forces of all members stand in memory for so long only.
@@ -191,10 +198,10 @@ class _Ensemble:
         for i in range(len(state)):
             own = table[:, i : i + 1]
             acting = lambda at, own=own: _between(own, (at - time[0]) / (grid[1] - grid[0]))  # noqa: E731
-            slope, shown = self._of_member(i)._slope, sampled[:, i : i + 1]
-            start = state[i : i + 1]
-            size = made_in_a_sample(slope, shown, start, float(time[1] - time[0]), self.n)
-            each.append(implicit_steps(slope, acting, time, shown, hold, start, size))
+            member, shown, start = self._of_member(i), sampled[:, i : i + 1], state[i : i + 1]
+            size = made_in_a_sample(member._slope, shown, start, float(time[1] - time[0]), self.n)
+            member.structure = self.structure.turning_over(TURNS_OVER * float(size[self.n]))
+            each.append(implicit_steps(member._slope, acting, time, shown, hold, start, size))
         return np.concatenate(each, axis=1), sampled
 
     def _of_member(self, i: int) -> _Ensemble:

@@ -3,7 +3,8 @@
 A doubt is a parameter that the model does not have: a force of a connection, a mass that is held, an oscillator on a
 DOF, or what a sensor shows beside what it is said to feel. Its rows at the solution are a column. Columns and
 residuals, with the motion projected out, are compared band by band, each of which has a level of its own
-(`left_spectra`). The doubt with which the record is most probable is freed, and the others are asked again.
+(`left_spectra`). The doubt with which the record is most probable is freed, and the others are asked again; what
+either half of the record says of it must hold in the other one.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from pinn_cli.system.left_out import MODE
 from pinn_cli.system.modes import frequency_with_oscillator
 from pinn_cli.system.priors import HALF_WIDTH_90
 from pinn_cli.training.doubts.force_doubts import ForceTerm, connection_force, force_border, force_terms
-from pinn_cli.training.doubts.left_spectra import Fit, LeftSpectra, left_spectra
+from pinn_cli.training.doubts.left_spectra import WHOLE_RECORD, Fit, LeftSpectra, left_spectra
 from pinn_cli.training.doubts.sensor_doubts import (
     DELAY,
     SensorTerm,
@@ -50,6 +51,8 @@ EARLY = 0.1
 # and doubts that are told of one record.
 FURTHER_SHARE = 0.1
 MOST_CHOSEN = 3
+# Parts of a record that each tell of the other, and share of its logarithm that a doubt keeps there, or it is refuted.
+HALVES, HELD_TRUE = ((0.0, 0.5), (0.5, 1.0)), 0.25
 # How far the shapes of a term that is told are from each other, over those that are tried at first; in turn.
 SPANS = (0.75, 0.25, 0.08)
 # Products of columns, at every readout weight, that are added up: some seconds, and a gigabyte. A larger record is not
@@ -92,16 +95,22 @@ def _chosen(
     """What makes the record far more probable, one beside the other, and by how much, as logarithms."""
     chosen: list[ForceTerm | SensorTerm] = []
     gains: list[float] = []
-    while len(chosen) < MOST_CHOSEN:
-        best, gain = solution.asked([*chosen, *forces, *sensors]).best(len(chosen))
+    refuted: set[tuple[str, str]] = set()
+    candidates: list[ForceTerm | SensorTerm] = [*forces, *sensors]
+    for _ in range(MOST_CHOSEN):
+        open_terms = [term for term in candidates if (term.term.kind, term.term.of) not in refuted]
+        best, gain = solution.asked([*chosen, *open_terms]).best(len(chosen))
         if not gain > max([DECISIVE_DOUBT, *(FURTHER_SHARE * first for first in gains[:1])]):
             break
         for span in SPANS:
             finer = best.finer(span) if isinstance(best, ForceTerm) else []
             if finer:
                 best, gain = solution.asked([*chosen, *finer]).best(len(chosen))
-        chosen.append(best)
-        gains.append(gain)
+        if solution.gain_in_other_half([*chosen, best]) > HELD_TRUE * gain:
+            chosen.append(best)
+            gains.append(gain)
+        else:
+            refuted.add((best.term.kind, best.term.of))
     return chosen, gains
 
 
@@ -140,8 +149,8 @@ class _Solution:
         gradient = system.gradient[:, None]
         return cls(equations, point, noise, channels, gradient, eliminated.readout, solution.prior)
 
-    def asked(self, terms: Sequence[ForceTerm | SensorTerm]) -> _Asked:
-        """Further parameters; forces come first."""
+    def asked(self, terms: Sequence[ForceTerm | SensorTerm], part: tuple[float, float] = WHOLE_RECORD) -> _Asked:
+        """Further parameters, of a part of the record; forces come first."""
         forces = [term for term in terms if isinstance(term, ForceTerm)]
         sensors = [term for term in terms if isinstance(term, SensorTerm)]
         equations, p = self.equations, len(self.point.parameters)
@@ -156,10 +165,22 @@ class _Solution:
         # Products with sparse rows take it by rows.
         moved = np.ascontiguousarray(-np.hstack((motion[:, :1], self.readout.solved_border, motion[:, 1:])))
         terms_of = forces, sensors
-        spectra = left_spectra(equations, self.point, self.noise, self.channels, terms_of, moved, self.prior)
+        spectra = left_spectra(equations, self.point, self.noise, self.channels, terms_of, moved, self.prior, part)
         free = np.flatnonzero(self.point.parameters.numpy() > equations.lower).tolist()
         places = {id(term): i for i, term in enumerate([*forces, *sensors], start=p)}
         return _Asked(terms, [places[id(term)] for term in terms], spectra, moved[:, 1:], free)
+
+    def gain_in_other_half(self, terms: Sequence[ForceTerm | SensorTerm]) -> float:
+        """Logarithm of how many times as probable each half is with the last term, as the other half tells all of them.
+
+        What stands in for something else in one part of a record does so in no other.
+        """
+        halves = [self.asked(terms, half) for half in HALVES]
+        fits = [half.fits(len(terms))[-2:] for half in halves]
+        gain = 0.0
+        for other, (without, whole) in zip(reversed(halves), fits, strict=True):
+            gain += other.spectra.minus_log_after(without.step) - other.spectra.minus_log_after(whole.step)
+        return gain
 
     def at_its_mode(self, doubt: Doubt, term: ForceTerm | SensorTerm, step: np.ndarray) -> Doubt:
         """Of an attached oscillator with the frequency of the whole, in place of its own while its DOF is held."""

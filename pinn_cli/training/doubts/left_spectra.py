@@ -40,6 +40,8 @@ SIGNAL = 10.0
 MOVING = 0.95
 # Rounds of weighted least squares at most, and the change of minus the logarithm that ends them.
 WEIGHTED_ROUNDS, WEIGHTED_SETTLED = 8, 0.01
+# Of a record, from its beginning to its end.
+WHOLE_RECORD = (0.0, 1.0)
 # Added to the diagonal of scaled normal equations: columns may be the same.
 SINGULAR = 1e-13
 
@@ -99,6 +101,11 @@ class LeftSpectra:
         step[at], information[at] = x, 1.0 / np.maximum(np.diag(inverse), 1e-300)
         return Fit(step, energy, minus_log, information)
 
+    def minus_log_after(self, step: np.ndarray) -> float:
+        """Minus the logarithm of the record's probability with values of the columns from elsewhere."""
+        coefficients = np.concatenate(([1.0], step))
+        return self._minus_log((self.gram @ coefficients) @ coefficients)
+
     def _minus_log(self, energy: np.ndarray) -> float:
         return 0.5 * float(self.freedom @ np.log(np.maximum(energy, QUIETEST * energy.max())))
 
@@ -145,6 +152,7 @@ def left_spectra(
     terms: tuple[Sequence[ForceTerm], Sequence[SensorTerm]],
     moved: np.ndarray,
     believed: np.ndarray,
+    part: tuple[float, float] = WHOLE_RECORD,
 ) -> LeftSpectra:
     """Of the parameters and of forces and of what sensors may show, in this order.
 
@@ -156,9 +164,10 @@ def left_spectra(
         terms: Columns beside the parameters.
         moved: (size, 1 + W), how the motion moves with the residual, and with one of every column.
         believed: (p, p), precision of the parameters' prior.
+        part: Of the record that is looked at, from and to, of its duration.
     """
     p, (forces, sensors) = len(point.parameters), terms
-    length = equations.problem.record.duration
+    length = equations.problem.record.duration * (part[1] - part[0])
     highest = 0.5 * min(equations.network.free_intervals, 1.0 / equations.problem.record.step)
     enforced = torch.nonzero(equations.target.equation).flatten().tolist()
     smooth = range(equations.dynamics.smooth.start, equations.dynamics.smooth.stop)
@@ -171,13 +180,13 @@ def left_spectra(
     # The process behind an input is a prior, and no measure of what the model leaves out: its level stays.
     prior = np.zeros((1 + columns, 1 + columns))
     for function in enforced:
-        products = banded_gram(of_equations.pop(function), step, edges)
+        products = banded_gram(_part(of_equations.pop(function), part), step, edges)
         if function in smooth:
             prior += products.sum(axis=0)
         else:
             gram += products
     for histories, channel_step in _of_channels(equations, channels, sensors, moved, p + len(forces)):
-        gram += banded_gram(histories, channel_step, edges)
+        gram += banded_gram(_part(histories, part), channel_step, edges)
     prior[1:, 1:] += np.eye(columns)
     prior[1 : 1 + p, 1 : 1 + p] += believed - np.eye(p)
     prior[1 : 1 + p, 0] += believed @ point.parameters.numpy()
@@ -185,6 +194,11 @@ def left_spectra(
     freedom = max(values, 1) * 2.0 * length * np.diff(edges)
     seen, moving = _seen(channels, edges), _moving(equations, point, edges)
     return LeftSpectra(gram[seen], freedom[seen], prior[1:, 1:], prior[1:, 0], moving[seen])
+
+
+def _part(histories: np.ndarray, part: tuple[float, float]) -> np.ndarray:
+    first, last = np.rint(np.array(part) * len(histories)).astype(int).tolist()
+    return histories[first:last]
 
 
 def _of_equations(
