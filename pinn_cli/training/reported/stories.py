@@ -58,8 +58,8 @@ def with_stories(inference: Inference, estimate: Estimate) -> Estimate:
         doubts, best.trained, [record_estimate.std for record_estimate in estimate.by_record]
     )
     records = zip(best.estimate.records, lacking, strict=False)
-    candidate = tuple(replace(record_estimate, doubts=record_doubts) for record_estimate, record_doubts in records)
-    return replace(best.estimate, stories=stories, doubts=lacking[0], records=candidate)
+    of_records = tuple(replace(record_estimate, doubts=record_doubts) for record_estimate, record_doubts in records)
+    return replace(best.estimate, stories=stories, doubts=lacking[0], records=of_records)
 
 
 def of_free_running(inference: Inference, free: FreeRunning, estimate: Estimate) -> Estimate:
