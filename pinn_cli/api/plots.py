@@ -206,7 +206,7 @@ def _record(data: xr.Dataset) -> Record:
     names = tuple(map(str, data["dof_name"].values)) if "dof_name" in data.coords else ()
     return Record(
         **seen.measurable, unforced=unforced, intersample=data.attrs["intersample"],
-        frame=data.attrs.get("frame", "absolute"), dofs=names, felt=tuple(felt),
+        frame=data.attrs.get("frame", "absolute"), dofs=names, corrected=tuple(felt),
         responds=any(np.isfinite(getattr(seen, quantity)).any() for quantity in RESPONSE_QUANTITIES),
     )  # fmt: skip
 

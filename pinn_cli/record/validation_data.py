@@ -71,28 +71,28 @@ class ValidationData:
         given = records[0].validation
         if given is None:
             return None
-        known = [each.name for each in fields(MeasuredData) if each.name not in NOT_ITS_OWN]
+        settings = [setting.name for setting in fields(MeasuredData) if setting.name not in NOT_ITS_OWN]
         if not isinstance(given, Mapping) or not given:
             allowed = "null, a segment {start: ..., stop: ...}, or another record {path: ...}"
             raise InputError("data.validation", given, allowed)
         for name in given:
-            if name not in (*known, SETTLE):
-                allowed = f"one of the settings {', '.join((*known, SETTLE))}"
-                raise InputError(f"data.validation.{name}", given[name], allowed, suggestion(str(name), known))
+            if name not in (*settings, SETTLE):
+                allowed = f"one of the settings {', '.join((*settings, SETTLE))}"
+                raise InputError(f"data.validation.{name}", given[name], allowed, suggestion(str(name), settings))
         settle = finite_number(f"data.validation.{SETTLE}", given.get(SETTLE, 0.0))
         if settle < 0.0:
             raise InputError(f"data.validation.{SETTLE}", settle, ">= 0 s")
-        own = {name: value for name, value in given.items() if name != SETTLE}
-        if "path" not in own and any(each.path != records[0].path for each in records):
+        segment = {name: value for name, value in given.items() if name != SETTLE}
+        if "path" not in segment and any(record.path != records[0].path for record in records):
             hint = "the records of data.records are of different files"
             raise InputError("data.validation.path", None, "the file that it is a segment of, or another one", hint)
-        path = own.get("path", records[0].path)
-        same = [number for number, each in enumerate(records) if each.path == path]
+        path = segment.get("path", records[0].path)
+        same = [number for number, record in enumerate(records) if record.path == path]
         of = same[0] if same else 0
-        window = {"start": None, "stop": None} | own
+        window = {"start": None, "stop": None} | segment
         with_window = replace(records[of], **(window | {"holdout": (), "validation": None}))
-        cut = [_seen(each, with_window) if each.path == path else (each, False) for each in records]
-        seen = tuple(replace(each, validation=None) for each, _ in cut)
+        cut = [_seen(record, with_window) if record.path == path else (record, False) for record in records]
+        seen = tuple(replace(record, validation=None) for record, _ in cut)
         before = [number for number, (_, follows) in enumerate(cut) if follows]
         if before:
             of = max(before, key=lambda number: seen[number].stop or -math.inf)
@@ -156,5 +156,5 @@ def _own_setting(setting: str) -> str:
 
 def validation_of(given: Sequence[Any]) -> ValidationData | None:
     """Of the objects that a data option built; None of those that have no such setting."""
-    records = [each for each in given if isinstance(each, MeasuredData)]
+    records = [record for record in given if isinstance(record, MeasuredData)]
     return ValidationData.among(records) if len(records) == len(given) else None

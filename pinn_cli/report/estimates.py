@@ -156,7 +156,7 @@ def observed(record: Record, quantity: str) -> np.ndarray:
     """(N, C), what sensors measured; NaN where there is none, and where one has no sample."""
     # A force that is known to be zero is 0 in the record; nobody has measured it.
     shown = np.where(record.sensors(quantity), record.histories(quantity), np.nan)
-    for channel in record.felt:
+    for channel in record.corrected:
         if channel.place[0] == quantity:
             shown[~channel.there, channel.place[1]] = np.nan
     return shown

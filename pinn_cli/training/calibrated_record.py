@@ -84,7 +84,7 @@ def as_felt(record: Record, parameters: Iterable[ParameterEstimate]) -> Record:
 
 def _with_felt(record: Record, felt: Callable[[Channel], Channel]) -> Record:
     every = tuple(felt(channel) for channel in record.calibrated)
-    return replace(record.showing(every), felt=every) if every else record
+    return replace(record.showing(every), corrected=every) if every else record
 
 
 def by_sensor(parameters: Iterable[ParameterEstimate]) -> defaultdict[str, dict[str, float]]:
@@ -98,7 +98,7 @@ def by_sensor(parameters: Iterable[ParameterEstimate]) -> defaultdict[str, dict[
 
 def sample_places(channel: Channel, found: Mapping[str, float], time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(J,), the place of each sample among the times (N,), and (J,) bool, those that are within them."""
-    felt_at = channel.felt_samples(found)[0]
+    felt_at = channel.corrected_samples(found)[0]
     step = (time[-1] - time[0]) / (len(time) - 1)
     # All samples of one sensor move alike: where it is late by half a step, each still has a place of its own.
     late = int(np.rint((channel.time[0] - felt_at[0]) / step))
@@ -109,7 +109,7 @@ def sample_places(channel: Channel, found: Mapping[str, float], time: np.ndarray
 
 def _left(channel: Channel, found: dict[str, float], time: np.ndarray, response: Response) -> np.ndarray:
     """(J,), measured minus what a channel feels in a response; NaN outside."""
-    (felt_at, felt), (place, inside) = channel.felt_samples(found), sample_places(channel, found, time)
+    (felt_at, felt), (place, inside) = channel.corrected_samples(found), sample_places(channel, found, time)
     expected, out = channel.shown_of(response, found), np.full(len(felt), np.nan)
     left = felt[inside] - BandLimited(time, expected)(felt_at[inside])
     if channel.filter_order:
