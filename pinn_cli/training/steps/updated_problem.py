@@ -94,7 +94,7 @@ def update_modes(found: Inference) -> Inference | None:
 def problem_in_own_modes(found: Inference) -> JointProblem | None:
     """The problem in the modes at a solution's parameters; None where they are those that it has."""
     before, problem = found.problem.structure, _present(found)
-    moved = not problem.structure.shares_coordinates(before) or problem.structure.damping_apart(before) > SAME_MODES
+    moved = not problem.structure.shares_coordinates(before) or problem.structure.damping_change(before) > SAME_MODES
     return problem if moved else None
 
 
