@@ -199,7 +199,7 @@ class Arriving:
             self._first, self._count = np.nan, 0
 
     def _append(self, table: Table) -> None:
-        times = self._own_times(table)
+        times = self._file_times(table)
         if self._count == 0:
             self._shift = 0.0 if times[0] > self._last else self._shift - times[0]
             self._first = times[0] + self._shift
@@ -216,7 +216,7 @@ class Arriving:
         self.table = Table(table.path, columns, odd, self.table.hints or table.hints)
         self.time = np.concatenate((self.time, time))
 
-    def _own_times(self, table: Table) -> np.ndarray:
+    def _file_times(self, table: Table) -> np.ndarray:
         """(N,), s, as the file has them."""
         if self.files.sampling_rate is not None:
             return (self.samples + np.arange(len(table))) / self.files.sampling_rate

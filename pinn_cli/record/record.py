@@ -181,7 +181,7 @@ class Record:
     def is_filtered(self) -> bool:
         """Whether every channel ends as one behind an anti-alias filter does; one that is white to the end has none."""
         columns = (self.histories(q)[:, self.sensors(q)].T for q in (*self.response_quantities, FORCE))
-        return all(level_at_end(column, self.step) is not None for every in columns for column in every if column.any())
+        return all(level_at_end(column, self.step) is not None for block in columns for column in block if column.any())
 
     def _label(self, channel: Channel) -> str:
         names = self.support_names if channel.quantity in SUPPORT else self.dofs

@@ -112,7 +112,7 @@ class ValidationData:
         try:
             record = data.measure(ndof, connections).record
         except InputError as error:
-            raise InputError(_own_setting(error.setting), error.value, error.allowed, error.hint) from error
+            raise InputError(_validation_setting(error.setting), error.value, error.allowed, error.hint) from error
         unknown = np.flatnonzero(np.isnan(record.force).any(axis=0))
         if unknown.size:
             hint = f"that on {record.dof_names(unknown)} is unknown, and what is simulated needs every force"
@@ -132,14 +132,14 @@ def _seen(data: MeasuredData, segment: MeasuredData) -> tuple[MeasuredData, bool
     from the file's start on, it begins where that ends.
     """
     start, stop = (math.inf * sign if x is None else x for sign, x in ((-1, segment.start), (1, segment.stop)))
-    own_start, own_stop = (math.inf * sign if x is None else x for sign, x in ((-1, data.start), (1, data.stop)))
-    if own_stop < start:
+    seen_start, seen_stop = (math.inf * sign if x is None else x for sign, x in ((-1, data.start), (1, data.stop)))
+    if seen_stop < start:
         return data, True
-    if own_start > stop:
+    if seen_start > stop:
         return data, False
-    if segment.start is not None and data.stop is None and own_start < start:
+    if segment.start is not None and data.stop is None and seen_start < start:
         return replace(data, stop=math.nextafter(start, -math.inf)), True
-    if segment.start is None and data.start is None and stop < own_stop:
+    if segment.start is None and data.start is None and stop < seen_stop:
         return replace(data, start=math.nextafter(stop, math.inf)), False
     given = f"{segment.start}, {segment.stop}"
     allowed = f"outside of what the estimator sees, data.start={data.start} to data.stop={data.stop}"
@@ -147,7 +147,7 @@ def _seen(data: MeasuredData, segment: MeasuredData) -> tuple[MeasuredData, bool
     raise InputError("data.validation.start, data.validation.stop", given, allowed, hint)
 
 
-def _own_setting(setting: str) -> str:
+def _validation_setting(setting: str) -> str:
     return ", ".join(
         f"data.validation.{name.removeprefix('data.')}" if name.startswith("data.") else name
         for name in setting.split(", ")
