@@ -25,7 +25,7 @@ from pinn_cli.report.published import fitness_of
 from pinn_cli.report.restoring import restoring_curves, restoring_table
 from pinn_cli.report.results import Results, RunDescription, record_folder, with_labels
 from pinn_cli.report.run_record import run_record, write_run_model
-from pinn_cli.runs.side_by_side import beside, side_by_side
+from pinn_cli.runs.side_by_side import in_a_copy, side_by_side
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import tidy, write_json, write_table
 from pinn_cli.training.calibrated_record import as_run
@@ -251,7 +251,7 @@ class RunReport:
 
         Where there is no core to spare, or copies of a process do no good, :meth:`write` draws them.
         """
-        drawn = beside(FigureShare(self.results, self.directory))
+        drawn = in_a_copy(FigureShare(self.results, self.directory))
         self._drawn = drawn.begin(FigureShare.share_out)
         try:
             yield
