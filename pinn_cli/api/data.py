@@ -70,20 +70,20 @@ def settings_of(
         raise InputError("data", "[]", "a frame, or a list of frames, one for each record")
     with ExitStack() as stack:
         entries = []
-        for number, one in enumerate(given, start=1):
-            columns, own, acting = settings_of_record(one) if isinstance(one, Record) else (one, {}, [])
+        for number, item in enumerate(given, start=1):
+            columns, of_record, acting = settings_of_record(item) if isinstance(item, Record) else (item, {}, [])
             name = f"data[{number}]" if several else "data"
-            table = named_by_content(table_of_sep005(one, name)) if is_sep005(one) else table_of(columns, name)
+            table = named_by_content(table_of_sep005(item, name)) if is_sep005(item) else table_of(columns, name)
             stack.enter_context(held(table))
-            found = _settings(table, own)
+            settings = _settings(table, of_record)
             if not any(f"{setting_of(o)}.".startswith(f"{channel}.") for o in overrides for channel in _NAMED_COLUMNS):
                 channels = channels_of(table)
                 if not channels:
                     nameless(table.columns)
-                found |= _written_channels(channels, acting)
+                settings |= _written_channels(channels, acting)
             if any(setting_of(override) in _CLOCKS for override in overrides):
-                found.pop("time", None)
-            entries.append(found)
+                settings.pop("time", None)
+            entries.append(settings)
         if _goes_on(overrides):  # with the settings that it has
             yield []
         elif several:
@@ -104,8 +104,8 @@ def settings_of_record(given: Record) -> tuple[dict[str, np.ndarray], dict[str, 
     from pinn_cli.record.response import QUANTITIES
 
     if given.calibrated:
-        told = f"a record with the sensors {', '.join(channel.key for channel in given.calibrated)}"
-        raise InputError("data", told, "one whose sensors are columns", "give a frame")
+        shown = f"a record with the sensors {', '.join(channel.key for channel in given.calibrated)}"
+        raise InputError("data", shown, "one whose sensors are columns", "give a frame")
     names = [given.dof_name(dof) for dof in range(given.ndof)]
     columns: dict[str, np.ndarray] = {"t": given.time}
     for quantity in QUANTITIES:
@@ -124,12 +124,12 @@ def _goes_on(overrides: Sequence[str]) -> bool:
     return bool(given) and given[-1] not in ("", "null", "auto", "never")
 
 
-def _settings(table: Table, own: dict[str, str]) -> dict[str, str]:
+def _settings(table: Table, of_record: dict[str, str]) -> dict[str, str]:
     """Name within `data` to value, as an override writes it, but for channels."""
     from pinn_cli.record.files.table import column_of_times
 
     times = column_of_times(table.columns)
-    return {"path": quoted(table.path.name), **own, **({"time": quoted(times)} if times in table.columns else {})}
+    return {"path": quoted(table.path.name), **of_record, **({"time": quoted(times)} if times in table.columns else {})}
 
 
 def _written(settings: dict[str, str]) -> str:
@@ -151,10 +151,10 @@ def channels_of(table: Table) -> dict[str, dict[str, str]]:
     said: list[tuple[str, str, str]] = [(_GROUND, "", name) for name in table.columns if bare(name) == _GROUND][:1]
     matches = {name: _CHANNEL.fullmatch(bare(name)) for name in table.columns}
     said += [(match[1], match[2] or match[3], name) for name, match in matches.items() if match]
-    left = [n for n in table.columns if n not in [name for _, _, name in said] and not is_called_times(n)]
-    told = [(table.hints.get(name, SensorHint()).quantity, number_in(name), name) for name in left]
-    if all(quantity and number for quantity, number, _ in told):
-        said += [(quantity, str(number), name) for quantity, number, name in told]
+    rest = [n for n in table.columns if n not in [name for _, _, name in said] and not is_called_times(n)]
+    guesses = [(table.hints.get(name, SensorHint()).quantity, number_in(name), name) for name in rest]
+    if all(quantity and number for quantity, number, _ in guesses):
+        said += [(quantity, str(number), name) for quantity, number, name in guesses]
     maps: dict[str, dict[str, str]] = {}
     for quantity, place, name in said:
         dof = str(int(place)) if place.isdecimal() else place

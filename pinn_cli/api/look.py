@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 from pinn_cli.api.data import settings_of
 from pinn_cli.api.run import ONE_AT_A_TIME, check_overrides, performed
 from pinn_cli.cli.inspecting import inspected_record, modes_of_records
-from pinn_cli.cli.job import Found, leave, look
+from pinn_cli.cli.job import Report, leave, look
 from pinn_cli.cli.options import settings_of_files
 from pinn_cli.runs.claim import current
 from pinn_cli.settings.errors import InputError
@@ -85,21 +85,21 @@ def modes(
 
 
 def _looked(
-    at: Callable[[DictConfig, Path, Said], Found],
+    at: Callable[[DictConfig, Path, Said], Report],
     word: str,
     data: Any,
     overrides: Sequence[str],
     directory: str | os.PathLike[str] | None,
     config_dir: str | os.PathLike[str] | None,
-) -> Found:
+) -> Report:
     """What the command of this word finds."""
     check_overrides(overrides, word)
-    kept: list[Found] = []
+    kept: list[Report] = []
 
     def task(composed: DictConfig) -> None:
         kept.append(look(composed, at))
         if directory is None:
-            current().left = True
+            current().untouched = True
         else:
             leave(kept[0], composed)
 
@@ -118,11 +118,11 @@ def _settings(data: Any, overrides: Sequence[str]) -> Iterator[list[str]]:
     if isinstance(data, str | os.PathLike):
         yield settings_of_files([os.fspath(Path(data).expanduser())], overrides)
         return
-    if isinstance(data, list | tuple) and any(isinstance(one, str | os.PathLike) for one in data):
+    if isinstance(data, list | tuple) and any(isinstance(item, str | os.PathLike) for item in data):
         hint = "several records: 'data=csv', 'data.records=[{path: a.csv}, {path: b.csv}]'"
         raise InputError("data", f"a list of {len(data)}", "the path of one file, or frames", hint)
     # A structure that has the names of its DOFs may be unknown as yet: numbers are always good.
     records = data if isinstance(data, list | tuple) else [data]
-    plain = [replace(one, dofs=()) if isinstance(one, Record) else one for one in records]
-    with settings_of(plain if isinstance(data, list | tuple) else plain[0], overrides, lambda names: None) as found:
-        yield found
+    plain = [replace(record, dofs=()) if isinstance(record, Record) else record for record in records]
+    with settings_of(plain if isinstance(data, list | tuple) else plain[0], overrides, lambda names: None) as settings:
+        yield settings

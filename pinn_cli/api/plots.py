@@ -87,12 +87,12 @@ class Plots:
         results = self._results if between is None else replace(self._results, shown=between)
         with undamaged("directory", place):
             drawings = [*record_drawings(results, place), *run_drawings(results, place)]
-            found: dict[str, Callable[[], Figure]] = {drawing.name: drawing.build for drawing in drawings}
+            builders: dict[str, Callable[[], Figure]] = {drawing.name: drawing.build for drawing in drawings}
             if (place / "posterior.nc").is_file():
                 draws = read_histories(place / "posterior.nc", "posterior")
                 parameters = [estimate.parameter for estimate in results.estimate.parameters]
-                found["posterior"] = partial(posterior_pairs_figure, draws, parameters, results.truth.parameters)
-        return found
+                builders["posterior"] = partial(posterior_pairs_figure, draws, parameters, results.truth.parameters)
+        return builders
 
     @property
     def names(self) -> list[str]:
@@ -168,7 +168,7 @@ def _structures(directory: Path) -> tuple[Structure, Structure, bool]:
 
 
 def _parameters(tables: Mapping[str, pd.DataFrame], prescribed: Structure) -> list[ParameterEstimate]:
-    known = {parameter.name: parameter for parameter in prescribed.every_parameter()}
+    by_name = {parameter.name: parameter for parameter in prescribed.every_parameter()}
     prior_std = {}
     if "identifiability" in tables:
         prior_std = dict(tables["identifiability"].set_index("parameter")["prior_std"])
@@ -176,9 +176,9 @@ def _parameters(tables: Mapping[str, pd.DataFrame], prescribed: Structure) -> li
     for _, row in tables["parameters"].query("estimator == 'pinn'").iterrows():
         name, unknown = str(row["parameter"]), math.isfinite(row["start"])
         kind = next((kind for kind in CALIBRATION_UNITS if name.startswith(f"{kind}_")), "")
-        found = known.get(name) or Parameter(kind, 0, label=name.removeprefix(f"{kind}_"))
+        parameter = by_name.get(name) or Parameter(kind, 0, label=name.removeprefix(f"{kind}_"))
         given, std = float(row["start"] if unknown else row["prescribed"]), float(prior_std.get(name, math.nan))
-        believed = replace(found, prescribed=given, prior_std=std, unknown=unknown)
+        believed = replace(parameter, prescribed=given, prior_std=std, unknown=unknown)
         out.append(ParameterEstimate(believed, row["estimate"], row["std"], row["lower_90"], row["upper_90"]))
     return out
 
@@ -194,19 +194,19 @@ def _response(data: xr.Dataset, suffix: str) -> Response:
 def _record(data: xr.Dataset) -> Record:
     """Its sensors; what they missed is filled by straight lines, as in figures of the run."""
     seen, unforced = _response(data, "_observed"), data["unforced"].values.astype(bool)
-    felt = []
+    channels = []
     for quantity in QUANTITIES:
         values = getattr(seen, quantity)
         gaps = np.isnan(values)
         for dof in np.flatnonzero(gaps.any(axis=0) & ~gaps.all(axis=0)).tolist():
             there = ~gaps[:, dof]
             values[:, dof] = np.interp(seen.time, seen.time[there], values[there, dof])
-            felt.append(Channel("", quantity, {dof: 1.0}, seen.time, values[:, dof], gaps=gaps[:, dof]))
+            channels.append(Channel("", quantity, {dof: 1.0}, seen.time, values[:, dof], gaps=gaps[:, dof]))
     seen.force[:, unforced] = 0.0
     names = tuple(map(str, data["dof_name"].values)) if "dof_name" in data.coords else ()
     return Record(
         **seen.measurable, unforced=unforced, intersample=data.attrs["intersample"],
-        frame=data.attrs.get("frame", "absolute"), dofs=names, felt=tuple(felt),
+        frame=data.attrs.get("frame", "absolute"), dofs=names, corrected=tuple(channels),
         responds=any(np.isfinite(getattr(seen, quantity)).any() for quantity in RESPONSE_QUANTITIES),
     )  # fmt: skip
 

@@ -96,16 +96,16 @@ class _Tables:
 
 def _table(name: str, text: str) -> cached_property[pd.DataFrame]:
     """A table as a property."""
-    found = cached_property[Any](lambda result: result._shown(result.table(name)))
-    found.__doc__ = text
-    return found
+    table = cached_property[Any](lambda result: result._shown(result.table(name)))
+    table.__doc__ = text
+    return table
 
 
 def _optional(name: str, text: str) -> cached_property[pd.DataFrame | None]:
     """A table that not every run has, as a property."""
-    found = cached_property[Any](lambda result: result._shown(result.table(name)) if name in result.tables else None)
-    found.__doc__ = text
-    return found
+    table = cached_property[Any](lambda result: result._shown(result.table(name)) if name in result.tables else None)
+    table.__doc__ = text
+    return table
 
 
 class Result(_Tables):
@@ -264,10 +264,10 @@ class SweepResult(_Tables):
     @property
     def tables(self) -> list[str]:
         """Names of all tables that its runs have, and of those of the sweep as a whole."""
-        return sorted({name for run in self.runs for name in run.tables} | set(self._own))
+        return sorted({name for run in self.runs for name in run.tables} | set(self._of_sweep))
 
     @property
-    def _own(self) -> list[str]:
+    def _of_sweep(self) -> list[str]:
         """Tables about the sweep as a whole."""
         joined = {"jobs", *(name for run in self.runs for name in run.tables)}
         return [file.stem for file in self.directory.glob("*.csv") if file.stem not in joined]
@@ -280,7 +280,7 @@ class SweepResult(_Tables):
         """
         import pandas as pd
 
-        if name in self._own or name not in self.tables:
+        if name in self._of_sweep or name not in self.tables:
             return super().table(name)
         parts = []
         for job, run in zip(self._finished, self.runs, strict=True):
@@ -299,9 +299,9 @@ class SweepResult(_Tables):
 
     def _repr_html_(self) -> str:
         """What a notebook shows: what became of every run, and a table of the sweep as a whole, if there is one."""
-        own = "\n".join(f"<b>{html.escape(name)}</b>\n{_as_html(self.table(name))}" for name in self._own)
+        tables = "\n".join(f"<b>{html.escape(name)}</b>\n{_as_html(self.table(name))}" for name in self._of_sweep)
         jobs = self.jobs.drop(columns="directory")
-        return f"{own}\n{_as_html(jobs)}\n<code>{html.escape(str(self.directory))}</code>"
+        return f"{tables}\n{_as_html(jobs)}\n<code>{html.escape(str(self.directory))}</code>"
 
 
 def _as_html(table: pd.DataFrame) -> str:

@@ -29,8 +29,8 @@ _COMPULSORY = ("name", "data", "unit_str")
 
 def is_sep005(given: Any) -> bool:
     """Whether it is a time series, or a list of them."""
-    every = given if isinstance(given, list | tuple) and given else [given]
-    return all(isinstance(one, Mapping) and {"data", "unit_str"} <= set(one) for one in every)
+    series = given if isinstance(given, list | tuple) and given else [given]
+    return all(isinstance(entry, Mapping) and {"data", "unit_str"} <= set(entry) for entry in series)
 
 
 def table_of_sep005(given: Any, setting: str) -> Table:
@@ -45,9 +45,9 @@ def table_of_sep005(given: Any, setting: str) -> Table:
     """
     series = given if isinstance(given, list | tuple) else [given]
     tables: list[Table] = []
-    for one, time in zip(series, _times(series, setting), strict=True):
-        columns = _columns(one, f"{setting}[{one.get('name')!r}]", len(time))
-        unit, code = str(one["unit_str"] or ""), str(one.get("quantity") or "")
+    for entry, time in zip(series, _times(series, setting), strict=True):
+        columns = _columns(entry, f"{setting}[{entry.get('name')!r}]", len(time))
+        unit, code = str(entry["unit_str"] or ""), str(entry.get("quantity") or "")
         quantity = SEP005_QUANTITIES.get(code) or quantity_of_unit(SensorHint(unit).unit)
         hints = {name: SensorHint(unit, quantity) for name in columns}
         tables.append(Table(Path(setting), columns, hints=hints, time=time))
@@ -90,28 +90,28 @@ def placed(table: Table, dofs: Mapping[str, int]) -> Table:
 
 def _times(series: Sequence[Mapping[str, Any]], setting: str) -> list[np.ndarray]:
     """(N,) of every series, s; from the earliest start on where all say when they begin."""
-    found, starts = [], []
-    for one in series:
-        place = f"{setting}[{one.get('name')!r}]"
+    times, starts = [], []
+    for entry in series:
+        place = f"{setting}[{entry.get('name')!r}]"
         for key in _COMPULSORY:
-            if one.get(key) is None:
-                raise InputError(f"{place}, {key}", one.get(key), "given", "SEP 5 of SDyPy asks for it")
-        samples = np.shape(one["data"])[-1] if np.ndim(one["data"]) else 0
-        if one.get("time") is not None:
-            time = _numbers(one["time"], f"{place}, time")
+            if entry.get(key) is None:
+                raise InputError(f"{place}, {key}", entry.get(key), "given", "SEP 5 of SDyPy asks for it")
+        samples = np.shape(entry["data"])[-1] if np.ndim(entry["data"]) else 0
+        if entry.get("time") is not None:
+            time = _numbers(entry["time"], f"{place}, time")
             if time.shape != (samples,) or not np.isfinite(time).all() or (np.diff(time) <= 0.0).any():
                 allowed = f"{samples} times that grow, one for each sample"
                 raise InputError(f"{place}, time", f"an array of shape {time.shape}", allowed)
-        elif one.get("fs") is not None:
-            time = np.arange(samples) / positive_number(f"{place}, fs", one["fs"])
+        elif entry.get("fs") is not None:
+            time = np.arange(samples) / positive_number(f"{place}, fs", entry["fs"])
         else:
             raise InputError(f"{place}, fs", None, "given, in Hz, or time, in s")
-        found.append(time)
-        starts.append(_start(one.get("start_timestamp"), f"{place}, start_timestamp"))
-    known = [start for start in starts if start is not None]
-    if len(known) < len(starts):
-        return found
-    return [time + (start - min(known)) for time, start in zip(found, known, strict=True)]
+        times.append(time)
+        starts.append(_start(entry.get("start_timestamp"), f"{place}, start_timestamp"))
+    known_starts = [start for start in starts if start is not None]
+    if len(known_starts) < len(starts):
+        return times
+    return [time + (start - min(known_starts)) for time, start in zip(times, known_starts, strict=True)]
 
 
 def _start(given: Any, setting: str) -> float | None:
@@ -124,8 +124,8 @@ def _start(given: Any, setting: str) -> float | None:
         raise InputError(setting, given, "a date as ISO 8601 writes it, 2026-03-01T12:00:00") from None
 
 
-def _columns(one: Mapping[str, Any], setting: str, samples: int) -> dict[str, np.ndarray]:
-    values, name = _numbers(one["data"], f"{setting}, data"), str(one["name"])
+def _columns(entry: Mapping[str, Any], setting: str, samples: int) -> dict[str, np.ndarray]:
+    values, name = _numbers(entry["data"], f"{setting}, data"), str(entry["name"])
     if values.ndim not in (1, 2) or samples == 0:
         shown = f"an array of shape {values.shape}"
         raise InputError(f"{setting}, data", shown, "samples of one channel, or (channels, samples)")

@@ -181,19 +181,19 @@ class Structure(structure.Structure):
         return cls._of(build_structure(dofs, mass, connections, drifts=drifts))
 
     @classmethod
-    def _of(cls, found: structure.Structure) -> Self:
-        return cls(**{field.name: getattr(found, field.name) for field in fields(structure.Structure)})
+    def _of(cls, built: structure.Structure) -> Self:
+        return cls(**{field.name: getattr(built, field.name) for field in fields(structure.Structure)})
 
     def modes(self) -> pd.DataFrame:
         """Natural ``frequency`` (Hz), ``damping_ratio`` and shape (``shape_1`` and so on) of every mode, about rest."""
         import pandas as pd
 
-        found = NaturalModes.of(self)
-        assert found is not None  # every parameter is given
-        table = pd.DataFrame({"mode": np.arange(1, len(found.squares) + 1), "frequency": found.frequencies})
-        table["damping_ratio"] = found.damping_ratios
+        modes = NaturalModes.of(self)
+        assert modes is not None  # every parameter is given
+        table = pd.DataFrame({"mode": np.arange(1, len(modes.squares) + 1), "frequency": modes.frequencies})
+        table["damping_ratio"] = modes.damping_ratios
         for dof in range(self.ndof):
-            table[f"shape_{self.dof_name(dof)}"] = found.shapes[dof]
+            table[f"shape_{self.dof_name(dof)}"] = modes.shapes[dof]
         return table
 
     def simulate(
@@ -235,12 +235,12 @@ class Structure(structure.Structure):
         if ground_acceleration is not None:
             ground = BandLimited(times, _shaped("ground_acceleration", ground_acceleration, times.shape))
         substeps = max(substeps_needed(self, times[1] - times[0]), _LEAST_SUBSTEPS)
-        found = simulate(
+        response = simulate(
             self, acting, times, hold, method, substeps, initial=initial, ground=ground, frame=frame  # type: ignore[arg-type]
         )  # fmt: skip
         between = INTERSAMPLE_OF_HOLD[hold]
         return Record(
-            **found.measurable, unforced=~forced, intersample=between, frame=frame, dofs=self.labels.dofs  # type: ignore[arg-type]
+            **response.measurable, unforced=~forced, intersample=between, frame=frame, dofs=self.labels.dofs  # type: ignore[arg-type]
         )  # fmt: skip
 
     def _acting(self, force: Any, time: np.ndarray) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]:

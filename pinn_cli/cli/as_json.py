@@ -17,14 +17,14 @@ def json_of(directory: Path) -> str:
 
     What is no number is null.
     """
-    found: dict[str, Any] = {"directory": str(directory)}
+    output: dict[str, Any] = {"directory": str(directory)}
     if (directory / "run.json").is_file():
         content = json.loads((directory / "run.json").read_text(encoding="utf-8"))
-        found |= {name: content.get(name) for name in _OF_RUN}
+        output |= {name: content.get(name) for name in _OF_RUN}
     for name, file in _TABLES.items():
         if (directory / file).is_file():
-            found[name] = _rows(directory / file)
-    return json.dumps(found, ensure_ascii=False, allow_nan=False)
+            output[name] = _rows(directory / file)
+    return json.dumps(output, ensure_ascii=False, allow_nan=False)
 
 
 def _rows(file: Path) -> list[dict[str, Any]]:

@@ -368,12 +368,12 @@ def _collect(jobs: Jobs, cut_off: bool = False) -> None:
     if ended is None:
         return
     sweep = ended.sweep
-    found = sweep.jobs()
-    begun = ended.begun(found)
+    all_jobs = sweep.jobs()
+    begun = ended.begun(all_jobs)
     if jobs.full_error:
         for kept in filter(None, (Failure.read(job.directory) for job in begun)):
             print(printable(kept.traceback), file=sys.stderr)
-    jobs.refused = ended.is_refused(found, begun) or (cut_off and not begun)
+    jobs.refused = ended.is_refused(all_jobs, begun) or (cut_off and not begun)
     if jobs.refused:
         jobs.reasons = list(dict.fromkeys(job.reason for job in begun))
         for reason in () if cut_off else jobs.reasons:  # of what has cut it off there is a line of its own
@@ -381,9 +381,9 @@ def _collect(jobs: Jobs, cut_off: bool = False) -> None:
         jobs.status = STATUS_INPUT if begun else jobs.status
         ended.restore()
         return
-    if all(job.status == NOT_STARTED for job in found):
+    if all(job.status == NOT_STARTED for job in all_jobs):
         return
-    collection = Collection.of(sweep, found)
+    collection = Collection.of(sweep, all_jobs)
     if not sweep.is_search:  # in which trials may fail
         jobs.status = max(jobs.status, collection.exit_status)
     jobs.directory = sweep.directory

@@ -220,12 +220,12 @@ def resolved(config: DictConfig) -> DictConfig:
 
 def _check_names(config: DictConfig) -> None:
     """A setting that nothing reads is a slip: in a config file Hydra lets it pass."""
-    known = (*VALUES, *NODES)
+    names = (*VALUES, *NODES)
     for name in config:
-        if name not in known:
-            hint = suggestion(str(name), known)
-            raise InputError(str(name), config[name], f"one of the settings {', '.join(known)}", hint)
-    for name in known:
+        if name not in names:
+            hint = suggestion(str(name), names)
+            raise InputError(str(name), config[name], f"one of the settings {', '.join(names)}", hint)
+    for name in names:
         if name not in config:
             raise InputError(name, "(missing)", "given", "the main config has it: was it deleted with ~?")
     for name in NODES:

@@ -164,8 +164,8 @@ def _help_of(word: str, config_dir: str | None) -> str:
         raise InputError("--help", group, f"a group: {', '.join(names)}", suggestion(group, names))
     options = [name for name in option_names(group, config_dir) if chosen in ("", name)]
     if not options:
-        every = list(option_names(group, config_dir))
-        raise InputError(group, chosen, f"one of {', '.join(every)}", suggestion(chosen, every))
+        all_options = list(option_names(group, config_dir))
+        raise InputError(group, chosen, f"one of {', '.join(all_options)}", suggestion(chosen, all_options))
     if len(options) > _MOST_SHOWN:
         return f"{group}: {', '.join(options)}\n`pinn-run --help {group}={options[0]}` shows one of them."
     return "\n\n".join(f"--- {group}={option}\n{_shown(group, option, config_dir)}" for option in options)

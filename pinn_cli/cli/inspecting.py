@@ -106,18 +106,18 @@ class Inspected:
         if "path" not in config.data or "format" not in config.data:
             hint = f"pinn-run {command} FILE"
             raise InputError("data", config.data.get("kind"), f"csv or another format of files with {command}", hint)
-        files, found = build(config.data.format, "data.format"), []
+        files, inspected = build(config.data.format, "data.format"), []
         system: Any = OmegaConf.to_container(config.system)
-        each = data_of_records(config.data)
-        if command == "modes" and len(each) == 1:
-            each = _by_file(each[0], files, base)
-        for number, data in enumerate(each, start=1):
-            with of_record(number, len(each)):
+        records = data_of_records(config.data)
+        if command == "modes" and len(records) == 1:
+            records = _by_file(records[0], files, base)
+        for number, data in enumerate(records, start=1):
+            with of_record(number, len(records)):
                 plain: Any = OmegaConf.to_container(data)
                 signals, time, of_times = _columns(plain | {"format": files}, base)
-                own = replace(said or Said(), settings={"data": plain, "system": system}, time=of_times)
-                found.append(cls(signals, time, frequencies, modes, own))
-        return found
+                with_settings = replace(said or Said(), settings={"data": plain, "system": system}, time=of_times)
+                inspected.append(cls(signals, time, frequencies, modes, with_settings))
+        return inspected
 
 
 def inspected_record(config: DictConfig, base: Path, said: Said) -> InspectionReport:
@@ -161,12 +161,12 @@ def _by_file(data: DictConfig, files: FileFormat, base: Path) -> list[DictConfig
         {column for column in measured.table(path, None).columns if not measured.takes_for_times(column)}
         for path in measured.paths
     ]
-    every = set[str]().union(*columns)
-    if len(every) == sum(map(len, columns)):
+    all_names = set[str]().union(*columns)
+    if len(all_names) == sum(map(len, columns)):
         return [data]
     return [
-        OmegaConf.create(plain | _of_file(plain, every - own) | {"path": path})
-        for path, own in zip(plain["path"], columns, strict=True)
+        OmegaConf.create(plain | _of_file(plain, all_names - names) | {"path": path})
+        for path, names in zip(plain["path"], columns, strict=True)
     ]
 
 
@@ -175,13 +175,15 @@ def _of_file(data: Mapping[str, Any], elsewhere: set[str]) -> dict[str, Any]:
     from pinn_cli.record.response import QUANTITIES
     from pinn_cli.system.quantities import GROUND
 
-    found: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
     for name in (*QUANTITIES, "channels"):
         if isinstance(data.get(name), Mapping):
-            found[name] = {key: one for key, one in data[name].items() if _column_of(key, one) not in elsewhere}
+            settings[name] = {
+                key: value for key, value in data[name].items() if _column_of(key, value) not in elsewhere
+            }
     if data.get(GROUND) in elsewhere:
-        found[GROUND] = None
-    return found
+        settings[GROUND] = None
+    return settings
 
 
 def _column_of(key: object, given: Any) -> str:
@@ -249,7 +251,7 @@ def _channels(data: Mapping[str, Any]) -> list[DataChannel]:
     from pinn_cli.record.response import QUANTITIES
     from pinn_cli.system.quantities import GROUND
 
-    found = []
+    channels = []
     for quantity in QUANTITIES:
         columns = data.get(quantity) or {}
         if not isinstance(columns, Mapping):
@@ -259,10 +261,10 @@ def _channels(data: Mapping[str, Any]) -> list[DataChannel]:
                 raise InputError(f"data.{quantity}", dof, "a map whose keys are different DOFs, counted from 1")
             if column is not None:
                 setting = f"data.{quantity}.{dof}"
-                found.append(DataChannel.of_column(setting, str(column), quantity, int(dof)))
+                channels.append(DataChannel.of_column(setting, str(column), quantity, int(dof)))
     if data.get(GROUND) is not None:
-        found.append(DataChannel.of_column(f"data.{GROUND}", str(data[GROUND]), GROUND))
-    return [*found, *data_channels(data.get("channels"))]
+        channels.append(DataChannel.of_column(f"data.{GROUND}", str(data[GROUND]), GROUND))
+    return [*channels, *data_channels(data.get("channels"))]
 
 
 def _signal(column: str, values: np.ndarray, unit: str, channel: DataChannel | None) -> Signal:

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from pinn_cli.training.estimate import Estimate, RunContext, Watch
     from pinn_cli.validation.validation import Setup
 
-Found = TypeVar("Found", bound="LookReport")
+Report = TypeVar("Report", bound="LookReport")
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def run_job(
         ended = finished()  # by the process that was in there
         done = ended and is_tracked(directory, composed)
     if config is None or done:
-        current().left = True
+        current().untouched = True
         text = "finished before, nothing to do"
     else:
         with nullcontext() if in_sweep or follows else signs_of_life(stages):
@@ -278,13 +278,13 @@ def find_modes(composed: DictConfig, terminal: Terminal | None = None) -> None:
     _tell(look(composed, modes_of_records), composed, terminal or Terminal())
 
 
-def _tell(found: LookReport, composed: DictConfig, terminal: Terminal) -> None:
-    directory = leave(found, composed)
-    terminal.say(found.text())
+def _tell(report: LookReport, composed: DictConfig, terminal: Terminal) -> None:
+    directory = leave(report, composed)
+    terminal.say(report.text())
     terminal.conclude(directory)
 
 
-def look(composed: DictConfig, at: Callable[[DictConfig, Path, Said], Found]) -> Found:
+def look(composed: DictConfig, at: Callable[[DictConfig, Path, Said], Report]) -> Report:
     """What a look at records finds, whose settings and columns Hydra's job has; nothing is written.
 
     Args:
@@ -304,19 +304,21 @@ def look(composed: DictConfig, at: Callable[[DictConfig, Path, Said], Found]) ->
             return at(composed, Path(runtime.cwd), said)
 
 
-def leave(found: LookReport, composed: DictConfig) -> Path:
+def leave(report: LookReport, composed: DictConfig) -> Path:
     """Write what a look has found into the job's directory, and return that."""
     directory = Path(HydraConfig.get().runtime.output_dir)
     current().lock()
     current().take()
-    found.write(directory, composed.get("figures") is not False)
+    report.write(directory, composed.get("figures") is not False)
     return directory
 
 
 def _folders(runtime: Any) -> list[str]:
     """The options that have the same folders of configurations searched."""
-    found = [Path(source.path) for source in runtime.config_sources if source.schema == SCHEME]
+    folders = [Path(source.path) for source in runtime.config_sources if source.schema == SCHEME]
     here = Path(runtime.cwd)
-    first, *others = [str(one.relative_to(here) if one.is_relative_to(here) else one) for one in found] or [""]
+    first, *others = [
+        str(folder.relative_to(here) if folder.is_relative_to(here) else folder) for folder in folders
+    ] or [""]
     further = [f"hydra.searchpath=[{','.join(quoted(f'file://{other}') for other in others)}]"] if others else []
-    return ["--config-dir", first, *further] if found else []
+    return ["--config-dir", first, *further] if folders else []

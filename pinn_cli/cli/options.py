@@ -58,8 +58,8 @@ class _Parser(ArgumentParser):
         """What argparse says, as setting, value and what is allowed."""
         unknown = re.match(r"unrecognized arguments: (\S+)", message)
         if unknown:
-            known = [name for names in (*OPTIONS, *OWN_OPTIONS) for name in names]
-            raise InputError("option", unknown[1], "one that pinn-run --help lists", suggestion(unknown[1], known))
+            options = [name for names in (*OPTIONS, *OWN_OPTIONS) for name in names]
+            raise InputError("option", unknown[1], "one that pinn-run --help lists", suggestion(unknown[1], options))
         choice = re.match(r"argument ([^:]+): invalid choice: '?([^' ]*)'? \(choose from (.*)\)", message)
         if choice:
             raise InputError(choice[1], choice[2], f"one of {choice[3]}".replace("'", ""))

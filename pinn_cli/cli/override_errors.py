@@ -120,11 +120,11 @@ def _unknown_setting(key: str, overrides: Sequence[str], config_dir: str | None)
     """`system.ndfo=3` or `sytem=linear`: no such setting; name the likeliest one, and those beside it."""
     name = next((n for n in map(setting_of, overrides) if n == key or n.startswith(f"{key}.")), key)
     kept = [override for override in overrides if setting_of(override) != name and not override.startswith("hydra.")]
-    known = setting_names(kept, config_dir)
-    beside = [other for other in known if other.rpartition(".")[0] == name.rpartition(".")[0]]
-    allowed = f"one of the settings {', '.join(beside)}" if beside else "a setting that pinn-run --cfg job lists"
+    settings = setting_names(kept, config_dir)
+    siblings = [other for other in settings if other.rpartition(".")[0] == name.rpartition(".")[0]]
+    allowed = f"one of the settings {', '.join(siblings)}" if siblings else "a setting that pinn-run --cfg job lists"
     owners = options_with(name)
-    hint = f"it belongs to {', '.join(owners)}" if owners else suggestion(name, known)
+    hint = f"it belongs to {', '.join(owners)}" if owners else suggestion(name, settings)
     return InputError(name, _given(name, overrides), allowed, hint)
 
 

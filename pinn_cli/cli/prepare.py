@@ -66,7 +66,7 @@ def prepare_problem(config: RunConfig, stages: Stages | None = None) -> Prepared
         true, prescribed = _structures(config)
     with stages("record"):
         measurements = config.source.measurements(true)
-        records = [config.observe(each.record) for each in measurements]
+        records = [config.observe(measured.record) for measured in measurements]
         validate = config.source.validate
         validation = None if validate is None else validate(true, records)
     with stages("problem"):
@@ -77,7 +77,7 @@ def prepare_problem(config: RunConfig, stages: Stages | None = None) -> Prepared
             problem = modal_problem(config.modes, prescribed, records)
             prescribed = problem.structure
         tell_if_unreached(problem)
-    truths = tuple(each.truth for each in measurements)
+    truths = tuple(measured.truth for measured in measurements)
     return PreparedProblem(true, prescribed, records[0], truths[0], problem, truths, validation)
 
 

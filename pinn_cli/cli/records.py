@@ -57,11 +57,11 @@ def data_of_records(data: DictConfig) -> list[DictConfig]:
 def _check_entry(entry: Any, setting: str, data: Mapping[str, Any]) -> None:
     if not isinstance(entry, dict) or not entry:
         raise InputError(setting, entry, "a map of settings, such as {path: a.csv}")
-    own = [name for name in data if name not in COMMON_SETTINGS]
+    names = [name for name in data if name not in COMMON_SETTINGS]
     for name in entry:
-        if name not in own:
-            hint = f"{name} is the same for all records" if name in COMMON_SETTINGS else suggestion(str(name), own)
-            raise InputError(setting, name, f"one of {', '.join(own)}", hint)
+        if name not in names:
+            hint = f"{name} is the same for all records" if name in COMMON_SETTINGS else suggestion(str(name), names)
+            raise InputError(setting, name, f"one of {', '.join(names)}", hint)
 
 
 @contextmanager

@@ -63,8 +63,8 @@ def json_schema(config_dir: str | None = None) -> Schema:
             chosen = [_option(name, node, said, f"{name}={option}: {title}") for option, node, said, title in files]
             properties[name] = {"anyOf": [{"enum": options}, *chosen]}
         else:
-            own = {key.removeprefix(f"{name}."): text for key, text in meanings.items()}
-            properties[name] = _option(name, main[name], own, "")
+            part_meanings = {key.removeprefix(f"{name}."): text for key, text in meanings.items()}
+            properties[name] = _option(name, main[name], part_meanings, "")
     experiment: Schema = {"enum": list(option_names("experiment", config_dir))}
     properties["experiment"] = {"anyOf": [experiment, {"type": "array", "items": experiment}]}
     dotted: dict[str, list[Schema]] = {}
@@ -134,11 +134,11 @@ def _setting(value: Any, hint: Any, path: str, meanings: Mapping[str, str]) -> S
         alternatives = list(schema.get("anyOf", [schema]))
         if isinstance(value, Mapping):  # of which there may be other entries
             alternatives = [
-                {**one, "properties": {
-                    key: _setting(part, hint and one["additionalProperties"], f"{path}.{key}", meanings)
+                {**alternative, "properties": {
+                    key: _setting(part, hint and alternative["additionalProperties"], f"{path}.{key}", meanings)
                     for key, part in value.items()
-                }} if "additionalProperties" in one else one
-                for one in alternatives
+                }} if "additionalProperties" in alternative else alternative
+                for alternative in alternatives
             ]  # fmt: skip
         schema = {"anyOf": [*alternatives, *([{"type": "null"}] if value is None else []), INTERPOLATION]}
     meaning = meanings.get(path)
@@ -182,13 +182,15 @@ def _hint(maker: Any, name: str) -> Any:
     if function is not None:
         parameters = inspect.signature(function).parameters
         rest = (p for p in parameters.values() if p.kind is inspect.Parameter.VAR_KEYWORD)
-        found = parameters.get(name) or next(rest, None)
-        places.insert(0, ({} if found is None else {name: found.annotation}, getattr(function, "__globals__", {})))
+        parameter = parameters.get(name) or next(rest, None)
+        places.insert(
+            0, ({} if parameter is None else {name: parameter.annotation}, getattr(function, "__globals__", {}))
+        )
     for annotated, scope in places:
         if name in annotated:
             try:
-                one = types.SimpleNamespace(__annotations__={name: annotated[name]})
-                return get_type_hints(one, scope, include_extras=True)[name]
+                holder = types.SimpleNamespace(__annotations__={name: annotated[name]})
+                return get_type_hints(holder, scope, include_extras=True)[name]
             except NameError:  # it is imported for the type checker alone, or by another module
                 continue
     return None
@@ -196,17 +198,17 @@ def _hint(maker: Any, name: str) -> Any:
 
 def _imported(name: str | None) -> Any:
     """The class or the function of a dotted name; None of one that needs a package which is not installed."""
-    module, _, own = (name or "").rpartition(".")
+    module, _, attribute = (name or "").rpartition(".")
     try:
-        return getattr(importlib.import_module(module), own) if module else None
+        return getattr(importlib.import_module(module), attribute) if module else None
     except ModuleNotFoundError:
         return None
 
 
 def _within(name: str, schema: Schema) -> Iterator[tuple[str, Schema]]:
     """Every setting in the schema of a group, by its full name."""
-    for one in schema.get("anyOf", [schema]):
-        for key, part in one.get("properties", {}).items():
+    for alternative in schema.get("anyOf", [schema]):
+        for key, part in alternative.get("properties", {}).items():
             yield f"{name}.{key}", part
             yield from _within(f"{name}.{key}", part)
 
@@ -214,4 +216,7 @@ def _within(name: str, schema: Schema) -> Iterator[tuple[str, Schema]]:
 def _has_parts(schema: Schema) -> bool:
     """Whether a setting may be a mapping with entries of the user's own."""
     alternatives = schema.get("anyOf", [schema])
-    return any("additionalProperties" in one or not {"type", "enum"} & one.keys() for one in alternatives)
+    return any(
+        "additionalProperties" in alternative or not {"type", "enum"} & alternative.keys()
+        for alternative in alternatives
+    )

@@ -57,12 +57,12 @@ class Source:
 
     def measurements(self, true: Structure) -> list[Measurements]:
         """Those of every record."""
-        each = (self.measure, *self.further)
-        found = []
-        for number, measure in enumerate(each, start=1):
-            with of_record(number, len(each)):
-                found.append(measure(true))
-        return found
+        measures = (self.measure, *self.further)
+        measurements = []
+        for number, measure in enumerate(measures, start=1):
+            with of_record(number, len(measures)):
+                measurements.append(measure(true))
+        return measurements
 
 
 def chosen_model(config: DictConfig, model_error: ModelError, base: Path | None) -> Model | None:
@@ -159,14 +159,19 @@ def _finite_elements(config: DictConfig, base: Path | None) -> Structure:
 
 def _dofs(config: DictConfig, quantities: Collection[str]) -> list[Any]:
     """DOFs on which any measured record has a sensor of some quantities."""
-    found: list[Any] = []
+    dofs: list[Any] = []
     for data in data_of_records(config.data):
         for columns in map(data.get, quantities):
-            found += columns if OmegaConf.is_config(columns) else ()
+            dofs += columns if OmegaConf.is_config(columns) else ()
         channels = data.get("channels")
-        described = [one for one in channels.values() if OmegaConf.is_dict(one)] if OmegaConf.is_dict(channels) else []
-        found += [one.dof for one in described if one.get("dof") is not None and one.get("sensor") in quantities]
-    return found
+        entries = channels.values() if OmegaConf.is_dict(channels) else ()
+        described = [channel for channel in entries if OmegaConf.is_dict(channel)]
+        dofs += [
+            channel.dof
+            for channel in described
+            if channel.get("dof") is not None and channel.get("sensor") in quantities
+        ]
+    return dofs
 
 
 def _is_simulated(config: DictConfig) -> bool:
@@ -281,8 +286,8 @@ def _validation_record(
     held: ValidationData, connections: Sequence[str], true: Structure, seen: Sequence[Record]
 ) -> ValidationRecord:
     with in_names(true.labels):
-        found = held.read(seen, true.ndof, connections)
-    return replace(found, record=named(found.record, true.labels))
+        validation = held.read(seen, true.ndof, connections)
+    return replace(validation, record=named(validation.record, true.labels))
 
 
 def _windows_of(config: DictConfig, data: Any, connections: list[str], follows: bool) -> RecordWindows | None:

@@ -209,7 +209,7 @@ def _draw_poles(axes: Axes, record: ModalRecord) -> None:
     axes.set_ylim(0, float(np.max(poles.order, initial=2)) + 1)
     axes.set_ylabel("order")
     axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
-    beside = axes.twinx()
+    twin = axes.twinx()
     values, f = record.decomposition[0], record.spectra.frequency
     seen = np.flatnonzero((f >= low) & (f <= high) & (f > 0))
     for k in range(min(values.shape[1], SINGULAR_VALUES)):
@@ -217,15 +217,15 @@ def _draw_poles(axes: Axes, record: ModalRecord) -> None:
         positive = np.where(line > 0.0, line, np.nan)
         kept = line_indices(np.nan_to_num(positive))
         look = _FIRST if k == 0 else _FURTHER
-        beside.plot(
+        twin.plot(
             f[seen][kept], positive[kept], label="singular values of the spectra" if k == 0 else None, zorder=0, **look
         )
-    beside.set_yscale("log")
+    twin.set_yscale("log")
     top = float(np.nanmax(values[seen, 0], initial=1e-300)) ** (2 if record.acting else 1)
-    beside.set_ylim(max(beside.get_ylim()[0], top * 10.0**-DECADES_OF_MODES), 3.0 * top)
-    beside.set_ylabel("singular value")
-    beside.yaxis.set_minor_locator(NullLocator())
-    axes.set_zorder(beside.get_zorder() + 1)
+    twin.set_ylim(max(twin.get_ylim()[0], top * 10.0**-DECADES_OF_MODES), 3.0 * top)
+    twin.set_ylabel("singular value")
+    twin.yaxis.set_minor_locator(NullLocator())
+    axes.set_zorder(twin.get_zorder() + 1)
     axes.patch.set_visible(False)
     if high > WIDE_BAND * low:
         axes.set_xscale("log")
@@ -238,18 +238,18 @@ def _draw_poles(axes: Axes, record: ModalRecord) -> None:
 def _reach(record: ModalRecord) -> tuple[float, float]:
     """Frequencies that are drawn, Hz."""
     f = record.spectra.frequency
-    found = [mode.frequency for mode in record.modes] or [f[1] * 4.0, f[-1]]
-    return max(min(found) / ROOM, float(f[1])), float(min(max(found) * ROOM, f[-1]))
+    frequencies = [mode.frequency for mode in record.modes] or [f[1] * 4.0, f[-1]]
+    return max(min(frequencies) / ROOM, float(f[1])), float(min(max(frequencies) * ROOM, f[-1]))
 
 
-def shapes_figure(found: ModalRecord | JoinedModes, joined: Sequence[JoinedMode] = ()) -> Figure:
+def shapes_figure(record: ModalRecord | JoinedModes, joined: Sequence[JoinedMode] = ()) -> Figure:
     """A panel for each mode.
 
     Args:
-        found: The modes.
+        record: The modes.
         joined: The same, where they are of several records: every record's own shape is drawn as points.
     """
-    shown = min(len(found.modes), MODES)
+    shown = min(len(record.modes), MODES)
     rows, across = -(-shown // ACROSS), min(shown, ACROSS)
     with style.look():
         figure, panels = style.panels(
@@ -259,27 +259,27 @@ def shapes_figure(found: ModalRecord | JoinedModes, joined: Sequence[JoinedMode]
             if number >= shown:
                 axes.set_axis_off()
                 continue
-            _draw_shape(axes, found, number)
+            _draw_shape(axes, record, number)
             for part in joined[number].parts if joined else ():
                 _draw_part(axes, joined[number], part.record)
         for axes in panels[:, 0]:
             axes.set_ylabel("displacement")
         style.legend(figure, handlelength=1.4, columnspacing=1.2)
-        if len(found.modes) > MODES:
-            style.note(figure, f"{len(found.modes) - MODES} further modes are left to modes.csv")
+        if len(record.modes) > MODES:
+            style.note(figure, f"{len(record.modes) - MODES} further modes are left to modes.csv")
     return figure
 
 
-def _draw_shape(axes: Axes, found: ModalRecord | JoinedModes, number: int) -> None:
-    shape, std = found.shapes[number].real, found.shape_std(number)
+def _draw_shape(axes: Axes, record: ModalRecord | JoinedModes, number: int) -> None:
+    shape, std = record.shapes[number].real, record.shape_std(number)
     at = np.flatnonzero(np.isfinite(shape))
     axes.axhline(0.0, **_ZERO)
     axes.errorbar(at, shape[at], HALF_WIDTH_90 * std[at], **_SHAPE)
-    axes.set_title(f"{found.modes[number].frequency:.4g} Hz", loc="left", pad=3)
-    every = -(-len(shape) // NAMES)
-    places = range(0, len(shape), every)
-    axes.set_xticks(places, [style.literal(found.names[i][:LONGEST_LABEL]) for i in places])
-    if max(len(name) for name in found.names) > 2:
+    axes.set_title(f"{record.modes[number].frequency:.4g} Hz", loc="left", pad=3)
+    stride = -(-len(shape) // NAMES)
+    places = range(0, len(shape), stride)
+    axes.set_xticks(places, [style.literal(record.names[i][:LONGEST_LABEL]) for i in places])
+    if max(len(name) for name in record.names) > 2:
         axes.tick_params(axis="x", rotation=90)
     axes.set_xlim(-0.5, len(shape) - 0.5)
     axes.set_ylim(-1.4, 1.4)

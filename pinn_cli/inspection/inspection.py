@@ -163,17 +163,17 @@ def inspect_record(
 def peak_table(peaks: Sequence[RecordMode], frequencies: np.ndarray | None) -> pd.DataFrame:
     """A row for each peak, beside the structure's nearest natural frequency; columns `PEAK_COLUMNS`."""
     rows = []
-    known = np.zeros(0) if frequencies is None else frequencies[np.isfinite(frequencies) & (frequencies > 0.0)]
+    natural = np.zeros(0) if frequencies is None else frequencies[np.isfinite(frequencies) & (frequencies > 0.0)]
     for peak in peaks:
         row = dict.fromkeys(PEAK_COLUMNS, np.nan) | {
             "frequency_hz": peak.frequency, "frequency_std_hz": peak.frequency_std,
             "damping_percent": 100.0 * peak.damping, "damping_std_percent": 100.0 * peak.damping_std,
             "explained": peak.explained,
         }  # fmt: skip
-        if len(known):
-            nearest = int(np.argmin(np.abs(np.log(known / peak.frequency))))
-            row |= {"mode": nearest + 1, "structure_hz": float(known[nearest])}
-            row["difference_percent"] = 100.0 * (float(known[nearest]) / peak.frequency - 1.0)
+        if len(natural):
+            nearest = int(np.argmin(np.abs(np.log(natural / peak.frequency))))
+            row |= {"mode": nearest + 1, "structure_hz": float(natural[nearest])}
+            row["difference_percent"] = 100.0 * (float(natural[nearest]) / peak.frequency - 1.0)
         rows.append(row)
     return pd.DataFrame(rows, columns=list(PEAK_COLUMNS))
 
@@ -237,9 +237,9 @@ def _machines(frequencies: Sequence[float]) -> Iterator[str]:
 def _hums(signals: Sequence[Signal], sampling: Sampling) -> Iterator[str]:
     acting = [sampling.on_regular(signal.values) for signal in signals if signal.is_input]
     for signal in (signal for signal in signals if not signal.is_input):
-        found = hum(sampling.on_regular(signal.values), 1.0 / sampling.rate, acting)
-        if found is not None:
-            yield f"{signal.name} hums: {found[1]:.0%} of its power is a steady line at {found[0]:g} Hz of the mains"
+        line = hum(sampling.on_regular(signal.values), 1.0 / sampling.rate, acting)
+        if line is not None:
+            yield f"{signal.name} hums: {line[1]:.0%} of its power is a steady line at {line[0]:g} Hz of the mains"
 
 
 def _of_one_dof(spectra: CrossSpectra[Signal]) -> Iterator[str]:
@@ -273,7 +273,7 @@ def _cause(ratio: float) -> str:
     if ratio < 0.0:
         sign = "; the sign of one of them is wrong?"
         return sign if abs(-ratio - 1.0) < AGREE else f"{sign}{_cause(-ratio).replace(';', ' and', 1)}"
-    unit = next((cause for known, cause in _RATIOS.items() if abs(ratio / known - 1.0) < AGREE), "")
+    unit = next((cause for expected, cause in _RATIOS.items() if abs(ratio / expected - 1.0) < AGREE), "")
     return f"; {unit}" if unit else "; a gain or a unit is wrong?"
 
 
@@ -305,15 +305,15 @@ def _ahead(spectra: CrossSpectra[Signal], peaks: Sequence[RecordMode], sensor: i
 
     Over the lines about it: those below and above are out of phase, and between two of them the phase turns.
     """
-    found, f = [], spectra.frequency
+    sines, f = [], spectra.frequency
     for peak in peaks:
         k = int(np.argmin(np.abs(f - peak.frequency)))
         if spectra.coherence[k, sensor] > max(COHERENT, spectra.chance_coherence()):
             about = np.abs(f - peak.frequency) <= max(1.5 * f[1], 2.0 * peak.damping * peak.frequency)
             turned = (1j * spectra.omega[about]) ** (2 - spectra.sensors[sensor].order)
             response = np.sum(spectra.response[about, sensor, force] * turned)
-            found.append(float(response.imag / abs(response)))
-    return found
+            sines.append(float(response.imag / abs(response)))
+    return sines
 
 
 def _against_the_ground(spectra: CrossSpectra[Signal], peaks: Sequence[RecordMode]) -> Iterator[str]:

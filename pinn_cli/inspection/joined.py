@@ -95,45 +95,45 @@ class JoinedModes:
         sensors: P of them, each once.
         names: Of these.
         joined: By frequency.
-        apart: Numbers, from 0, of records that have no sensor in common with those before them.
+        unconnected: Numbers, from 0, of records that have no sensor in common with those before them.
     """
 
     records: Sequence[ModalRecord]
     sensors: Sequence[Signal]
     names: Sequence[str]
     joined: Sequence[JoinedMode]
-    apart: Sequence[int]
+    unconnected: Sequence[int]
 
     @classmethod
     def of(cls, records: Sequence[ModalRecord]) -> JoinedModes:
         """Of records of one structure."""
         by_name: dict[str, Signal] = {}
         names = names_of(records)
-        for own, record in zip(names, records, strict=True):
-            by_name |= {name: s for name, s in zip(own, record.sensors, strict=True) if name not in by_name}
-        every = sorted(by_name, key=lambda name: (not name.isdecimal(), int(name) if name.isdecimal() else 0))
-        places = [np.array([every.index(name) for name in own]) for own in names]
+        for of_record, record in zip(names, records, strict=True):
+            by_name |= {name: s for name, s in zip(of_record, record.sensors, strict=True) if name not in by_name}
+        all_names = sorted(by_name, key=lambda name: (not name.isdecimal(), int(name) if name.isdecimal() else 0))
+        places = [np.array([all_names.index(name) for name in of_record]) for of_record in names]
         groups: list[list[Part]] = []
-        order, apart = _order(places, [len(record.modes) for record in records])
+        order, unconnected = _order(places, [len(record.modes) for record in records])
         for r in order:
             parts = [
                 Part(r, i, places[r], shape, 0.5 * records[r].noise(i).real)
                 for i, shape in enumerate(records[r].shapes)
             ]
-            _sort_in(groups, parts, records, len(every))
-        joined = [_joined(sorted(group, key=lambda part: part.record), records, len(every)) for group in groups]
-        joined.sort(key=lambda one: one.mode.frequency)
-        return cls(records, [by_name[name] for name in every], every, joined, apart)
+            _sort_in(groups, parts, records, len(all_names))
+        joined = [_joined(sorted(group, key=lambda part: part.record), records, len(all_names)) for group in groups]
+        joined.sort(key=lambda joined_mode: joined_mode.mode.frequency)
+        return cls(records, [by_name[name] for name in all_names], all_names, joined, unconnected)
 
     @property
     def modes(self) -> Sequence[RecordMode]:
         """By frequency."""
-        return [one.mode for one in self.joined]
+        return [joined_mode.mode for joined_mode in self.joined]
 
     @property
     def shapes(self) -> np.ndarray:
         """(M, P), see :attr:`JoinedMode.shape`."""
-        return np.array([one.shape for one in self.joined]).reshape(-1, len(self.sensors))
+        return np.array([joined_mode.shape for joined_mode in self.joined]).reshape(-1, len(self.sensors))
 
     def shape_std(self, number: int) -> np.ndarray:
         """(P,), of the real part of a shape."""
@@ -143,12 +143,12 @@ class JoinedModes:
     def opposed(self) -> Iterator[tuple[int, int, float]]:
         """Numbers, from 0, of modes of different records at one frequency, whose shapes differ; and their MAC."""
         for i, j in combinations(range(len(self.joined)), 2):
-            one, other = self.joined[i], self.joined[j]
-            apart = abs(np.log(one.mode.frequency / other.mode.frequency))
-            common = np.isfinite(one.shape) & np.isfinite(other.shape)
-            mac = alike(one.shape[common], other.shape[common])
-            twice = {part.record for part in one.parts} & {part.record for part in other.parts}
-            if apart < ALIKE_FREQUENCY and mac < ALIKE_SHAPE and not twice:
+            first, second = self.joined[i], self.joined[j]
+            distance = abs(np.log(first.mode.frequency / second.mode.frequency))
+            common = np.isfinite(first.shape) & np.isfinite(second.shape)
+            mac = alike(first.shape[common], second.shape[common])
+            twice = {part.record for part in first.parts} & {part.record for part in second.parts}
+            if distance < ALIKE_FREQUENCY and mac < ALIKE_SHAPE and not twice:
                 yield i, j, mac
 
     def peak(self, number: int) -> tuple[float, float]:
@@ -160,16 +160,16 @@ class JoinedModes:
 
 def _order(places: Sequence[np.ndarray], modes: Sequence[int]) -> tuple[list[int], list[int]]:
     """Records, each with sensors in common with those before it as far as there are any; and those that have none."""
-    left = sorted(range(len(places)), key=lambda r: -modes[r])
-    order, apart, known = [left.pop(0)], [], set[int]()
-    while left:
-        known |= set(places[order[-1]].tolist())
-        following = max(left, key=lambda r: len(known & set(places[r].tolist())))
-        if not known & set(places[following].tolist()):
-            apart.append(following)
-        left.remove(following)
+    rest = sorted(range(len(places)), key=lambda r: -modes[r])
+    order, unconnected, seen = [rest.pop(0)], [], set[int]()
+    while rest:
+        seen |= set(places[order[-1]].tolist())
+        following = max(rest, key=lambda r: len(seen & set(places[r].tolist())))
+        if not seen & set(places[following].tolist()):
+            unconnected.append(following)
+        rest.remove(following)
         order.append(following)
-    return order, sorted(apart)
+    return order, sorted(unconnected)
 
 
 def _sort_in(groups: list[list[Part]], parts: Sequence[Part], records: Sequence[ModalRecord], places: int) -> None:
@@ -179,13 +179,13 @@ def _sort_in(groups: list[list[Part]], parts: Sequence[Part], records: Sequence[
     for j, group in enumerate(groups):
         theirs, so_far = _mode(group[0], records), _assembled(group, places)[0]
         for i, part in enumerate(parts):
-            own, there = _mode(part, records), np.isfinite(so_far[part.places])
-            apart = abs(np.log(own.frequency / theirs.frequency))
-            deviation = float(own.covariance[0, 0] + theirs.covariance[0, 0]) ** 0.5
+            mode, there = _mode(part, records), np.isfinite(so_far[part.places])
+            distance = abs(np.log(mode.frequency / theirs.frequency))
+            deviation = float(mode.covariance[0, 0] + theirs.covariance[0, 0]) ** 0.5
             reach = max(ALIKE_FREQUENCY, SAME_DEVIATIONS * deviation)
             mac = alike(part.shape[there], so_far[part.places][there])
-            if there.any() and apart < reach and not mac < ALIKE_SHAPE:
-                cost[i, j] = apart / reach + 1.0 - np.nan_to_num(mac, nan=1.0)
+            if there.any() and distance < reach and not mac < ALIKE_SHAPE:
+                cost[i, j] = distance / reach + 1.0 - np.nan_to_num(mac, nan=1.0)
     pairs = {i: j for i, j in zip(*linear_sum_assignment(cost), strict=True) if cost[i, j] < far}
     for i, part in enumerate(parts):
         if i in pairs:
@@ -223,11 +223,11 @@ def _joined(parts: Sequence[Part], records: Sequence[ModalRecord], places: int) 
 def _assembled(parts: Sequence[Part], places: int) -> tuple[np.ndarray, np.ndarray]:
     """The shape (P,) of all parts, NaN where there is none, and the scale of each: alternating least squares."""
     shape = np.full(places, np.nan, dtype=complex)
-    left = sorted(parts, key=lambda part: -len(part.places))
+    rest = sorted(parts, key=lambda part: -len(part.places))
     scaled: list[tuple[Part, complex]] = []
-    while left:  # a start: one after the other, by what is known
-        part = max(left, key=lambda part: int(np.isfinite(shape[part.places]).sum()))
-        left.remove(part)
+    while rest:  # a start: one after the other, by what is known
+        part = max(rest, key=lambda part: int(np.isfinite(shape[part.places]).sum()))
+        rest.remove(part)
         scale = _scale(part, shape) if scaled else 1.0 + 0.0j
         new = part.places[~np.isfinite(shape[part.places])]
         shape[new] = part.shape[~np.isfinite(shape[part.places])] / (scale or 1.0)
@@ -253,8 +253,8 @@ def _assembled(parts: Sequence[Part], places: int) -> tuple[np.ndarray, np.ndarr
 def _scale(part: Part, shape: np.ndarray) -> complex:
     """What a shape (P,) is multiplied by to be nearest to a record's."""
     there = np.isfinite(shape[part.places])
-    own, of_all, weights = part.shape[there], shape[part.places][there], part.weights[there]
-    return complex(np.sum(weights * of_all.conj() * own) / max(np.sum(weights * np.abs(of_all) ** 2), 1e-300))
+    of_part, of_all, weights = part.shape[there], shape[part.places][there], part.weights[there]
+    return complex(np.sum(weights * of_all.conj() * of_part) / max(np.sum(weights * np.abs(of_all) ** 2), 1e-300))
 
 
 def _deviations(parts: Sequence[Part], shape: np.ndarray, scales: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -265,25 +265,25 @@ def _deviations(parts: Sequence[Part], shape: np.ndarray, scales: np.ndarray) ->
     seen, largest = np.flatnonzero(np.isfinite(shape)), int(np.nanargmax(np.abs(shape.real)))
     column = {int(place): i for i, place in enumerate(place for place in seen if place != largest)}
     columns, rows = len(column) + len(parts), sum(len(part.places) for part in parts)
-    slopes, noise, left, at = np.zeros((rows, columns)), np.zeros((rows, rows)), np.zeros(rows), 0
+    slopes, noise, residual, at = np.zeros((rows, columns)), np.zeros((rows, rows)), np.zeros(rows), 0
     for i, (part, scale) in enumerate(zip(parts, scales, strict=True)):
-        own = slice(at, at + len(part.places))
+        block = slice(at, at + len(part.places))
         for row, place in enumerate(part.places, start=at):
             if place in column:
                 slopes[row, column[place]] = abs(scale)
-        slopes[own, len(column) + i] = shape.real[part.places]
-        noise[own, own] = part.noise
+        slopes[block, len(column) + i] = shape.real[part.places]
+        noise[block, block] = part.noise
         turned = part.shape * np.exp(-1j * np.angle(scale))
-        left[own] = turned.real - abs(scale) * shape.real[part.places]
+        residual[block] = turned.real - abs(scale) * shape.real[part.places]
         at += len(part.places)
     root = np.sqrt(np.concatenate([part.weights for part in parts]))
     inverse = np.linalg.pinv(slopes * root[:, None], rcond=1e-12) * root
     rest = (np.eye(rows) - slopes @ inverse) * root[:, None]
     expected = float(np.trace(rest @ noise @ rest.T))
     usual = expected > 1e-9 * rows and rows > columns
-    wider = max(float(np.sum((root * left) ** 2)) / expected, 1.0) if usual else 1.0
-    found = np.sqrt(wider * np.maximum(np.diag(inverse @ noise @ inverse.T), 0.0))
+    wider = max(float(np.sum((root * residual) ** 2)) / expected, 1.0) if usual else 1.0
+    std = np.sqrt(wider * np.maximum(np.diag(inverse @ noise @ inverse.T), 0.0))
     deviations = np.full(len(shape), np.nan)
     deviations[largest] = 0.0
-    deviations[list(column)] = found[: len(column)]
-    return deviations, found[len(column) :] / np.maximum(np.abs(scales), 1e-300)
+    deviations[list(column)] = std[: len(column)]
+    return deviations, std[len(column) :] / np.maximum(np.abs(scales), 1e-300)

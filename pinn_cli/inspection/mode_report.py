@@ -61,21 +61,21 @@ class ModesReport(LookReport):
     @cached_property
     def tables(self) -> Mapping[str, pd.DataFrame]:
         """``modes``, ``mac`` and ``spectra``; of several records ``modes_of_records`` too."""
-        found = {"modes": mode_table(self.shown, self.structure), "mac": mac_table(self.records)}
+        tables = {"modes": mode_table(self.shown, self.structure), "mac": mac_table(self.records)}
         if self.joined is not None:
-            found["modes"] = _with_agreement(found["modes"], self.joined)
-            found["modes_of_records"] = _below([mode_table(record, self.structure) for record in self.records])
-        return found | {"spectra": _below([spectra_table(record.spectra) for record in self.records])}
+            tables["modes"] = _with_agreement(tables["modes"], self.joined)
+            tables["modes_of_records"] = _below([mode_table(record, self.structure) for record in self.records])
+        return tables | {"spectra": _below([spectra_table(record.spectra) for record in self.records])}
 
     @property
     def drawings(self) -> Mapping[str, Callable[[], Figure]]:
         """``stabilisation``: poles by order over the singular values of the spectra; ``shapes``, of modes."""
         from pinn_cli.inspection.figures import shapes_figure, stabilisation_figure
 
-        found: dict[str, Callable[[], Figure]] = {"stabilisation": partial(stabilisation_figure, self.records)}
+        drawings: dict[str, Callable[[], Figure]] = {"stabilisation": partial(stabilisation_figure, self.records)}
         if len(self.modes):
-            found["shapes"] = partial(shapes_figure, self.shown, self.joined.joined if self.joined else ())
-        return found
+            drawings["shapes"] = partial(shapes_figure, self.shown, self.joined.joined if self.joined else ())
+        return drawings
 
     @property
     def modes(self) -> pd.DataFrame:
@@ -111,7 +111,7 @@ def mode_table(record: ModalRecord | JoinedModes, structure: NaturalModes | None
         record: With its modes.
         structure: Whose modes stand beside; None: no parameters were given.
     """
-    beside = _partners(record, structure)
+    partners = _partners(record, structure)
     rows = []
     for i, mode in enumerate(record.modes):
         row = dict.fromkeys(MODE_COLUMNS, np.nan) | {
@@ -120,8 +120,8 @@ def mode_table(record: ModalRecord | JoinedModes, structure: NaturalModes | None
         row["lower_90"], row["upper_90"] = mode.frequency_interval
         row["damping_ratio_lower_90"], row["damping_ratio_upper_90"] = mode.damping_interval
         row["fdd_frequency"], row["fdd_mac"] = record.peak(i)
-        if structure is not None and i in beside:
-            other, row["mac"] = beside[i]
+        if structure is not None and i in partners:
+            other, row["mac"] = partners[i]
             row["prescribed_frequency"] = float(structure.frequencies[other])
             row["prescribed_damping_ratio"] = float(structure.damping_ratios[other])
         for name, value, std in zip(record.names, record.shapes[i].real, record.shape_std(i), strict=True):
@@ -139,14 +139,14 @@ def _partners(record: ModalRecord | JoinedModes, structure: NaturalModes | None)
     at = [(i, int(s.place) - 1) for i, s in enumerate(record.sensors) if s.quantity in MOTION and s.place.isdecimal()]
     at = [(i, dof) for i, dof in at if dof < len(structure.of_dofs)]
     f = np.array([mode.frequency for mode in record.modes])
-    apart = np.abs(np.log(f[:, None] / structure.frequencies[usable]))
-    alike = np.full(apart.shape, np.nan)
+    distance = np.abs(np.log(f[:, None] / structure.frequencies[usable]))
+    alike = np.full(distance.shape, np.nan)
     for i, shape in enumerate(record.shapes):
         there = [(sensor, dof) for sensor, dof in at if np.isfinite(shape[sensor])]
         if len(there) >= FEWEST_SENSORS:
             sensors, dofs = map(list, zip(*there, strict=True))
             alike[i] = assurance(shape[None, sensors], structure.of_dofs[dofs][:, usable].T)[0]
-    pairs = linear_sum_assignment(apart + 1.0 - np.nan_to_num(alike))
+    pairs = linear_sum_assignment(distance + 1.0 - np.nan_to_num(alike))
     return {int(i): (int(usable[j]), float(alike[i, j])) for i, j in zip(*pairs, strict=True)}
 
 
@@ -161,10 +161,10 @@ def _below(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
 def _with_agreement(table: pd.DataFrame, joined: JoinedModes) -> pd.DataFrame:
     """With columns that say which records show a mode, and how well they agree."""
     values = {
-        "records": [" ".join(str(part.record + 1) for part in one.parts) for one in joined.joined],
-        "frequency_agreement": [one.agreement[0] for one in joined.joined],
-        "damping_agreement": [one.agreement[1] for one in joined.joined],
-        "least_record_mac": [float(np.min(one.mac)) if len(one.parts) > 1 else np.nan for one in joined.joined],
+        "records": [" ".join(str(part.record + 1) for part in mode.parts) for mode in joined.joined],
+        "frequency_agreement": [mode.agreement[0] for mode in joined.joined],
+        "damping_agreement": [mode.agreement[1] for mode in joined.joined],
+        "least_record_mac": [float(np.min(mode.mac)) if len(mode.parts) > 1 else np.nan for mode in joined.joined],
     }
     place = list(table.columns).index("explained") + 1
     return pd.concat([table.iloc[:, :place], pd.DataFrame(values), table.iloc[:, place:]], axis=1)
@@ -173,12 +173,12 @@ def _with_agreement(table: pd.DataFrame, joined: JoinedModes) -> pd.DataFrame:
 def _doubts(joined: JoinedModes) -> list[str]:
     """What is to be said of records that do not go together."""
     lines = []
-    for r in joined.apart:
+    for r in joined.unconnected:
         says = f"record {r + 1} has no sensor in common with those before it: its modes stand by themselves"
         lines += marked_lines(f"{says}; name the same DOF, or column, where a reference sensor stayed in its place")
-    for number_, one in enumerate(joined.joined, start=1):
+    for number_, mode in enumerate(joined.joined, start=1):
         lines += [
-            line for sentence in _differences(one, joined) for line in marked_lines(f"mode {number_}: {sentence}")
+            line for sentence in _differences(mode, joined) for line in marked_lines(f"mode {number_}: {sentence}")
         ]
     for i, j, alike in joined.opposed:
         says = (
@@ -188,21 +188,21 @@ def _doubts(joined: JoinedModes) -> list[str]:
     return lines
 
 
-def _differences(one: JoinedMode, joined: JoinedModes) -> Iterator[str]:
-    modes = [(part.record + 1, joined.records[part.record].modes[part.mode]) for part in one.parts]
-    if one.agreement[0] < RARE_CHANCE:
-        each = ", ".join(f"{number(mode.frequency, 5)} in record {r}" for r, mode in modes)
-        yield f"frequencies differ beyond their intervals ({each} Hz): did temperature, mass or level change?"
-    if one.agreement[1] < RARE_CHANCE:
-        each = ", ".join(f"{number(100.0 * mode.damping, 3)} in record {r}" for r, mode in modes)
-        yield f"damping ratios differ beyond their intervals ({each} %)"
-    if len(modes) > 1 and np.min(one.mac) < LEAST_ALIKE:
-        worst = int(np.argmin(one.mac))
-        says = f"the shape of record {modes[worst][0]} differs from that of all (MAC {one.mac[worst]:.2f})"
+def _differences(joined_mode: JoinedMode, joined: JoinedModes) -> Iterator[str]:
+    modes = [(part.record + 1, joined.records[part.record].modes[part.mode]) for part in joined_mode.parts]
+    if joined_mode.agreement[0] < RARE_CHANCE:
+        frequencies = ", ".join(f"{number(mode.frequency, 5)} in record {r}" for r, mode in modes)
+        yield f"frequencies differ beyond their intervals ({frequencies} Hz): did temperature, mass or level change?"
+    if joined_mode.agreement[1] < RARE_CHANCE:
+        ratios = ", ".join(f"{number(100.0 * mode.damping, 3)} in record {r}" for r, mode in modes)
+        yield f"damping ratios differ beyond their intervals ({ratios} %)"
+    if len(modes) > 1 and np.min(joined_mode.mac) < LEAST_ALIKE:
+        worst = int(np.argmin(joined_mode.mac))
+        says = f"the shape of record {modes[worst][0]} differs from that of all (MAC {joined_mode.mac[worst]:.2f})"
         yield f"{says}: is a sensor elsewhere, or its sign or unit another one?"
-    if len(modes) > 1 and np.max(one.scale_std) > LOOSE:
-        worst = int(np.argmax(one.scale_std))
-        within = f"within {100.0 * one.scale_std[worst]:.0f} % (one standard deviation)"
+    if len(modes) > 1 and np.max(joined_mode.scale_std) > LOOSE:
+        worst = int(np.argmax(joined_mode.scale_std))
+        within = f"within {100.0 * joined_mode.scale_std[worst]:.0f} % (one standard deviation)"
         yield f"reference sensors tell the size of its shape in record {modes[worst][0]} {within} only"
 
 
@@ -242,11 +242,11 @@ def _frequencies(table: pd.DataFrame) -> list[str]:
 
 def _digits(table: pd.DataFrame, value: str, lower: str, upper: str, factor: float) -> list[tuple[str, str]]:
     """Ends of intervals with as many digits as tell them apart."""
-    found = []
+    texts = []
     for centre, a, b in zip(table[value], table[lower], table[upper], strict=True):
         digits = max(2, int(np.ceil(np.log10(max(centre / max(b - a, 1e-300), 1.0)))) + 2)
-        found.append((number(factor * a, min(digits, 9)), number(factor * b, min(digits, 9))))
-    return found
+        texts.append((number(factor * a, min(digits, 9)), number(factor * b, min(digits, 9))))
+    return texts
 
 
 def _shapes(record: ModalRecord | JoinedModes) -> list[str]:

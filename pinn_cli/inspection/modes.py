@@ -90,13 +90,13 @@ class ModalRecord:
     @cached_property
     def _to_displacements(self) -> list[np.ndarray]:
         """Of every mode (S,), what turns its shape into displacements that are as near to real as it goes."""
-        found = []
+        scales = []
         for mode in self.modes:
             factors = (2j * np.pi * mode.frequency) ** -self._orders.astype(float)
             factors = factors * np.exp(-0.5j * np.angle(np.sum((mode.shape * factors) ** 2)))
             shape = (mode.shape * factors).real
-            found.append(factors / shape[np.argmax(np.abs(shape))])
-        return found
+            scales.append(factors / shape[np.argmax(np.abs(shape))])
+        return scales
 
     @property
     def _orders(self) -> np.ndarray:
@@ -148,9 +148,9 @@ class ModalRecord:
         return float(f[top]), alike(vectors[top, :, 0], mode.shape)
 
 
-def alike(one: np.ndarray, other: np.ndarray) -> float:
+def alike(first: np.ndarray, second: np.ndarray) -> float:
     """MAC of two shapes (S,); NaN where fewer sensors say nothing."""
-    return float(assurance(one[None], other[None])[0, 0]) if len(one) >= FEWEST_SENSORS else np.nan
+    return float(assurance(first[None], second[None])[0, 0]) if len(first) >= FEWEST_SENSORS else np.nan
 
 
 def names_of(records: Sequence[ModalRecord]) -> list[list[str]]:
@@ -164,15 +164,17 @@ def mac_table(records: Sequence[ModalRecord]) -> pd.DataFrame:
 
     Columns ``record``, ``mode``, ``frequency``, and one for each mode, ``record_1_mode_1``; NaN with fewer than two.
     """
-    every = [(r, i) for r, record in enumerate(records) for i in range(len(record.modes))]
-    values, names = np.full((len(every), len(every)), np.nan), names_of(records)
-    for a, (r, i) in enumerate(every):
-        for b, (q, j) in enumerate(every):
+    modes = [(r, i) for r, record in enumerate(records) for i in range(len(record.modes))]
+    values, names = np.full((len(modes), len(modes)), np.nan), names_of(records)
+    for a, (r, i) in enumerate(modes):
+        for b, (q, j) in enumerate(modes):
             common = [name for name in names[r] if name in names[q]]
             at = ([names[n].index(name) for name in common] for n in (r, q))
-            values[a, b] = alike(*(records[n].shapes[m][own] for n, m, own in zip((r, q), (i, j), at, strict=True)))
-    found = pd.DataFrame(values, columns=[f"record_{r + 1}_mode_{i + 1}" for r, i in every])
-    found.insert(0, "record", [r + 1 for r, _ in every])
-    found.insert(1, "mode", [i + 1 for _, i in every])
-    found.insert(2, "frequency", [records[r].modes[i].frequency for r, i in every])
-    return found
+            values[a, b] = alike(
+                *(records[n].shapes[m][sensors] for n, m, sensors in zip((r, q), (i, j), at, strict=True))
+            )
+    table = pd.DataFrame(values, columns=[f"record_{r + 1}_mode_{i + 1}" for r, i in modes])
+    table.insert(0, "record", [r + 1 for r, _ in modes])
+    table.insert(1, "mode", [i + 1 for _, i in modes])
+    table.insert(2, "frequency", [records[r].modes[i].frequency for r, i in modes])
+    return table

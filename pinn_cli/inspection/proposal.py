@@ -89,14 +89,18 @@ class Look:
     strange: Collection[str] = ()
 
     @property
-    def known(self) -> list[Signal]:
+    def identified(self) -> list[Signal]:
         """The columns of which it is known what they are."""
         return [signal for signal in self.signals if signal.quantity]
 
     @property
     def dofs(self) -> set[int]:
         """Those with a sensor or a force, counted from 1."""
-        return {int(one.place) for one in self.known if one.place.isdecimal() and one.quantity not in SUPPORT}
+        return {
+            int(signal.place)
+            for signal in self.identified
+            if signal.place.isdecimal() and signal.quantity not in SUPPORT
+        }
 
 
 def proposed_settings(said: Said, look: Look) -> tuple[list[str], list[str]]:
@@ -138,7 +142,7 @@ def _structure(said: Said, look: Look) -> tuple[list[str], list[str], int]:
     kinds = [kind for kind in ("k", "c") if not said.has("system", kind)]
     kinds = [kind for kind in kinds if kind != "c" or not said.has("system", "damping")]
     if not said.has("system", *_MASSES) and said.chosen.get("system") not in ("structure", "matrices"):
-        if any(signal.quantity == FORCE for signal in look.known):
+        if any(signal.quantity == FORCE for signal in look.identified):
             kinds, remarks = ["m", *kinds], [_MASSES_TOO]
         else:
             added.append("system.m=1")
@@ -152,7 +156,9 @@ def _structure(said: Said, look: Look) -> tuple[list[str], list[str], int]:
 
 def _ndof(said: Said, look: Look) -> int:
     """As given; as many as have sensors, where these are the first ones; else also as natural frequencies."""
-    given = next((one.partition("=")[2] for one in said.overrides if setting_of(one) == "system.ndof"), "")
+    given = next(
+        (override.partition("=")[2] for override in said.overrides if setting_of(override) == "system.ndof"), ""
+    )
     given = given or str((said.settings.get("system") or {}).get("ndof", "")) * said.chooses("system")
     if given.isdecimal():
         return int(given)
@@ -164,13 +170,13 @@ def _ndof(said: Said, look: Look) -> int:
 def _is_driven(said: Said, look: Look) -> bool:
     """Whether something that acts is measured, or said to act unmeasured."""
     forces = (said.settings.get("data") or {}).get("force") or {}
-    return any(signal.is_input for signal in look.known) or bool(forces) or said.names("data.force")
+    return any(signal.is_input for signal in look.identified) or bool(forces) or said.names("data.force")
 
 
 def _assigned(look: Look) -> list[str]:
     """``data.acceleration={1: a1}``, the first column of a quantity and DOF alone, and ``data.channels`` for others."""
     places: dict[str, dict[str, str]] = {}
-    for signal in (one for one in look.known if one.quantity not in SUPPORT):
+    for signal in (signal for signal in look.identified if signal.quantity not in SUPPORT):
         if not _is_special(signal, look):
             places.setdefault(signal.quantity, {}).setdefault(str(int(signal.place or 0)), signal.column)
     words = {
@@ -179,7 +185,7 @@ def _assigned(look: Look) -> list[str]:
     }
     if GROUND in places:
         words[GROUND] = text_value(next(iter(places[GROUND].values())))
-    special = [_channel(signal, look) for signal in look.known if _is_special(signal, look)]
+    special = [_channel(signal, look) for signal in look.identified if _is_special(signal, look)]
     words |= {"channels": "{" + ", ".join(special) + "}"} if special else {}
     return [f"data.{quantity}={text}" for quantity, text in words.items()]
 
@@ -189,8 +195,9 @@ def _with_offsets(said: Said, look: Look) -> list[str]:
     typed, others = said.names("data.acceleration"), said.names("data.channels")
     if not typed or others or not look.offsets:
         return []
-    own = [text for text in _assigned(look) if setting_of(text) in ("data.acceleration", "data.channels")]
-    return own if any(setting_of(text) == "data.acceleration" for text in own) else [*own, "data.acceleration={}"]
+    settings = [text for text in _assigned(look) if setting_of(text) in ("data.acceleration", "data.channels")]
+    has_map = any(setting_of(text) == "data.acceleration" for text in settings)
+    return settings if has_map else [*settings, "data.acceleration={}"]
 
 
 def _is_special(signal: Signal, look: Look) -> bool:
@@ -211,7 +218,7 @@ def _channel(signal: Signal, look: Look) -> str:
 
 def _decimation(look: Look) -> Iterator[str]:
     """Where no sample is missing: the filter needs all."""
-    signals, sampling, highest = look.known or look.signals, look.sampling, look.highest
+    signals, sampling, highest = look.identified or look.signals, look.sampling, look.highest
     whole = not sampling.holes and all(np.isfinite(signal.values).all() for signal in signals)
     if whole and highest > 0.0 and sampling.rate >= PLENTY * highest:
         yield f"data.decimate={int(sampling.rate / (NEEDED * highest))}"

@@ -222,8 +222,8 @@ def spectra_table(spectra: CrossSpectra[Signal]) -> pd.DataFrame:
     and ``coherence_SENSOR`` with all that acts, 0 to 1. A channel is called ``acceleration_3``.
     """
     sensors, acting = len(spectra.sensors), len(spectra.acting)
-    every = [*spectra.sensors, *spectra.acting]
-    names, units = _names(every), [_in_brackets(signal.shown_unit) for signal in every]
+    signals = [*spectra.sensors, *spectra.acting]
+    names, units = _names(signals), [_in_brackets(signal.shown_unit) for signal in signals]
     columns: dict[str, np.ndarray] = {"frequency_hz": spectra.frequency}
     for i, (name, unit) in enumerate(zip(names, units, strict=True)):
         columns[_headed(f"psd_{name}", f"{unit}^2/Hz" if unit else "")] = spectra.density[:, i]

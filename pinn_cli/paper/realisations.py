@@ -82,21 +82,21 @@ def solve(realisation: Realisation) -> dict[str, Any]:
         config = RunConfig.read(compose_config(realisation.overrides))
         prepared = prepare_problem(config)
     record, truth, context = prepared.record, prepared.truth, RunContext(config.device, config.seed)
-    found: dict[str, Any] = {"fitness": [], "parameters": [], "strength": _nonlinear_strength(prepared), "failure": ""}
+    scores: dict[str, Any] = {"fitness": [], "parameters": [], "strength": _nonlinear_strength(prepared), "failure": ""}
     try:
         with stages("estimate"):
             estimate = config.estimator.solve(prepared.problem, context)
         with stages("baseline"):
             smoothed = baseline_estimate(config.baseline, prepared.problem, context)
     except DivergenceError as error:
-        return found | {"seconds": stages.seconds, "failure": str(error).partition("\n")[0]}
+        return scores | {"seconds": stages.seconds, "failure": str(error).partition("\n")[0]}
     run = config.description
     estimates = {PINN: estimate} | ({run.baseline: smoothed} if smoothed else {})
-    tables = [estimator_tables(name, run, each, record, truth) for name, each in estimates.items()]
-    fitness, parameters = (below(*every) for every in zip(*tables, strict=True))
+    tables = [estimator_tables(name, run, of_estimator, record, truth) for name, of_estimator in estimates.items()]
+    fitness, parameters = (below(*parts) for parts in zip(*tables, strict=True))
     fitness = fitness[~fitness["group"].str.startswith("dof_")]
     rows = {"fitness": fitness.to_dict("records"), "parameters": parameters.to_dict("records")}
-    return found | rows | {"seconds": stages.seconds}
+    return scores | rows | {"seconds": stages.seconds}
 
 
 def _nonlinear_strength(prepared: PreparedProblem) -> float | None:
@@ -113,12 +113,12 @@ class ScoredRealisations:
     """Those realisations whose scores are there and up to date.
 
     Attributes:
-        found: To each its scores, as `solve` returns them.
+        by_realisation: To each its scores, as `solve` returns them.
         missing: Those without.
         failures: What went wrong, a line each; diverged trainings included.
     """
 
-    found: Mapping[Realisation, Mapping[str, Any]]
+    by_realisation: Mapping[Realisation, Mapping[str, Any]]
     missing: Sequence[Realisation]
     failures: Sequence[str]
 
@@ -127,10 +127,14 @@ class ScoredRealisations:
         cls, realisations: Sequence[Realisation], directory: Path, refused: Sequence[str] = ()
     ) -> ScoredRealisations:
         """What is there and up to date in a folder of ``<name>.json``, and why some were refused; nothing is solved."""
-        contents = {one: kept(one, directory) for one in realisations}
-        found = {one: content for one, content in contents.items() if content is not None}
-        failures = [f"{one.name}: {scores['failure']}" for one, scores in found.items() if scores["failure"]]
-        return cls(found, [one for one in realisations if one not in found], [*failures, *refused])
+        contents = {realisation: kept(realisation, directory) for realisation in realisations}
+        scored = {realisation: content for realisation, content in contents.items() if content is not None}
+        failures = [
+            f"{realisation.name}: {scores['failure']}" for realisation, scores in scored.items() if scores["failure"]
+        ]
+        return cls(
+            scored, [realisation for realisation in realisations if realisation not in scored], [*failures, *refused]
+        )
 
     @classmethod
     def made(cls, realisations: Sequence[Realisation], directory: Path, solver: Solver = solve) -> ScoredRealisations:
@@ -140,7 +144,7 @@ class ScoredRealisations:
     @property
     def seconds(self) -> float:
         """That all of them took, one after the other."""
-        return sum(float(scores["seconds"]["total"]) for scores in self.found.values())
+        return sum(float(scores["seconds"]["total"]) for scores in self.by_realisation.values())
 
     def rows(self, table: str) -> pd.DataFrame:
         """The ``fitness`` or ``parameters`` of all, one below the other.
@@ -148,7 +152,7 @@ class ScoredRealisations:
         The first columns are the realisations' own, with the strength where they have any.
         """
         return pd.DataFrame(
-            {**({**dict(one.columns), "strength": scores["strength"]} if one.columns else {}), **row}
-            for one, scores in self.found.items()
+            {**({**dict(realisation.columns), "strength": scores["strength"]} if realisation.columns else {}), **row}
+            for realisation, scores in self.by_realisation.items()
             for row in scores[table]
         )

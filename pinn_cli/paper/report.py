@@ -106,8 +106,8 @@ def copy_figures(runs: Sequence[FinishedRun], directory: Path) -> dict[int, Path
         for ending in PICTURE_FORMATS if figure.run in sources else ():
             picture, copy = sources[figure.run] / f"{figure.picture}.{ending}", directory / f"{figure.name}.{ending}"
             if picture.exists():
-                with replacing(copy) as beside:
-                    shutil.copyfile(picture, beside)
+                with replacing(copy) as temporary:
+                    shutil.copyfile(picture, temporary)
                 copies.setdefault(figure.number, copy)
     return copies
 
@@ -162,21 +162,21 @@ class Shortfall:
 
 def shortfalls(tables: Sequence[PaperTable], seeds: SeedScores) -> list[Shortfall]:
     """Those of the default variants, in the tables' order; what other draws of the noise say is among the reasons."""
-    found: list[Shortfall] = []
+    shortfalls: list[Shortfall] = []
     for table in tables:
         rows, name = table.comparison, table.sheet.name.replace("table", "Table ")
         for column, describe in (("below_published", _of_fitness), ("larger_error", _of_parameter)):
             if column in rows:
                 worse = rows[(rows["variant"] == table.default) & rows[column].astype(bool)]
-                found += [Shortfall(name, *describe(row, rows, seeds)) for row in worse.to_dict(orient="records")]
-    return found
+                shortfalls += [Shortfall(name, *describe(row, rows, seeds)) for row in worse.to_dict(orient="records")]
+    return shortfalls
 
 
 def _of_fitness(row: dict[Any, Any], rows: pd.DataFrame, seeds: SeedScores) -> tuple[str, str, str, str]:
     """All but the table's name."""
     key = {name: row[name] for name in ("case", "group", "quantity")}
-    beside = _where(rows, {**key, "variant": SMOOTHER.name})["range_fitness_percent"]
-    reason = fitness_reason(row["range_fitness_percent"], float(next(iter(beside), math.nan)))
+    of_smoother = _where(rows, {**key, "variant": SMOOTHER.name})["range_fitness_percent"]
+    reason = fitness_reason(row["range_fitness_percent"], float(next(iter(of_smoother), math.nan)))
     reason += over_seeds(seeds.summary, key, "range_fitness_mean", round(row["published"], 2))
     cell = f"{row['case']}, {GROUP_TITLES.get(row['group'], row['group'])}, {row['quantity']}"
     return cell, f"{row['published']:.2f} %", f"{row['range_fitness_percent']:.2f} %", reason

@@ -177,13 +177,13 @@ class FinishedRun:
         """
         rows, seconds = pd.read_csv(self.directory / f"{name}.csv"), self.record["seconds"]
         ours, alone = rows["estimator"] != SMOOTHER.name, float(seconds.get("baseline", 0.0))
-        own = {
+        columns = {
             "case": self.planned.case,
             "variant": ours.map({True: self.planned.variant.name, False: SMOOTHER.name}),
             "seconds": ours.map({True: float(seconds["total"]), False: alone}),
             "process_seconds": ours.map({True: self.process_seconds, False: alone}),
         }
-        return pd.DataFrame(own, index=rows.index).join(rows.drop(columns=["case", "seconds"], errors="ignore"))
+        return pd.DataFrame(columns, index=rows.index).join(rows.drop(columns=["case", "seconds"], errors="ignore"))
 
 
 def make_runs(
@@ -203,12 +203,12 @@ def make_runs(
 
 def read_runs(planned: Sequence[PlannedRun], directory: Path) -> list[FinishedRun]:
     """Those that are there and up to date; nothing is run."""
-    found = []
+    runs = []
     for run in planned:
         if (content := kept(run, directory)) is not None:
             record = json.loads((directory / run.name / "run.json").read_text(encoding="utf-8"))
-            found.append(FinishedRun(run, directory / run.name, record, content["process_seconds"]))
-    return found
+            runs.append(FinishedRun(run, directory / run.name, record, content["process_seconds"]))
+    return runs
 
 
 class Planned(Protocol):
@@ -238,35 +238,35 @@ def make_missing(
         at_once: How many.
     """
     # Here: Hydra composes in one thread alone.
-    tasks = [(number, one, one.digest) for number, one in enumerate(planned, start=1)]
+    tasks = [(number, item, item.digest) for number, item in enumerate(planned, start=1)]
 
     def make_one(task: tuple[int, P, str]) -> str:
-        number, one, digest = task
-        progress, file = f"[{number}/{len(planned)}] {one.name}", directory / f"{one.name}.json"
-        if kept(one, directory, digest) is not None:
+        number, item, digest = task
+        progress, file = f"[{number}/{len(planned)}] {item.name}", directory / f"{item.name}.json"
+        if kept(item, directory, digest) is not None:
             print(f"{progress}: up to date", flush=True)
             return ""
         start = time.perf_counter()
         file.unlink(missing_ok=True)  # while it is made, nothing may say that it is there
         try:
-            write_json({"digest": digest, **make(one)}, file)
+            write_json({"digest": digest, **make(item)}, file)
         except (CaseFailedError, InputError) as error:
-            print(f"failed: {one.name}: {error}", file=sys.stderr, flush=True)
-            return f"{one.name}: {error}"
+            print(f"failed: {item.name}: {error}", file=sys.stderr, flush=True)
+            return f"{item.name}: {error}"
         print(f"{progress}: {time.perf_counter() - start:.1f} s", flush=True)
         return ""
 
     with ThreadPoolExecutor(at_once) as pool:
         # Ctrl-C reaches what is made in this thread at once, and cancels what waits for one of the others.
-        each = pool.map(make_one, tasks) if at_once > 1 else map(make_one, tasks)
-        return [failure for failure in each if failure]
+        failures = pool.map(make_one, tasks) if at_once > 1 else map(make_one, tasks)
+        return [failure for failure in failures if failure]
 
 
-def kept(one: Planned, directory: Path, digest: str | None = None) -> dict[str, Any] | None:
+def kept(item: Planned, directory: Path, digest: str | None = None) -> dict[str, Any] | None:
     """What `make_missing` has kept; None where it is to be made (again)."""
     try:
-        content = json.loads((directory / f"{one.name}.json").read_text(encoding="utf-8"))
-        return content if content.pop("digest") == (digest or one.digest) else None
+        content = json.loads((directory / f"{item.name}.json").read_text(encoding="utf-8"))
+        return content if content.pop("digest") == (digest or item.digest) else None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
 

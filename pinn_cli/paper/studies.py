@@ -128,10 +128,10 @@ class SeedScores:
 def _spread(rows: pd.DataFrame, keys: list[str], columns: list[str]) -> pd.DataFrame:
     """``seeds``, ``<column>_mean`` and ``<column>_std`` (of the sample) of each group."""
     grouped = rows.groupby(keys, sort=False)
-    found: dict[str, Any] = {"seeds": grouped["seed"].nunique()}
+    statistics: dict[str, Any] = {"seeds": grouped["seed"].nunique()}
     for column in columns:
-        found |= {f"{column}_mean": grouped[column].mean(), f"{column}_std": grouped[column].std()}
-    return pd.DataFrame(found).reset_index()
+        statistics |= {f"{column}_mean": grouped[column].mean(), f"{column}_std": grouped[column].std()}
+    return pd.DataFrame(statistics).reset_index()
 
 
 def _fitness_sheet(table: CaseTable, summary: pd.DataFrame) -> Sheet:
@@ -153,18 +153,18 @@ def _parameter_sheet(summary: pd.DataFrame) -> Sheet:
         given = ours.drop_duplicates("parameter").set_index("parameter")["published_error_percent"].to_dict()
         names = {pair: next((name for name in pair.split("/") if name in given), "") for pair in _PARAMETERS}
         errors = {pair: Cell(f"{given[name]:.2f}") for pair, name in names.items() if name}
-        found = {"published": errors | {_INTERVALS: Cell("")}}
+        by_source = {"published": errors | {_INTERVALS: Cell("")}}
         for estimator, source in _ESTIMATORS.items():
-            own = ours[ours["estimator"] == estimator].set_index("parameter")
-            if len(own):
-                by_name = own.to_dict("index")
-                found[source] = {
+            of_estimator = ours[ours["estimator"] == estimator].set_index("parameter")
+            if len(of_estimator):
+                by_name = of_estimator.to_dict("index")
+                by_source[source] = {
                     pair: _cell(by_name[name], "error_percent", given[name])
                     for pair, name in names.items()
                     if name in by_name
-                } | {_INTERVALS: Cell(f"{own['inside_90_percent'].mean():.0f}")}
-        if len(found) > 1:
-            rows += block(case_title(cells), found, (*_PARAMETERS, _INTERVALS))
+                } | {_INTERVALS: Cell(f"{of_estimator['inside_90_percent'].mean():.0f}")}
+        if len(by_source) > 1:
+            rows += block(case_title(cells), by_source, (*_PARAMETERS, _INTERVALS))
     title = "Tables 3 and 4: errors of the unknown parameters (%), over noise seeds"
     note, groups = SEEDS_PARAMETER_NOTE.format(seeds=_seeds(summary)), [("", (*_PARAMETERS, _INTERVALS))]
     return Sheet("seeds_parameters", title, note, ("Case", "Estimate"), groups, rows)

@@ -88,29 +88,29 @@ def paper_tables(runs: Sequence[FinishedRun], tables: Sequence[CaseTable] = TABL
     made = []
     for table in tables:
         name, compare, lay_out = kinds[table.kind]
-        found = [run.table(name) for run in runs if run.planned.case in table.cases]
-        rows = pd.concat(found, ignore_index=True) if found else pd.DataFrame(columns=RUN)
+        parts = [run.table(name) for run in runs if run.planned.case in table.cases]
+        rows = pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=RUN)
         rows = rows[rows["variant"].isin([source.name for source in table.sources])]
         comparison = compare(table, rows)
         made.append(PaperTable(lay_out(table, comparison), comparison, table.variants[0].name))
     return made
 
 
-def compare_fitness(table: CaseTable, found: pd.DataFrame) -> pd.DataFrame:
+def compare_fitness(table: CaseTable, run_rows: pd.DataFrame) -> pd.DataFrame:
     """Every published cell beside ours, run by run: `FITNESS_COLUMNS`.
 
     ``difference`` is ours less the published value, both by the formula of the paper's tables; ``below_published`` is
-    decided at the two decimals that the paper prints. ``found`` are rows as `FinishedRun.table` has them.
+    decided at the two decimals that the paper prints. ``run_rows`` are rows as `FinishedRun.table` has them.
     """
-    if found.empty:
+    if run_rows.empty:
         return pd.DataFrame(columns=list(FITNESS_COLUMNS))
-    both = _beside(table, found, ["group", "quantity"], {"fitness_percent": "published"})
+    both = _with_ours(table, run_rows, ["group", "quantity"], {"fitness_percent": "published"})
     both["difference"] = both["range_fitness_percent"] - both["published"]
     both["below_published"] = both["range_fitness_percent"].round(2) < both["published"].round(2)
     return both[list(FITNESS_COLUMNS)]
 
 
-def compare_parameters(table: CaseTable, found: pd.DataFrame) -> pd.DataFrame:
+def compare_parameters(table: CaseTable, run_rows: pd.DataFrame) -> pd.DataFrame:
     """Every published parameter beside ours, run by run: `PAPER_PARAMETER_COLUMNS`.
 
     ``true`` is the exact value that the record was simulated with, of which the paper prints two decimals.
@@ -118,35 +118,35 @@ def compare_parameters(table: CaseTable, found: pd.DataFrame) -> pd.DataFrame:
     the 90 % interval holds the true value and is empty where there is no interval; ``published_std`` is empty where the
     paper gives none. A parameter that a run does not have leaves its cells empty.
     """
-    if found.empty:
+    if run_rows.empty:
         return pd.DataFrame(columns=list(PAPER_PARAMETER_COLUMNS))
     given = {"estimate": "published", "error_percent": "published_error_percent", "std": "published_std"}
-    both = _beside(table, found, ["parameter"], given)
+    both = _with_ours(table, run_rows, ["parameter"], given)
     both["larger_error"] = both["error_percent"].round(2) > both["published_error_percent"].round(2)
     inside = both["true"].between(both["lower_90"], both["upper_90"]).astype(object)
     both["truth_inside"] = inside.where(both[["true", "lower_90", "upper_90"]].notna().all(axis=1), None)
     return both[list(PAPER_PARAMETER_COLUMNS)]
 
 
-def _beside(table: CaseTable, found: pd.DataFrame, keys: list[str], given: Mapping[str, str]) -> pd.DataFrame:
+def _with_ours(table: CaseTable, run_rows: pd.DataFrame, keys: list[str], given: Mapping[str, str]) -> pd.DataFrame:
     """The published rows of every run's case, their columns renamed, and by the keys what it found."""
-    runs = found[RUN].drop_duplicates().sort_values("case", key=lambda c: c.map(table.cases.index), kind="stable")
+    runs = run_rows[RUN].drop_duplicates().sort_values("case", key=lambda c: c.map(table.cases.index), kind="stable")
     rows = runs.merge(table.values[["case", *keys, *given]].rename(columns=given), on="case")
-    wanted = found.drop(columns=["seconds", "process_seconds"])
+    wanted = run_rows.drop(columns=["seconds", "process_seconds"])
     return rows.merge(wanted, on=["case", "variant", *keys], how="left", validate="one_to_one")
 
 
-def compare_wrong_values(table: CaseTable, found: pd.DataFrame) -> pd.DataFrame:
+def compare_wrong_values(table: CaseTable, run_rows: pd.DataFrame) -> pd.DataFrame:
     """Table 1: the wrong values, the true ones as published and as drawn here, and a column of estimates per run.
 
     Columns are ``parameter, prescribed, published, drawn, difference`` (drawn less published) and the names of the
     variants, in the paper's order.
     """
     both = table.values.rename(columns={"true": "published"})[["parameter", "prescribed", "published"]]
-    by_variant = {name: rows.set_index("parameter") for name, rows in found.groupby("variant", sort=False)}
+    by_variant = {name: rows.set_index("parameter") for name, rows in run_rows.groupby("variant", sort=False)}
     # The same in every run, of which an estimator knows nothing.
-    known = next((rows["true"] for rows in by_variant.values()), pd.Series(dtype=float))
-    both["drawn"] = both["parameter"].map(known)
+    true_values = next((rows["true"] for rows in by_variant.values()), pd.Series(dtype=float))
+    both["drawn"] = both["parameter"].map(true_values)
     both["difference"] = both["drawn"] - both["published"]
     return both.assign(**{str(name): both["parameter"].map(rows["estimate"]) for name, rows in by_variant.items()})
 
@@ -160,9 +160,9 @@ def case_title(published: pd.DataFrame) -> str:
 
 def fitness_sheet(table: CaseTable, comparison: pd.DataFrame) -> Sheet:
     """Tables 2 and 5: a block of rows per case, groups of DOFs side by side; variants without a run have no row."""
-    found = {source.source: comparison[comparison["variant"] == source.name] for source in table.sources}
+    by_source = {source.source: comparison[comparison["variant"] == source.name] for source in table.sources}
     rows = fitness_rows(
-        table, found,
+        table, by_source,
         lambda row: Cell(f"{row['fitness_percent']:.2f}"),
         lambda row: Cell.number(x := row["range_fitness_percent"], ".2f", mark(x, row["published"], True)),
         lambda row: Cell.number(row["fitness_percent"], ".2f"),
@@ -176,22 +176,22 @@ def fitness_groups(table: CaseTable) -> list[tuple[str, Sequence[str]]]:
 
 
 def fitness_rows(
-    table: CaseTable, found: Mapping[str, pd.DataFrame], given: _Shown, ranged: _Shown, printed: _Shown
+    table: CaseTable, by_source: Mapping[str, pd.DataFrame], given: _Shown, ranged: _Shown, printed: _Shown
 ) -> list[Row]:
     """A block per case: the published values, and by either formula what was found by source.
 
-    ``found`` has columns ``case``, ``group`` and ``quantity``; the others make cells of a published row and of one that
-    was found.
+    ``by_source`` has columns ``case``, ``group`` and ``quantity``; the others make cells of a published row and of one
+    that was found.
     """
     rows: list[Row] = []
     columns = [(group, quantity) for group in dict.fromkeys(table.values["group"]) for quantity in QUANTITIES]
     for case, published in table.values.groupby("case", sort=False):
         cells, strict = {"published": _by_cell(published, given)}, {}
-        for source, every in found.items():
-            own = every[every["case"] == case]
-            if len(own):
-                cells[source] = _by_cell(own, ranged)
-                strict[f"{source}, printed"] = _by_cell(own, printed)
+        for source, of_source in by_source.items():
+            of_case = of_source[of_source["case"] == case]
+            if len(of_case):
+                cells[source] = _by_cell(of_case, ranged)
+                strict[f"{source}, printed"] = _by_cell(of_case, printed)
         rows += block(case_title(published), cells | strict, columns)
     return rows
 
@@ -204,18 +204,18 @@ def _by_cell(rows: pd.DataFrame, shown: _Shown) -> dict[Any, Cell]:
 def parameter_sheet(table: CaseTable, comparison: pd.DataFrame) -> Sheet:
     """Tables 3, 4 and 6: parameters downwards, cases side by side, a row per source that has a run."""
     parameters = {case: list(cells["parameter"]) for case, cells in table.values.groupby("case", sort=False)}
-    found = comparison.set_index(["case", "variant", "parameter"]).to_dict("index")
+    by_key = comparison.set_index(["case", "variant", "parameter"]).to_dict("index")
     given = table.values.set_index(["case", "parameter"]).to_dict("index")
     rows: list[Row] = []
     for place in range(max(map(len, parameters.values()))):
         names = {case: listed[place] for case, listed in parameters.items() if place < len(listed)}
         cells = {"published": {case: _published(given.get((case, names.get(case)))) for case in parameters}}
         for source in table.sources:
-            ours = {case: found.get((case, source.name, names.get(case))) for case in parameters}
+            ours = {case: by_key.get((case, source.name, names.get(case))) for case in parameters}
             if any(ours.values()):
                 cells[source.source] = {case: _ours(row) for case, row in ours.items()}
         flat = {
-            source: {(case, i): cell for case, own in by_case.items() for i, cell in enumerate(own)}
+            source: {(case, i): cell for case, column in by_case.items() for i, cell in enumerate(column)}
             for source, by_case in cells.items()
         }
         columns = [(case, i) for case in parameters for i in range(len(_OF_A_CASE))]
@@ -256,18 +256,20 @@ def _ours(row: Mapping[Any, Any] | None) -> list[Cell]:
 def wrong_values_sheet(table: CaseTable, comparison: pd.DataFrame) -> Sheet:
     """Table 1: a block of rows per kind of parameter, connections side by side."""
     kinds = comparison["parameter"].str.rpartition("_")[0]
-    sources = [one for one in table.sources if one.name in comparison and comparison[one.name].notna().any()]
-    errors = comparison[[one.name for one in sources]].sub(comparison["drawn"], axis=0).abs().round(2)
+    sources = [
+        source for source in table.sources if source.name in comparison and comparison[source.name].notna().any()
+    ]
+    errors = comparison[[source.name for source in sources]].sub(comparison["drawn"], axis=0).abs().round(2)
     count = int(kinds.value_counts().max())
     titles = {"prescribed": "prescribed", "published": "true, published", "drawn": "true, drawn here"}
-    titles |= {one.name: f"{one.source}, estimate" for one in sources}
+    titles |= {source.name: f"{source.source}, estimate" for source in sources}
     rows: list[Row] = []
-    for kind, own in comparison.groupby(kinds, sort=False):
+    for kind, of_kind in comparison.groupby(kinds, sort=False):
         cells = {}
         for column, title in titles.items():
             # Nothing is published to compare with: the better of the estimates is marked.
             best = errors.drop(columns=column, errors="ignore").min(axis=1).gt(errors.get(column, np.inf))
-            pairs = enumerate(zip(own[column], best[own.index], strict=True))
+            pairs = enumerate(zip(of_kind[column], best[of_kind.index], strict=True))
             cells[title] = {i: Cell.number(value, ".2f", "better" if better else "") for i, (value, better) in pairs}
         rows += block({"kappa": "κ", "mu": "μ"}.get(str(kind), str(kind)), cells, range(count))
     agree = int((comparison["drawn"].round(2) == comparison["published"]).sum())

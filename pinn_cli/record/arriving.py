@@ -66,9 +66,9 @@ class TextReader(Reader):
         if not self.head:
             lines = content.splitlines(keepends=True)
             self.head = b"".join(lines[: (table.first_line or 1) - 1])
-        found = replace(table, first_line=(table.first_line or 0) + self.rows)
+        numbered = replace(table, first_line=(table.first_line or 0) + self.rows)
         self.place, self.rows = self.place + len(content), self.rows + len(table)
-        return found if len(table) else None
+        return numbered if len(table) else None
 
     def _whole_lines(self, complete: bool) -> bytes | None:
         """What lies between the last place and the end of a line; None where that is too little."""
@@ -94,9 +94,9 @@ class TextReader(Reader):
 class WholeReader(Reader):
     """Rows of a file that is read as a whole, as often as it changes."""
 
-    def __init__(self, path: Path, wanted: Mapping[str, str], own: FileFormat) -> None:
+    def __init__(self, path: Path, wanted: Mapping[str, str], file_format: FileFormat) -> None:
         super().__init__(path, wanted)
-        self.format = own
+        self.format = file_format
         self._seen: tuple[int, int] | None = None
         self._error: InputError | None = None
 
@@ -155,9 +155,11 @@ class Arriving:
             if i == len(self.readers):
                 column = self.files.time_column(path)
                 asked = self.wanted if column is None else {"data.time": column, **self.wanted}
-                own = format_of(path, self.files.format)
-                reader = TextReader(path, asked, own) if isinstance(own, CsvFormat) else WholeReader(path, asked, own)
-                self.readers.append(reader)
+                file_format = format_of(path, self.files.format)
+                if isinstance(file_format, CsvFormat):
+                    self.readers.append(TextReader(path, asked, file_format))
+                else:
+                    self.readers.append(WholeReader(path, asked, file_format))
                 self._begin_file()
             table = self.readers[i].more(complete=i + 1 < len(paths))
             if table is not None:
@@ -177,13 +179,13 @@ class Arriving:
     def _paths(self) -> list[Path]:
         if not self.path.is_dir():
             return [self.path] if self.path.exists() else []
-        found = sorted(entry for entry in self.path.iterdir() if self._is_record(entry))
-        known = [reader.path for reader in self.readers]
-        if found[: len(known)] != known:
-            late = next((path for path in found if path not in known), self.path)
+        paths = sorted(entry for entry in self.path.iterdir() if self._is_record(entry))
+        earlier = [reader.path for reader in self.readers]
+        if paths[: len(earlier)] != earlier:
+            late = next((path for path in paths if path not in earlier), self.path)
             allowed = "files that arrive in the order of their names, and stay"
-            raise InputError(PATH_SETTING, late.name, allowed, f"{known[-1].name} was there before")
-        return found
+            raise InputError(PATH_SETTING, late.name, allowed, f"{earlier[-1].name} was there before")
+        return paths
 
     def _is_record(self, entry: Path) -> bool:
         """Whether an entry of the folder is a file of the record; one that is being copied has another name yet."""
@@ -197,11 +199,11 @@ class Arriving:
             self._first, self._count = np.nan, 0
 
     def _append(self, table: Table) -> None:
-        own = self._own_times(table)
+        times = self._file_times(table)
         if self._count == 0:
-            self._shift = 0.0 if own[0] > self._last else self._shift - own[0]
-            self._first = own[0] + self._shift
-        time = own + self._shift
+            self._shift = 0.0 if times[0] > self._last else self._shift - times[0]
+            self._first = times[0] + self._shift
+        time = times + self._shift
         if len(self.time) and time[0] <= self.time[-1]:
             allowed = f"a time after the one before it, {self.time[-1]:.9g} s"
             raise InputError(f"{table.path.name}, first new line", f"{time[0]:.9g} s", allowed)
@@ -214,7 +216,7 @@ class Arriving:
         self.table = Table(table.path, columns, odd, self.table.hints or table.hints)
         self.time = np.concatenate((self.time, time))
 
-    def _own_times(self, table: Table) -> np.ndarray:
+    def _file_times(self, table: Table) -> np.ndarray:
         """(N,), s, as the file has them."""
         if self.files.sampling_rate is not None:
             return (self.samples + np.arange(len(table))) / self.files.sampling_rate

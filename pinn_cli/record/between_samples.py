@@ -157,7 +157,7 @@ def refined(values: np.ndarray, refinement: int) -> tuple[np.ndarray, np.ndarray
     off = make_interp_spline(samples, values, k=SPLINE_DEGREE)(refined_times(samples, refinement)) - dense
     quarter = len(dense) // 4
     of_spline = AT_ENDS**2 * np.maximum(np.var(off[quarter:-quarter], axis=0) - (OF_NOISE * noise) ** 2, 0.0) + noise**2
-    exact, noisy = (np.outer(one**2, power) for one in spread)
+    exact, noisy = (np.outer(deviation**2, power) for deviation in spread)
     share = np.divide(exact, exact + of_spline, out=np.zeros_like(dense), where=exact + of_spline > 0.0)
     return dense + share * off, np.sqrt((1.0 - share) ** 2 * noisy + share**2 * of_spline)
 
@@ -181,7 +181,9 @@ def _kriged(values: np.ndarray, refinement: int, noise: float) -> tuple[np.ndarr
     between[: middle.start] = weights[: reach - 1] @ values[:width]
     between[middle.stop :] = weights[reach:] @ values[-width:]
     for i, column in enumerate(np.ascontiguousarray(values.T)):
-        between[middle, :, i] = np.stack([np.correlate(column, own, "valid") for own in weights[reach - 1]], axis=1)
+        between[middle, :, i] = np.stack(
+            [np.correlate(column, kernel, "valid") for kernel in weights[reach - 1]], axis=1
+        )
     out = np.repeat(values, refinement, axis=0)[: (samples - 1) * refinement + 1]
     spread = np.zeros((2, len(out)))
     place = np.concatenate((places[: reach - 1], np.full(samples - width + 1, reach - 1), places[reach:]))
@@ -215,9 +217,9 @@ def _predicted_from(width: int, nugget: float, places: np.ndarray) -> tuple[np.n
     """(..., width) weights of so many samples at places (...) among them, and (...) the variance that they leave."""
     samples = np.arange(width, dtype=float)
     factor = cho_factor(_correlation(samples[:, None] - samples) + nugget * np.eye(width))
-    known = _correlation(places[..., None] - samples)
-    weights = cho_solve(factor, known.reshape(-1, width).T).T.reshape(known.shape)
-    return weights, 1.0 - np.sum(weights * known, axis=-1)
+    correlation = _correlation(places[..., None] - samples)
+    weights = cho_solve(factor, correlation.reshape(-1, width).T).T.reshape(correlation.shape)
+    return weights, 1.0 - np.sum(weights * correlation, axis=-1)
 
 
 def _correlation(lag: np.ndarray) -> np.ndarray:

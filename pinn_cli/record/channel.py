@@ -162,8 +162,8 @@ class Channel:
         """One number of its calibration, by default that of a perfect sensor."""
         return self.calibration.get(kind, Calibration(float(kind == "gain")))
 
-    def _value(self, kind: str, found: Mapping[str, float] | None) -> float:
-        return {kind: self.number(kind).value, **(found or {})}[kind]
+    def _value(self, kind: str, estimates: Mapping[str, float] | None) -> float:
+        return {kind: self.number(kind).value, **(estimates or {})}[kind]
 
     def of(self, response: Response) -> np.ndarray:
         """(N,), what a perfect sensor in its place feels of a response; NaN of what nobody worked out there."""
@@ -177,12 +177,12 @@ class Channel:
             return values if self.quantity == GROUND else values[:, self.connection]
         return np.asarray(getattr(response, self.quantity)[:, list(self.weights)] @ list(self.weights.values()))
 
-    def shown_of(self, response: Response, found: Mapping[str, float] | None = None) -> np.ndarray:
+    def shown_of(self, response: Response, estimates: Mapping[str, float] | None = None) -> np.ndarray:
         """The same with its tilt and behind its filter, as if that had begun at rest."""
-        felt, tilt = self.of(response), self._value(TILT, found)
+        motion, tilt = self.of(response), self._value(TILT, estimates)
         if tilt:
-            felt = felt + tilt * replace(self, quantity=MOTION[0]).of(response)
-        return self.passed(response.time, felt, found)
+            motion = motion + tilt * replace(self, quantity=MOTION[0]).of(response)
+        return self.passed(response.time, motion, estimates)
 
     @property
     def feels_one(self) -> bool:
@@ -214,32 +214,32 @@ class Channel:
         """The time from which its drift counts, s."""
         return float(self.time[0])
 
-    def felt_samples(self, found: Mapping[str, float] | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def corrected_samples(self, estimates: Mapping[str, float] | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Times (J,) at which it felt, s, and what it felt there (J,), noise included, by numbers that were found."""
-        value = {kind: self._value(kind, found) for kind in CALIBRATION_UNITS}
-        felt = self.measured - value["offset"] - value["drift"] * (self.time - self.start)
-        return self.time - value["delay"], felt / (value["gain"] or 1.0)
+        value = {kind: self._value(kind, estimates) for kind in CALIBRATION_UNITS}
+        corrected = self.measured - value["offset"] - value["drift"] * (self.time - self.start)
+        return self.time - value["delay"], corrected / (value["gain"] or 1.0)
 
     def places(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(J,), which of even times (N,) is next to that when it felt each sample, and how many steps that is off."""
-        position = (self.felt_samples()[0] - time[0]) / ((time[-1] - time[0]) / (len(time) - 1))
+        position = (self.corrected_samples()[0] - time[0]) / ((time[-1] - time[0]) / (len(time) - 1))
         place = np.rint(position).astype(np.int64)
         return place, position - place
 
-    def history(self, time: np.ndarray, found: Mapping[str, float] | None = None) -> np.ndarray:
-        """(N,), what it felt at other times; see :meth:`felt_samples`.
+    def history(self, time: np.ndarray, estimates: Mapping[str, float] | None = None) -> np.ndarray:
+        """(N,), what it felt at other times; see :meth:`corrected_samples`.
 
         Through even samples as a band-limited history; by straight lines where they are uneven or missing. Beyond its
         samples it stays what it was at the last one.
         """
-        felt_at, felt = self.felt_samples(found)
-        if np.array_equal(felt_at, time):
-            return felt
-        if len(felt) <= SPLINE_DEGREE or self.even_step is None:
-            return np.interp(time, felt_at, felt)
-        return BandLimited(felt_at, felt)(np.clip(time, felt_at[0], felt_at[-1]))
+        at, values = self.corrected_samples(estimates)
+        if np.array_equal(at, time):
+            return values
+        if len(values) <= SPLINE_DEGREE or self.even_step is None:
+            return np.interp(time, at, values)
+        return BandLimited(at, values)(np.clip(time, at[0], at[-1]))
 
-    def passed(self, time: np.ndarray, x: np.ndarray, found: Mapping[str, float] | None = None) -> np.ndarray:
+    def passed(self, time: np.ndarray, x: np.ndarray, estimates: Mapping[str, float] | None = None) -> np.ndarray:
         """What its filter passes of a history (N,) at even times, as if it had begun at rest; all where there is none.
 
         The filter's rule of trapezia follows slow motion; the history is made denser for the rest of it.
@@ -249,23 +249,23 @@ class Channel:
         from scipy.signal import bilinear, lfilter
 
         dense = np.linspace(time[0], time[-1], FILTER_POINTS * (len(time) - 1) + 1)
-        denominator = self._polynomial(found)[::-1]
+        denominator = self._polynomial(estimates)[::-1]
         rule = bilinear([1.0, *[0.0] * self.filter_order], denominator, 1.0 / (dense[1] - dense[0]))
         return np.asarray(lfilter(*rule, BandLimited(time, x)(dense))[::FILTER_POINTS])
 
-    def decays(self, time: np.ndarray, found: Mapping[str, float] | None = None) -> np.ndarray:
+    def decays(self, time: np.ndarray, estimates: Mapping[str, float] | None = None) -> np.ndarray:
         """(N, order), what its filter shows of how it began."""
         since = (time - time[0])[:, None]
-        root = np.roots(self._polynomial(found)[::-1])[:1] if self.filter_order else np.zeros(0)
+        root = np.roots(self._polynomial(estimates)[::-1])[:1] if self.filter_order else np.zeros(0)
         decay = np.exp(since * root)
         return np.hstack((decay.real, decay.imag))[:, : self.filter_order]
 
-    def _polynomial(self, found: Mapping[str, float] | None) -> tuple[float, ...]:
-        return filter_polynomial(2.0 * np.pi * self._value(HIGH_PASS, found), self.filter_order)
+    def _polynomial(self, estimates: Mapping[str, float] | None) -> tuple[float, ...]:
+        return filter_polynomial(2.0 * np.pi * self._value(HIGH_PASS, estimates), self.filter_order)
 
-    def at(self, time: np.ndarray, felt: np.ndarray, gaps: np.ndarray | None = None) -> Channel:
+    def at(self, time: np.ndarray, values: np.ndarray, gaps: np.ndarray | None = None) -> Channel:
         """The same sensor as if it had been perfect and sampled at these times (N,), s, where it felt this (N,)."""
-        return replace(self, time=time, measured=felt, calibration={}, filter_order=0, gaps=gaps)
+        return replace(self, time=time, measured=values, calibration={}, filter_order=0, gaps=gaps)
 
     def started_at(self, values: Mapping[str, float]) -> Channel:
         """The same where the search for its unknown numbers starts elsewhere; what is believed stays."""

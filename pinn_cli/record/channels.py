@@ -32,16 +32,16 @@ def channels(
     asked = [quantity for quantity in quantities if quantity in QUANTITIES]
     asked += [quantity for quantity in record.supports if quantity in quantities]
     asked += [GROUND] if GROUND in quantities and record.ground_acceleration is not None else []
-    every = [
+    columns = [
         record.column(quantity, i) for quantity in asked for i in np.flatnonzero(record.sensors(quantity)).tolist()
     ]
-    return [channel for channel in every if channel.name not in excused]
+    return [channel for channel in columns if channel.name not in excused]
 
 
 def every_channel(record: Record, quantities: Sequence[str] = MEASURED_QUANTITIES) -> list[Channel]:
     """The same, and behind them sensors that have no column: of sums, of connections, a second one of a kind."""
     return channels(record, quantities) + [
-        channel for channel in record.felt if not channel.is_column and np.isfinite(channel.measured).all()
+        channel for channel in record.corrected if not channel.is_column and np.isfinite(channel.measured).all()
     ]
 
 
@@ -74,7 +74,7 @@ def hum(signal: np.ndarray, step: float, acting: Sequence[np.ndarray]) -> tuple[
 
     None where it has none, or where something that acts (N,) has it too: then it may be a machine.
     """
-    steadiness, share, line = max((*_steadiness(signal, one * step), one) for one in MAINS)
+    steadiness, share, line = max((*_steadiness(signal, frequency * step), frequency) for frequency in MAINS)
     if not (steadiness > STEADY_LINE and share > LEAST_HUM):
         return None
     acts = any(_steadiness(other, line * step)[0] > FAINT for other in acting)
@@ -88,12 +88,13 @@ def _steadiness(signal: np.ndarray, turns: float) -> tuple[float, float]:
         signal: (N,).
         turns: Of the line from sample to sample; beyond one half it shows where its samples put it.
     """
-    turns, each = abs(turns - round(turns)), len(signal) // LINE_PARTS
-    if min(turns, 0.5 - turns) * each < 2.0:  # no line of its own
+    turns, length = abs(turns - round(turns)), len(signal) // LINE_PARTS
+    if min(turns, 0.5 - turns) * length < 2.0:  # no line of its own
         return 0.0, 0.0
-    window = np.hanning(each + 2)[1:-1]
-    turned = (signal - signal.mean())[: LINE_PARTS * each] * np.exp(-2j * np.pi * turns * np.arange(LINE_PARTS * each))
-    parts = turned.reshape(LINE_PARTS, each) @ (window / window.sum())
+    window = np.hanning(length + 2)[1:-1]
+    turning = np.exp(-2j * np.pi * turns * np.arange(LINE_PARTS * length))
+    turned = (signal - signal.mean())[: LINE_PARTS * length] * turning
+    parts = turned.reshape(LINE_PARTS, length) @ (window / window.sum())
     line, variance = abs(parts.mean()) ** 2, float(np.sum(np.abs(parts - parts.mean()) ** 2)) / (LINE_PARTS - 1)
     return LINE_PARTS * line / max(variance, 1e-300), 2.0 * line / max(float(np.var(signal)), 1e-300)
 
@@ -104,9 +105,9 @@ def record_band(record: Record) -> float:
     The motion of the ground, or of a support, is followed as far as it may reach: where it shows no noise above its
     content, that is all that can be used.
     """
-    every, usable = channels(record, MEASURED_QUANTITIES), USABLE_NYQUIST_FRACTION * 0.5 / record.step
-    bands = [signal_band(channel.measured, record.step) for channel in every]
-    moved = [channel.measured for channel in every if channel.quantity not in QUANTITIES]
+    columns, usable = channels(record, MEASURED_QUANTITIES), USABLE_NYQUIST_FRACTION * 0.5 / record.step
+    bands = [signal_band(channel.measured, record.step) for channel in columns]
+    moved = [channel.measured for channel in columns if channel.quantity not in QUANTITIES]
     bands += [usable for history in moved if visible_floor(history, record.step) is None]
     return max(*bands, 1.0 / record.duration)
 
@@ -121,10 +122,10 @@ def motion_amplitudes(record: Record) -> dict[str, float]:
     Returns:
         Quantity to its amplitude; 1 where the channel that it comes from shows nothing at all.
     """
-    every, band, amplitudes = channels(record), record_band(record), {}
+    columns, band, amplitudes = channels(record), record_band(record), {}
     for order, quantity in enumerate(RESPONSE_QUANTITIES):
-        source = min((channel.order for channel in every), key=lambda given, order=order: abs(given - order))  # type: ignore[misc]
-        nearest = [channel.measured for channel in every if channel.order == source]
+        source = min((channel.order for channel in columns), key=lambda given, order=order: abs(given - order))  # type: ignore[misc]
+        nearest = [channel.measured for channel in columns if channel.order == source]
         amplitudes[quantity] = max(_rms(history, record.step, band, order - source) for history in nearest) or 1.0
     return amplitudes
 

@@ -78,7 +78,7 @@ class Clock:
             unit = table.hints.get(column, SensorHint()).unit or unit_of_times(column)
         if unit not in TIME_UNITS:
             largest = float(np.max(readings, initial=0.0))
-            unit = next((one for one in ("s", "ms", "us", "ns") if largest < UNTIL_2100 * TIME_UNITS[one]), "s")
+            unit = next((name for name in ("s", "ms", "us", "ns") if largest < UNTIL_2100 * TIME_UNITS[name]), "s")
         table.refuse_gaps(column, readings)
         back = np.flatnonzero(np.diff(readings) <= 0)
         if len(back):
@@ -261,18 +261,18 @@ def recognised(path: Path) -> FileFormat:
         InputError: It is missing, cannot be read, or is in no format that anybody here reads.
     """
     content, suffix = read_bytes(path, most=FIRST_BYTES), _suffix(path)
-    by_name = [one for one in FORMATS if suffix in (*one.suffixes, *one.other_suffixes)]
-    arrays = [one() for one in (*by_name, *FORMATS) if issubclass(one, ArrayFormat)]
-    for own in arrays:
-        foreign = by_name or (isinstance(own, MatFormat) and not content.startswith(b"MATLAB"))
-        if own.begins(content) and (type(own) in by_name or not foreign):
-            return own
-    if any(suffix in one.suffixes for one in by_name):
-        return next(one() for one in by_name if suffix in one.suffixes)
+    by_name = [kind for kind in FORMATS if suffix in (*kind.suffixes, *kind.other_suffixes)]
+    arrays = [kind() for kind in (*by_name, *FORMATS) if issubclass(kind, ArrayFormat)]
+    for file_format in arrays:
+        foreign = by_name or (isinstance(file_format, MatFormat) and not content.startswith(b"MATLAB"))
+        if file_format.begins(content) and (type(file_format) in by_name or not foreign):
+            return file_format
+    if any(suffix in kind.suffixes for kind in by_name):
+        return next(kind() for kind in by_name if suffix in kind.suffixes)
     if looks_like_text(content):
         return CsvFormat()
-    every = ", ".join(f"{one.name} ({', '.join(one.suffixes)})" for one in FORMATS)
-    raise InputError("data.path", path, f"a file in one of the formats {every}")
+    formats = ", ".join(f"{kind.name} ({', '.join(kind.suffixes)})" for kind in FORMATS)
+    raise InputError("data.path", path, f"a file in one of the formats {formats}")
 
 
 def _suffix(path: Path) -> str:

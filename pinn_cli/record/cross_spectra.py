@@ -114,7 +114,7 @@ class CrossSpectra(Generic[S]):
             sums: np.ndarray = np.add.reduceat(lines[: edges[-1]], edges[:-1], axis=0)
             return sums / size.reshape(-1, *[1] * (lines.ndim - 1))
 
-        gaps = {own.place: own for own in record.calibrated if misses_samples(own, record)}
+        gaps = {channel.place: channel for channel in record.calibrated if misses_samples(channel, record)}
         if references and gaps.keys() & {channel.place for channel in channels}:
             samples = [
                 Samples.at_own_times(gaps[channel.place], record, window)
@@ -287,8 +287,8 @@ class Samples:
         count = len(window)
         place, off = channel.places(record.time)
         inside = (place >= 0) & (place < count)
-        place, off, felt = place[inside], off[inside], channel.felt_samples()[1][inside]
-        swing = window[place] * (felt - np.average(felt, weights=window[place]))
+        place, off, corrected = place[inside], off[inside], channel.corrected_samples()[1][inside]
+        swing = window[place] * (corrected - np.average(corrected, weights=window[place]))
         turn = -2j * np.pi * np.fft.rfftfreq(2 * count)
         values, term = np.zeros(count + 1, complex), np.ones(count + 1, complex)
         for order in range(PHASE_TERMS):

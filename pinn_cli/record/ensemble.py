@@ -89,10 +89,10 @@ class Members:
     replay: Replay | None = None
     carried: SupportErrors | None = None
 
-    def parameters_beside(self, structure: Structure) -> dict[str, np.ndarray]:
+    def with_parameters_of(self, structure: Structure) -> dict[str, np.ndarray]:
         """Kind to (H + 1, members of the kind), those of the structure itself behind the members'."""
-        own = structure.parameters_like(np.empty(0))
-        return {kind: np.concatenate((values, own[kind][None])) for kind, values in self.parameters.items()}
+        of_structure = structure.parameters_like(np.empty(0))
+        return {kind: np.concatenate((values, of_structure[kind][None])) for kind, values in self.parameters.items()}
 
 
 def affordable_members(structure: Structure, record: Record, count: int) -> int:
@@ -133,10 +133,10 @@ def followed_members(
         Samples, quantity to (M, H + 1, dofs) at these, the states (M, H + 1, 2 n + h), and displacement and velocity of
         the supports (M, H + 1, 2, S). Parts overlap by one sample.
     """
-    every = members.parameters_beside(structure)
-    every["m"] = every["m"] * follower_masses(structure, record.step)
+    parameters = members.with_parameters_of(structure)
+    parameters["m"] = parameters["m"] * follower_masses(structure, record.step)
     structure = with_slow_followers(structure, record.step)
-    ensemble, samples = _Ensemble(structure, every, record), len(record.time)
+    ensemble, samples = _Ensemble(structure, parameters, record), len(record.time)
     random = np.random.default_rng(members.seed)
     state = np.concatenate((members.start, np.concatenate(start)[None]))
     last, carried = _drawn(members, random, 0, 1), members.carried
@@ -145,7 +145,7 @@ def followed_members(
         stop = min(first + SAMPLES_AT_ONCE, samples - 1) + 1
         noise = np.concatenate((last, _drawn(members, random, first + 1, stop)))
         errors = errors[-1:] if carried is None else carried.drawn(random, len(noise) - 1, errors[-1])
-        states, load = ensemble.followed(state, ensemble.beside(noise, errors), slice(first, stop))
+        states, load = ensemble.followed(state, ensemble.load_deviations(noise, errors), slice(first, stop))
         ground = None if record.ground_acceleration is None else record.ground_acceleration[first:stop]
         yield slice(first, stop), ensemble.motion(states, load, ground), states, load[..., ensemble.n :]
         state, last = states[-1], noise[-1:]
@@ -179,30 +179,30 @@ class _Ensemble:
         self.supports = support_motion(record)
         self.between = between_samples(record.time, self.load, record.intersample)
 
-    def followed(self, state: np.ndarray, own: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray]:
+    def followed(self, state: np.ndarray, deviations: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray]:
         """States and loads of all members at some samples, from what each has of a load for its own."""
         time = self.record.time[part]
         method, substeps = method_needed(self.structure, self.record.step)
 
         def load(at: np.ndarray) -> np.ndarray:
             place = (at - time[0]) / (time[1] - time[0])
-            return self._beside(at, self.between(at))[:, None] + _between(own, place)
+            return self._with_supports(at, self.between(at))[:, None] + _between(deviations, place)
 
-        sampled = self._beside(time, self.load[part])[:, None] + own
+        sampled = self._with_supports(time, self.load[part])[:, None] + deviations
         hold = self.between.hold
         if method == "rk4":
             return runge_kutta(self._slope, load, time, sampled, hold, substeps, state, None), sampled
         # A stiff law has each member take its own steps, many of them.
         grid = np.linspace(time[0], time[-1], STRAIGHT_PARTS * (len(time) - 1) + 1)
-        table, each = sampled if hold == "zero_order" else load(grid), []
+        table, histories = sampled if hold == "zero_order" else load(grid), []
         for i in range(len(state)):
-            own = table[:, i : i + 1]
-            acting = lambda at, own=own: _between(own, (at - time[0]) / (grid[1] - grid[0]))  # noqa: E731
+            member_load = table[:, i : i + 1]
+            acting = lambda at, member_load=member_load: _between(member_load, (at - time[0]) / (grid[1] - grid[0]))  # noqa: E731
             member, shown, start = self._of_member(i), sampled[:, i : i + 1], state[i : i + 1]
             size = made_in_a_sample(member._slope, shown, start, float(time[1] - time[0]), self.n)
             member.structure = self.structure.turning_over(TURNS_OVER * float(size[self.n]))
-            each.append(implicit_steps(member._slope, acting, time, shown, hold, start, size))
-        return np.concatenate(each, axis=1), sampled
+            histories.append(implicit_steps(member._slope, acting, time, shown, hold, start, size))
+        return np.concatenate(histories, axis=1), sampled
 
     def _of_member(self, i: int) -> _Ensemble:
         out = copy(self)
@@ -233,7 +233,7 @@ class _Ensemble:
         u, v, z = state[..., : self.n], state[..., self.n : 2 * self.n], state[..., 2 * self.n :]
         return u, v, z if z.shape[-1] else None
 
-    def _beside(self, at: np.ndarray, load: np.ndarray) -> np.ndarray:
+    def _with_supports(self, at: np.ndarray, load: np.ndarray) -> np.ndarray:
         """(M, 2, n + S), a load with the motion of the supports at times (M,)."""
         return load if self.supports is None else np.concatenate((load, self.supports(at)[:, :2]), axis=2)
 
@@ -242,13 +242,13 @@ class _Ensemble:
         moved = load[..., self.n :]
         return np.concatenate((u, moved[..., 0, :]), axis=-1), np.concatenate((v, moved[..., 1, :]), axis=-1)
 
-    def beside(self, noise: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    def load_deviations(self, noise: np.ndarray, errors: np.ndarray) -> np.ndarray:
         """(M, H + 1, 2, n + S), members' own forces (M, H, n) and errors (M, H, 3, S) of supports as loads."""
         samples, members, _ = noise.shape
-        own = np.zeros((samples, members + 1, 2, self.n + self.structure.supports))
-        own[:, :-1, 0, : self.n] = noise
-        own[:, :-1, :, self.n :] = errors[:, :, :2]
-        return own
+        deviations = np.zeros((samples, members + 1, 2, self.n + self.structure.supports))
+        deviations[:, :-1, 0, : self.n] = noise
+        deviations[:, :-1, :, self.n :] = errors[:, :, :2]
+        return deviations
 
 
 def _between(noise: np.ndarray, place: np.ndarray) -> np.ndarray:

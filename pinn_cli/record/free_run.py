@@ -48,8 +48,8 @@ COMPLETE = 1e-7
 def has_modes(modes: Modes) -> bool:
     """Whether the structure's motion is the sum of its modes': at time 0 they give back the state that they are of."""
     n, identity = len(modes.m), np.eye(len(modes.m))
-    left = np.hstack((modes.vectors @ modes.inputs, (modes.vectors * modes.poles) @ modes.inputs - identity))
-    return bool(np.isfinite(left).all() and np.abs(left).max(initial=0.0) < COMPLETE * n)
+    residual = np.hstack((modes.vectors @ modes.inputs, (modes.vectors * modes.poles) @ modes.inputs - identity))
+    return bool(np.isfinite(residual).all() and np.abs(residual).max(initial=0.0) < COMPLETE * n)
 
 
 def linear_motion(

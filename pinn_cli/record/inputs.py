@@ -41,7 +41,7 @@ def input_force(structure: Structure, record: Record) -> np.ndarray:
 def measured_orders(record: Record) -> list[tuple[str, int]]:
     """Of every support the quantity that tells most of its slow motion, and its order: 0, 1, 2 derivatives."""
     return [
-        min(((q, MOTION.index(SUPPORT[q])) for q in record.supports if record.sensors(q)[i]), key=lambda one: one[1])
+        min(((q, MOTION.index(SUPPORT[q])) for q in record.supports if record.sensors(q)[i]), key=lambda pair: pair[1])
         for i in range(len(record.support_names))
     ]
 
@@ -96,9 +96,9 @@ class SupportErrors:
         """
         if not record.supports:
             return None
-        told = measured_orders(record)
-        sigma = [levels[quantity][i] if quantity in levels else 0.0 for i, (quantity, _) in enumerate(told)]
-        return cls(np.nan_to_num(sigma), np.array([order for _, order in told]), record.step)
+        orders = measured_orders(record)
+        sigma = [levels[quantity][i] if quantity in levels else 0.0 for i, (quantity, _) in enumerate(orders)]
+        return cls(np.nan_to_num(sigma), np.array([order for _, order in orders]), record.step)
 
     def drawn(self, random: np.random.Generator, samples: int, before: np.ndarray) -> np.ndarray:
         """(M, H, 3, S), errors of displacement, velocity and acceleration at the next samples, behind those before.

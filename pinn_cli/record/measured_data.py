@@ -137,32 +137,30 @@ class MeasuredData:
                 sensor that reads one value throughout.
         """
         self._check_dofs(ndof)
-        found = self._read(connections, self.clock() if clock is None else clock)
-        time = found.time
+        sampled = self._read(connections, self.clock() if clock is None else clock)
+        time = sampled.time
         seen, truth = Response.unknown(time, ndof), Response.unknown(time, ndof)
-        forced = [
-            *self.force,
-            *(dof + 1 for own in self.channels if own.sensor.quantity == FORCE for dof in own.sensor.weights),
-        ]
+        sensors = [channel.sensor for channel in self.channels]
+        forced = [*self.force, *(dof + 1 for sensor in sensors if sensor.quantity == FORCE for dof in sensor.weights)]
         unforced = ~dof_mask(forced, ndof)
         seen.force[:, unforced] = 0.0
         supports: dict[str, np.ndarray] = {}
-        moving = max((own.sensor.dof + 1 for own in self.channels if own.sensor.quantity in SUPPORT), default=0)
-        for (quantity, number), column in found.columns.items():
+        moving = max((sensor.dof + 1 for sensor in sensors if sensor.quantity in SUPPORT), default=0)
+        for (quantity, number), column in sampled.columns.items():
             if quantity in SUPPORT:
                 supports.setdefault(quantity, np.full((len(time), moving), np.nan))[:, number] = column
             elif quantity != GROUND:
                 getattr(seen, quantity)[:, number] = column
-        seen = replace(seen, ground_acceleration=found.columns.get((GROUND, 0)))
+        seen = replace(seen, ground_acceleration=sampled.columns.get((GROUND, 0)))
         record = Record(
             **seen.measurable,
             unforced=unforced,
-            intersample=found.intersample,
-            assumed=found.assumed,
+            intersample=sampled.intersample,
+            assumed=sampled.assumed,
             frame=self.frame,
-            calibrated=found.calibrated,
+            calibrated=sampled.calibrated,
             responds=self.responds,
-            band=found.band,
+            band=sampled.band,
             supports=supports,
             support_names=tuple(str(i + 1) for i in range(moving)),
         )
@@ -273,14 +271,14 @@ class MeasuredData:
         column = self.ground_acceleration
         if column is not None and (not isinstance(column, str) or not column):
             raise InputError(f"data.{GROUND}", column, "null or the name of a column")
-        moves = any(own.sensor.quantity == GROUND for own in self._every_channel)
+        moves = any(channel.sensor.quantity == GROUND for channel in self._every_channel)
         check_frame(self.frame, moves, f"data.{GROUND} is not given")
         if moves and self.intersample == "zero_order_hold":
             allowed = f"band_limited or {FIRST_ORDER_HOLD} with data.{GROUND}"
             raise InputError("data.intersample", self.intersample, allowed, "nothing holds the ground between samples")
 
     def _check_sensors(self) -> None:
-        sensors = [own.sensor for own in self._every_channel if own.sensor.quantity in RESPONSE_QUANTITIES]
+        sensors = [channel.sensor for channel in self._every_channel if channel.sensor.quantity in RESPONSE_QUANTITIES]
         response = [{dof + 1 for dof in sensor.weights} for sensor in sensors]
         if self.responds and not response:
             settings = ", ".join(f"data.{quantity}" for quantity in RESPONSE_QUANTITIES)
@@ -313,10 +311,10 @@ class MeasuredData:
         for dof in self.force:  # of one that acts unmeasured there is no channel
             if not 1 <= dof <= ndof:
                 raise InputError("data.force", dof, f"a DOF between 1 and system.ndof={ndof}")
-        for own in (own for own in self._every_channel if own.sensor.quantity not in SUPPORT):
-            for dof in own.sensor.weights:
+        for channel in (channel for channel in self._every_channel if channel.sensor.quantity not in SUPPORT):
+            for dof in channel.sensor.weights:
                 if dof >= ndof:
-                    setting = own.setting if own in self.channels else f"data.{own.sensor.quantity}"
+                    setting = channel.setting if channel in self.channels else f"data.{channel.sensor.quantity}"
                     raise InputError(setting, dof + 1, f"a DOF between 1 and system.ndof={ndof}")
 
 
@@ -348,10 +346,10 @@ def _checked_holdout(holdout: Any) -> tuple[int, ...]:
 def _scored_by(channel: Channel, time: np.ndarray, holdout: Sequence[int]) -> np.ndarray:
     """What a sensor that is held out knows of the truth (N,), by a known calibration; NaN where it has no sample."""
     place, off = channel.places(time)
-    known = all(channel.number(kind).is_known for kind in channel.calibration)
-    if not known or channel.number("delay").value or np.abs(off).max() > OFF:
+    is_known = all(channel.number(kind).is_known for kind in channel.calibration)
+    if not is_known or channel.number("delay").value or np.abs(off).max() > OFF:
         allowed = "DOFs whose channels have a known calibration, no delay, and samples at even times"
         raise InputError("data.holdout", list(holdout), allowed, f"nothing else scores channel {channel.key}")
     truth = np.full(len(time), np.nan)
-    truth[place] = channel.felt_samples()[1]
+    truth[place] = channel.corrected_samples()[1]
     return truth

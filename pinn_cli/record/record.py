@@ -48,7 +48,7 @@ class Record:
         calibrated: Channels with samples or a calibration of their own. One of a single DOF has a column as well, as it
             is believed to be calibrated and by straight lines where samples are missing: for orders of magnitude,
             spectra and figures. What it says is in its own samples. All other columns are channels as they stand.
-        felt: The same as they felt at the record's times, once that is known.
+        corrected: The same as they felt at the record's times, once that is known.
         responds: Whether a response was measured; otherwise it is what acts on a structure, and no more.
         supports: Name in :data:`pinn_cli.system.quantities.SUPPORT` to (N, S), what was measured of the motion of the
             structure's S supports; a column of NaN where it was not.
@@ -76,7 +76,7 @@ class Record:
     frame: Frame = "absolute"
     dofs: tuple[str, ...] = ()
     calibrated: tuple[Channel, ...] = ()
-    felt: tuple[Channel, ...] = ()
+    corrected: tuple[Channel, ...] = ()
     responds: bool = True
     supports: Mapping[str, np.ndarray] = field(default_factory=dict)
     support_names: tuple[str, ...] = ()
@@ -181,7 +181,7 @@ class Record:
     def is_filtered(self) -> bool:
         """Whether every channel ends as one behind an anti-alias filter does; one that is white to the end has none."""
         columns = (self.histories(q)[:, self.sensors(q)].T for q in (*self.response_quantities, FORCE))
-        return all(level_at_end(column, self.step) is not None for every in columns for column in every if column.any())
+        return all(level_at_end(column, self.step) is not None for block in columns for column in block if column.any())
 
     def _label(self, channel: Channel) -> str:
         names = self.support_names if channel.quantity in SUPPORT else self.dofs
@@ -191,7 +191,7 @@ class Record:
         """One column as a channel about which nothing is in doubt; its number is counted from 0."""
         weights = {} if quantity == GROUND else {number: 1.0}
         channel = Channel("", quantity, weights, self.time, self.histories(quantity)[:, number])
-        gaps = next((own.gaps for own in self.felt if own.place == channel.place), None)
+        gaps = next((corrected.gaps for corrected in self.corrected if corrected.place == channel.place), None)
         return replace(channel, label=self._label(channel), gaps=gaps)
 
     def plain(self, quantity: str) -> np.ndarray:
@@ -200,13 +200,13 @@ class Record:
         plain[[c.place[1] for c in self.calibrated if c.place[0] == quantity]] = False
         return plain
 
-    def showing(self, felt: Iterable[Channel]) -> Record:
+    def showing(self, channels: Iterable[Channel]) -> Record:
         """The record whose columns show other histories of its channels, these (N,) at its times."""
-        return replace(self, **self._columns(felt))
+        return replace(self, **self._columns(channels))
 
-    def _columns(self, felt: Iterable[Channel]) -> dict[str, Any]:
+    def _columns(self, channels: Iterable[Channel]) -> dict[str, Any]:
         columns: dict[str, Any] = {}
-        for channel in (channel for channel in felt if channel.is_column):
+        for channel in (channel for channel in channels if channel.is_column):
             quantity, number = channel.place
             if quantity not in columns:
                 columns[quantity] = self.histories(quantity).copy()
@@ -242,7 +242,9 @@ class Record:
         if not set(dofs_by_quantity) <= set(RESPONSE_QUANTITIES):
             raise ValueError(f"{tuple(dofs_by_quantity)} are not all of {', '.join(RESPONSE_QUANTITIES)}")
         kept = {q: dof_mask(dofs_by_quantity.get(q, ()), self.ndof) for q in RESPONSE_QUANTITIES}
-        return self.only(lambda own: own.quantity not in kept or bool(kept[own.quantity][list(own.weights)].all()))
+        return self.only(
+            lambda channel: channel.quantity not in kept or bool(kept[channel.quantity][list(channel.weights)].all())
+        )
 
     def without_load_cells(self) -> Record:
         """The record in which the force on every forced DOF is unknown."""
@@ -255,7 +257,7 @@ class Record:
             InputError: No response sensor is left.
         """
         columns = [self.column(q, i) for q in QUANTITIES for i in np.flatnonzero(self.sensors(q)).tolist()]
-        blank = (own.at(self.time, np.full_like(self.time, np.nan)) for own in columns if not stays(own))
+        blank = (channel.at(self.time, np.full_like(self.time, np.nan)) for channel in columns if not stays(channel))
         return replace(self, **self._columns(blank), calibrated=tuple(filter(stays, self.calibrated)))
 
     def carried_by(self, motion: np.ndarray, first: int = 0) -> Record:
@@ -275,11 +277,11 @@ class Record:
         supports = {quantity: values[first:stop] for quantity, values in self.supports.items()}
         repeats, samples = self.repeats, len(histories["time"])
         if repeats is not None:
-            left = samples / repeats.samples
-            repeats = replace(repeats, samples=samples, square={q: left * s for q, s in repeats.square.items()})
+            share = samples / repeats.samples
+            repeats = replace(repeats, samples=samples, square={q: share * s for q, s in repeats.square.items()})
         ends = float(histories["time"][0]) if first else -np.inf, float(histories["time"][-1])
-        calibrated = tuple(own for channel in self.calibrated if len((own := channel.between(*ends)).time))
-        return replace(self, **histories, repeats=repeats, calibrated=calibrated, felt=(), supports=supports)
+        calibrated = tuple(shortened for channel in self.calibrated if len((shortened := channel.between(*ends)).time))
+        return replace(self, **histories, repeats=repeats, calibrated=calibrated, corrected=(), supports=supports)
 
 
 @dataclass(frozen=True, eq=False)

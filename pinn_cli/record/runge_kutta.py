@@ -64,9 +64,9 @@ def runge_kutta(
     else:
         left = middle = right = np.repeat(sampled[:-1], substeps, axis=0)
     if corners is None and steps >= MANY_STEPS and start.ndim == 2 == left.ndim:
-        found = shot(slope, start, (left, middle, right), h)
-        if found is not None:
-            return found[::substeps]
+        followed = shot(slope, start, (left, middle, right), h)
+        if followed is not None:
+            return followed[::substeps]
     z = start
     states = np.empty((steps + 1, *z.shape))
     states[0] = z
@@ -173,8 +173,8 @@ class _Pieces:
 
     @classmethod
     def of(cls, loads: tuple[np.ndarray, ...], count: int, length: int, slope: Slope, step: float) -> _Pieces:
-        every = (np.ascontiguousarray(x[: count * length].reshape(count, length, -1).swapaxes(0, 1)) for x in loads)
-        return cls(tuple(every), slope, step)
+        pieces = (np.ascontiguousarray(x[: count * length].reshape(count, length, -1).swapaxes(0, 1)) for x in loads)
+        return cls(tuple(pieces), slope, step)
 
     @property
     def count(self) -> int:
@@ -197,14 +197,14 @@ class _Pieces:
         """
         steps, n = len(self.loads[0]), states.shape[-1]
         begin, later = (self._tangent(states, at, size) for at in (0, steps // 2))
-        one = np.eye(2 * n)[None]
+        identity = np.eye(2 * n)[None]
         if _largest(np.stack((begin, later)) - begin[0]) <= ALIKE_WITHIN * _largest(begin):
-            power = np.linalg.matrix_power(self._series(one, begin[:1], 1)[0], steps)
+            power = np.linalg.matrix_power(self._series(identity, begin[:1], 1)[0], steps)
             return np.broadcast_to(power, (self.count, 2 * n, 2 * n))
         few = self._steps_at_once(begin)
         if n**3 > MOST_PRODUCTS * few:
             return None
-        out = np.broadcast_to(one, (self.count, 2 * n, 2 * n))
+        out = np.broadcast_to(identity, (self.count, 2 * n, 2 * n))
         for first in range(0, steps, few):
             last = min(first + few, steps)
             out = self._series(out, self._tangent(states, (first + last) // 2, size), last - first)

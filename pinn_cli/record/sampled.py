@@ -91,10 +91,10 @@ def sampled(
 def _reached(band: BandPass, window: tuple[int, int], rows: int) -> tuple[int, int]:
     """Rows that a filter takes for those of a window, as far as the file has them."""
     first, last = max(0, window[0] - band.half), min(rows, window[1] + band.half)
-    left = -(-(last - first - 2 * band.half) // band.factor)
-    if left < MINIMUM_SAMPLES:
+    samples = -(-(last - first - 2 * band.half) // band.factor)
+    if samples < MINIMUM_SAMPLES:
         allowed = f"a record of which its filter leaves {MINIMUM_SAMPLES} samples"
-        hint = f"of {window[1] - window[0]} samples it leaves {max(left, 0)}"
+        hint = f"of {window[1] - window[0]} samples it leaves {max(samples, 0)}"
         raise InputError("data.band", f"a filter of {len(band.taps)} samples", allowed, hint)
     return first, last
 
@@ -112,8 +112,8 @@ def _thinned(
     columns = np.stack(values, axis=1)
     if isinstance(by, int):
         return time[::by], list(decimate(columns, by).T)
-    found = by.filtered(columns)
-    return time[by.half :: by.factor][: len(found)], list(found.T)
+    filtered = by.filtered(columns)
+    return time[by.half :: by.factor][: len(filtered)], list(filtered.T)
 
 
 def _on_lines(
@@ -133,14 +133,14 @@ def _on_lines(
         return acts
     if intersample is not None:
         return [False] * len(values)
-    found = [
+    on_lines = [
         here and complete and samples_per_line(column) > 1
         for here, complete, column in zip(acts, whole, values, strict=True)
     ]
-    for channel in (channel for channel, held in zip(channels, found, strict=True) if held):
+    for channel in (channel for channel, held in zip(channels, on_lines, strict=True) if held):
         text = "%s lies on straight lines: taken with data.intersample=%s; say band_limited if it does not"
         log.warning(text, channel.setting, FIRST_ORDER_HOLD)
-    return found
+    return on_lines
 
 
 def _placed(
@@ -153,7 +153,7 @@ def _placed(
     for channel, column in zip(channels, values, strict=True):
         place, there = channel.sensor.place, ~np.isnan(column)
         if channel.is_plain and place not in columns and _fills(axis, time[there]):
-            columns[place] = channel.with_samples(axis, column[there], connections, fills=True).felt_samples()[1]
+            columns[place] = channel.with_samples(axis, column[there], connections, fills=True).corrected_samples()[1]
         elif channel.sensor.quantity in SUPPORT:
             allowed = "one channel of a kind for a support, with every sample at even times"
             raise InputError(channel.setting, repr(channel.column), allowed)
@@ -162,10 +162,10 @@ def _placed(
     calibrated: list[Channel] = []
     for channel, column in rest:
         there = ~np.isnan(column)
-        own = channel.with_samples(time[there], column[there], connections, channel.sensor.place not in columns)
-        calibrated.append(own)
-        if own.is_column:
-            columns[own.place] = own.history(axis)
+        sampled = channel.with_samples(time[there], column[there], connections, channel.sensor.place not in columns)
+        calibrated.append(sampled)
+        if sampled.is_column:
+            columns[sampled.place] = sampled.history(axis)
         _tell(channel, column, time)
     return axis, columns, tuple(calibrated)
 
@@ -178,12 +178,12 @@ def _fills(axis: np.ndarray, time: np.ndarray) -> bool:
 
 def _even_axis(time: np.ndarray, values: list[np.ndarray]) -> np.ndarray:
     """(N,), even times from first to last: those of the fastest channel where they are even, else as close."""
-    own = min((time[~np.isnan(column)] for column in values), key=lambda times: float(np.median(np.diff(times))))
-    step = float(np.median(np.diff(own)))
-    if np.abs(own - np.linspace(own[0], own[-1], len(own))).max() <= TIME_TOLERANCE * step:
-        step = float((own[-1] - own[0]) / (len(own) - 1))
-        before, after = int((own[0] - time[0]) / step), int((time[-1] - own[-1]) / step)
-        axis = np.linspace(own[0] - before * step, own[-1] + after * step, len(own) + before + after)
+    fastest = min((time[~np.isnan(column)] for column in values), key=lambda times: float(np.median(np.diff(times))))
+    step = float(np.median(np.diff(fastest)))
+    if np.abs(fastest - np.linspace(fastest[0], fastest[-1], len(fastest))).max() <= TIME_TOLERANCE * step:
+        step = float((fastest[-1] - fastest[0]) / (len(fastest) - 1))
+        before, after = int((fastest[0] - time[0]) / step), int((time[-1] - fastest[-1]) / step)
+        axis = np.linspace(fastest[0] - before * step, fastest[-1] + after * step, len(fastest) + before + after)
     else:
         axis = np.linspace(time[0], time[-1], max(MINIMUM_SAMPLES, round((time[-1] - time[0]) / step) + 1))
     text = "the times are uneven: every sample is used at its own time, and results come at %d even ones"
@@ -205,8 +205,8 @@ def _check_samples(channel: DataChannel, column: np.ndarray) -> None:
 def _tell(channel: DataChannel, column: np.ndarray, time: np.ndarray) -> None:
     """Warn of a channel that is nearly empty, counted by its own rate."""
     there = np.flatnonzero(~np.isnan(column))
-    own = float(np.median(np.diff(time[there])))
-    share = len(there) * own / (time[-1] - time[0] + own)
+    step = float(np.median(np.diff(time[there])))
+    share = len(there) * step / (time[-1] - time[0] + step)
     if share < NEARLY_EMPTY:
         text = "%s is nearly empty: %d samples, %.2g %% of what its own rate would give"
         log.warning(text, channel.setting, len(there), 100.0 * share)

@@ -209,10 +209,11 @@ def guessed(signals: Sequence[Signal]) -> tuple[list[Signal], list[str]]:
     notes = ["what columns are is guessed by their names and units: see the command below"]
     quantities = [_quantity(signal) for signal in signals]
     if not any(quantity in MOTION for quantity in quantities):
-        left = [i for i, quantity in enumerate(quantities) if not quantity]
-        for i in left:
+        unknown = [i for i, quantity in enumerate(quantities) if not quantity]
+        for i in unknown:
             quantities[i] = ACCELERATION
-        notes = ["nothing says what the columns measure: they are taken for accelerations in m/s^2"] if left else notes
+        if unknown:
+            notes = ["nothing says what the columns measure: they are taken for accelerations in m/s^2"]
     numbers = [number_of(signal) for signal in signals]
     stems = {re.sub(r"\d+", "#", bare(signal.column)): set[str]() for signal in signals}
     for signal, quantity in zip(signals, quantities, strict=True):
@@ -220,16 +221,16 @@ def guessed(signals: Sequence[Signal]) -> tuple[list[Signal], list[str]]:
     channels = any(len(of_stem - {""}) > 1 or _CHANNELS.search(stem) for stem, of_stem in stems.items())
     places, counted = [""] * len(signals), False
     for quantity in (*MOTION, FORCE):
-        own = [i for i, one in enumerate(quantities) if one == quantity]
-        named = [numbers[i] for i in own]
+        indices = [i for i, other in enumerate(quantities) if other == quantity]
+        named = [numbers[i] for i in indices]
         if channels or len(set(named)) < len(named) or (None in named and len(named) > 1) or not _are_dofs(named):
-            named, counted = list(range(1, len(own) + 1)), counted or len(own) > 1
-        for i, number in zip(own, named, strict=True):
+            named, counted = list(range(1, len(indices) + 1)), counted or len(indices) > 1
+        for i, number in zip(indices, named, strict=True):
             places[i] = str(number or 1)
     if counted:
         notes.append("which DOF a column belongs to is not in its name: they are counted as they stand in the file")
-    found = zip(signals, quantities, places, strict=True)
-    return [replace(signal, quantity=quantity, place=place) for signal, quantity, place in found], notes
+    guesses = zip(signals, quantities, places, strict=True)
+    return [replace(signal, quantity=quantity, place=place) for signal, quantity, place in guesses], notes
 
 
 def quantity_of_unit(unit: str) -> str:
@@ -247,14 +248,14 @@ def _quantity(signal: Signal) -> str:
 def number_in(column: str) -> int | None:
     """In the name of a column, that of its last part that has one."""
     parts = reversed(re.split(r"[/.]", bare(column)))
-    found = next((match for part in parts if (match := re.search(r"\d+", part))), None)
-    return None if found is None else int(found[0])
+    digits = next((match for part in parts if (match := re.search(r"\d+", part))), None)
+    return None if digits is None else int(digits[0])
 
 
 def number_of(signal: Signal) -> int | None:
     """That of the place, else that in the name."""
-    found = re.search(r"\d+", signal.place)
-    return number_in(signal.column) if found is None else int(found[0])
+    match = re.search(r"\d+", signal.place)
+    return number_in(signal.column) if match is None else int(match[0])
 
 
 def _are_dofs(numbers: Sequence[int | None]) -> bool:

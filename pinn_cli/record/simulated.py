@@ -129,8 +129,8 @@ def _with_histories(response: Response, histories: Mapping[str, np.ndarray]) -> 
 
 def averaged(measured: Sequence[Response]) -> tuple[Response, Repeats]:
     """Mean of repeats, (N, n) each, and their scatter about it."""
-    every = [_histories(response) for response in measured]
-    histories = {q: np.stack([one[q] for one in every]) for q in every[0]}
+    repeats = [_histories(response) for response in measured]
+    histories = {q: np.stack([repeat[q] for repeat in repeats]) for q in repeats[0]}
     means = {q: values.mean(axis=0) for q, values in histories.items()}
     square = {q: np.sum((values - means[q]) ** 2, axis=(0, 1)) for q, values in histories.items()}
     first = measured[0]
@@ -216,8 +216,8 @@ def _check_steps(simulation: Simulation, structure: Structure, most: int) -> Non
     name = "k" if stiff else "c"
     sizes = at_rest(structure)[0 if stiff else 1]
     parameter = structure.parameter(name, int(np.argmax(sizes)))
-    own, least = abs(parameter.prescribed), float(structure.parameters["m"].min())
-    rest = f"at rest its law adds {sizes.max() - own:.3g}; " if sizes.max() > own else ""
+    prescribed, least = abs(parameter.prescribed), float(structure.parameters["m"].min())
+    rest = f"at rest its law adds {sizes.max() - prescribed:.3g}; " if sizes.max() > prescribed else ""
     hint = f"{rest}{takes}; a larger mass or a shorter simulation.duration makes them fewer, too"
     raise InputError(
         structure.labels.setting(parameter),

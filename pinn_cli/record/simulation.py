@@ -89,20 +89,20 @@ class StateEquation:
         # The same operations as `Structure.acceleration` in the same order, to the same bits: a simulation takes them
         # ten thousand times, and half of its time was finding out again which they are.
         def slope(state: np.ndarray, load: np.ndarray) -> np.ndarray:
-            found = np.empty_like(state)
-            found[0] = velocity = state[1]
+            rate = np.empty_like(state)
+            rate[0] = velocity = state[1]
             np.divide(
-                load - force(state[0].dot(elongation), velocity.dot(elongation), None).dot(pull), mass, out=found[1]
+                load - force(state[0].dot(elongation), velocity.dot(elongation), None).dot(pull), mass, out=rate[1]
             )
-            return found
+            return rate
 
         def slope_with_memory(state: np.ndarray, load: np.ndarray) -> np.ndarray:
-            found = np.empty_like(state)
-            found[:n] = velocity = state[n : 2 * n]
+            rate = np.empty_like(state)
+            rate[:n] = velocity = state[n : 2 * n]
             e, de, z = state[:n].dot(elongation), velocity.dot(elongation), state[2 * n :]
-            np.divide(load - force(e, de, z).dot(pull), mass, out=found[n : 2 * n])
-            found[2 * n :] = hidden_rate(e, de, z)
-            return found
+            np.divide(load - force(e, de, z).dot(pull), mass, out=rate[n : 2 * n])
+            rate[2 * n :] = hidden_rate(e, de, z)
+            return rate
 
         return slope_with_memory if len(structure.memory) else slope
 

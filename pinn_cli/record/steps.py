@@ -282,11 +282,11 @@ def implicit_steps(
     parts = [(0, len(time), None)] if hold == "exact" else [(k, k + 2, sampled[k]) for k in range(len(time) - 1)]
     for begin, end, held in parts:
         at = time[begin:end]
-        found, told = odeint(
+        solution, info = odeint(
             rate, states[begin], at, (held,), full_output=True, hmax=step, mxstep=ANY_NUMBER, **options
         )  # fmt: skip
-        reached = len(at) if told["message"] == "Integration successful." else 1
-        states[begin + 1 : begin + reached] = found[1:reached]
+        reached = len(at) if info["message"] == "Integration successful." else 1
+        states[begin + 1 : begin + reached] = solution[1:reached]
         if reached == 1:
             break
     return states.reshape(-1, *shape)
@@ -305,7 +305,7 @@ def made_in_a_sample(slope: Slope, sampled: np.ndarray, start: np.ndarray, step:
         coordinates: n, as many displacements and velocities.
     """
     first = start + step * np.array([slope(start, load) for load in sampled])
-    moved = start + step * np.array([slope(*each) for each in zip(first, sampled, strict=True)])
+    moved = start + step * np.array([slope(state, load) for state, load in zip(first, sampled, strict=True)])
     most, out = np.abs(np.concatenate((first, moved))).reshape(-1, start.size).max(axis=0), np.empty(start.size)
     for part in (slice(coordinates), slice(coordinates, 2 * coordinates), slice(2 * coordinates, None)):
         out[part] = max(most[part].max(initial=0.0), np.finfo(float).tiny)

@@ -34,23 +34,23 @@ def si_factor(setting: str, unit: Any, quantity: str) -> float:
     return factor(setting, unit, UNITS[quantity], quantity)
 
 
-def factor(setting: str, unit: Any, own: str, sensor: str) -> float:
+def factor(setting: str, unit: Any, base_unit: str, sensor: str) -> float:
     """How many of a unit of its own one of a sensor's unit is.
 
     Args:
         setting: Whose unit it is, for errors.
         unit: As of :func:`si_factor`.
-        own: The unit that it is counted in.
+        base_unit: The unit that it is counted in.
         sensor: What the sensor is called.
 
     Raises:
         InputError: As of :func:`si_factor`.
     """
-    if unit is None or unit == own:
+    if unit is None or unit == base_unit:
         return 1.0
     if isinstance(unit, int | float) and not isinstance(unit, bool):
         return float(positive_number(setting, unit))
-    allowed = f"a unit such as {own}, or the number of {own} that one is"
+    allowed = f"a unit such as {base_unit}, or the number of {base_unit} that one is"
     if not isinstance(unit, str) or not unit.strip():
         raise InputError(setting, unit, allowed)
     if NUMERAL.fullmatch(unit.strip()):
@@ -58,14 +58,14 @@ def factor(setting: str, unit: Any, own: str, sensor: str) -> float:
     import pint
 
     try:
-        one = _registry().Quantity(1.0, unit)
+        quantity = _registry().Quantity(1.0, unit)
     except (pint.errors.PintError, ValueError, TypeError, AttributeError, SyntaxError, AssertionError) as error:
         first = str(error).splitlines()[0] if str(error) else "pint cannot read it"
         raise InputError(setting, unit, allowed, first) from None
     try:
-        return float(one.to(own).magnitude)
+        return float(quantity.to(base_unit).magnitude)
     except pint.errors.PintError:
-        meaning = f"[{one.units:~}]" if one.dimensionless else one.dimensionality
+        meaning = f"[{quantity.units:~}]" if quantity.dimensionless else quantity.dimensionality
         hint = f"{unit} measures {meaning}, and the channel's sensor is one of {sensor}"
         raise InputError(setting, unit, allowed, hint) from None
 

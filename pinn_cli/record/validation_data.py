@@ -71,28 +71,28 @@ class ValidationData:
         given = records[0].validation
         if given is None:
             return None
-        known = [each.name for each in fields(MeasuredData) if each.name not in NOT_ITS_OWN]
+        settings = [setting.name for setting in fields(MeasuredData) if setting.name not in NOT_ITS_OWN]
         if not isinstance(given, Mapping) or not given:
             allowed = "null, a segment {start: ..., stop: ...}, or another record {path: ...}"
             raise InputError("data.validation", given, allowed)
         for name in given:
-            if name not in (*known, SETTLE):
-                allowed = f"one of the settings {', '.join((*known, SETTLE))}"
-                raise InputError(f"data.validation.{name}", given[name], allowed, suggestion(str(name), known))
+            if name not in (*settings, SETTLE):
+                allowed = f"one of the settings {', '.join((*settings, SETTLE))}"
+                raise InputError(f"data.validation.{name}", given[name], allowed, suggestion(str(name), settings))
         settle = finite_number(f"data.validation.{SETTLE}", given.get(SETTLE, 0.0))
         if settle < 0.0:
             raise InputError(f"data.validation.{SETTLE}", settle, ">= 0 s")
-        own = {name: value for name, value in given.items() if name != SETTLE}
-        if "path" not in own and any(each.path != records[0].path for each in records):
+        segment = {name: value for name, value in given.items() if name != SETTLE}
+        if "path" not in segment and any(record.path != records[0].path for record in records):
             hint = "the records of data.records are of different files"
             raise InputError("data.validation.path", None, "the file that it is a segment of, or another one", hint)
-        path = own.get("path", records[0].path)
-        same = [number for number, each in enumerate(records) if each.path == path]
+        path = segment.get("path", records[0].path)
+        same = [number for number, record in enumerate(records) if record.path == path]
         of = same[0] if same else 0
-        window = {"start": None, "stop": None} | own
+        window = {"start": None, "stop": None} | segment
         with_window = replace(records[of], **(window | {"holdout": (), "validation": None}))
-        cut = [_seen(each, with_window) if each.path == path else (each, False) for each in records]
-        seen = tuple(replace(each, validation=None) for each, _ in cut)
+        cut = [_seen(record, with_window) if record.path == path else (record, False) for record in records]
+        seen = tuple(replace(record, validation=None) for record, _ in cut)
         before = [number for number, (_, follows) in enumerate(cut) if follows]
         if before:
             of = max(before, key=lambda number: seen[number].stop or -math.inf)
@@ -112,7 +112,7 @@ class ValidationData:
         try:
             record = data.measure(ndof, connections).record
         except InputError as error:
-            raise InputError(_own_setting(error.setting), error.value, error.allowed, error.hint) from error
+            raise InputError(_validation_setting(error.setting), error.value, error.allowed, error.hint) from error
         unknown = np.flatnonzero(np.isnan(record.force).any(axis=0))
         if unknown.size:
             hint = f"that on {record.dof_names(unknown)} is unknown, and what is simulated needs every force"
@@ -132,14 +132,14 @@ def _seen(data: MeasuredData, segment: MeasuredData) -> tuple[MeasuredData, bool
     from the file's start on, it begins where that ends.
     """
     start, stop = (math.inf * sign if x is None else x for sign, x in ((-1, segment.start), (1, segment.stop)))
-    own_start, own_stop = (math.inf * sign if x is None else x for sign, x in ((-1, data.start), (1, data.stop)))
-    if own_stop < start:
+    seen_start, seen_stop = (math.inf * sign if x is None else x for sign, x in ((-1, data.start), (1, data.stop)))
+    if seen_stop < start:
         return data, True
-    if own_start > stop:
+    if seen_start > stop:
         return data, False
-    if segment.start is not None and data.stop is None and own_start < start:
+    if segment.start is not None and data.stop is None and seen_start < start:
         return replace(data, stop=math.nextafter(start, -math.inf)), True
-    if segment.start is None and data.start is None and stop < own_stop:
+    if segment.start is None and data.start is None and stop < seen_stop:
         return replace(data, start=math.nextafter(stop, math.inf)), False
     given = f"{segment.start}, {segment.stop}"
     allowed = f"outside of what the estimator sees, data.start={data.start} to data.stop={data.stop}"
@@ -147,7 +147,7 @@ def _seen(data: MeasuredData, segment: MeasuredData) -> tuple[MeasuredData, bool
     raise InputError("data.validation.start, data.validation.stop", given, allowed, hint)
 
 
-def _own_setting(setting: str) -> str:
+def _validation_setting(setting: str) -> str:
     return ", ".join(
         f"data.validation.{name.removeprefix('data.')}" if name.startswith("data.") else name
         for name in setting.split(", ")
@@ -156,5 +156,5 @@ def _own_setting(setting: str) -> str:
 
 def validation_of(given: Sequence[Any]) -> ValidationData | None:
     """Of the objects that a data option built; None of those that have no such setting."""
-    records = [each for each in given if isinstance(each, MeasuredData)]
+    records = [record for record in given if isinstance(record, MeasuredData)]
     return ValidationData.among(records) if len(records) == len(given) else None

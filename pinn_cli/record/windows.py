@@ -80,11 +80,11 @@ class Grid:
         Raises:
             InputError: They hold too few samples.
         """
-        own = time[: int(np.searchsorted(time, time[0] + length, side="right"))]
-        if len(own) < MINIMUM_SAMPLES:
-            hint = f"the first {length:g} s hold {len(own)} samples"
+        times = time[: int(np.searchsorted(time, time[0] + length, side="right"))]
+        if len(times) < MINIMUM_SAMPLES:
+            hint = f"the first {length:g} s hold {len(times)} samples"
             raise InputError(WINDOW_SETTING, length, f"windows of at least {MINIMUM_SAMPLES} samples", hint)
-        steps = np.diff(own)
+        steps = np.diff(times)
         # Times are printed with few digits: one step is off by much, all together are not. Gaps are no steps.
         step = float(np.mean(steps[steps < GAP * np.median(steps)]))
         samples = round(length / step)
@@ -92,7 +92,7 @@ class Grid:
             allowed = f"at least {MINIMUM_SAMPLES} samples, {MINIMUM_SAMPLES * step:g} s here"
             raise InputError(WINDOW_SETTING, length, allowed, "it is in seconds")
         overlap = OVERLAP_SHARE * length if overlap is None else overlap
-        return cls(float(own[0]), step, samples, round(overlap / step))
+        return cls(float(times[0]), step, samples, round(overlap / step))
 
     def window(self, number: int) -> Window:
         """A window that is no last one."""
@@ -103,11 +103,11 @@ class Grid:
 
     def last(self, number: int, stop: float) -> Window | None:
         """What is left for a last window of a record that ends at ``stop``, s; None if those before have it all."""
-        before, own = self.window(number - 1), self.window(number)
-        left = round((stop - own.start) / self.step) + 1
-        if (number > 1 and stop <= before.stop + 0.5 * self.step) or left < MINIMUM_SAMPLES:
+        before, window = self.window(number - 1), self.window(number)
+        samples = round((stop - window.start) / self.step) + 1
+        if (number > 1 and stop <= before.stop + 0.5 * self.step) or samples < MINIMUM_SAMPLES:
             return None
-        return Window(number, own.start, stop)
+        return Window(number, window.start, stop)
 
     def is_reached(self, window: Window, time: float) -> bool:
         """Whether a record that has come to a time, s, has the whole window."""
@@ -115,11 +115,11 @@ class Grid:
 
     def all(self, stop: float) -> list[Window]:
         """The windows of a whole record that ends at ``stop``, s."""
-        found: list[Window] = []
-        while self.is_reached(window := self.window(len(found) + 1), stop):
-            found.append(window)
-        last = self.last(len(found) + 1, stop)
-        return [*found[:-1], replace(found[-1], hand_over=None)] if last is None else [*found, last]
+        windows: list[Window] = []
+        while self.is_reached(window := self.window(len(windows) + 1), stop):
+            windows.append(window)
+        last = self.last(len(windows) + 1, stop)
+        return [*windows[:-1], replace(windows[-1], hand_over=None)] if last is None else [*windows, last]
 
 
 def checked_lengths(window: object, overlap: object) -> tuple[float, float | None]:
@@ -131,11 +131,11 @@ def checked_lengths(window: object, overlap: object) -> tuple[float, float | Non
     length = positive_number(WINDOW_SETTING, window)
     if overlap is None:
         return length, None
-    own = non_negative_number(OVERLAP, overlap)
-    if own > LARGEST_SHARE * length:
+    seconds = non_negative_number(OVERLAP, overlap)
+    if seconds > LARGEST_SHARE * length:
         allowed = f"at most half of {WINDOW_SETTING}={length:g}"
-        raise InputError(OVERLAP, own, allowed, "the next window begins so long before the end of this one")
-    return length, own
+        raise InputError(OVERLAP, seconds, allowed, "the next window begins so long before the end of this one")
+    return length, seconds
 
 
 class RecordWindows(ABC):
@@ -322,20 +322,20 @@ class GrowingWindows(RecordWindows):
 
     def _next(self, number: int) -> Window | None:
         """A window that is there as a whole; None while it is not."""
-        own = self._time
+        times = self._time
         if self._grid is None:
-            if len(own) == 0 or own[-1] <= own[0] + self.lengths[0]:
+            if len(times) == 0 or times[-1] <= times[0] + self.lengths[0]:
                 return None
-            self._grid = Grid.of(*self.lengths, own)
+            self._grid = Grid.of(*self.lengths, times)
         window = self._grid.window(number)
         self.arriving.forget_before(window.start - 0.5 * self._grid.step)
-        return window if len(own) and self._grid.is_reached(window, float(own[-1])) else None
+        return window if len(times) and self._grid.is_reached(window, float(times[-1])) else None
 
     def _last(self, number: int) -> Window | None:
         """What is left, as a window that hands over to none."""
-        own = self._time
-        if len(own) == 0:
+        times = self._time
+        if len(times) == 0:
             hint = f"nothing has come: {self.arriving.path}"
             raise InputError("data.path", self.arriving.path.name, "a file that grows, or a folder with files", hint)
-        self._grid = self._grid or Grid.of(*self.lengths, own)
-        return self._grid.last(number, float(own[-1]))
+        self._grid = self._grid or Grid.of(*self.lengths, times)
+        return self._grid.last(number, float(times[-1]))

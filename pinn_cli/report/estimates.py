@@ -51,9 +51,9 @@ class Estimates:
         ``head``, ``value`` and ``true`` are what three of them are called; ``further`` are others.
         """
         lower, upper = self.interval
-        own = {head: self.names, value: self.estimate, "std": self.std, "lower_90": lower, "upper_90": upper}
+        columns = {head: self.names, value: self.estimate, "std": self.std, "lower_90": lower, "upper_90": upper}
         scored = {true: self.true, "error_percent": error_percent(self.estimate, self.true)}
-        return pd.DataFrame(own | further | scored)
+        return pd.DataFrame(columns | further | scored)
 
 
 def error_percent(estimate: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -72,7 +72,7 @@ class Histories:
         axis: What the places are: ``dof``, ``connection``, ``support``; "" of the ground, which is one.
         places: (C,), their names, or their numbers from 1.
         time: (N,), s.
-        found: Source to values (N, C): the ``estimate``, its deviation ``std``, what is ``true``, what was
+        sources: Source to values (N, C): the ``estimate``, its deviation ``std``, what is ``true``, what was
             ``observed``, what a ``free_run`` makes of it, and so on; a source that there is not is left out.
     """
 
@@ -80,7 +80,7 @@ class Histories:
     axis: str
     places: tuple[str, ...]
     time: np.ndarray
-    found: Mapping[str, np.ndarray]
+    sources: Mapping[str, np.ndarray]
 
     @property
     def unit(self) -> str:
@@ -95,12 +95,12 @@ class Histories:
 
     def of(self, source: str) -> np.ndarray:
         """(N, C), NaN where there is none."""
-        found = self.found.get(source)
-        return np.full((len(self.time), len(self.places)), np.nan) if found is None else found
+        values = self.sources.get(source)
+        return np.full((len(self.time), len(self.places)), np.nan) if values is None else values
 
-    def beside(self, **found: np.ndarray | None) -> Histories:
+    def with_sources(self, **sources: np.ndarray | None) -> Histories:
         """The same with further sources, those that are not None."""
-        return replace(self, found={**self.found, **{name: x for name, x in found.items() if x is not None}})
+        return replace(self, sources={**self.sources, **{name: x for name, x in sources.items() if x is not None}})
 
     def peaks(self, source: str = "estimate") -> tuple[np.ndarray, np.ndarray]:
         """Largest absolute value at every place and its sample, each (C,)."""
@@ -121,10 +121,10 @@ def dof_histories(results: Results) -> list[Histories]:
     places, out = tuple(record.dof_name(i) for i in range(record.ndof)), []
     for name in QUANTITIES:
         true = getattr(results.truth.response, name)
-        own = Histories(name, "dof", places, record.time, {})
-        found = {"estimate": getattr(estimate.response, name), "std": getattr(estimate.std, name)}
-        known = {"true": true if np.isfinite(true).any() else None, "observed": observed(record, name)}
-        out.append(own.beside(**found, **known))
+        histories = Histories(name, "dof", places, record.time, {})
+        estimated = {"estimate": getattr(estimate.response, name), "std": getattr(estimate.std, name)}
+        references = {"true": true if np.isfinite(true).any() else None, "observed": observed(record, name)}
+        out.append(histories.with_sources(**estimated, **references))
     return out
 
 
@@ -133,10 +133,10 @@ def ground_history(results: Results) -> Histories | None:
     estimate, record, truth = results.estimate, results.record, results.truth.response
     sources = {"estimate": estimate.response, "std": estimate.std, "true": truth}
     moved = {source: getattr(response, GROUND) for source, response in sources.items()}
-    found = {source: x[:, None] for source, x in moved.items() if x is not None}
+    values = {source: x[:, None] for source, x in moved.items() if x is not None}
     if record.ground_acceleration is not None:
-        found["observed"] = observed(record, GROUND)
-    return Histories(GROUND, "", ("ground",), record.time, found) if found else None
+        values["observed"] = observed(record, GROUND)
+    return Histories(GROUND, "", ("ground",), record.time, values) if values else None
 
 
 def support_histories(results: Results) -> list[Histories]:
@@ -144,11 +144,11 @@ def support_histories(results: Results) -> list[Histories]:
     estimate, record, out = results.estimate, results.record, []
     moved = {"estimate": estimate.response.supports, "std": estimate.std.supports}
     for order, name in enumerate(SUPPORT):
-        found = {source: x[:, order] for source, x in moved.items() if x is not None}
+        sources = {source: x[:, order] for source, x in moved.items() if x is not None}
         if name in record.supports:
-            found["observed"] = observed(record, name)
-        if found:
-            out.append(Histories(name, "support", tuple(record.support_names), record.time, found))
+            sources["observed"] = observed(record, name)
+        if sources:
+            out.append(Histories(name, "support", tuple(record.support_names), record.time, sources))
     return out
 
 
@@ -156,7 +156,7 @@ def observed(record: Record, quantity: str) -> np.ndarray:
     """(N, C), what sensors measured; NaN where there is none, and where one has no sample."""
     # A force that is known to be zero is 0 in the record; nobody has measured it.
     shown = np.where(record.sensors(quantity), record.histories(quantity), np.nan)
-    for channel in record.felt:
+    for channel in record.corrected:
         if channel.place[0] == quantity:
             shown[~channel.there, channel.place[1]] = np.nan
     return shown
@@ -167,15 +167,15 @@ def drifts(structure: Structure, estimate: Estimate, truth: Response) -> Histori
 
     ``truth`` is NaN where unknown: the drift of a connection is known where all that it joins are.
     """
-    stretch, known = structure.drifts_of_dofs, estimate.connections
-    found = _with_supports(estimate.response, structure.supports) @ stretch.T
-    std = np.full(found.shape, np.nan) if known is None else known.elongation_std
+    stretch, connections = structure.drifts_of_dofs, estimate.connections
+    elongation = _with_supports(estimate.response, structure.supports) @ stretch.T
+    std = np.full(elongation.shape, np.nan) if connections is None else connections.elongation_std
     displacement = _with_supports(truth, structure.supports)
     joins = abs(stretch) @ np.isnan(displacement).any(axis=0).astype(float) > 0.0
     true = np.where(joins, np.nan, np.nan_to_num(displacement) @ stretch.T)
-    names, sources = structure.drift_names, {"estimate": found, "std": std}
-    own = Histories("drift", "connection", names, estimate.response.time, sources)
-    return own.beside(true=true if np.isfinite(true).any() else None)
+    names, sources = structure.drift_names, {"estimate": elongation, "std": std}
+    histories = Histories("drift", "connection", names, estimate.response.time, sources)
+    return histories.with_sources(true=true if np.isfinite(true).any() else None)
 
 
 def _with_supports(response: Response, supports: int) -> np.ndarray:
@@ -190,29 +190,29 @@ def drift_table(drifts: Histories) -> pd.DataFrame:
     ``peak`` is the largest absolute drift, m, at ``time_of_peak``, s. Its 90 % interval is that of the drift at this
     time: two peaks of nearly the same height are not told apart. Cells of what is not known are empty (NaN).
     """
-    found, (_, sample), (_, when) = drifts.peak_estimates(), drifts.peaks(), drifts.peaks("true")
-    table = found.table("connection", "peak", "true_peak", time_of_peak=drifts.time[sample])
+    peaks, (_, sample), (_, when) = drifts.peak_estimates(), drifts.peaks(), drifts.peaks("true")
+    table = peaks.table("connection", "peak", "true_peak", time_of_peak=drifts.time[sample])
     table["lower_90"] = table["lower_90"].clip(lower=0.0)
-    true_time = np.where(np.isfinite(found.true), drifts.time[when], np.nan)
+    true_time = np.where(np.isfinite(peaks.true), drifts.time[when], np.nan)
     table.insert(len(table.columns) - 1, "true_time_of_peak", true_time)
     return table
 
 
 def connection_forces(structure: Structure, estimate: Estimate, truth: Truth) -> Histories | None:
     """Internal forces of the same connections, N, NaN of mere pairs; None where the training does not tell them."""
-    found, response = estimate.connections, truth.response
-    if found is None:
+    connections, response = estimate.connections, truth.response
+    if connections is None:
         return None
-    sources = {"estimate": found.force, "std": found.force_std}
-    known = truth.parameters is not None and np.isfinite(response.velocity).all()
-    if known and set(truth.parameters or ()) == set(structure.parameters):
+    sources = {"estimate": connections.force, "std": connections.force_std}
+    is_known = truth.parameters is not None and np.isfinite(response.velocity).all()
+    if is_known and set(truth.parameters or ()) == set(structure.parameters):
         e, de = (structure.elongation(x) for x in response.stretching)
         force = structure.connection_force(e, de, truth.parameters, response.hidden)
-        if np.isfinite(own := force[:, structure.added]).any():
-            sources["true"] = own
+        if np.isfinite(true := force[:, structure.added]).any():
+            sources["true"] = true
     names = structure.drift_names
-    beside = ((0, 0), (0, len(names) - len(structure.added)))
-    padded = {name: np.pad(values, beside, constant_values=np.nan) for name, values in sources.items()}
+    padding = ((0, 0), (0, len(names) - len(structure.added)))
+    padded = {name: np.pad(values, padding, constant_values=np.nan) for name, values in sources.items()}
     return Histories(CONNECTION_FORCE, "connection", names, response.time, padded)
 
 
@@ -223,12 +223,12 @@ def dissipated_energy(results: Results) -> Estimates:
     is that of the structure that a simulated record comes from.
     """
     estimate, true, truth = results.estimate, results.true, results.truth.response
-    structure, known = estimated_structure(results.prescribed, estimate.parameters), estimate.connections
-    energy = None if known is None else known.dissipated
+    structure, connections = estimated_structure(results.prescribed, estimate.parameters), estimate.connections
+    energy = None if connections is None else connections.dissipated
     energy = dissipated(structure, estimate.response) if energy is None else energy
-    std, unknown = None if known is None else known.dissipated_std, np.full(len(energy), np.nan)
-    told = true is not None and len(true.added) == len(energy) and np.isfinite(truth.velocity).all()
-    true_energy = dissipated(true, truth) if true is not None and told else unknown
+    std, unknown = None if connections is None else connections.dissipated_std, np.full(len(energy), np.nan)
+    is_known = true is not None and len(true.added) == len(energy) and np.isfinite(truth.velocity).all()
+    true_energy = dissipated(true, truth) if true is not None and is_known else unknown
     names = structure.drift_names[: len(energy)]
     return Estimates(names, energy, unknown if std is None else std, true_energy)
 
@@ -271,15 +271,15 @@ class OtherModes:
     shapes: np.ndarray
 
     @classmethod
-    def of(cls, structure: Structure | None, found: NaturalModes) -> OtherModes:
+    def of(cls, structure: Structure | None, modes: NaturalModes) -> OtherModes:
         """Of a structure with as many modes as those that were found."""
         other = None if structure is None else NaturalModes.of(structure)
-        if other is None or other.of_dofs.shape != found.of_dofs.shape:
-            nothing = np.full(len(found.squares), np.nan)
-            return cls(nothing, nothing, nothing, np.full(found.of_dofs.shape, np.nan))
-        to, every = found.partners(other), np.arange(len(found.squares))
-        sign = np.where(np.sum(found.shapes * other.shapes[:, to], axis=0) < 0, -1.0, 1.0)
-        mac = found.assurance(other)[every, to]
+        if other is None or other.of_dofs.shape != modes.of_dofs.shape:
+            nothing = np.full(len(modes.squares), np.nan)
+            return cls(nothing, nothing, nothing, np.full(modes.of_dofs.shape, np.nan))
+        to, index = modes.partners(other), np.arange(len(modes.squares))
+        sign = np.where(np.sum(modes.shapes * other.shapes[:, to], axis=0) < 0, -1.0, 1.0)
+        mac = modes.assurance(other)[index, to]
         return cls(mac, other.frequencies[to], other.damping_ratios[to], sign * other.shapes[:, to])
 
 
@@ -319,7 +319,7 @@ class ModeEstimates:
         if modes is None:
             return None
         intervals = []
-        slopes = modes.slopes([found.parameter for found in estimate.parameters])
+        slopes = modes.slopes([p.parameter for p in estimate.parameters])
         for values, slope in zip((modes.squares, modes.damping_ratios), slopes, strict=True):
             below, above = half_widths_90(slope, estimate.parameters, estimate.correlation)
             intervals.append(np.stack((values - below, values + above)))

@@ -54,8 +54,8 @@ def histories(dataset: xr.Dataset) -> Iterator[tuple[str, str, int, str, xr.Data
 
 def _table(dataset: xr.Dataset) -> pd.DataFrame:
     """Columns ``t``, ``displacement_1``, ``displacement_1_std`` and so on, s and SI units."""
-    found = {"_".join(filter(None, (q, dof, std))): own.values for q, dof, _, std, own in histories(dataset)}
-    return pd.DataFrame({"t": dataset["time"].values, **found})
+    columns = {"_".join(filter(None, (q, dof, std))): history.values for q, dof, _, std, history in histories(dataset)}
+    return pd.DataFrame({"t": dataset["time"].values, **columns})
 
 
 def write_csv(dataset: xr.Dataset, path: Path) -> None:
@@ -100,7 +100,7 @@ def write_uff(dataset: xr.Dataset, path: Path) -> None:
     sets = [pyuff.prepare_164(**si, temp_mode=1, temp=1.0, temp_offset=273.15)]
     for quantity, dof, number, std, history in histories(dataset):
         title = " ".join(filter(None, (quantity, dof, std)))
-        own = pyuff.prepare_58(
+        data_set = pyuff.prepare_58(
             binary=0, func_type=_TIME_RESPONSE, id1=title[:_LINE_LENGTH], id2="estimated by pinn-run", id3="NONE",
             id4="NONE", id5=f"time step {step:.16g} s", load_case_id=0, rsp_ent_name="NONE", rsp_node=number, rsp_dir=0,
             ref_ent_name="NONE", ref_node=0, ref_dir=0, abscissa_spacing=1, abscissa_spec_data_type=_TIME,
@@ -108,9 +108,9 @@ def write_uff(dataset: xr.Dataset, path: Path) -> None:
             ordinate_axis_units_lab=history.attrs["units"][:_LABEL], orddenom_spec_data_type=0,
             z_axis_spec_data_type=0, data=np.ascontiguousarray(history.values, dtype=np.float64), x=time,
         )  # fmt: skip
-        sets.append(own)
-    with replacing(path) as beside:
-        pyuff.UFF(str(beside)).write_sets(sets)
+        sets.append(data_set)
+    with replacing(path) as temporary:
+        pyuff.UFF(str(temporary)).write_sets(sets)
 
 
 _EVERY = (
@@ -130,11 +130,13 @@ def report_settings(
     """
     if not isinstance(export, Sequence) or isinstance(export, str) or not all(name in EXPORTS for name in export):
         raise InputError("report.export", export, f"a list of any of {', '.join(EXPORTS)}")
-    found = tuple(EXPORTS[name] for name in dict.fromkeys(export))
-    for one in (one for one in found if one.package):
+    exports = tuple(EXPORTS[name] for name in dict.fromkeys(export))
+    for file_format in (file_format for file_format in exports if file_format.package):
         try:
-            import_module(one.package)
+            import_module(file_format.package)
         except ModuleNotFoundError:
-            allowed = f"a format whose package is installed; {one.name} needs {one.package}"
-            raise InputError("report.export", one.name, allowed, f"pip install 'pinn-cli[{one.extra}]'") from None
-    return found, between
+            allowed = f"a format whose package is installed; {file_format.name} needs {file_format.package}"
+            raise InputError(
+                "report.export", file_format.name, allowed, f"pip install 'pinn-cli[{file_format.extra}]'"
+            ) from None
+    return exports, between

@@ -102,9 +102,9 @@ def fitness_rows(scores: Mapping[str, np.ndarray], observed: np.ndarray) -> pd.D
     rows = []
     for group, members in groups(observed).items():
         for quantity in QUANTITIES:
-            own = scores[quantity][:, members]
-            filled = np.isfinite(own)
-            counts, sums = filled.sum(axis=1), np.where(filled, own, 0.0).sum(axis=1)
+            values = scores[quantity][:, members]
+            filled = np.isfinite(values)
+            counts, sums = filled.sum(axis=1), np.where(filled, values, 0.0).sum(axis=1)
             rows.append((group, quantity, *np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)))
     return pd.DataFrame(rows, columns=["group", "quantity", *FORMULAS])
 
@@ -116,13 +116,13 @@ def groups(observed: np.ndarray) -> dict[str, np.ndarray]:
     return named | {f"dof_{dof}": dofs == dof for dof in dofs}
 
 
-def nmse_percent(left: np.ndarray, signal: np.ndarray) -> float:
+def nmse_percent(residual: np.ndarray, signal: np.ndarray) -> float:
     """100 mean(r^2) / variance of a signal (N,) of which r (N,) is left: 0 is perfect, 100 predicts nothing.
 
     NaN of a constant signal.
     """
     variance = float(np.var(signal))
-    return 100.0 * float(np.mean(left**2)) / variance if variance > 0.0 else np.nan
+    return 100.0 * float(np.mean(residual**2)) / variance if variance > 0.0 else np.nan
 
 
 def residual_table(estimate: Estimate, record: Record, free_run: Response | None = None) -> pd.DataFrame:
@@ -146,18 +146,18 @@ def residual_table(estimate: Estimate, record: Record, free_run: Response | None
     rows = []
     for channel in every_channel(record):
         signal, dof = channel.measured, channel.dof + 1 if channel.is_column else None
-        left = signal - channel.of(estimate.response)
-        own, sampled, sigma = left[channel.there], signal[channel.there], estimate.noise.of(channel)
-        rms, largest = float(np.sqrt(np.mean(own**2))), max(autocorrelation(left, LAGS), key=abs)
+        residual = signal - channel.of(estimate.response)
+        errors, sampled, sigma = residual[channel.there], signal[channel.there], estimate.noise.of(channel)
+        rms, largest = float(np.sqrt(np.mean(errors**2))), max(autocorrelation(residual, LAGS), key=abs)
         low, high = signal_edges(signal, record.step)
         free = np.nan
         if free_run is not None and not channel.is_input:
             free = nmse_percent(signal - channel.of(free_run), signal)
         rows.append(
             (
-                channel.quantity, dof, len(own), float(np.std(sampled)), rms, nmse_percent(own, sampled),
-                sigma, rms / sigma if sigma > 0.0 else np.nan, float(np.mean(own)), white_probability(left),
-                float(largest), cumulated_deviation(left), low, high,
+                channel.quantity, dof, len(errors), float(np.std(sampled)), rms, nmse_percent(errors, sampled),
+                sigma, rms / sigma if sigma > 0.0 else np.nan, float(np.mean(errors)), white_probability(residual),
+                float(largest), cumulated_deviation(residual), low, high,
                 100.0 * band_share(signal, record.step, low, high), free, clipped_percent(signal),
                 constant_percent(signal), channel.name,
             )

@@ -109,9 +109,9 @@ def free_run(prescribed: Structure, estimate: Estimate, record: Record) -> FreeR
     if again < CONTRADICTED_BELOW and 100.0 - again > OWN_PART * (100.0 - excused):
         why = f"begun one standard deviation beside it, with itself to {max(again, 0.0):.1f} %"
         return FreeRun(response, f"{said}, and, {why}: the motion is chaotic, and no free run tells of the parameters")
-    found = f"in a free run their displacements agree with it {extent}"
+    finding = f"in a free run their displacements agree with it {extent}"
     why = "the model, the parameters or the response is wrong"
-    warning = f"warning: the estimated parameters do not reproduce the estimated response: {found}; {why}"
+    warning = f"warning: the estimated parameters do not reproduce the estimated response: {finding}; {why}"
     return FreeRun(response, warning, agreement)
 
 
@@ -143,19 +143,19 @@ def _excused_agreement(structure: Structure, estimate: Estimate, record: Record,
     DOF carries a force that is estimated from the motion alone, this excuses wrong parameters too: the estimated force
     makes up for them.
     """
-    found = estimate.response
-    force = np.where(record.sensors("force"), found.force, record.force)
-    ground = record.ground_acceleration if found.ground_acceleration is None else found.ground_acceleration
+    response = estimate.response
+    force = np.where(record.sensors("force"), response.force, record.force)
+    ground = record.ground_acceleration if response.ground_acceleration is None else response.ground_acceleration
     try:
         acting = replace(record, force=force, ground_acceleration=ground)
-        if found.supports is not None:
-            acting = acting.carried_by(found.supports, first)
-        run = free_run_of(structure, acting, found, first, first)
-        excused = _agreement(run, found)
+        if response.supports is not None:
+            acting = acting.carried_by(response.supports, first)
+        run = free_run_of(structure, acting, response, first, first)
+        excused = _agreement(run, response)
         if excused >= CONTRADICTED_BELOW or is_linear(structure):
             return excused, math.nan
         u, v = (np.nan_to_num(std) for std in (estimate.std.displacement, estimate.std.velocity))
-        moved = replace(found, displacement=found.displacement + u, velocity=found.velocity + v)
+        moved = replace(response, displacement=response.displacement + u, velocity=response.velocity + v)
         again = free_run_of(structure, acting, moved, first, first)
         half = len(again.time) // 2
         return excused, _agreement(again.part(half, len(again.time)), run)
@@ -246,8 +246,8 @@ def validation_table(run: ValidationRun, estimate: Estimate) -> pd.DataFrame:
         measured, simulated, std = run.compared(channel)
         error, sigma = measured - simulated, estimate.noise.of(channel)
         reach, spread = HALF_WIDTH_95 * np.hypot(std, sigma), std[np.isfinite(std)]
-        known = np.isfinite(reach) & np.isfinite(error)
-        inside = np.abs(error[known]) <= reach[known]
+        finite = np.isfinite(reach) & np.isfinite(error)
+        inside = np.abs(error[finite]) <= reach[finite]
         rows.append(
             (
                 channel.quantity, channel.dof + 1, UNITS[channel.quantity], float(time[run.first]), float(time[-1]),
@@ -264,8 +264,8 @@ def with_noise_of(estimate: Estimate, records: Sequence[Estimate]) -> Estimate:
     """The estimate of one record with the noise of sensors that only others of its structure's records had."""
     sensors = dict(estimate.noise.sensors)
     for quantity in RESPONSE_QUANTITIES:
-        for own in records:
-            other = own.noise.sensors.get(quantity)
+        for record in records:
+            other = record.noise.sensors.get(quantity)
             if other is not None:
                 first = sensors.get(quantity, other)
                 sensors[quantity] = np.where(np.isnan(first), other, first)
@@ -311,10 +311,10 @@ def _sources(structure: Structure, estimate: Estimate, seen: Record, record: Rec
     n, noise = structure.coordinates, estimate.noise
     level = noise.discrepancy
     rows = [] if np.isnan(level) else [*(level * np.sqrt(seen.step / record.step) * np.eye(n))]
-    felt = structure.shapes.matrix
+    shapes = structure.shapes.matrix
     for dof, sigma in enumerate(noise.sensors.get(FORCE, ())):
-        if np.isfinite(sigma) and dof < len(felt) and not record.unforced[dof]:
-            rows.append(sigma * felt[dof])
+        if np.isfinite(sigma) and dof < len(shapes) and not record.unforced[dof]:
+            rows.append(sigma * shapes[dof])
     if record.ground_acceleration is not None:
         moved = structure.parameters_like(np.empty(0))[MASS] * structure.with_ground
         rows += [sigma * moved for sigma in noise.sensors.get(GROUND, ()) if np.isfinite(sigma)]

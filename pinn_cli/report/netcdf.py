@@ -64,19 +64,19 @@ def response_dataset(results: Results, free_run: Response | None = None) -> xr.D
     forces = connection_forces(results.prescribed, results.estimate, truth)
     moved = {} if free_run is None else {name: getattr(free_run, name) for name in RESPONSE_QUANTITIES}
     variables: dict[str, tuple[Any, ...]] = {}
-    for each in of_dofs:
-        variables |= _variables(each.beside(free_run=moved.get(each.name)), SOURCES)
+    for histories in of_dofs:
+        variables |= _variables(histories.with_sources(free_run=moved.get(histories.name)), SOURCES)
     if results.baseline is not None:
         name, other = run.baseline, results.baseline
         described = {
             "estimate": (f"_{name}", f"{{}} estimated by {name}"),
             "std": (f"_{name}_std", f"standard deviation of the {{}} estimated by {name}"),
         }
-        for each in of_dofs:
-            found = {"estimate": getattr(other.response, each.name), "std": getattr(other.std, each.name)}
-            variables |= _variables(replace(each, found=found), described)
-    for one in (ground_history(results), stretched, *support_histories(results), forces):
-        variables |= {} if one is None else _variables(one, SOURCES)
+        for histories in of_dofs:
+            sources = {"estimate": getattr(other.response, histories.name), "std": getattr(other.std, histories.name)}
+            variables |= _variables(replace(histories, sources=sources), described)
+    for further in (ground_history(results), stretched, *support_histories(results), forces):
+        variables |= {} if further is None else _variables(further, SOURCES)
     fixed = {
         "Conventions": "CF-1.11",
         "title": "Estimated response of a structure",
@@ -90,30 +90,30 @@ def response_dataset(results: Results, free_run: Response | None = None) -> xr.D
 def _variables(histories: Histories, sources: Mapping[str, tuple[str, str]]) -> dict[str, tuple[Any, ...]]:
     """Dimensions, values and attributes of every source, which ``sources`` give a suffix and a description."""
     out = {}
-    for source, values in histories.found.items():
+    for source, values in histories.sources.items():
         suffix, description = sources[source]
         dims, shown = (("time", histories.axis), values) if histories.axis else (("time",), values[:, 0])
-        out[histories.name + suffix] = (dims, shown, _told(description.format(histories.words), histories.unit))
+        out[histories.name + suffix] = (dims, shown, _attributes(description.format(histories.words), histories.unit))
     return out
 
 
 def _coordinates(record: Record, connections: Sequence[str]) -> dict[str, tuple[str, np.ndarray, dict[str, str]]]:
     dofs = np.arange(1, record.ndof + 1, dtype=np.int32)
-    names = {"dof_name": ("dof", np.array(record.dofs, dtype=object), _told("name"))} if record.dofs else {}
-    supports = {"support": ("support", np.array(record.support_names), _told("support that moves"))}
-    stretched = _told("connection; what it joins is stretched by its drift")
+    names = {"dof_name": ("dof", np.array(record.dofs, dtype=object), _attributes("name"))} if record.dofs else {}
+    supports = {"support": ("support", np.array(record.support_names), _attributes("support that moves"))}
+    stretched = _attributes("connection; what it joins is stretched by its drift")
     return {
         **names,
-        "time": ("time", record.time, _told("time", "s")),
-        "dof": ("dof", dofs, _told("degree of freedom, of a chain counted from the fixed end", "1")),
-        "observed": ("dof", record.observed, _told("has a displacement, velocity or acceleration sensor")),
-        "unforced": ("dof", record.unforced, _told("is known to carry no force")),
+        "time": ("time", record.time, _attributes("time", "s")),
+        "dof": ("dof", dofs, _attributes("degree of freedom, of a chain counted from the fixed end", "1")),
+        "observed": ("dof", record.observed, _attributes("has a displacement, velocity or acceleration sensor")),
+        "unforced": ("dof", record.unforced, _attributes("is known to carry no force")),
         **(supports if record.supports else {}),
         "connection": ("connection", np.array(connections), stretched),
     }
 
 
-def _told(long_name: str, units: str = "") -> dict[str, str]:
+def _attributes(long_name: str, units: str = "") -> dict[str, str]:
     return {"long_name": long_name, **({"units": units} if units else {})}
 
 
@@ -150,21 +150,21 @@ def posterior_groups(
     samples, version, predictive = findings.samples, package_version("pinn-cli"), findings.predictive
     library = {"inference_library": "pinn-cli", **({"inference_library_version": version} if version else {})}
     posterior, unit = _parameters(samples.draws, parameters), UNITS["force"]
-    noise = _told("standard deviation of the measured force's noise", unit)
+    noise = _attributes("standard deviation of the measured force's noise", unit)
     posterior["sigma_force"] = ((*_DRAWN, "force_dof"), samples.sigma_force, noise)
     posterior["force_dof"] = ("force_dof", *_dofs(samples))
     # ArviZ's own names for the two.
     sampling = {"tuning_steps": samples.warmup, "sampling_time": float(np.max(samples.seconds, initial=0.0))}
     groups = {"posterior": posterior.assign_attrs(sampling), "prior": _parameters(samples.prior[None], parameters)}
     if predictive is not None:
-        time = ("time", record.time[predictive.samples], _told("time", "s"))
+        time = ("time", record.time[predictive.samples], _attributes("time", "s"))
         places = {"time": time, "dof": ("dof", *_dofs(samples))}
         drawn = {"chain": np.arange(len(predictive.force)), "draw": predictive.draws}
         # Ten times as many numbers as everything else together: seven digits of a noisy force are plenty.
         force = predictive.force.astype(np.float32)
-        predicted = ((*_DRAWN, "time", "dof"), force, _told("force, posterior predictive", unit))
+        predicted = ((*_DRAWN, "time", "dof"), force, _attributes("force, posterior predictive", unit))
         measured = record.force[np.ix_(predictive.samples, samples.force_dofs - 1)]
-        shown = (("time", "dof"), measured, _told("observed force", unit))
+        shown = (("time", "dof"), measured, _attributes("observed force", unit))
         groups["posterior_predictive"] = xr.Dataset({"force": predicted}, drawn | places)
         groups["observed_data"] = xr.Dataset({"force": shown}, places)
     groups = {name: group.assign_attrs(library) for name, group in groups.items()}
@@ -180,7 +180,7 @@ def _parameters(draws: np.ndarray, parameters: Sequence[Parameter]) -> xr.Datase
     variables = {}
     for i, p in enumerate(parameters):
         title = p.title.lower() if p.kind in LINEAR_TITLES else f"{p.title or p.kind} coefficient"
-        variables[p.name] = (_DRAWN, draws[..., i], _told(f"{title} of {p.owner}", p.unit))
+        variables[p.name] = (_DRAWN, draws[..., i], _attributes(f"{title} of {p.owner}", p.unit))
     return xr.Dataset(variables, _counted(*draws.shape[:2]))
 
 
@@ -189,4 +189,4 @@ def _counted(chains: int, draws: int) -> dict[str, Any]:
 
 
 def _dofs(samples: PosteriorSamples) -> tuple[np.ndarray, dict[str, str]]:
-    return samples.force_dofs.astype(np.int32), _told("degree of freedom, 1 is nearest the fixed end", "1")
+    return samples.force_dofs.astype(np.int32), _attributes("degree of freedom, 1 is nearest the fixed end", "1")

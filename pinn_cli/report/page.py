@@ -123,15 +123,15 @@ def run_page(
 
 def figures_in(directory: Path) -> list[tuple[str, Path]]:
     """Caption and file of all figures of a run, those of further records last."""
-    found = []
+    figures = []
     folders = [directory, *sorted(directory.glob("record_*"), key=lambda folder: (len(folder.name), folder.name))]
     for folder in folders:
-        own = sorted((folder / "figures").glob("*.png"))
+        files = sorted((folder / "figures").glob("*.png"))
         order = {name: i for i, name in enumerate(CAPTIONS)}
         of_record = "" if folder == directory else f"{folder.name.replace('_', ' ')}: "
-        own.sort(key=lambda file: (order.get(file.stem, len(order)), file.stem))
-        found += [(of_record + CAPTIONS.get(file.stem, file.stem.replace("_", " ")), file) for file in own]
-    return found
+        files.sort(key=lambda file: (order.get(file.stem, len(order)), file.stem))
+        figures += [(of_record + CAPTIONS.get(file.stem, file.stem.replace("_", " ")), file) for file in files]
+    return figures
 
 
 def sheet_of(titles: tuple[str, str, str], columns: Mapping[str, Column], table: pd.DataFrame) -> Sheet:
@@ -161,8 +161,8 @@ def fitness_sheets(fitness: pd.DataFrame) -> list[Sheet]:
     quantities, shown, _ = text.fitness_shown(fitness, PAGE_DOFS)
     rows = []
     for name in shown:
-        own = fitness[fitness["group"] == name].set_index("quantity").reindex(quantities)
-        rows.append(Row((name,), tuple(Cell(text.percent(x)) for formula in FORMULAS for x in own[formula])))
+        scores = fitness[fitness["group"] == name].set_index("quantity").reindex(quantities)
+        rows.append(Row((name,), tuple(Cell(text.percent(x)) for formula in FORMULAS for x in scores[formula])))
     note = "100 is perfect; error: root mean square of the difference. DOF by DOF, then the mean over the DOFs."
     formulas = [(f"1 - error / {what} of the truth (%)", quantities) for what in ("deviation", "range")]
     return [Sheet("fitness", "Fitness", note, ("DOFs",), formulas, rows)] if rows else []

@@ -89,8 +89,8 @@ def parameter_estimates(samples: PosteriorSamples, parameters: Sequence[Paramete
     lower, upper = np.quantile(draws, CENTRAL_90, axis=0)
     rows = np.stack((draws.mean(axis=0), draws.std(axis=0, ddof=1), lower, upper), axis=1).tolist()
     believed = zip(parameters, samples.prior.std(axis=0, ddof=1).tolist(), strict=True)
-    own = [replace(parameter, prior_std=prior_std, unknown=True) for parameter, prior_std in believed]
-    return [ParameterEstimate(parameter, *row) for parameter, row in zip(own, rows, strict=True)]
+    unknown = [replace(parameter, prior_std=prior_std, unknown=True) for parameter, prior_std in believed]
+    return [ParameterEstimate(parameter, *row) for parameter, row in zip(unknown, rows, strict=True)]
 
 
 def posterior_correlation(draws: np.ndarray) -> np.ndarray:
@@ -117,7 +117,7 @@ def identifiability_table(parameters: Sequence[ParameterEstimate], correlation: 
     100 std / |estimate|, ``largest_correlation`` has its sign and is that with the parameter ``correlated_with``. What
     is not known is empty (NaN or None); ``correlation`` (p, p) is None where the training gives none.
     """
-    warnings: dict[str, list[str]] = {p.name: _own_warning(p) for p in parameters}
+    warnings: dict[str, list[str]] = {p.name: _individual_warning(p) for p in parameters}
     for p, warning in _inseparable(parameters, correlation):
         warnings[p.name].append(warning)
     rows = [
@@ -138,12 +138,12 @@ def identifiability_warnings(parameters: Sequence[ParameterEstimate], correlatio
     unknown = [p for p in parameters if p.unknown]
     if unknown and not any(np.isfinite(p.std) for p in unknown):
         return ["this training gives no standard deviations: nothing tells how far to trust the unknown ones"]
-    own = [warning for p in unknown for warning in _own_warning(p)]
+    individual = [warning for p in unknown for warning in _individual_warning(p)]
     shared = dict.fromkeys(warning for _, warning in _inseparable(parameters, correlation))
-    return [*own, *shared]
+    return [*individual, *shared]
 
 
-def _own_warning(p: ParameterEstimate) -> list[str]:
+def _individual_warning(p: ParameterEstimate) -> list[str]:
     """The gravest thing to be said of one parameter, regardless of the others; nothing if it is well determined."""
     ratio, relative = _ratio(p.std, p.prior_std), _ratio(p.std, p.estimate)
     of_value = f"its standard deviation is {100.0 * relative:.0f} % of its value"
@@ -151,8 +151,8 @@ def _own_warning(p: ParameterEstimate) -> list[str]:
     if not np.isfinite(p.std):
         return [f"{p.name} has no standard deviation: this training gives none"]
     if p.unknown and p.held:
-        known = f"all that is known is that it is below {p.upper_90:.3g} (95 %)"
-        return [f"{p.name} is held at its lower bound of 0: {known}"]
+        bound = f"all that is known is that it is below {p.upper_90:.3g} (95 %)"
+        return [f"{p.name} is held at its lower bound of 0: {bound}"]
     if not p.unknown and ratio > LEANS_ON_PRIOR:
         return [f"{p.name} rests on its prescribed value: its standard deviation is {of_prior}"]
     if ratio > PRIOR_UNTOUCHED:
@@ -175,10 +175,10 @@ def _inseparable(
     """
     if correlation is None:
         return
-    known = [_ratio(p.std, p.estimate) <= KNOWN_WELL_ENOUGH for p in parameters]
+    well_known = [_ratio(p.std, p.estimate) <= KNOWN_WELL_ENOUGH for p in parameters]
     for i, j in np.argwhere(np.abs(correlation) > INSEPARABLE):
         p, other = parameters[i], parameters[j]
-        if i == j or not p.unknown or known[i] or known[j]:
+        if i == j or not p.unknown or well_known[i] or well_known[j]:
             continue
         value = f"(correlation {correlation[i, j]:.2f})"
         first, second = (p, other) if i < j else (other, p)
@@ -224,22 +224,24 @@ def parameters_over_time(model: Model, estimate: Estimate, run: str) -> pd.DataF
     if estimate.changes is None:
         return None
     before = history(model)
-    own = _over_time_rows(int(before["record"].max()) + 1, run, estimate, model.parameters)
-    return pd.concat([before, own], ignore_index=True)
+    rows = _over_time_rows(int(before["record"].max()) + 1, run, estimate, model.parameters)
+    return pd.concat([before, rows], ignore_index=True)
 
 
 def window_rows(number: int, run: str, estimate: Estimate) -> pd.DataFrame:
     """The rows of one window of a record, counted among the records before it and the windows."""
-    own = [found.parameter for found in estimate.parameters if found.kind not in CALIBRATION_UNITS]
-    return _over_time_rows(number, run, estimate, own)
+    parameters = [p.parameter for p in estimate.parameters if p.kind not in CALIBRATION_UNITS]
+    return _over_time_rows(number, run, estimate, parameters)
 
 
 def _over_time_rows(number: int, run: str, estimate: Estimate, wanted: Collection[Parameter]) -> pd.DataFrame:
     """Those of one record, of the parameters that are wanted."""
     changes = estimate.changes
     kept = [i for i, p in enumerate(estimate.parameters) if p.parameter in wanted]
-    own = [estimate.parameters[i] for i in kept]
-    table = estimate_rows(own).assign(record=number, run=run, unit=[p.parameter.unit for p in own], changed=False)
+    estimates = [estimate.parameters[i] for i in kept]
+    table = estimate_rows(estimates).assign(
+        record=number, run=run, unit=[p.parameter.unit for p in estimates], changed=False
+    )
     table = table.reindex(columns=list(OVER_TIME_COLUMNS))
     if changes is not None:
         table["alone"], table["alone_std"] = changes.alone[kept], changes.alone_std[kept]
@@ -269,7 +271,7 @@ def history(model: Model) -> pd.DataFrame:
         raise InputError("model", model.directory, "a run with the history that it wrote", hint)
     mean, covariance = model.known.within(model.lower)
     half = HALF_WIDTH_90 * (std := np.sqrt(np.diag(covariance)))
-    found = zip(model.parameters, mean, std, np.maximum(mean - half, model.lower), mean + half, strict=True)
-    table = estimate_rows(ParameterEstimate(p, *numbers) for p, *numbers in found)
+    rows = zip(model.parameters, mean, std, np.maximum(mean - half, model.lower), mean + half, strict=True)
+    table = estimate_rows(ParameterEstimate(p, *numbers) for p, *numbers in rows)
     table = table.assign(record=1, run=model.directory.name, unit=[p.unit for p in model.parameters], changed=False)
     return table.reindex(columns=list(OVER_TIME_COLUMNS))

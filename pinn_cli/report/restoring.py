@@ -50,7 +50,7 @@ def restoring_curves(results: Results) -> list[RestoringCurve]:
         for over, history in zip(OVER, (elongation, np.gradient(elongation, stretched.time)), strict=True):
             at = np.linspace(history.min(), history.max(), CURVE_PLACES)
             low, high = np.quantile(history, (0.05, 0.95)).tolist()
-            force = _force(results, structure, connection, *(at if over == own else 0.0 * at for own in OVER))
+            force = _force(results, structure, connection, *(at if over == other else 0.0 * at for other in OVER))
             curves.append(RestoringCurve(stretched.places[place], over, at, force, (low, high)))
     return curves
 
@@ -64,11 +64,11 @@ def _force(
     e[:, connection], de[:, connection] = torch.as_tensor(elongation), torch.as_tensor(speed)
     slope = structure.linearise_connections(e, de, structure.parameters_like(e))
     by = np.zeros((len(elongation), len(estimate.parameters)))
-    for i, found in enumerate(estimate.parameters):
-        connections, members = structure.carriers.get(found.kind, (np.zeros(0), np.zeros(0)))
-        own = np.flatnonzero((connections == connection) & (members == found.parameter.index))
-        if own.size:
-            by[:, i] = slope.by_parameter[found.kind][:, own[0]].numpy()
+    for i, p in enumerate(estimate.parameters):
+        connections, members = structure.carriers.get(p.kind, (np.zeros(0), np.zeros(0)))
+        index = np.flatnonzero((connections == connection) & (members == p.parameter.index))
+        if index.size:
+            by[:, i] = slope.by_parameter[p.kind][:, index[0]].numpy()
     has = by.any(axis=0)
     std = true = np.full(len(elongation), np.nan)
     if estimate.correlation is not None:
@@ -87,5 +87,5 @@ def restoring_table(curves: Sequence[RestoringCurve]) -> pd.DataFrame:
 
 def _rows(curve: RestoringCurve) -> pd.DataFrame:
     force, (lower, upper) = curve.force, curve.force.interval
-    found = {"force": force.estimate, "std": force.std, "lower_90": lower, "upper_90": upper, "true_force": force.true}
-    return pd.DataFrame({"connection": curve.connection, "over": curve.over, "at": curve.at} | found)
+    values = {"force": force.estimate, "std": force.std, "lower_90": lower, "upper_90": upper, "true_force": force.true}
+    return pd.DataFrame({"connection": curve.connection, "over": curve.over, "at": curve.at} | values)

@@ -112,8 +112,8 @@ class Results:
     @property
     def by_record(self) -> tuple[Results, ...]:
         """Those of every record, this one's first."""
-        own = replace(self, further=(), estimate=self.estimate.by_record[0]) if self.further else self
-        return (own, *self.further)
+        first = replace(self, further=(), estimate=self.estimate.by_record[0]) if self.further else self
+        return (first, *self.further)
 
 
 def checked_times(setting: str, between: Any, time: np.ndarray) -> tuple[float, float]:
@@ -140,9 +140,9 @@ def further_results(first: Results, problems: Sequence[Problem], truths: Sequenc
     Problems and truths are those of the other records.
     """
     alone = replace(first, baseline=None, posterior=None, score=None, linear_response=None)
-    found = []
+    further = []
     for problem, truth, estimate in zip(problems, truths, first.estimate.by_record[1:], strict=True):
         record = as_calibrated(problem.record, estimate)
-        own = replace(problem, record=record)
-        found.append(replace(alone, record=record, truth=truth, estimate=estimate, problem=own))
-    return tuple(found)
+        calibrated = replace(problem, record=record)
+        further.append(replace(alone, record=record, truth=truth, estimate=estimate, problem=calibrated))
+    return tuple(further)

@@ -46,11 +46,11 @@ _log = logging.getLogger(__name__)
 
 def run_record(results: Results, verdict: Verdict | None, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Seconds by stage, the training's summary (iterations, why it stopped, ...), and what it takes to run it again."""
-    run, observed = results.run, observed_digest(own.record for own in results.by_record)
+    run, observed = results.run, observed_digest(of_record.record for of_record in results.by_record)
     content = run_facts(run, _summary(results.estimate), observed, seconds)
     content["parameters"] = parameters_of(estimate_rows(results.estimate.parameters))
     if results.further:
-        content["records"] = [_summary(own.estimate) for own in results.by_record]
+        content["records"] = [_summary(of_record.estimate) for of_record in results.by_record]
     if results.baseline:
         content["baseline"] = {"name": run.baseline, **_summary(results.baseline)}
     if results.posterior:
@@ -188,20 +188,20 @@ def package_versions() -> dict[str, str | None]:
 def model_of(results: Results, verdict: Verdict | None) -> Model:
     """The identified structure of a run, whose estimate has the parameters of its posterior."""
     estimate = results.estimate
-    every = [found.parameter for found in estimate.parameters]
-    own = np.array([i for i, p in enumerate(every) if p.kind not in CALIBRATION_UNITS], dtype=int)
+    parameters = [p.parameter for p in estimate.parameters]
+    kept = np.array([i for i, p in enumerate(parameters) if p.kind not in CALIBRATION_UNITS], dtype=int)
     draws = None if results.posterior is None else results.posterior.samples.pooled
-    known = _sampled(estimate, draws) if draws is not None else estimate.known or _of_intervals(estimate)
+    knowledge = _sampled(estimate, draws) if draws is not None else estimate.known or _of_intervals(estimate)
     reasons = verdict.reasons if verdict else ()
     return Model(
         estimated_structure(results.prescribed, estimate.parameters),
-        tuple(every[i] for i in own),
-        known.of(own),
+        tuple(parameters[i] for i in kept),
+        knowledge.of(kept),
         _levels(results),
-        None if estimate.end is None else replace(estimate.end, with_parameters=estimate.end.with_parameters[:, own]),
+        None if estimate.end is None else replace(estimate.end, with_parameters=estimate.end.with_parameters[:, kept]),
         verdict.word if verdict else "",
         next((finding.text for finding in reasons), ""),
-        None if draws is None else draws[:, own],
+        None if draws is None else draws[:, kept],
         misfit=estimate.misfit,
     )
 
@@ -223,18 +223,18 @@ def _sampled(estimate: Estimate, draws: np.ndarray) -> ParameterKnowledge:
 
 def _of_intervals(estimate: Estimate) -> ParameterKnowledge:
     """From standard deviations and correlation; the covariance is NaN where a training gives none."""
-    found, nothing = estimate.parameters, np.zeros(len(estimate.parameters))
-    mean, std, prior = (np.array([getattr(p, name) for p in found]) for name in ("estimate", "std", "prior_std"))
+    parameters, nothing = estimate.parameters, np.zeros(len(estimate.parameters))
+    mean, std, prior = (np.array([getattr(p, name) for p in parameters]) for name in ("estimate", "std", "prior_std"))
     correlation = estimate.correlation
     if correlation is None:
-        correlation = np.where(np.eye(len(found)) > 0, 1.0, 0.0 if len(found) == 1 else np.nan)
+        correlation = np.where(np.eye(len(parameters)) > 0, 1.0, 0.0 if len(parameters) == 1 else np.nan)
     return ParameterKnowledge(mean, correlation * np.outer(std, std), nothing, nothing, prior)
 
 
 def _levels(results: Results) -> Levels:
     noise, record = results.estimate.noise, results.record
     columns = {*QUANTITIES, GROUND, *record.supports}
-    sensors = {quantity: found for quantity, found in noise.sensors.items() if quantity in columns}
+    sensors = {quantity: levels for quantity, levels in noise.sensors.items() if quantity in columns}
     force = np.nan if results.problem is None else force_and_velocity_scale(results.problem)[0]
     features = float(results.estimate.summary.get("features_per_dof", np.nan))
     return Levels(sensors, noise.discrepancy, record.step, float(force), features / record.duration)

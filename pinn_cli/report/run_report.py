@@ -25,7 +25,7 @@ from pinn_cli.report.published import fitness_of
 from pinn_cli.report.restoring import restoring_curves, restoring_table
 from pinn_cli.report.results import Results, RunDescription, record_folder, with_labels
 from pinn_cli.report.run_record import run_record, write_run_model
-from pinn_cli.runs.side_by_side import beside, side_by_side
+from pinn_cli.runs.side_by_side import in_a_copy, side_by_side
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import tidy, write_json, write_table
 from pinn_cli.training.calibrated_record import as_run
@@ -60,8 +60,8 @@ class RecordReport:
         """The estimated structure's response, left to itself, and how far that is from the estimate, without labels."""
         results = self.results
         record = as_run(results.record, results.estimate)
-        found = free_run(results.prescribed, results.estimate, record)
-        return found, free_run_table(found, results.estimate, record, results.truth.response)
+        run = free_run(results.prescribed, results.estimate, record)
+        return run, free_run_table(run, results.estimate, record, results.truth.response)
 
     @cached_property
     def verdict(self) -> Verdict | None:
@@ -153,10 +153,13 @@ class RunReport:
     def __init__(self, results: Results, directory: Path, stages: Stages, exports: Sequence[Export] = ()) -> None:
         self.results, self.directory, self.stages = _with_posterior(results), directory, stages
         self.labels = results.run.labels_of(estimator="pinn")
-        every = self.results.by_record
-        reports = [RecordReport(own, directory / record_folder(i), exports) for i, own in enumerate(every, start=1)]
+        by_record = self.results.by_record
+        reports = [
+            RecordReport(of_record, directory / record_folder(i), exports)
+            for i, of_record in enumerate(by_record, start=1)
+        ]
         self._drawn: Callable[[], object] | None = None
-        self.records = side_by_side(reports, [len(own.record.time) for own in every])
+        self.records = side_by_side(reports, [len(of_record.record.time) for of_record in by_record])
 
     @cached_property
     def verdicts(self) -> list[Verdict | None]:
@@ -182,8 +185,8 @@ class RunReport:
         """Of the first record: the network's, whose parameters are those of all records, and the baseline's."""
         with self.stages("report"):
             (fitness, _), *baseline = self.records.each(attrgetter("tables"))[0]
-            every = parameters.parameter_table(self.results.estimate.parameters, self.results.truth.parameters)
-            return [(fitness, with_labels(every, self.labels)), *baseline]
+            table = parameters.parameter_table(self.results.estimate.parameters, self.results.truth.parameters)
+            return [(fitness, with_labels(table, self.labels)), *baseline]
 
     @cached_property
     def residuals(self) -> list[list[pd.DataFrame]]:
@@ -206,8 +209,8 @@ class RunReport:
     def _tried(self) -> Estimate:
         """What is tried on other data: of several records that from which it goes on, and the noise of all sensors."""
         assert self.results.validation is not None
-        every = [own.estimate for own in self.results.by_record]
-        return with_noise_of(every[self.results.validation.of], every)
+        estimates = [of_record.estimate for of_record in self.results.by_record]
+        return with_noise_of(estimates[self.results.validation.of], estimates)
 
     @cached_property
     def over_time(self) -> pd.DataFrame | None:
@@ -223,12 +226,12 @@ class RunReport:
         and figures.
         """
         results, estimate, posterior = self.results, self.results.estimate, self.results.posterior
-        verdict, free, ((fitness, found), *others) = self.verdict, self.free_run, self.tables
+        verdict, free, ((fitness, parameter_table), *others) = self.verdict, self.free_run, self.tables
         their_fitness, theirs = next(iter(others), (None, None))
         scored = bool(np.isfinite(fitness[list(FORMULAS)].to_numpy()).any())
         paragraphs = [
             "" if results.run.simulated else text.sensors_text(self.residuals, results.run.baseline),
-            text.parameters_text(found, self._warnings, theirs),
+            text.parameters_text(parameter_table, self._warnings, theirs),
             text.fitness_text(fitness, results.record.observed, fitness_of(self.labels)),
             text.free_run_text(*free, results.run.truth_label) if scored else text.free_run_line(*free),
             text.stories_text(estimate.stories),
@@ -248,7 +251,7 @@ class RunReport:
 
         Where there is no core to spare, or copies of a process do no good, :meth:`write` draws them.
         """
-        drawn = beside(FigureShare(self.results, self.directory))
+        drawn = in_a_copy(FigureShare(self.results, self.directory))
         self._drawn = drawn.begin(FigureShare.share_out)
         try:
             yield
@@ -263,10 +266,10 @@ class RunReport:
         Figures are those of :meth:`drawing`.
         """
         results, directory, drawn, verdict = self.results, self.directory, self._drawn, self.verdict
-        found = below(*[each for _, each in self.tables])
+        parameter_table = below(*[table for _, table in self.tables])
         with self.stages("report"):
             self.records.each(RecordReport.write)
-            write_tables(results, found, directory)
+            write_tables(results, parameter_table, directory)
             for name, table in self._further_tables().items():
                 write_table(table, directory / name)
             if not results.estimate.peaks:
@@ -292,8 +295,8 @@ class RunReport:
         # Not above: who draws nothing has no need of templates.
         from pinn_cli.report.page import run_page
 
-        fitness, found = self.tables[0]
-        return run_page(self.results, self.verdict, found, fitness, self.residuals, self._warnings, self.validation)
+        fitness, table = self.tables[0]
+        return run_page(self.results, self.verdict, table, fitness, self.residuals, self._warnings, self.validation)
 
     @property
     def _warnings(self) -> list[str]:
@@ -305,7 +308,7 @@ class RunReport:
         """Those that not every run has, by their files: of several records, of other data, of records before."""
         out = {}
         if self.results.further:
-            rows = zip(self.results.by_record, [own[0] for own in self.residuals], self.verdicts, strict=True)
+            rows = zip(self.results.by_record, [tables[0] for tables in self.residuals], self.verdicts, strict=True)
             out["records.csv"] = with_labels(records_table(list(rows)), self.labels)
         if self.validation is not None:
             out["validation.csv"] = with_labels(self.validation[1], self.labels)
@@ -332,8 +335,8 @@ def estimator_tables(
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """The rows of an estimator in ``fitness.csv`` and in ``parameters.csv``, labelled; the network's name is pinn."""
     fitness = fitness_table(estimate.response, truth.response, record.observed)
-    found = parameters.parameter_table(estimate.parameters, truth.parameters)
-    return with_labels(fitness, run.labels_of(name)), with_labels(found, run.labels_of(name))
+    parameter_table = parameters.parameter_table(estimate.parameters, truth.parameters)
+    return with_labels(fitness, run.labels_of(name)), with_labels(parameter_table, run.labels_of(name))
 
 
 def below(*tables: pd.DataFrame) -> pd.DataFrame:
@@ -346,23 +349,23 @@ def _with_posterior(results: Results) -> Results:
     if results.posterior is None:
         return results
     samples = results.posterior.samples
-    found = parameters.parameter_estimates(samples, [found.parameter for found in results.estimate.parameters])
+    estimates = parameters.parameter_estimates(samples, [p.parameter for p in results.estimate.parameters])
     correlation = parameters.posterior_correlation(samples.pooled)
 
-    def sampled(own: Results) -> Results:
-        return replace(own, estimate=replace(own.estimate, parameters=found, correlation=correlation))
+    def sampled(of_record: Results) -> Results:
+        return replace(of_record, estimate=replace(of_record.estimate, parameters=estimates, correlation=correlation))
 
     return replace(sampled(results), further=tuple(map(sampled, results.further)))
 
 
-def records_table(each: Sequence[tuple[Results, pd.DataFrame, Verdict | None]]) -> pd.DataFrame:
+def records_table(records: Sequence[tuple[Results, pd.DataFrame, Verdict | None]]) -> pd.DataFrame:
     """One row per record, from 1: the content of ``records.csv``, `RECORD_COLUMNS`.
 
     The NMSE are the largest of any sensor, see :func:`pinn_cli.report.fitness.residual_table`, whose rows are given;
     ``verdict`` is that of the record alone.
     """
     rows = []
-    for number, (results, residuals, verdict) in enumerate(each, start=1):
+    for number, (results, residuals, verdict) in enumerate(records, start=1):
         record, discrepancy = results.record, results.estimate.noise.discrepancy
         largest = residuals[["nmse_percent", "free_run_nmse_percent"]].max()
         counts = len(channels(record, MEASURED_QUANTITIES))
@@ -371,10 +374,10 @@ def records_table(each: Sequence[tuple[Results, pd.DataFrame, Verdict | None]]) 
     return pd.DataFrame(rows, columns=list(RECORD_COLUMNS))
 
 
-def write_tables(results: Results, found: pd.DataFrame, directory: Path) -> None:
+def write_tables(results: Results, parameter_table: pd.DataFrame, directory: Path) -> None:
     """Write the tables of a run that all its records have in common: parameters as they are given, modes, history."""
     estimate, labels = results.estimate, results.run.labels_of(estimator="pinn")
-    files = {"parameters": found, "history": estimate.history}
+    files = {"parameters": parameter_table, "history": estimate.history}
     modes = ModeEstimates.of(results.prescribed, estimate, results.true)
     if modes is not None:
         files["modes"] = with_labels(mode_table(modes), labels)
@@ -403,7 +406,7 @@ def write_posterior(results: Results, directory: Path) -> dict[str, xr.Dataset]:
     from pinn_cli.report.netcdf import posterior_groups, write_dataset
 
     posterior, labels = results.posterior, results.run.labels_of(estimator="pinn")
-    drawn = [found.parameter for found in results.estimate.parameters]
+    drawn = [p.parameter for p in results.estimate.parameters]
     groups = posterior_groups(posterior, results.record, drawn, labels)
     write_dataset(xr.DataTree.from_dict(groups), directory / "posterior.nc")
     diagnostics = posterior.diagnostics[list(parameters.DIAGNOSTICS)]

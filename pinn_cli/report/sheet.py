@@ -73,9 +73,9 @@ def block(head: str, cells: Mapping[str, Mapping[Any, Cell]], columns: Sequence[
     """
     return [
         Row(
-            ("" if i else head, source), tuple(own.get(c, Cell()) for c in columns), not i, source.endswith(", printed")
+            ("" if i else head, source), tuple(row.get(c, Cell()) for c in columns), not i, source.endswith(", printed")
         )
-        for i, (source, own) in enumerate(cells.items())
+        for i, (source, row) in enumerate(cells.items())
     ]
 
 
@@ -114,7 +114,7 @@ class Sheet:
     def spans(self) -> list[tuple[str, int, int]]:
         """Each group's title, first column and last column, counted from 1."""
         ends = accumulate(len(columns) for _, columns in self.groups)
-        return [(title, end - len(own) + 1, end) for (title, own), end in zip(self.groups, ends, strict=True)]
+        return [(title, end - len(columns) + 1, end) for (title, columns), end in zip(self.groups, ends, strict=True)]
 
     @property
     def markdown(self) -> str:

@@ -70,9 +70,9 @@ class Column:
 
     def aligned(self, cells: Sequence[str]) -> list[str]:
         """The heading and the cells below it, with a blank between them and the column before, or after."""
-        every = [self.title, *cells]
-        width = max(abs(self.width), 1 + max(map(len, every)))
-        return [f"{text:>{width}}" if self.width > 0 else f"{text:<{width}}" for text in every]
+        texts = [self.title, *cells]
+        width = max(abs(self.width), 1 + max(map(len, texts)))
+        return [f"{text:>{width}}" if self.width > 0 else f"{text:<{width}}" for text in texts]
 
 
 def table_lines(columns: Mapping[str, Column], table: pd.DataFrame) -> list[str]:
@@ -150,8 +150,8 @@ def sensors_table(
     table = pd.concat([ours.assign(record=i) for i, (ours, *_) in enumerate(records, start=1)], ignore_index=True)
     # ``acceleration 3``, ``ground``, ``support 1`` or the name of a sensor that feels something else.
     quantity = table["quantity"].where(~table["quantity"].isin(list(SUPPORT)), "support")
-    own = table["channel"].str.rsplit(" ", n=1).str[-1]
-    named = (quantity + " " + table["dof"].astype(str)).where(table["dof"].notna(), own)
+    names = table["channel"].str.rsplit(" ", n=1).str[-1]
+    named = (quantity + " " + table["dof"].astype(str)).where(table["dof"].notna(), names)
     named = named.where((table["quantity"] != GROUND) | table["dof"].isna(), "ground")
     shown, columns = table.assign(sensor=named, unit=table["quantity"].map(UNITS)), dict(_SENSORS)
     if len(records) > 1:
@@ -189,8 +189,8 @@ def _sensor_lines(columns: dict[str, Column], sensors: pd.DataFrame, file: str) 
     if len(sensors) > SENSORS_SHOWN:
         shown = sensors.loc[sensors["nmse_percent"].nlargest(SENSORS_SHOWN).index.sort_values()]
         notes = [f"the {len(shown)} of {len(sensors)} sensors with the largest NMSE; all: {file}"]
-    told = {name: column for name, column in columns.items() if shown[name].notna().any()}
-    return table_lines(told, shown), notes
+    filled = {name: column for name, column in columns.items() if shown[name].notna().any()}
+    return table_lines(filled, shown), notes
 
 
 def parameters_text(table: pd.DataFrame, warnings: Sequence[str] = (), baseline: pd.DataFrame | None = None) -> str:
@@ -213,8 +213,8 @@ def parameters_text(table: pd.DataFrame, warnings: Sequence[str] = (), baseline:
     if table["start"].notna().any():
         lines += ["* unknown: identified from the record; start is where the search for it began"]
         more = [f"and {len(warnings) - WARNINGS_SHOWN} more: identifiability.csv"]
-        told = [*warnings[:WARNINGS_SHOWN], *(more if len(warnings) > WARNINGS_SHOWN else [])]
-        lines += [line for sentence in told for line in marked_lines(sentence)]
+        sentences = [*warnings[:WARNINGS_SHOWN], *(more if len(warnings) > WARNINGS_SHOWN else [])]
+        lines += [line for sentence in sentences for line in marked_lines(sentence)]
         lines += [] if warnings else ["every unknown parameter is well determined"]
     return "\n".join(lines)
 
@@ -232,14 +232,14 @@ def parameter_tables(
         columns["baseline_estimate"] = Column(baseline["estimator"].iloc[0], 12, number)
         columns["baseline_std"] = Column("std", 10, _TWO)
     sought = table["start"].notna()
-    found = table[sought].assign(parameter=table.loc[sought, "parameter"] + " *")
+    unknown = table[sought].assign(parameter=table.loc[sought, "parameter"] + " *")
     prescribed, notes = table[~sought], []
-    if len(prescribed) > (limit := PRESCRIBED_BESIDE_UNKNOWN if len(found) else PARAMETERS_SHOWN):
+    if len(prescribed) > (limit := PRESCRIBED_BESIDE_UNKNOWN if len(unknown) else PARAMETERS_SHOWN):
         moved = (prescribed["estimate"] / prescribed["prescribed"] - 1.0).abs()
         notes = [f"the {limit} of {len(moved)} that moved furthest from their prescribed values; all: parameters.csv"]
         prescribed = prescribed.loc[moved.nlargest(limit).index.sort_values()]
     tables = []
-    for given, rows in (("start", found), ("prescribed", prescribed)):
+    for given, rows in (("start", unknown), ("prescribed", prescribed)):
         if len(rows):
             first = {"parameter": Column("parameter", -12), given: Column(given, 12, number)}
             tables.append((first | columns, rows))
@@ -248,8 +248,10 @@ def parameter_tables(
 
 def _with_interval(table: pd.DataFrame) -> pd.DataFrame:
     ends = table[["lower_90", "upper_90"]].to_numpy()
-    told = [f"{number(low)} to {number(high)}" if np.isfinite(low) and np.isfinite(high) else "-" for low, high in ends]
-    return table.assign(interval=told)
+    intervals = [
+        f"{number(low)} to {number(high)}" if np.isfinite(low) and np.isfinite(high) else "-" for low, high in ends
+    ]
+    return table.assign(interval=intervals)
 
 
 def diagnostics_text(diagnostics: pd.DataFrame, verdict: Sequence[str] = ()) -> str:
@@ -304,11 +306,11 @@ def fitness_text(table: pd.DataFrame, observed: np.ndarray | None = None, publis
 
 def fitness_shown(table: pd.DataFrame, most: int) -> tuple[list[str], list[str], list[str]]:
     """Quantities and groups of which anything is known; of more than ``most`` single DOFs none, which are the last."""
-    known = table[np.isfinite(table[list(FORMULAS)]).any(axis=1)]
-    groups = list(dict.fromkeys(known["group"]))
+    scored = table[np.isfinite(table[list(FORMULAS)]).any(axis=1)]
+    groups = list(dict.fromkeys(scored["group"]))
     single = [name for name in groups if name.startswith("dof_")]
     left_out = single if len(single) > most else []
-    quantities = [quantity for quantity in QUANTITIES if quantity in set(known["quantity"])]
+    quantities = [quantity for quantity in QUANTITIES if quantity in set(scored["quantity"])]
     return quantities, [name for name in groups if name not in left_out], left_out
 
 
@@ -329,12 +331,12 @@ def free_run_text(run: FreeRun, table: pd.DataFrame, truth: str = "truth") -> st
     finding = textwrap.fill(run.finding, WIDTH)
     if run.response is None:
         return finding
-    every = table[table["group"] == "all"].set_index(["against", "quantity"])[list(FORMULAS)]
-    quantities = [q for q in RESPONSE_QUANTITIES if every.loc[[("truth", q), ("sensors", q)]].notna().any(axis=None)]
+    of_all = table[table["group"] == "all"].set_index(["against", "quantity"])[list(FORMULAS)]
+    quantities = [q for q in RESPONSE_QUANTITIES if of_all.loc[[("truth", q), ("sensors", q)]].notna().any(axis=None)]
     rows = []
     for name in dict.fromkeys(table["against"]):
-        scores = every.loc[name].reindex(quantities).to_numpy().T
-        if np.isfinite(scores).any() and not (name == "sensors" and np.isfinite(every.loc["truth"].to_numpy()).all()):
+        scores = of_all.loc[name].reindex(quantities).to_numpy().T
+        if np.isfinite(scores).any() and not (name == "sensors" and np.isfinite(of_all.loc["truth"].to_numpy()).all()):
             rows.append((truth if name == "truth" else name, scores))
     title = "free run: the estimated system from its estimated start under the measured force; mean over DOFs"
     width = max(12, 1 + max((len(name) for name, _ in rows), default=0))
@@ -347,22 +349,22 @@ def comparison_text(ours: pd.DataFrame, theirs: pd.DataFrame, seconds: Mapping[s
 
     Quantities that nobody can score are left out; of a record without any truth the seconds are left.
     """
-    names = [str(each["estimator"].iloc[0]) for each in (ours, theirs)]
+    names = [str(table["estimator"].iloc[0]) for table in (ours, theirs)]
     taken = [f"{seconds[stage]:.1f}" if stage in seconds else "-" for stage in ("estimate", "baseline")]
     used = dict(zip(names, taken, strict=True))
-    of_all = [each[each["group"] == "all"].set_index("quantity") for each in (ours, theirs)]
-    every = dict(zip(names, of_all, strict=True))
-    known = [q for q in QUANTITIES if any(table.loc[q, list(FORMULAS)].notna().any() for table in every.values())]
-    if not known:
-        return "seconds: " + ", ".join(f"{each} {taken}" for each, taken in used.items())
+    of_all = [table[table["group"] == "all"].set_index("quantity") for table in (ours, theirs)]
+    tables = dict(zip(names, of_all, strict=True))
+    quantities = [q for q in QUANTITIES if any(table.loc[q, list(FORMULAS)].notna().any() for table in tables.values())]
+    if not quantities:
+        return "seconds: " + ", ".join(f"{name} {taken}" for name, taken in used.items())
     titles = "mean of 1 - error / deviation (%)", "1 - error / range (%)"
-    rows = [(name, table.loc[known, list(FORMULAS)].to_numpy(dtype=float).T) for name, table in every.items()]
-    lines = _score_lines("estimator", known, rows, titles, width=16)
-    beside = ["", "seconds", "", *used.values()]
+    rows = [(name, table.loc[quantities, list(FORMULAS)].to_numpy(dtype=float).T) for name, table in tables.items()]
+    lines = _score_lines("estimator", quantities, rows, titles, width=16)
+    column = ["", "seconds", "", *used.values()]
     full = max(map(len, lines))
     return "\n".join(
         f"{line}{'-' * _CELL_WIDTH}" if set(line) == {"-"} else f"{line:<{full}}{text:>{_CELL_WIDTH}}".rstrip()
-        for line, text in zip(lines, beside, strict=True)
+        for line, text in zip(lines, column, strict=True)
     )
 
 
@@ -375,13 +377,13 @@ def _score_lines(
 
     def line(name: str, halves: Iterable[Iterable[str]]) -> str:
         return f"{name:<{width}}" + _GAP.join(
-            f"{''.join(f'{text:>{_CELL_WIDTH}}' for text in own):<{half}}" for own in halves
+            f"{''.join(f'{text:>{_CELL_WIDTH}}' for text in cells):<{half}}" for cells in halves
         )
 
     headings = line(first, [[_HEADINGS[quantity] for quantity in quantities]] * len(titles))
-    told = [line(name, (map(percent, own) for own in halves)).rstrip() for name, halves in rows]
+    lines = [line(name, (map(percent, scores) for scores in halves)).rstrip() for name, halves in rows]
     above = " " * width + _GAP.join(f"{title:>{half}}" for title in titles)
-    return [above, headings.rstrip(), "-" * len(headings), *told]
+    return [above, headings.rstrip(), "-" * len(headings), *lines]
 
 
 def stories_text(stories: Sequence[Story]) -> str:

@@ -99,8 +99,8 @@ class CheckpointFiles:
         The last one becomes the previous one. Whenever the process ends, one of the two is good.
         """
         last, previous = self.directory / LAST, self.directory / PREVIOUS
-        with replacing(last) as beside:
-            with beside.open("wb") as file:
+        with replacing(last) as temporary:
+            with temporary.open("wb") as file:
                 file.write(data)
                 file.flush()
                 os.fsync(file.fileno())

@@ -164,13 +164,13 @@ class Claim:
 
     Attributes:
         locked, taken: Whether :meth:`lock` and :meth:`take` were called.
-        left: There is nothing to do here, and the directory is to stay as it is.
+        untouched: There is nothing to do here, and the directory is to stay as it is.
     """
 
     def __init__(self, directory: Path, setting: str, settings: Mapping[str, DictConfig | ListConfig]) -> None:
         self.directory, self.setting, self.settings = directory, setting, settings
         self.log = RunLog()
-        self.taken = self.left = self.locked = False
+        self.taken = self.untouched = self.locked = False
         self._held = ExitStack()
         self._before: dict[Path, bytes | None] = {}
         self._aside: dict[Path, Path] = {}
@@ -197,7 +197,7 @@ class Claim:
         Raises:
             InputError: The directory is none that a run may write into, or the disk refuses.
         """
-        if self.taken or self.left:
+        if self.taken or self.untouched:
             return
         self.lock()
         written = {self.directory / SETTINGS / name: content for name, content in self.settings.items()}
@@ -207,8 +207,8 @@ class Claim:
                 self._before = {place: content_of(place) for place in (*written, self.directory / LOG)}
                 with ExitStack() as files:  # all, or none: the mark of the directory is there at any moment
                     for place, content in written.items():
-                        beside = files.enter_context(replacing(place))
-                        beside.write_text(OmegaConf.to_yaml(content), encoding="utf-8")
+                        temporary = files.enter_context(replacing(place))
+                        temporary.write_text(OmegaConf.to_yaml(content), encoding="utf-8")
                 for place in (self.directory / name for name in outdated):
                     if place.is_file():
                         # As a file that is being written: should the process be killed, :func:`tidy` removes it.

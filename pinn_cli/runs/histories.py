@@ -109,14 +109,14 @@ def read_groups(files: Sequence[Path], names: Sequence[str] | None = ("/",)) -> 
 
 
 def _group(layout: Sequence[Any], following: Iterator[np.ndarray]) -> Group:
-    found, (arrays, attributes) = {}, layout
-    for name, (dims, own) in arrays.items():
-        found[name] = Labelled(tuple(dims), next(following), _attributes(own, following))
-    return Group(found, _attributes(attributes, following))
+    labelled, (arrays, attributes) = {}, layout
+    for name, (dims, texts) in arrays.items():
+        labelled[name] = Labelled(tuple(dims), next(following), _attributes(texts, following))
+    return Group(labelled, _attributes(attributes, following))
 
 
-def _attributes(told: Mapping[str, Any], following: Iterator[np.ndarray]) -> dict[str, Any]:
-    return {name: next(following)[()] if text is None else text for name, text in told.items()}
+def _attributes(texts: Mapping[str, Any], following: Iterator[np.ndarray]) -> dict[str, Any]:
+    return {name: next(following)[()] if text is None else text for name, text in texts.items()}
 
 
 def stored(files: Sequence[str], names: Sequence[str] | None) -> Iterator[Answer]:
@@ -133,19 +133,19 @@ def stored(files: Sequence[str], names: Sequence[str] | None) -> Iterator[Answer
         with h5py.File(file, "r") as opened:
             number = np.asarray(opened.attrs.get(NUMBER, 1)).item()
             check_layout({NUMBER: number, WRITER: opened.attrs.get(WRITER)}, HISTORIES, file)
-            _own(opened)
+            _arrays(opened)
             chosen = names or ["/", *(name for name, node in opened.items() if isinstance(node, h5py.Group))]
             if len(chosen) > _MOST_GROUPS:
                 raise ValueError(f"it has more than {_MOST_GROUPS} groups")
             nodes = {name: opened[name] for name in chosen}
-            _check([node for group in nodes.values() for node in _own(group)], file)
+            _check([node for group in nodes.values() for node in _arrays(group)], file)
             labelled = h5netcdf.File(opened)
             arrays: list[np.ndarray] = []
             of_labels = {name: labelled if name == "/" else labelled[name] for name in chosen}
             yield {name: _layout(of_labels[name], node, arrays) for name, node in nodes.items()}, arrays
 
 
-def _own(group: h5py.Group) -> list[h5py.Dataset]:
+def _arrays(group: h5py.Group) -> list[h5py.Dataset]:
     """Arrays of a group, which must lie in its file."""
     import h5py
 
@@ -163,12 +163,15 @@ def _check(nodes: Sequence[h5py.Dataset], file: Path) -> None:
 
 def _layout(group: Any, node: h5py.Group, arrays: list[np.ndarray]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Names, dimensions and attributes of the arrays of a group, and its own; what is no text goes to the arrays."""
-    found = {}
+    layout = {}
     for name, variable in group.variables.items():
         values = np.asarray(node[name][()])  # not by the variable, which asks for the sizes of all dimensions anew
         arrays.append(_texts(values) if values.dtype.kind == "O" else values)
-        found[printable(name)] = ([printable(dim) for dim in variable.dimensions], _told(variable.attrs, arrays))
-    return found, _told(group.attrs, arrays)
+        layout[printable(name)] = (
+            [printable(dim) for dim in variable.dimensions],
+            _attr_texts(variable.attrs, arrays),
+        )
+    return layout, _attr_texts(group.attrs, arrays)
 
 
 def _texts(values: np.ndarray) -> np.ndarray:
@@ -181,15 +184,15 @@ def _text(text: str | bytes) -> str:
     return printable(text if isinstance(text, str) else text.decode("utf-8", "replace"))
 
 
-def _told(attributes: Mapping[str, Any], arrays: list[np.ndarray]) -> dict[str, Any]:
+def _attr_texts(attributes: Mapping[str, Any], arrays: list[np.ndarray]) -> dict[str, Any]:
     """Texts by name, and None for what goes to the arrays."""
-    told: dict[str, Any] = {}
+    texts: dict[str, Any] = {}
     for name, value in attributes.items():
         if isinstance(value, str | bytes):
-            told[printable(name)] = _text(value)
+            texts[printable(name)] = _text(value)
         elif isinstance(value, list) and all(isinstance(text, str | bytes) for text in value):
-            told[printable(name)] = [_text(text) for text in value]
+            texts[printable(name)] = [_text(text) for text in value]
         else:
-            told[printable(name)] = None
+            texts[printable(name)] = None
             arrays.append(np.asarray(value))
-    return told
+    return texts

@@ -60,12 +60,12 @@ def stamp(number: int) -> dict[str, Any]:
     return {NUMBER: number, WRITER: this_release()}
 
 
-def check_layout(content: Mapping[str, Any], known: int, file: Path, oldest: int = 1) -> None:
+def check_layout(content: Mapping[str, Any], newest: int, file: Path, oldest: int = 1) -> None:
     """Refuse a file of a later release.
 
     Args:
         content: Of the file; without a number it is as old as files can be.
-        known: The last layout that is known here.
+        newest: The last layout that is known here.
         file: Which.
         oldest: The first one.
 
@@ -73,9 +73,9 @@ def check_layout(content: Mapping[str, Any], known: int, file: Path, oldest: int
         InputError: It is none of these; the release that reads it is told.
     """
     number = content.get(NUMBER, oldest)
-    if isinstance(number, int) and oldest <= number <= known:
+    if isinstance(number, int) and oldest <= number <= newest:
         return
-    readable = f"of format {known}" if oldest == known else f"of format {oldest} to {known}"
+    readable = f"of format {newest}" if oldest == newest else f"of format {oldest} to {newest}"
     writer = str(content.get(WRITER, "another release")).encode("unicode_escape").decode()
     hint = f"{writer} wrote it and reads it; this is {this_release()}"
     raise InputError(str(file), f"format {number!a}", readable, hint)
@@ -209,13 +209,13 @@ def checked(value: Any, kind: Any, place: str = "") -> Any:
     Raises:
         ValueError: It is of none; names the place.
     """
-    origin, own = get_origin(kind), get_args(kind)
+    origin, args = get_origin(kind), get_args(kind)
     if origin in (UnionType, Union):
-        kind = NoneType if value is None and NoneType in own else next(one for one in own if one is not NoneType)
+        kind = NoneType if value is None and NoneType in args else next(arg for arg in args if arg is not NoneType)
         return checked(value, kind, place)
     if origin is Literal:
-        if value not in own:
-            raise ValueError(f"{place} is none of {', '.join(map(str, own))}")
+        if value not in args:
+            raise ValueError(f"{place} is none of {', '.join(map(str, args))}")
         return value
     if kind is float and isinstance(value, int | float) and not isinstance(value, bool):
         if not -math.inf < value < math.inf or abs(value) > 1e300:
@@ -228,12 +228,12 @@ def checked(value: Any, kind: Any, place: str = "") -> Any:
         raise ValueError(f"{place or 'its content'} is {is_}, not {_TYPE_NAMES.get(expected, str(expected))}")
     if isinstance(value, str):
         return printable(value)
-    if origin is tuple and len(value) != len(own):
-        raise ValueError(f"{place} has {len(value)} entries, not {len(own)}")
+    if origin is tuple and len(value) != len(args):
+        raise ValueError(f"{place} has {len(value)} entries, not {len(args)}")
     if origin is tuple:
-        return [checked(item, part, f"{place}[{i}]") for i, (item, part) in enumerate(zip(value, own, strict=True))]
+        return [checked(item, part, f"{place}[{i}]") for i, (item, part) in enumerate(zip(value, args, strict=True))]
     if isinstance(value, list):
-        return [checked(item, own[0] if own else Any, f"{place}[{i}]") for i, item in enumerate(value)]
+        return [checked(item, args[0] if args else Any, f"{place}[{i}]") for i, item in enumerate(value)]
     if not isinstance(value, Mapping):
         return value
     within = f"{place}." if place else ""
@@ -241,11 +241,11 @@ def checked(value: Any, kind: Any, place: str = "") -> Any:
     lacking += [name for name in getattr(kind, "__match_args__", ()) if name not in value and not hasattr(kind, name)]
     if lacking:
         raise ValueError(f"{within}{lacking[0]} is missing")
-    kinds = {name: (fields or {}).get(name, own[1] if own else Any) for name in value}
-    found = {printable(str(name)): checked(part, kinds[name], f"{within}{name}") for name, part in value.items()}
+    kinds = {name: (fields or {}).get(name, args[1] if args else Any) for name in value}
+    parts = {printable(str(name)): checked(part, kinds[name], f"{within}{name}") for name, part in value.items()}
     if fields is None or is_typeddict(kind):
-        return found
-    return kind(**{name: part for name, part in found.items() if name in fields})
+        return parts
+    return kind(**{name: part for name, part in parts.items() if name in fields})
 
 
 @cache

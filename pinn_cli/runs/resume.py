@@ -64,7 +64,7 @@ class Trained(TypedDict, total=False):
     sigma_gauge: list[float | None]
 
 
-class Found(TypedDict, total=False):
+class StoredParameter(TypedDict, total=False):
     """What `run.json` says of a parameter; what is not known is null."""
 
     name: str
@@ -87,7 +87,7 @@ class RunFile(TypedDict, total=False):
     observed: str
     verdict: str
     reasons: list[str]
-    parameters: list[Found]
+    parameters: list[StoredParameter]
     validation: Scored
     baseline: dict[str, Any]
 
@@ -160,10 +160,10 @@ class TrackingState:
             InputError: A later release wrote it.
         """
         try:
-            found = read_json(directory / TRACKING, cls, FORMAT)
+            state = read_json(directory / TRACKING, cls, FORMAT)
         except (OSError, DamagedError):
             return None
-        return found if found.key.isalnum() else None
+        return state if state.key.isalnum() else None
 
     def write(self, directory: Path) -> None:
         """Put it into the run's directory."""

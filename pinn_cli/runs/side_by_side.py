@@ -129,9 +129,9 @@ class SharedOutItems(Items[T]):
     def keep(self, function: Callable[..., Any], *arguments: Sequence[Any]) -> list[Any]:
         """See :meth:`Items.keep`."""
         kept = [Kept(next(self._numbers)) for _ in self.items]
-        for one in kept:
-            weakref.finalize(one, self._forgotten.append, one.number).atexit = False
-        self._ask(function, arguments, [one.number for one in kept])
+        for item in kept:
+            weakref.finalize(item, self._forgotten.append, item.number).atexit = False
+        self._ask(function, arguments, [item.number for item in kept])
         self._answers()
         return kept
 
@@ -146,14 +146,14 @@ class SharedOutItems(Items[T]):
                 end.send_bytes(pickle.dumps((function, [tasks[i] for i in share], forgotten), pickle.HIGHEST_PROTOCOL))
 
     def _answers(self) -> list[Any]:
-        found: dict[int, Any] = {}
+        answers: dict[int, Any] = {}
         with self._answering():
             for end in self.ends:
                 answer = pickle.loads(end.recv_bytes())
                 if isinstance(answer, BaseException):
                     raise answer
-                found.update(answer)
-        return [found[i] for i in range(len(self.items))]
+                answers.update(answer)
+        return [answers[i] for i in range(len(self.items))]
 
     @contextmanager
     def _answering(self) -> Iterator[None]:
@@ -178,7 +178,7 @@ def side_by_side(items: Sequence[T], sizes: Sequence[int] | None = None) -> Item
     return SharedOutItems(items, copies, sizes) if copies > 1 and _can_copy() else Items(items)
 
 
-def beside(item: T) -> Items[T]:
+def in_a_copy(item: T) -> Items[T]:
     """One item in a copy of this process that leaves the cores to it; in this process where there is but one core."""
     return SharedOutItems([item], 1, behind=True) if _can_copy() and len(usable_cores()) > 1 else Items([item])
 
@@ -230,11 +230,11 @@ def _answer(
 ) -> bytes:
     """Of every task, the item's place, the arguments, and the number to keep the answer under; None: it is sent."""
     try:
-        found = []
+        answers = []
         for i, given, number in tasks:
-            own = function(*(kept[one.number] if isinstance(one, Kept) else one for one in given))
-            found.append((i, own if number is None else kept.update({number: own})))
-        return pickle.dumps(found, pickle.HIGHEST_PROTOCOL)
+            answer = function(*(kept[value.number] if isinstance(value, Kept) else value for value in given))
+            answers.append((i, answer if number is None else kept.update({number: answer})))
+        return pickle.dumps(answers, pickle.HIGHEST_PROTOCOL)
     except (InputError, DivergenceError, WriteError, MemoryError) as error:
         return pickle.dumps(error)
     except Exception as error:

@@ -52,8 +52,8 @@ def write_workbook(tables: Mapping[str, pandas.DataFrame], path: str | os.PathLi
         sheet.append([_cell(sheet, str(column)) for column in table.columns])
         for row in table.itertuples(index=False, name=None):
             sheet.append([_cell(sheet, value) for value in row])
-    with replacing(place) as beside:
-        book.save(beside)
+    with replacing(place) as temporary:
+        book.save(temporary)
     return place
 
 

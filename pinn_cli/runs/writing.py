@@ -70,16 +70,16 @@ def replacing(path: Path | str) -> Iterator[Path]:
     """
     place = Path(path)
     # The suffix is kept: some writers choose their format by it. The number keeps processes apart, on any machine.
-    beside = place.with_name(f".{place.stem}.{int.from_bytes(os.urandom(6))}.partial{place.suffix}")
+    temporary = place.with_name(f".{place.stem}.{int.from_bytes(os.urandom(6))}.partial{place.suffix}")
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
-        yield beside
-        os.replace(beside, place)
+        yield temporary
+        os.replace(temporary, place)
     except OSError as error:
         raise WriteError(place, error.strerror or str(error)) from error
     finally:
         with suppress(OSError):
-            beside.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -89,11 +89,11 @@ def replacing_by_large(path: Path | str, size: int) -> Iterator[Path]:
     Raises:
         WriteError: It has not as much; what was there before stays.
     """
-    with replacing(path) as beside:
+    with replacing(path) as temporary:
         if hasattr(os, "posix_fallocate"):
-            with beside.open("wb") as file:
+            with temporary.open("wb") as file:
                 os.posix_fallocate(file.fileno(), 0, size)
-        yield beside
+        yield temporary
 
 
 def tidy(directory: Path) -> None:
@@ -107,15 +107,15 @@ def tidy(directory: Path) -> None:
 
 def write_text(text: str, path: Path | str) -> Path:
     """Write ``text`` as UTF-8 with one newline at its end."""
-    with replacing(path) as beside:
-        beside.write_text(text.rstrip("\n") + "\n", encoding="utf-8")
+    with replacing(path) as temporary:
+        temporary.write_text(text.rstrip("\n") + "\n", encoding="utf-8")
     return Path(path)
 
 
 def write_bytes(content: bytes | memoryview, path: Path | str) -> Path:
     """Write a file whose bytes are in memory already, as those of libraries that do not outlive a full disk."""
-    with replacing(path) as beside:
-        beside.write_bytes(content)
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
     return Path(path)
 
 
@@ -135,8 +135,8 @@ def put_back(file: Path, content: bytes | None) -> None:
 
 def write_table(table: pandas.DataFrame, path: Path | str) -> Path:
     """Write a table as CSV without an index; cells that are NaN or None are empty; ten significant digits."""
-    with replacing(path) as beside:
-        table.to_csv(beside, index=False, float_format="%.10g", lineterminator="\n")
+    with replacing(path) as temporary:
+        table.to_csv(temporary, index=False, float_format="%.10g", lineterminator="\n")
     return Path(path)
 
 

@@ -59,11 +59,11 @@ class NotSoundError(RuntimeError):
     """A finished run whose verdict is not sound, where ``strict=true`` asks for one that is."""
 
 
-def suggestion(given: str, known: Iterable[str]) -> str:
+def suggestion(given: str, names: Iterable[str]) -> str:
     """`did you mean ...?` with the closest of the known names, or nothing if none is close."""
-    known = [name for name in known if name != given]
-    close = difflib.get_close_matches(given, known, n=1, cutoff=0.6)
+    names = [name for name in names if name != given]
+    close = difflib.get_close_matches(given, names, n=1, cutoff=0.6)
     if not close:  # the last part of a dotted or slashed name may be right where the rest is missing: ndof
         last = re.split(r"[./]", given)[-1]
-        close = [name for name in known if re.split(r"[./]", name)[-1] == last][:1]
+        close = [name for name in names if re.split(r"[./]", name)[-1] == last][:1]
     return f"did you mean {close[0]}?" if close else ""

@@ -33,7 +33,7 @@ class SettingsFile:
 
 def read(file: Path) -> SettingsFile:
     """What a file of conf/ says, comments included, which a YAML parser leaves out."""
-    found, skipped = SettingsFile(), -1
+    settings_file, skipped = SettingsFile(), -1
     path: list[tuple[int, str]] = []
     top: list[str] = []
     for line in file.read_text(encoding="utf-8").splitlines():
@@ -45,17 +45,17 @@ def read(file: Path) -> SettingsFile:
             skipped = -1
             path = [(indent, name) for indent, name in path if indent < depth] + [(depth, entry["name"])]
             if entry["name"] == "_target_" and depth == 0:
-                found.target = entry["value"]
+                settings_file.target = entry["value"]
             if entry["name"] in STRUCTURE:
                 skipped = depth
                 continue
             name = ".".join(name for _, name in path)
-            found.settings.append(Setting(name, entry["value"] or "", entry["comment"] or ""))
-        elif comment and not found.settings and not path:
+            settings_file.settings.append(Setting(name, entry["value"] or "", entry["comment"] or ""))
+        elif comment and not settings_file.settings and not path:
             top.append(comment["comment"])
-        elif comment and found.settings and skipped == -1 and line.startswith("  "):
-            last = found.settings[-1]
-            found.settings[-1] = replace(last, meaning=f"{last.meaning} {comment['comment'].strip()}".strip())
-    found.commands = [line.strip() for line in top if line.startswith("  ")]
-    found.title = " ".join(line for line in top if not line.startswith("  ") and not line.startswith("@"))
-    return found
+        elif comment and settings_file.settings and skipped == -1 and line.startswith("  "):
+            last = settings_file.settings[-1]
+            settings_file.settings[-1] = replace(last, meaning=f"{last.meaning} {comment['comment'].strip()}".strip())
+    settings_file.commands = [line.strip() for line in top if line.startswith("  ")]
+    settings_file.title = " ".join(line for line in top if not line.startswith("  ") and not line.startswith("@"))
+    return settings_file

@@ -74,8 +74,8 @@ def check_hydra(config: DictConfig, given: Sequence[str]) -> None:
 
 @cache
 def _shipped_log(name: str, option: str) -> Any:
-    own = CONF / "hydra" / name / f"{option}.yaml"
-    file = own if own.is_file() else files("hydra.conf") / "hydra" / name / f"{option}.yaml"
+    shipped = CONF / "hydra" / name / f"{option}.yaml"
+    file = shipped if shipped.is_file() else files("hydra.conf") / "hydra" / name / f"{option}.yaml"
     return OmegaConf.to_container(OmegaConf.create(file.read_text(encoding="utf-8"))) if file.is_file() else None
 
 

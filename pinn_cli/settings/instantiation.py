@@ -60,27 +60,27 @@ def check_registered(setting: str, target: object) -> None:
     if isinstance(target, str) and (target in shipped().get(place, ()) or target in registered(place)):
         return
     name = f"{setting}._target_" if setting else "_target_"
-    known = sorted(registered(place))
-    if not known and place != CALLBACKS:
+    names = sorted(registered(place))
+    if not names and place != CALLBACKS:
         raise InputError(name, target, "left out", "no class belongs here: the settings are numbers and words")
-    hint = suggestion(str(target), known) or (
+    hint = suggestion(str(target), names) or (
         f"a configuration runs no other code; an installed package registers a class by the entry point"
         f" {place}.NAME of {PLUGINS} (docs/extending.md)"
     )
     raise InputError(
-        name, target, f"a class that is registered for {place}: {', '.join(known) or 'there is none'}", hint
+        name, target, f"a class that is registered for {place}: {', '.join(names) or 'there is none'}", hint
     )
 
 
 @cache
 def shipped() -> Mapping[str, frozenset[str]]:
     """The classes that the program itself brings, by place."""
-    found: dict[str, set[str]] = {}
+    classes: dict[str, set[str]] = {}
     for file in (*CONF.glob("*/*.yaml"), *CONF.glob("hydra/*/*.yaml")):
         # A regular expression: to read all files as YAML would take longer than to start the program.
         targets = _TARGET.findall(file.read_text(encoding="utf-8"))
-        found.setdefault(".".join(file.parent.relative_to(CONF).parts), set()).update(targets)
-    return {place: frozenset(targets) for place, targets in found.items()}
+        classes.setdefault(".".join(file.parent.relative_to(CONF).parts), set()).update(targets)
+    return {place: frozenset(targets) for place, targets in classes.items()}
 
 
 def plugins_of(place: str) -> dict[str, EntryPoint]:
@@ -140,12 +140,12 @@ def construct(make: Callable[..., Any], node: DictConfig, setting: str, /, **arg
     arguments = {name: value for name, value in arguments.items() if name in parameters}
     entries = {str(key): _entry(node[key], f"{setting}.{key!s}") for key in node if key != "_target_"}
     takes_any = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
-    known = [n for n, p in parameters.items() if n not in arguments and p.kind is not inspect.Parameter.VAR_KEYWORD]
+    names = [n for n, p in parameters.items() if n not in arguments and p.kind is not inspect.Parameter.VAR_KEYWORD]
     for key, value in entries.items():
-        if key not in known and not takes_any:
-            settings = ", ".join(f"{setting}.{name}" for name in known)
-            raise InputError(f"{setting}.{key}", value, f"one of the settings {settings}", suggestion(key, known))
-    for name in known:
+        if key not in names and not takes_any:
+            settings = ", ".join(f"{setting}.{name}" for name in names)
+            raise InputError(f"{setting}.{key}", value, f"one of the settings {settings}", suggestion(key, names))
+    for name in names:
         if parameters[name].default is inspect.Parameter.empty and name not in entries:
             raise InputError(f"{setting}.{name}", "(missing)", "given", f"the file that sets {setting} has to have it")
     return make(**entries, **arguments)

@@ -23,7 +23,7 @@ _Path = tuple[Any, ...]
 def quoted(value: str) -> str:
     """A value that Hydra's grammar takes as it stands, whatever characters a folder's name has."""
     # A backslash is itself but before a quotation mark, where it is written twice.
-    escaped = re.sub(r"(\\*)('|$)", lambda found: found[1] * 2 + ("\\'" if found[2] else ""), value)
+    escaped = re.sub(r"(\\*)('|$)", lambda match: match[1] * 2 + ("\\'" if match[2] else ""), value)
     return f"'{escaped}'"
 
 
@@ -70,15 +70,15 @@ def check_interpolations(node: Mapping[Any, Any], ours: str = "") -> None:
             raise InputError(".".join(map(str, path)), value, "resolvable", "it names itself")
         if path not in sizes:
             sizes[path] = None  # while it is counted
-            own, parts = 1, []
+            count, parts = 1, []
             if isinstance(value, Mapping):
                 parts = [((*path, key), part) for key, part in value.items()]
             elif isinstance(value, list):
                 parts = [((*path, index), part) for index, part in enumerate(value)]
             elif isinstance(value, str):
-                own += len(value) // CHARACTERS
+                count += len(value) // CHARACTERS
                 parts = [] if f" {value}\n" in ours else [_at(node, place) for place in _named(path, value)]
-            entries = own + sum(size(place, part) for place, part in parts)
+            entries = count + sum(size(place, part) for place, part in parts)
             if entries > MOST_ENTRIES:
                 hint = f"its interpolations unfold to {entries:.3g}"
                 raise InputError(".".join(map(str, path)), "${...}", f"at most {MOST_ENTRIES} values", hint)

@@ -112,27 +112,27 @@ def write_tables(sweep: Sweep, jobs: Sequence[Job]) -> list[Job]:
     Returns:
         The jobs; one that has finished has failed where a table of it is not as it was written.
     """
-    found = [_read_tables(job) for job in jobs]
-    columns = [sweep.columns(job) for job, _ in found]
+    pairs = [_read_tables(job) for job in jobs]
+    columns = [sweep.columns(job) for job, _ in pairs]
     swept = list(dict.fromkeys(setting for given in columns for setting in given))
-    rows = [{**given, STATUS: job.status, REASON: job.reason} for (job, _), given in zip(found, columns, strict=True)]
+    rows = [{**given, STATUS: job.status, REASON: job.reason} for (job, _), given in zip(pairs, columns, strict=True)]
     for name in JOINED_TABLES:
         ending = (STATUS, REASON) if name in _WITH_FAILURES else ()
-        own = list(dict.fromkeys(column for _, tables in found for column in tables.get(name, ((), ()))[0]))
+        header = list(dict.fromkeys(column for _, tables in pairs for column in tables.get(name, ((), ()))[0]))
         joined: list[Mapping[str, str]] = []
-        for (job, tables), row in zip(found, rows, strict=True):
+        for (job, tables), row in zip(pairs, rows, strict=True):
             if name in tables:
                 names, cells = tables[name]
-                joined += ({**row, **dict(zip(names, each, strict=False))} for each in cells)
+                joined += ({**row, **dict(zip(names, values, strict=False))} for values in cells)
             elif job.status == FAILED and ending:
                 joined.append(row)
         if joined:
-            _write(sweep.directory / name, [*(s for s in swept if s not in own), *own, *ending], joined)
-    for (job, _), row in zip(found, rows, strict=True):
+            _write(sweep.directory / name, [*(s for s in swept if s not in header), *header, *ending], joined)
+    for (job, _), row in zip(pairs, rows, strict=True):
         row["seconds"] = "" if job.seconds is None else f"{job.seconds:.4g}"
         row["directory"] = job.directory.relative_to(sweep.directory).as_posix()
     _write(sweep.directory / JOBS, [*swept, STATUS, REASON, "seconds", "directory"], rows)
-    return [job for job, _ in found]
+    return [job for job, _ in pairs]
 
 
 def _read_tables(job: Job) -> tuple[Job, dict[str, Table]]:
@@ -169,7 +169,7 @@ def _read(path: Path) -> Iterator[Table]:
 
 
 def _write(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, str]]) -> None:
-    with replacing(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
+    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, columns, restval="", extrasaction="ignore", lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)

@@ -67,7 +67,7 @@ def combinations(overrides: Iterable[str], most: int = MOST_JOBS) -> list[list[s
     if counts and (counts[longest] > most or math.prod(counts.values()) > most):
         hint = f"there would be {math.prod(counts.values())}; hydra.sweeper.max_jobs=... allows more"
         raise InputError(longest, _typed(given[longest]), f"values that make at most {most} jobs", hint)
-    return [list(job) for job in itertools.product(*(_single(name, each) for name, each in given.items()))]
+    return [list(job) for job in itertools.product(*(_single(name, values) for name, values in given.items()))]
 
 
 def _single(name: str, override: Override) -> list[str]:
@@ -112,12 +112,12 @@ def job_name(overrides: Iterable[str], swept: Collection[str]) -> str:
         swept: Settings that tell the jobs apart.
     """
     kept = sorted(override for override in overrides if not is_left_out(setting_of(override)))
-    own = ",".join(override for override in kept if setting_of(override) in swept) or "job"
+    name = ",".join(override for override in kept if setting_of(override) in swept) or "job"
     shared = [override for override in kept if setting_of(override) not in swept]
-    safe = re.sub(r"[^\w.+=,~-]", "_", own, flags=re.ASCII)
-    if safe != own or len(own) > LONGEST_OF_JOB:
+    safe = re.sub(r"[^\w.+=,~-]", "_", name, flags=re.ASCII)
+    if safe != name or len(name) > LONGEST_OF_JOB:
         return f"{safe[: LONGEST_OF_JOB - _DIGEST - 1]}_{_digest(kept)}"
-    return f"{own}_{_digest(shared)}" if shared else own
+    return f"{name}_{_digest(shared)}" if shared else name
 
 
 def sweep_name(overrides: Iterable[str], params: dict[str, Any]) -> str:

@@ -215,12 +215,12 @@ class Sweep:
 
     def jobs(self) -> list[Job]:
         """Every job that is expected or has a directory, in the sweep's order; later additions by name."""
-        found = {path.relative_to(self.directory).as_posix(): path for path in job_directories(self.directory)}
+        places = {path.relative_to(self.directory).as_posix(): path for path in job_directories(self.directory)}
         jobs = []
         for name, overrides in self.expected.items():
-            place = found.pop(name, None)
+            place = places.pop(name, None)
             jobs.append(Job(self.directory / name, overrides) if place is None else Job.read(place, overrides))
-        others = (found[name] for name in sorted(found, key=_natural))
+        others = (places[name] for name in sorted(places, key=_natural))
         return [*jobs, *(Job.read(place, stored_overrides(place)) for place in others)]
 
     def columns(self, job: Job) -> dict[str, str]:
@@ -266,11 +266,11 @@ def stored_overrides(directory: Path) -> tuple[str, ...]:
     try:
         root = yaml.compose(small_text(directory / OVERRIDES), Loader=yaml.SafeLoader)
         nodes = root.value if isinstance(root, yaml.SequenceNode) else []
-        found = tuple(node.value for node in nodes if isinstance(node, yaml.ScalarNode))
-        single = len(found) == len(nodes) and not any(parse(override).is_sweep_override() for override in found)
+        overrides = tuple(node.value for node in nodes if isinstance(node, yaml.ScalarNode))
+        single = len(overrides) == len(nodes) and not any(parse(override).is_sweep_override() for override in overrides)
     except (OSError, yaml.YAMLError, HydraException, RecursionError):  # cut off while Hydra wrote it, or not by it
         return ()
-    return found if single else ()
+    return overrides if single else ()
 
 
 def _natural(name: str) -> list[tuple[int, float, str]]:

@@ -201,10 +201,10 @@ class WorkLauncher(ABC):
         # With `strict=true` a job tells its verdict again.
         before = [job for job in jobs if tuple(job.overrides) in self._finished_before and not job.task.get("strict")]
         returns = {job.number: job.returned(finished=True) for job in before if job.finished()}
-        left = [job for job in jobs if job.number not in returns]
-        if left:
+        unfinished = [job for job in jobs if job.number not in returns]
+        if unfinished:
             with environment(SAFE_PATH):
-                returns |= self.run(left)
+                returns |= self.run(unfinished)
         return [returns[number] for number in sorted(returns)]
 
     @cached_property
@@ -269,12 +269,12 @@ class JoblibLauncher(WorkLauncher):
         suspects: list[PendingJob] = []
         returns: dict[int, JobReturn] = {}
         while len(returns) + len(suspects) < len(jobs):
-            left = [job for job in jobs if job not in suspects]
+            others = [job for job in jobs if job not in suspects]
             began = time.time() - 1.0
             try:
-                returns = self._at_once(left)
+                returns = self._at_once(others)
             except BrokenProcessPool:
-                under_way = [job for job in left if _is_under_way(job, began)]
+                under_way = [job for job in others if _is_under_way(job, began)]
                 if not under_way:  # workers do not even start
                     raise
                 print(f"a worker was killed: {len(under_way)} jobs are put off, to run alone", file=sys.stderr)

@@ -63,10 +63,10 @@ def compared(sweep: Sweep, jobs: Sequence[Job]) -> Comparison | None:
     settings = tuple(name for name in swept if name in _OF_MODELS or name.startswith("system."))
     if not settings or sweep.is_search:
         return None
-    rows = [sweep.columns(job) | _found(job.directory) for job in jobs if job.status == FINISHED]
-    found = pd.DataFrame(rows, columns=[*swept, "observed", *MODEL_COLUMNS])
+    rows = [sweep.columns(job) | _model_row(job.directory) for job in jobs if job.status == FINISHED]
+    models = pd.DataFrame(rows, columns=[*swept, "observed", *MODEL_COLUMNS])
     others = [name for name in swept if name not in settings]
-    groups = [group for _, group in found.groupby(others, sort=False, dropna=False)] if others else [found]
+    groups = [group for _, group in models.groupby(others, sort=False, dropna=False)] if others else [models]
     tables = []
     for group in groups:
         if len(group) < 2:
@@ -83,17 +83,17 @@ def compared(sweep: Sweep, jobs: Sequence[Job]) -> Comparison | None:
     return Comparison(settings, pd.concat(tables, ignore_index=True))
 
 
-def _found(directory: Path) -> dict[str, Any]:
+def _model_row(directory: Path) -> dict[str, Any]:
     """What is compared, of a finished job; the parameters are those of its tables."""
     record = read_record(directory)
     evidence = record.get("training", {}).get("model_log_evidence")
-    left, parameters, validation = (
+    identifiability, parameters, validation = (
         read_table(directory / name) if (directory / name).is_file() else None
         for name in ("identifiability.csv", "parameters.csv", "validation.csv")
     )
     effective, unknown = np.nan, 0
-    if left is not None:
-        effective = float((1.0 - (left["std"] / left["prior_std"]).clip(upper=1.0) ** 2).sum())
+    if identifiability is not None:
+        effective = float((1.0 - (identifiability["std"] / identifiability["prior_std"]).clip(upper=1.0) ** 2).sum())
         if parameters is not None:
             unknown = int(parameters[parameters["estimator"] == "pinn"]["start"].notna().sum())
     return {

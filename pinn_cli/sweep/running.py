@@ -40,9 +40,9 @@ class Progress:
     def __init__(self, sweep: Sweep, since: float) -> None:
         from tqdm import tqdm
 
-        every = {name: sweep.directory / name for name in sweep.expected}
-        self._waiting = {name: place for name, place in every.items() if not (place / RESULT).is_file()}
-        self._total, self._since = len(every), since
+        places = {name: sweep.directory / name for name in sweep.expected}
+        self._waiting = {name: place for name, place in places.items() if not (place / RESULT).is_file()}
+        self._total, self._since = len(places), since
         if len(self._waiting) < self._total:
             tell(f"{self._total - len(self._waiting)} of {self._total} jobs are finished already")
         self._bar = tqdm(

@@ -207,8 +207,8 @@ class Search:
 def _export(trials: Sequence[FrozenTrial], file: Path) -> None:
     """Write the trials as Optuna keeps them, for its own tools: nothing here reads them."""
     logging.getLogger("alembic").setLevel(logging.WARNING)  # it tells of every table that Optuna makes
-    with replacing(file) as beside:
-        study = optuna.create_study(study_name="search", storage=f"sqlite:///{beside}")
+    with replacing(file) as temporary:
+        study = optuna.create_study(study_name="search", storage=f"sqlite:///{temporary}")
         study.add_trials(trials)
 
 

@@ -115,8 +115,8 @@ class SubmititLauncher(WorkLauncher):
         returns: dict[int, JobReturn] = {}
         for task, batch in sent:
             if _has_result(task):
-                each = zip(batch, task.results()[0], strict=True)
-                returns |= {job.number: returned for job, returned in each if job is not None}
+                pairs = zip(batch, task.results()[0], strict=True)
+                returns |= {job.number: returned for job, returned in pairs if job is not None}
                 continue
             state = states[str(task.job_id)]
             reason = f"{self._TASK} {task.job_id} ended without a result, state {state}; {_details(task)}"
@@ -186,17 +186,17 @@ class SlurmLauncher(SubmititLauncher):
         return sent
 
     def _ended(self, tasks: list[Any]) -> dict[str, str]:
-        left, seen, asked = {str(task.job_id): task for task in tasks}, set[str](), time.monotonic()
+        waiting, seen, asked = {str(task.job_id): task for task in tasks}, set[str](), time.monotonic()
         states: dict[str, str] = {}
-        while left := {name: task for name, task in left.items() if not _has_result(task)}:
+        while waiting := {name: task for name, task in waiting.items() if not _has_result(task)}:
             time.sleep(_LOOK_EVERY_S)
             if time.monotonic() - asked < _ASK_EVERY_S:
                 continue
             queue, asked = self._queue(), time.monotonic()
-            now = {} if queue is None else {name: queue.get(name, (FORGOTTEN, Path()))[0] for name in left}
+            now = {} if queue is None else {name: queue.get(name, (FORGOTTEN, Path()))[0] for name in waiting}
             ended = {name for name, state in now.items() if state.startswith(_ENDED)}
             states |= {name: now[name] for name in ended & seen}
-            left, seen = {name: task for name, task in left.items() if name not in states}, ended
+            waiting, seen = {name: task for name, task in waiting.items() if name not in states}, ended
         lost = [task for task in tasks if str(task.job_id) in states]
         until = time.monotonic() + _SHOWN_S
         while time.monotonic() < until and not all(map(_has_result, lost)):

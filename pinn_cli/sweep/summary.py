@@ -138,8 +138,8 @@ def sweep_figure(summary: pd.DataFrame, settings: Sequence[str]) -> Figure | Non
                 column[-1].minorticks_off()
             column[-1].set_xlabel(setting)
             if any(column[0].get_legend_handles_labels()[1]):
-                beside = max(1, _LEGENDS_ABREAST // len(numeric))
-                column[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=6.5, ncols=beside)
+                abreast = max(1, _LEGENDS_ABREAST // len(numeric))
+                column[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=6.5, ncols=abreast)
         for row, quantity in zip(panels, quantities, strict=True):
             row[0].set_yscale("log")
             low, high = row[0].get_ylim()

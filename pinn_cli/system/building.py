@@ -221,12 +221,12 @@ def law_called(name: Any, settings: Mapping[str, Any], setting: str) -> Nonlinea
 
 
 def _law(name: Any, setting: str) -> type[Nonlinearity]:
-    known = _shipped()
-    if isinstance(name, str) and name in known:
-        return known[name]
+    laws = _shipped()
+    if isinstance(name, str) and name in laws:
+        return laws[name]
     # A package that is installed beside this one declares its laws: `"system.rubber" = "my_laws.rubber:Rubber"`.
     plugins = plugins_of("system")
-    names = [*known, *plugins]
+    names = [*laws, *plugins]
     if not isinstance(name, str) or name not in plugins:
         raise InputError(setting, name, f"one of {', '.join(names)}", suggestion(str(name), names))
     return plugins[name].load()

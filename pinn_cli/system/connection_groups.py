@@ -69,10 +69,10 @@ class ConnectionGroup:
         """(2, C) stiffnesses, N/m, and likewise dampings, N s/m, of connections at rest: own, and by their law."""
         none = np.zeros(self.incidence.shape[0])
         law = self.nonlinearity.stiffness_at_rest(parameters), self.nonlinearity.damping_at_rest(parameters)
-        own = parameters.get("k", none), parameters.get("c", none)
+        linear = parameters.get("k", none), parameters.get("c", none)
         if self.damps_whole:
-            own, law = (none, none + law[1]), (none, none)
-        stiffness, damping = (np.stack([x, none + y]) for x, y in zip(own, law, strict=True))
+            linear, law = (none, none + law[1]), (none, none)
+        stiffness, damping = (np.stack([x, none + y]) for x, y in zip(linear, law, strict=True))
         return stiffness, damping
 
 
@@ -84,7 +84,7 @@ class GroupPart:
     parameters: dict[str, slice | np.ndarray]
     hidden: slice
 
-    def own(self, parameters: Mapping[str, Array]) -> dict[str, Array]:
+    def of_group(self, parameters: Mapping[str, Array]) -> dict[str, Array]:
         """Those of every connection of the group (..., C), among the parameters (..., members) of every kind."""
         return {kind: parameters[kind][..., places] for kind, places in self.parameters.items()}
 
@@ -93,12 +93,12 @@ def group_parts(groups: Sequence[ConnectionGroup], kinds: Iterable[str]) -> tupl
     """Of every group; ``kinds`` are those of the connections' parameters."""
     parts, done, start, hidden = [], dict.fromkeys(kinds, 0), 0, 0
     for group in groups:
-        count, own = group.incidence.shape[0], len(np.unique(group.shares))
+        count, members = group.incidence.shape[0], len(np.unique(group.shares))
         places: dict[str, slice | np.ndarray] = {
             kind: slice(done[kind], done[kind] + count) if group.parts is None else done[kind] + group.shares
             for kind in group.kinds
         }
-        done |= {kind: done[kind] + own for kind in group.kinds}
+        done |= {kind: done[kind] + members for kind in group.kinds}
         remembers = count if group.nonlinearity.has_memory else 0
         parts.append(GroupPart(slice(start, start + count), places, slice(hidden, hidden + remembers)))
         start, hidden = start + count, hidden + remembers
@@ -107,16 +107,16 @@ def group_parts(groups: Sequence[ConnectionGroup], kinds: Iterable[str]) -> tupl
 
 def carriers(groups: Sequence[ConnectionGroup]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Kind of parameter to the connections that have one, and to which of its members each has, counted from 0."""
-    found: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    carriers: dict[str, tuple[np.ndarray, np.ndarray]] = {}
     start = 0
     for group in groups:
         connections = start + np.arange(group.incidence.shape[0])
         for kind in group.kinds:
-            before, members = found.get(kind, (connections[:0], connections[:0]))
-            own = members.max(initial=-1) + 1 + group.shares
-            found[kind] = np.concatenate([before, connections]), np.concatenate([members, own])
+            before, members = carriers.get(kind, (connections[:0], connections[:0]))
+            shares = members.max(initial=-1) + 1 + group.shares
+            carriers[kind] = np.concatenate([before, connections]), np.concatenate([members, shares])
         start += len(connections)
-    return found
+    return carriers
 
 
 def slopes(function: Callable[..., torch.Tensor], *given: torch.Tensor) -> tuple[torch.Tensor, list[torch.Tensor]]:
@@ -154,5 +154,5 @@ class Linearisation:
             parameters: p of them.
             acceleration: (..., n), of the masses.
         """
-        own = [(acceleration if p.kind == MASS else self.by_parameter[p.kind])[..., p.index] for p in parameters]
-        return torch.stack(own, -1) if own else acceleration.new_zeros((*acceleration.shape[:-1], 0))
+        columns = [(acceleration if p.kind == MASS else self.by_parameter[p.kind])[..., p.index] for p in parameters]
+        return torch.stack(columns, -1) if columns else acceleration.new_zeros((*acceleration.shape[:-1], 0))

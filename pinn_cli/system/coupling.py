@@ -85,11 +85,11 @@ class Coupling:
             for matrix in (self.by, self.into)
         )
         touching = np.repeat(self.touching[:, :, None], len(self.offsets), axis=2)
-        beside = np.broadcast_to(self.neighbours[:, None], touching.shape)
-        own = np.broadcast_to(np.arange(n)[:, None, None], touching.shape)
+        neighbours = np.broadcast_to(self.neighbours[:, None], touching.shape)
+        equations = np.broadcast_to(np.arange(n)[:, None, None], touching.shape)
         entries = [
             np.asarray(matrix[touching.reshape(-1), column.reshape(-1)]).reshape(touching.shape)
-            for matrix, column in ((into, own), (by, beside))
+            for matrix, column in ((into, equations), (by, neighbours))
         ]
         return entries[0] * entries[1]
 

@@ -121,13 +121,13 @@ class Dynamics(Functions):
         if self.is_plain:
             return structure.linearise(jet.value, jet.rate, parameters)
         u, v, z = self.stretching(jet.value), self.stretching(jet.rate), jet.value[..., self.hidden]
-        own = structure.linearise(u, v, parameters)
-        stiffness, damping, by_parameter = [own.stiffness], [own.damping], dict(own.by_parameter)
+        linear = structure.linearise(u, v, parameters)
+        stiffness, damping, by_parameter = [linear.stiffness], [linear.damping], dict(linear.by_parameter)
         if z.shape[-1]:
             memory = self._linearised_memory(u, v, z, parameters)
-            one, none = torch.ones_like(z), torch.zeros_like(z)
-            stiffness += [memory["z"], one, memory["e"]]
-            damping += [one / self.inputs.rate, none, memory["de"]]
+            ones, none = torch.ones_like(z), torch.zeros_like(z)
+            stiffness += [memory["z"], ones, memory["e"]]
+            damping += [ones / self.inputs.rate, none, memory["de"]]
             # A parameter of a memory is in no force: where laws share a kind, each connection has one of the two.
             by_parameter |= {kind: by_parameter[kind] + memory[kind] for kind in self._remembered}
         if self.inputs.ground:
@@ -142,10 +142,10 @@ class Dynamics(Functions):
             stiffness.append(torch.as_tensor(-self._pushed.data).to(u).expand(*u.shape[:-1], -1))
             damping.append(torch.zeros_like(stiffness[-1]))
         if self.inputs.forces:
-            one = torch.ones_like(jet.value[..., self.forces])
-            stiffness.append(one)
-            damping.append(self.inputs.correlation_time * one)
-        return Linearisation(own.force, torch.cat(stiffness, -1), torch.cat(damping, -1), by_parameter)
+            ones = torch.ones_like(jet.value[..., self.forces])
+            stiffness.append(ones)
+            damping.append(self.inputs.correlation_time * ones)
+        return Linearisation(linear.force, torch.cat(stiffness, -1), torch.cat(damping, -1), by_parameter)
 
     def _linearised_memory(
         self, u: Tensor, v: Tensor, z: Tensor, parameters: Mapping[str, Tensor]
@@ -154,13 +154,13 @@ class Dynamics(Functions):
         structure, kinds = self.structure, self._remembered
 
         def rate(e: Tensor, de: Tensor, z: Tensor, *values: Tensor) -> Tensor:
-            own = {**parameters, **dict(zip(kinds, values, strict=True))}
-            return -structure.hidden_rate(e, de, z, own) / self.inputs.rate
+            varied = {**parameters, **dict(zip(kinds, values, strict=True))}
+            return -structure.hidden_rate(e, de, z, varied) / self.inputs.rate
 
         given = (parameters[kind].expand(*z.shape[:-1], -1) for kind in kinds)
         _, (by_e, by_de, by_z, *by) = slopes(rate, structure.elongation(u), structure.elongation(v), z, *given)
-        own = {"e": by_e[..., structure.memory], "de": by_de[..., structure.memory], "z": by_z}
-        return own | dict(zip(kinds, by, strict=True))
+        derivatives = {"e": by_e[..., structure.memory], "de": by_de[..., structure.memory], "z": by_z}
+        return derivatives | dict(zip(kinds, by, strict=True))
 
     @cached_property
     def _remembered(self) -> tuple[str, ...]:

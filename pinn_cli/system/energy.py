@@ -39,8 +39,8 @@ def stored_by_memory(structure: Structure, z: Array, parameters: Mapping[str, Ar
     stored = 0.0 * z
     for group, part in zip(structure.groups, structure.parts, strict=True):
         if isinstance(group.nonlinearity, Hysteresis):
-            own = {kind: np.asarray(_plain(value)) for kind, value in part.own(parameters).items()}
-            stiffness = np.broadcast_to(group.nonlinearity.stiffness_at_rest(own), (group.incidence.shape[0],))
+            values = {kind: np.asarray(_plain(value)) for kind, value in part.of_group(parameters).items()}
+            stiffness = np.broadcast_to(group.nonlinearity.stiffness_at_rest(values), (group.incidence.shape[0],))
             for column, k in zip(range(part.hidden.start, part.hidden.stop), stiffness.tolist(), strict=True):
                 if k > 0.0:
                     stored[..., column] = 0.5 * z[..., column] ** 2 / k

@@ -50,7 +50,7 @@ class FiniteElements:
         C: Damping matrix (N, N), N s/m; None: the ratio says it.
         damping_ratio: See :func:`build_finite_elements`.
         parts: Whose stiffness factors multiply.
-        own: Connections between the named DOFs; None without any.
+        added: Connections between the named DOFs; None without any.
         moved: (N,), how far every DOF moves with the ground; None: nobody has said.
     """
 
@@ -59,14 +59,14 @@ class FiniteElements:
     C: csc_matrix | None
     damping_ratio: float | Sequence[float] | None
     parts: Parts
-    own: Structure | None
+    added: Structure | None
     moved: np.ndarray | None
 
     def structure(self, reduced: ReducedModel) -> Structure:
         """In the coordinates of a reduced model."""
-        places, own = self.whole.named, self.own
+        places, added = self.whole.named, self.added
         springs = _springs(reduced, self.C, self.damping_ratio)
-        structure = _with_parts(_assembled(self.names, reduced.vectors[places], springs, own), reduced, self.parts)
+        structure = _with_parts(_assembled(self.names, reduced.vectors[places], springs, added), reduced, self.parts)
         moved, n = self.moved, structure.coordinates
         return replace(
             structure,
@@ -74,7 +74,7 @@ class FiniteElements:
             mode_shapes=Shapes(
                 reduced.vectors[places],
                 None if moved is None else moved[places],
-                csr_matrix((0, len(self.names))) if own is None else own.incidence.matrix,
+                csr_matrix((0, len(self.names))) if added is None else added.incidence.matrix,
                 n - reduced.modes,
             ),
             reduction=CoordinatesOfModel(self, reduced) if self.parts.matrices else None,
@@ -158,8 +158,8 @@ def build_finite_elements(
     size = matrices["M"].shape[0]
     names, places = _named(dofs, size)
     modes = whole_number("system.modes", modes, least=1)
-    own = connected(names, [1.0] * len(names), connections) if connections else None
-    static = np.unique(places[_static(names, static_correction, own, loaded)])
+    added = connected(names, [1.0] * len(names), connections) if connections else None
+    static = np.unique(places[_static(names, static_correction, added, loaded)])
     parts = read_parts(factors, path, size, base)
     model = WholeModel(matrices["M"], matrices["K"], tuple(parts.matrices.values()), static, places)
     reduced = reduced_model(model.M, model.K, modes, static)
@@ -171,7 +171,7 @@ def build_finite_elements(
         raise InputError("system.damping", damping, f"null beside {given}", "each says all of the damping")
     ratio = damping_ratio if damping is None else 0.0
     moved = None if ground is None else _moved_by_ground(ground, size)
-    structure = FiniteElements(model, names, matrices.get("C"), ratio, parts, own, moved).structure(reduced)
+    structure = FiniteElements(model, names, matrices.get("C"), ratio, parts, added, moved).structure(reduced)
     check_parameters_differ(structure)
     tell_if_loose(structure)
     return damped(replace(structure, pairs=drift_pairs(drifts, names, structure)), damping)
@@ -191,15 +191,15 @@ def _named(dofs: Any, size: int) -> tuple[tuple[str, ...], np.ndarray]:
     return names, np.array([int(dof) - 1 for dof in dofs.values()])
 
 
-def _static(names: tuple[str, ...], chosen: Any, own: Structure | None, loaded: Sequence[str | int]) -> np.ndarray:
+def _static(names: tuple[str, ...], chosen: Any, added: Structure | None, loaded: Sequence[str | int]) -> np.ndarray:
     """(s,) of the named DOFs, counted from 0, those whose static response is kept."""
     if chosen is None:
-        found = set() if own is None else set(own.incidence.matrix.indices.tolist())
+        dofs = set() if added is None else set(added.incidence.matrix.indices.tolist())
         for dof in loaded:
             # Of a number that is none of a DOF the force's own setting speaks.
-            found |= {names.index(dof)} if isinstance(dof, str) and dof in names else set()
-            found |= {dof - 1} if isinstance(dof, int) and 1 <= dof <= len(names) else set()
-        return np.array(sorted(found), dtype=np.int64)
+            dofs |= {names.index(dof)} if isinstance(dof, str) and dof in names else set()
+            dofs |= {dof - 1} if isinstance(dof, int) and 1 <= dof <= len(names) else set()
+        return np.array(sorted(dofs), dtype=np.int64)
     for name in entries(chosen):
         if name not in names:
             hint = suggestion(str(name), names)
@@ -259,22 +259,22 @@ def _moved_by_ground(ground: Any, size: int) -> np.ndarray:
     return moved
 
 
-def _assembled(names: tuple[str, ...], shapes: np.ndarray, springs: _Springs, own: Structure | None) -> Structure:
+def _assembled(names: tuple[str, ...], shapes: np.ndarray, springs: _Springs, added: Structure | None) -> Structure:
     """The modes' springs first, then the user's connections, in the modes' coordinates."""
     n = shapes.shape[1]
     groups = [ConnectionGroup(Linear(), Incidence(csr_matrix(springs.weights)))]
     parameters = {MASS: torch.ones(n, dtype=torch.float64), "c": torch.tensor(springs.c), "k": torch.tensor(springs.k)}
     connections = springs.names
-    if own is not None:
-        stretched = [np.asarray(group.incidence.matrix @ shapes) for group in own.groups]
+    if added is not None:
+        stretched = [np.asarray(group.incidence.matrix @ shapes) for group in added.groups]
         groups += [
             ConnectionGroup(group.nonlinearity, Incidence(csr_matrix(weights)))
-            for group, weights in zip(own.groups, stretched, strict=True)
+            for group, weights in zip(added.groups, stretched, strict=True)
         ]
-        for name, values in own.parameters.items():
+        for name, values in added.parameters.items():
             if name != MASS:
                 parameters[name] = torch.cat([parameters[name], values]) if name in parameters else values
-        connections += own.labels.connections
+        connections += added.labels.connections
     return Structure(parameters, tuple(groups), Labels(names, connections, springs.names[:n]))
 
 
@@ -282,13 +282,13 @@ def _with_parts(structure: Structure, reduced: ReducedModel, parts: Parts) -> St
     """The same with the connections of its parts behind all others, which so keep their numbers."""
     if not parts.matrices:
         return structure
-    labels, own = structure.labels, list(parts.matrices)
-    for name in own:
+    labels, part_names = structure.labels, list(parts.matrices)
+    for name in part_names:
         if name in labels.connections:
             raise InputError("system.factors", name, "another name", "a connection is called so")
     group = substructures(reduced, parts)
-    whose = tuple(own[part] for part in group.shares)
-    factors = torch.tensor([parts.factors[name] for name in own], dtype=torch.float64)
+    whose = tuple(part_names[part] for part in group.shares)
+    factors = torch.tensor([parts.factors[name] for name in part_names], dtype=torch.float64)
     return replace(
         structure,
         parameters={**structure.parameters, FACTOR: factors},

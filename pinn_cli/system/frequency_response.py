@@ -155,14 +155,14 @@ def rivals_of(structure: Structure, free: Sequence[Parameter], seen: Seen, most:
     for off_axis in OFF_AXIS:
         match.look(off_axis)
         ends = [match.fitted(x) for x in ends]
-    found: list[tuple[float, np.ndarray]] = []
+    rivals: list[tuple[float, np.ndarray]] = []
     for x in ends:
-        apart = match.apart(x)
-        known = [np.zeros(len(free)), *(other for _, other in found)]
-        if apart < SAME_RESPONSE and all(np.abs(x - other).max() > SAME for other in known):
-            found.append((apart, x))
-    found.sort(key=lambda pair: pair[0])
-    return [dict(zip(free, match.values * np.exp(x), strict=True)) for _, x in found[:most]]
+        difference = match.difference(x)
+        others = [np.zeros(len(free)), *(other for _, other in rivals)]
+        if difference < SAME_RESPONSE and all(np.abs(x - other).max() > SAME for other in others):
+            rivals.append((difference, x))
+    rivals.sort(key=lambda pair: pair[0])
+    return [dict(zip(free, match.values * np.exp(x), strict=True)) for _, x in rivals[:most]]
 
 
 class _Match:
@@ -203,10 +203,10 @@ class _Match:
     def fitted(self, x: np.ndarray) -> np.ndarray:
         """The bottom of the valley that x lies in; x where it has none that numbers can tell."""
         x = np.clip(x, -0.99 * FARTHEST_START, 0.99 * FARTHEST_START)
-        if not np.isfinite(self.apart(x)):
+        if not np.isfinite(self.difference(x)):
             return x
         best = least_squares(
-            lambda x: real_rows(self._difference(x).reshape(-1)),
+            lambda x: real_rows(self._differences(x).reshape(-1)),
             x,
             lambda x: real_rows((self.slopes(x) / self.size[..., None]).reshape(-1, len(x))),
             (-FARTHEST_START, FARTHEST_START),
@@ -214,11 +214,11 @@ class _Match:
         )
         return best.x
 
-    def apart(self, x: np.ndarray) -> float:
+    def difference(self, x: np.ndarray) -> float:
         """Relative rms difference of the responses."""
-        return float(np.sqrt(np.sum(np.abs(self._difference(x)) ** 2)))
+        return float(np.sqrt(np.sum(np.abs(self._differences(x)) ** 2)))
 
-    def _difference(self, x: np.ndarray) -> np.ndarray:
+    def _differences(self, x: np.ndarray) -> np.ndarray:
         return (self._response(x).value - self.wanted) / self.size
 
     def _response(self, x: np.ndarray) -> FrequencyResponse:
@@ -227,8 +227,8 @@ class _Match:
         values, springs = self.values * np.exp(x), ~self.masses
         mass[self.index[self.masses]] = values[self.masses]
         stiffness[self.index[springs]] += values[springs] - self.values[springs]
-        every = np.tile(stiffness, (len(self.s), 1))
-        return FrequencyResponse(-1j * self.s, self.stretch, self.seen.sensing[None], self.seen.acting, mass, every)
+        stiffness = np.tile(stiffness, (len(self.s), 1))
+        return FrequencyResponse(-1j * self.s, self.stretch, self.seen.sensing[None], self.seen.acting, mass, stiffness)
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """(B, S, F, p), of the displacements by x."""

@@ -143,7 +143,7 @@ class Functions:
         return self.size == self.ndof and not self.structure.is_modal
 
     @property
-    def beside_motion(self) -> str:
+    def also_unknown(self) -> str:
         """What is unknown beside the motion, in words."""
         parts = {
             "a hidden force": self.hidden,
@@ -162,8 +162,8 @@ class Functions:
 
     def stretching(self, x: Tensor) -> Tensor:
         """(..., n + S) of functions (..., N): those that stretch the connections, coordinates and supports."""
-        own = x[..., : self.ndof]
-        return torch.cat((own, x[..., self.supports]), -1) if self.structure.supports else own
+        coordinates = x[..., : self.ndof]
+        return torch.cat((coordinates, x[..., self.supports]), -1) if self.structure.supports else coordinates
 
     @cached_property
     def stretched(self) -> csr_matrix:
@@ -192,8 +192,8 @@ class Functions:
             places = self.loaded, range(len(self.loaded))
             on_dofs = csr_matrix((np.ones(len(self.loaded)), places), shape=(structure.ndof, len(self.loaded)))
             return ((0, csr_matrix(on_dofs @ self.picked(self.acting))),)
-        own = csr_matrix(structure.shapes.sparse @ self.picked(slice(0, self.ndof)))
-        motion = (MOTION.index(quantity), own)
+        weights = csr_matrix(structure.shapes.sparse @ self.picked(slice(0, self.ndof)))
+        motion = (MOTION.index(quantity), weights)
         if not self._feels_ground(quantity):
             return (motion,)
         return motion, (0, csr_matrix(csr_matrix(self.carried[:, None]) @ self.picked(self.ground)))
@@ -204,7 +204,7 @@ class Functions:
         assert self.structure.shapes.with_ground is not None
         return self.structure.shapes.with_ground
 
-    def feels_own(self, quantity: str) -> bool:
+    def feels_coordinate(self, quantity: str) -> bool:
         """Whether every sensor of a quantity feels one coordinate alone, its own."""
         return quantity in MOTION and not self.structure.is_modal and not self._feels_ground(quantity)
 

@@ -136,8 +136,8 @@ class Pairs:
     def of(cls, names: Sequence[str], weights: Sequence[Mapping[int, float]], dofs: int) -> Pairs:
         """Of a map of DOF, counted from 0, to weight for every pair."""
         matrix = np.zeros((len(names), dofs))
-        for row, own in zip(matrix, weights, strict=True):
-            row[list(own)] = list(own.values())
+        for row, weight_of in zip(matrix, weights, strict=True):
+            row[list(weight_of)] = list(weight_of.values())
         return cls(tuple(names), csr_matrix(matrix))
 
 

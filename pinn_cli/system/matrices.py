@@ -46,7 +46,9 @@ def nonlinear_functions(structure: Structure, u: torch.Tensor, v: torch.Tensor) 
     """
     e, de, law = structure.elongation(u), structure.elongation(v), structure.nonlinearity
     ones = [{p: torch.full_like(e, float(p == name)) for p in law.parameters} for name in _coefficients(structure)]
-    return torch.cat([law.force(e, de, one) if any(map(torch.any, one.values())) else 0.0 * e for one in ones], -1)
+    return torch.cat(
+        [law.force(e, de, given) if any(map(torch.any, given.values())) else 0.0 * e for given in ones], -1
+    )
 
 
 def state(structure: Structure) -> torch.Tensor:

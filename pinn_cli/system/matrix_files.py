@@ -59,27 +59,27 @@ def read_matrices(
     """
     asked = []
     for name, file in files.items():
-        own = f"system.{name}" if settings is None else settings[name]
-        setting, given = ("system.path", path) if file is None else (own, file)
+        own_setting = f"system.{name}" if settings is None else settings[name]
+        setting, given = ("system.path", path) if file is None else (own_setting, file)
         if given is not None:
             asked.append((setting, str(_file(setting, given, base)), name, file is not None))
-    found: dict[str, csc_matrix] = {}
+    matrices: dict[str, csc_matrix] = {}
     places, memory, at = [Path(file) for _, file, *_ in asked], of_this_machine() / _PART_OF_MEMORY, 0
     try:
         for shape, parts in read_apart(stored, [asked], places, memory) if asked else ():
             if shape:
-                found[asked[at][2]] = csc_matrix(tuple(parts), shape=shape)
+                matrices[asked[at][2]] = csc_matrix(tuple(parts), shape=shape)
             at += 1  # what is not answered is what cannot be read
     except UnreadableError as error:
         setting, file, *_ = asked[at]
         raise InputError(setting, Path(file).name, "a file of matrices that can be read", str(error)) from None
-    sizes = {name: matrix.shape[0] for name, matrix in found.items()}
+    sizes = {name: matrix.shape[0] for name, matrix in matrices.items()}
     for name, size in sizes.items():
         first = next(iter(sizes))
         if size != sizes[first]:
             shape = f"{size} x {size}"
             raise InputError(f"system.{name}", shape, f"as large as {first}, {sizes[first]} x {sizes[first]}")
-    return found
+    return matrices
 
 
 def stored(asked: Sequence[tuple[str, str, str, bool]]) -> Iterator[Answer]:
@@ -89,8 +89,8 @@ def stored(asked: Sequence[tuple[str, str, str, bool]]) -> Iterator[Answer]:
     """
     for setting, file, name, alone in asked:
         matrix = _matrix(setting, Path(file), name, alone)
-        own = None if matrix is None else _checked(setting, name, matrix)
-        yield ([], []) if own is None else (list(own.shape), [own.data, own.indices, own.indptr])
+        checked = None if matrix is None else _checked(setting, name, matrix)
+        yield ([], []) if checked is None else (list(checked.shape), [checked.data, checked.indices, checked.indptr])
 
 
 def _file(setting: str, given: Any, base: Path | None) -> Path:
@@ -163,8 +163,8 @@ def _checked(setting: str, name: str, matrix: Any) -> csc_matrix:
     if not np.isfinite(sparse.data).all():
         raise InputError(setting, f"{name} with NaN or infinity", "a matrix of finite numbers")
     size = float(np.abs(sparse.data).max(initial=0.0))
-    apart = abs(sparse - sparse.T)
-    if apart.nnz and float(apart.data.max()) > SYMMETRIC * size:
-        far = f"{name} and its transpose differ by {float(apart.data.max()) / size:.2g} of its largest entry"
+    skew = abs(sparse - sparse.T)
+    if skew.nnz and float(skew.data.max()) > SYMMETRIC * size:
+        far = f"{name} and its transpose differ by {float(skew.data.max()) / size:.2g} of its largest entry"
         raise InputError(setting, far, "a symmetric matrix", "is only one triangle of it stored?")
     return csc_matrix((sparse + sparse.T) * 0.5)

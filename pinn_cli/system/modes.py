@@ -123,16 +123,16 @@ class NaturalModes:
         vectors = vectors / np.linalg.norm(vectors, axis=0)
         # Undamped modes that no oscillation belongs to.
         of_poles = linear_sum_assignment(-np.abs(still.T @ vectors))[0]
-        left = np.setdiff1d(np.arange(n), of_poles)
+        rest = np.setdiff1d(np.arange(n), of_poles)
         with np.errstate(divide="ignore", invalid="ignore"):
-            aperiodic = np.einsum("ir,ij,jr->r", still, C, still)[left] / (2.0 * np.sqrt(squares[left]))
-        every = np.concatenate((np.abs(poles) ** 2, squares[left]))
-        order = np.argsort(every, kind="stable")[structure.shapes.below : n - structure.shapes.residual]
-        ratios = np.concatenate((-poles.real / np.abs(poles), np.where(squares[left] > 0, aperiodic, np.nan)))
-        shapes = np.hstack((vectors, still[:, left])) / np.sqrt(m)[:, None]
+            aperiodic = np.einsum("ir,ij,jr->r", still, C, still)[rest] / (2.0 * np.sqrt(squares[rest]))
+        all_squares = np.concatenate((np.abs(poles) ** 2, squares[rest]))
+        order = np.argsort(all_squares, kind="stable")[structure.shapes.below : n - structure.shapes.residual]
+        ratios = np.concatenate((-poles.real / np.abs(poles), np.where(squares[rest] > 0, aperiodic, np.nan)))
+        shapes = np.hstack((vectors, still[:, rest])) / np.sqrt(m)[:, None]
         shapes = shapes / np.linalg.norm(shapes, axis=0)
-        poles = np.concatenate((poles, np.full(len(left), np.nan)))
-        return cls(structure, every[order], ratios[order], poles[order], shapes[:, order])
+        poles = np.concatenate((poles, np.full(len(rest), np.nan)))
+        return cls(structure, all_squares[order], ratios[order], poles[order], shapes[:, order])
 
     @cached_property
     def frequencies(self) -> np.ndarray:
@@ -154,8 +154,8 @@ class NaturalModes:
     def assurance(self, other: NaturalModes) -> np.ndarray:
         """(modes, other modes), the modal assurance criterion: 1 where two shapes are the same, 0 where orthogonal."""
         across = np.abs(self.of_dofs.conj().T @ other.of_dofs) ** 2
-        own, others = (np.sum(np.abs(x.of_dofs) ** 2, axis=0) for x in (self, other))
-        return np.divide(across, np.outer(own, others), out=np.zeros_like(across), where=np.outer(own, others) > 0)
+        sizes = np.outer(*(np.sum(np.abs(x.of_dofs) ** 2, axis=0) for x in (self, other)))
+        return np.divide(across, sizes, out=np.zeros_like(across), where=sizes > 0)
 
     def partners(self, other: NaturalModes) -> np.ndarray:
         """(modes,), the mode of another structure with as many that each is most like, every one taken once."""
@@ -188,8 +188,8 @@ class NaturalModes:
         self, parameters: Sequence[Parameter], stretched: np.ndarray
     ) -> list[tuple[np.ndarray | float, np.ndarray | float, np.ndarray | float]]:
         """Of every parameter, v' M' v, v' C' v and v' K' v of all modes."""
-        own = [p.kind for p in parameters if p.kind in self.structure.members]
-        of_kind = {kind: _by_kind(self.structure, kind) for kind in dict.fromkeys(own)}
+        kinds = [p.kind for p in parameters if p.kind in self.structure.members]
+        of_kind = {kind: _by_kind(self.structure, kind) for kind in dict.fromkeys(kinds)}
         changes: list[tuple[np.ndarray | float, np.ndarray | float, np.ndarray | float]] = []
         for p in parameters:
             if p.kind == MASS:
@@ -216,7 +216,7 @@ def at_rest(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
     p = structure.parameters_like(np.empty(0))
     for group, part in zip(structure.groups, structure.parts, strict=True):
         if isinstance(group.nonlinearity, Hysteresis):
-            k[part.connections] += group.nonlinearity.stiffness_at_rest(part.own(p))
+            k[part.connections] += group.nonlinearity.stiffness_at_rest(part.of_group(p))
     return k, c
 
 
@@ -242,9 +242,9 @@ def frequency_with_oscillator(structure: Structure, place: np.ndarray, mass: flo
     stiffness, n = at_rest(structure)[0], len(m)
     if mass <= 0.0 or (m <= 0.0).any() or not np.isfinite(stiffness).all():
         return alone
-    spring, every = mass * (2.0 * np.pi * alone) ** 2, np.sqrt(np.append(m, mass))
-    own, stretch = structure.incidence.matrix.toarray(), np.append(place, -1.0)
+    spring, roots = mass * (2.0 * np.pi * alone) ** 2, np.sqrt(np.append(m, mass))
+    incidence, stretch = structure.incidence.matrix.toarray(), np.append(place, -1.0)
     k = spring * np.outer(stretch, stretch)
-    k[:n, :n] += own.T @ (stiffness[:, None] * own)
-    squares, shapes = np.linalg.eigh(k / np.outer(every, every))
+    k[:n, :n] += incidence.T @ (stiffness[:, None] * incidence)
+    squares, shapes = np.linalg.eigh(k / np.outer(roots, roots))
     return float(np.sqrt(max(squares[np.argmax(np.abs(shapes[n]))], 0.0))) / (2.0 * np.pi)

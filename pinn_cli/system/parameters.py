@@ -213,17 +213,17 @@ class ParameterVector(Generic[T]):
     def placed(self, distances: Array) -> Array:
         """(places,), the distances of all members of :attr:`kinds`, 0 of those that are held."""
         if isinstance(distances, np.ndarray):
-            every = np.zeros(self.places)
-            every[self.column] = distances
-            return every
+            placed = np.zeros(self.places)
+            placed[self.column] = distances
+            return placed
         column = torch.as_tensor(self.column, device=distances.device)
         return distances.new_zeros(self.places).index_copy(0, column, distances)
 
     def scattered(self, distances: Array) -> dict[str, Array]:
         """Kind to the distances of all its members, 0 of those that are held; of all :attr:`kinds`."""
-        every = self.placed(distances)
+        placed = self.placed(distances)
         ends = [*self.first.values(), self.places][1:]
-        return {kind: every[first:end] for (kind, first), end in zip(self.first.items(), ends, strict=True)}
+        return {kind: placed[first:end] for (kind, first), end in zip(self.first.items(), ends, strict=True)}
 
     def values(self, distances: Array, nominal: Mapping[str, Array] | None = None) -> dict[str, Array]:
         """Every parameter of the structure by kind.

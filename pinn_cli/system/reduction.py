@@ -97,7 +97,7 @@ def enriched(model: WholeModel, reduced: ReducedModel) -> ReducedModel:
     energies, shapes = _changed_shapes(M, K, model.parts, reduced, model.static)
     changed = shapes[:, np.cumsum(energies) > ENERGY_LEFT_OUT]
     vectors, values = reduced.vectors[:, :modes], reduced.stiffness[:modes]
-    return _model(vectors, values, *_beside(M, K, vectors, np.hstack([reduced.vectors[:, modes:], changed])))
+    return _model(vectors, values, *_complement(M, K, vectors, np.hstack([reduced.vectors[:, modes:], changed])))
 
 
 def reduced_at(model: WholeModel, factors: np.ndarray, like: ReducedModel) -> ReducedModel:
@@ -121,13 +121,13 @@ def reduced_at(model: WholeModel, factors: np.ndarray, like: ReducedModel) -> Re
     _, vectors, shifted, _ = _modes(M, changed, modes)
     kept, higher = vectors[:, : like.modes], vectors[:, like.modes :]
     exact = reduced_model(M, changed, like.modes, model.static)
-    own = [f * part for f, part in zip(factors, parts, strict=True)]
-    beside = _changed_shapes(M, changed, own, exact, model.static)[1][:, ::-1][:, : len(parts)]
-    felt = _residual_vectors(M, changed, kept, shifted, model.named)[0]
-    turns = min(felt.shape[1], higher.shape[1])
-    in_turn = np.stack([felt[:, :turns], higher[:, :turns]], axis=2).reshape(len(vectors), -1)
-    rest = [in_turn, felt[:, turns:], higher[:, turns:], like.vectors]
-    basis = _orthonormal(M, kept, np.hstack([exact.vectors[:, like.modes :], beside, *rest]), count)
+    changes = [f * part for f, part in zip(factors, parts, strict=True)]
+    changed_shapes = _changed_shapes(M, changed, changes, exact, model.static)[1][:, ::-1][:, : len(parts)]
+    residual_vectors = _residual_vectors(M, changed, kept, shifted, model.named)[0]
+    turns = min(residual_vectors.shape[1], higher.shape[1])
+    in_turn = np.stack([residual_vectors[:, :turns], higher[:, :turns]], axis=2).reshape(len(vectors), -1)
+    rest = [in_turn, residual_vectors[:, turns:], higher[:, turns:], like.vectors]
+    basis = _orthonormal(M, kept, np.hstack([exact.vectors[:, like.modes :], changed_shapes, *rest]), count)
     stiffness, turned = np.linalg.eigh(basis.T @ (model.K @ basis))
     stiffness = np.where(stiffness < RIGID_EIGENVALUE * stiffness.max(), 0.0, stiffness)
     nothing = np.empty((len(basis), 0))
@@ -142,20 +142,20 @@ def _orthonormal(M: csc_matrix, basis: np.ndarray, shapes: np.ndarray, count: in
     for shape in shapes.T:
         if basis.shape[1] == count:
             break
-        left = shape / np.sqrt(shape @ (M @ shape))
+        residual = shape / np.sqrt(shape @ (M @ shape))
         for _ in range(2):  # once leaves the rounding of what it took away
-            left = left - basis @ (basis.T @ (M @ left))
-        size = float(left @ (M @ left))
+            residual = residual - basis @ (basis.T @ (M @ residual))
+        size = float(residual @ (M @ residual))
         if size > DEPENDENT:
-            basis = np.column_stack([basis, left / np.sqrt(size)])
+            basis = np.column_stack([basis, residual / np.sqrt(size)])
     return basis
 
 
 def _model(vectors: np.ndarray, values: np.ndarray, more: np.ndarray, stiffness: np.ndarray) -> ReducedModel:
     """Modes and what comes beside them, each with its stiffness; the sign of every vector is that of its largest."""
-    every = np.hstack([vectors, more])
-    largest = every[np.abs(every).argmax(axis=0), np.arange(every.shape[1])]
-    return ReducedModel(every * np.sign(largest), np.concatenate([values, stiffness]), len(values))
+    basis = np.hstack([vectors, more])
+    largest = basis[np.abs(basis).argmax(axis=0), np.arange(basis.shape[1])]
+    return ReducedModel(basis * np.sign(largest), np.concatenate([values, stiffness]), len(values))
 
 
 def _modes(M: csc_matrix, K: csc_matrix, modes: int) -> tuple[np.ndarray, np.ndarray, SuperLU, float]:
@@ -184,10 +184,10 @@ def _changed_shapes(
             moved = shifted.solve(beyond)
             energy = np.sum(beyond * moved, axis=0) + np.sum(unit_energy[static] ** 2, axis=1)
             shapes += [unit_energy, moved / np.sqrt(energy)]
-    basis, left = reduced.vectors, np.hstack(shapes)
-    left = left - basis @ (basis.T @ (M @ left))
-    energies, turned = np.linalg.eigh(left.T @ (K @ left))
-    return energies, left @ turned
+    basis, residual = reduced.vectors, np.hstack(shapes)
+    residual = residual - basis @ (basis.T @ (M @ residual))
+    energies, turned = np.linalg.eigh(residual.T @ (K @ residual))
+    return energies, residual @ turned
 
 
 def _check_positive(M: csc_matrix) -> None:
@@ -243,10 +243,10 @@ def _residual_vectors(
     unit = np.zeros((M.shape[0], len(static)))
     unit[static, np.arange(len(static))] = 1.0
     beyond = unit - M @ (vectors @ vectors[static].T)
-    return _beside(M, K, vectors, shifted.solve(beyond[:, np.linalg.norm(beyond, axis=0) > SPANNED]))
+    return _complement(M, K, vectors, shifted.solve(beyond[:, np.linalg.norm(beyond, axis=0) > SPANNED]))
 
 
-def _beside(M: csc_matrix, K: csc_matrix, vectors: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _complement(M: csc_matrix, K: csc_matrix, vectors: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(N, s) orthonormal vectors that hold what shapes (N, t) are beyond some vectors, and their stiffnesses (s,).
 
     None where the vectors are all that there are.

@@ -212,9 +212,9 @@ class Structure:
                 out[..., p.index, column] = acceleration[..., p.index]
                 continue
             connections, which = self.carriers[p.kind]
-            own = which == p.index
-            pull = torch.as_tensor(self.incidence.matrix[connections[own]].toarray()).to(acceleration)
-            out[..., column] = slope.by_parameter[p.kind][..., own] @ pull
+            here = which == p.index
+            pull = torch.as_tensor(self.incidence.matrix[connections[here]].toarray()).to(acceleration)
+            out[..., column] = slope.by_parameter[p.kind][..., here] @ pull
         return out
 
     def elongation(self, x: Array) -> Array:
@@ -236,31 +236,33 @@ class Structure:
     @cached_property
     def added(self) -> np.ndarray:
         """(C',), the connections that somebody wrote down: all of them, but for the springs of modes and for parts."""
-        own = self.groups[0].incidence.shape[0] if self.is_modal else 0
-        return np.arange(own, len(self.parameters["k"]))
+        first = self.groups[0].incidence.shape[0] if self.is_modal else 0
+        return np.arange(first, len(self.parameters["k"]))
 
     @property
     def drift_names(self) -> tuple[str, ...]:
         """Of all drifts, D: those of :attr:`added`, then those of :attr:`pairs`."""
-        own = tuple(self.labels.connection(i) for i in self.added.tolist())
-        return own + (() if self.pairs is None else self.pairs.names)
+        names = tuple(self.labels.connection(i) for i in self.added.tolist())
+        return names + (() if self.pairs is None else self.pairs.names)
 
     @cached_property
     def drifts(self) -> csr_matrix:
         """(D, n + S), how the coordinates and supports make them."""
-        own = self.stretch.matrix[self.added]
+        stretch = self.stretch.matrix[self.added]
         if self.pairs is None:
-            return own
+            return stretch
         weights = csr_matrix(self.pairs.weights @ self.shapes.sparse)
-        return vstack([own, self._beside_supports(weights)], format="csr")
+        return vstack([stretch, self._with_supports(weights)], format="csr")
 
     @cached_property
     def drifts_of_dofs(self) -> csr_matrix:
         """(D, dofs + S), how the DOFs and supports make them."""
-        own = self.stretch.matrix[self.added] if self.shapes.stretch is None else self.shapes.stretch
-        return own if self.pairs is None else vstack([own, self._beside_supports(self.pairs.weights)], format="csr")
+        stretch = self.stretch.matrix[self.added] if self.shapes.stretch is None else self.shapes.stretch
+        if self.pairs is None:
+            return stretch
+        return vstack([stretch, self._with_supports(self.pairs.weights)], format="csr")
 
-    def _beside_supports(self, weights: csr_matrix) -> csr_matrix:
+    def _with_supports(self, weights: csr_matrix) -> csr_matrix:
         """(D, n) of pairs of DOFs as (D, n + S)."""
         return hstack([weights, csr_matrix((weights.shape[0], self.supports))], format="csr")
 
@@ -286,18 +288,18 @@ class Structure:
             z: Hidden forces (..., h) of the connections that have memory, N; None where none has.
         """
         p = self.parameters_like(e) if parameters is None else parameters
-        own = [p] if len(self.groups) == 1 else [part.own(p) for part in self.parts]
-        return self._connection_force(e, de, own, z)
+        of_groups = [p] if len(self.groups) == 1 else [part.of_group(p) for part in self.parts]
+        return self._connection_force(e, de, of_groups, z)
 
     def _connection_force(
-        self, e: Array, de: Array, own: Sequence[Mapping[str, Array]], z: Array | None = None
+        self, e: Array, de: Array, of_groups: Sequence[Mapping[str, Array]], z: Array | None = None
     ) -> Array:
         """The same from the parameters of every group's connections (..., C of the group)."""
         if len(self.groups) == 1:
-            force = self.groups[0].force(e, de, own[0])
+            force = self.groups[0].force(e, de, of_groups[0])
             return force if z is None or not len(self.memory) else force + z
         forces = []
-        for group, part, values in zip(self.groups, self.parts, own, strict=True):
+        for group, part, values in zip(self.groups, self.parts, of_groups, strict=True):
             force = group.force(e[..., part.connections], de[..., part.connections], values)
             forces.append(force + z[..., part.hidden] if z is not None and group.nonlinearity.has_memory else force)
         return namespace(e).concatenate(forces, -1)
@@ -305,12 +307,12 @@ class Structure:
     def hidden_rate(self, e: Array, de: Array, z: Array, parameters: Mapping[str, Array] | None = None) -> Array:
         """dz/dt of the hidden forces (..., h), N/s, from elongations and rates (..., C) and the hidden forces."""
         p = self.parameters_like(e) if parameters is None else parameters
-        return self._hidden_rate(e, de, z, [part.own(p) for part in self.parts])
+        return self._hidden_rate(e, de, z, [part.of_group(p) for part in self.parts])
 
-    def _hidden_rate(self, e: Array, de: Array, z: Array, own: Sequence[Mapping[str, Array]]) -> Array:
+    def _hidden_rate(self, e: Array, de: Array, z: Array, of_groups: Sequence[Mapping[str, Array]]) -> Array:
         """The same from the parameters of every group's connections (..., C of the group)."""
         rates = []
-        for group, part, values in zip(self.groups, self.parts, own, strict=True):
+        for group, part, values in zip(self.groups, self.parts, of_groups, strict=True):
             if isinstance(group.nonlinearity, Hysteresis):
                 at = part.connections
                 rates.append(group.nonlinearity.rate(e[..., at], de[..., at], z[..., part.hidden], values))
@@ -318,10 +320,10 @@ class Structure:
 
     def laws_of(self, parameters: Mapping[str, Array]) -> tuple[Callable[..., Array], Callable[..., Array]]:
         """:meth:`connection_force` and :meth:`hidden_rate` of (e, de, z) at these parameters, sorted out once."""
-        own = [part.own(parameters) for part in self.parts]
+        of_groups = [part.of_group(parameters) for part in self.parts]
         return (
-            lambda e, de, z: self._connection_force(e, de, own, z),
-            lambda e, de, z: self._hidden_rate(e, de, z, own),
+            lambda e, de, z: self._connection_force(e, de, of_groups, z),
+            lambda e, de, z: self._hidden_rate(e, de, z, of_groups),
         )
 
     def restoring_force(
@@ -350,15 +352,15 @@ class Structure:
         self, e: torch.Tensor, de: torch.Tensor, parameters: Mapping[str, torch.Tensor]
     ) -> Linearisation:
         """The same about elongations e and their rates de (..., C)."""
-        own = [part.own(parameters) for part in self.parts]
+        of_groups = [part.of_group(parameters) for part in self.parts]
 
         def force(e: torch.Tensor, de: torch.Tensor, *values: torch.Tensor) -> torch.Tensor:
-            left = iter(values)
-            return self._connection_force(e, de, [{kind: next(left) for kind in given} for given in own])
+            rest = iter(values)
+            return self._connection_force(e, de, [{kind: next(rest) for kind in given} for given in of_groups])
 
-        value, by = slopes(force, e, de, *(x.expand(*e.shape[:-1], -1) for given in own for x in given.values()))
-        each = list(zip([kind for given in own for kind in given], by[2:], strict=True))
-        by_parameter = {k: torch.cat([x for other, x in each if other == k], -1) for k in self.carriers}
+        value, by = slopes(force, e, de, *(x.expand(*e.shape[:-1], -1) for given in of_groups for x in given.values()))
+        slope_of = list(zip([kind for given in of_groups for kind in given], by[2:], strict=True))
+        by_parameter = {k: torch.cat([x for other, x in slope_of if other == k], -1) for k in self.carriers}
         return Linearisation(value, by[0], by[1], by_parameter)
 
     def parameters_like(self, x: Array) -> dict[str, Array]:
@@ -371,14 +373,14 @@ class Structure:
         """The same structure with the named kinds of parameters replaced, and its own modes damped."""
         return replace(self, parameters={**self.parameters, **tensors}).present()
 
-    def damping_apart(self, other: Structure) -> float:
+    def damping_change(self, other: Structure) -> float:
         """How far the damping of the whole and another's are apart for equal parameters, relative, 0 without any."""
-        apart = [0.0]
+        differences = [0.0]
         for mine, theirs in zip(self.groups, other.groups, strict=True):
             if mine.damps_whole:
-                own, others = (g.incidence.matrix.T @ g.incidence.matrix for g in (mine, theirs))
-                apart.append(float(sparse_norm(own - others) / sparse_norm(own)))
-        return max(apart)
+                rates, other_rates = (g.incidence.matrix.T @ g.incidence.matrix for g in (mine, theirs))
+                differences.append(float(sparse_norm(rates - other_rates) / sparse_norm(rates)))
+        return max(differences)
 
     @property
     def is_damped_as_whole(self) -> bool:
@@ -393,12 +395,12 @@ class Structure:
         """
         if not self.is_damped_as_whole:
             return self
-        own = {**self.parameters_like(np.empty(0)), **(values or {})}
+        at = {**self.parameters_like(np.empty(0)), **(values or {})}
         stiffness = np.concatenate(
-            [g.at_rest(p.own(own))[0].sum(axis=0) for g, p in zip(self.groups, self.parts, strict=True)]
+            [g.at_rest(p.of_group(at))[0].sum(axis=0) for g, p in zip(self.groups, self.parts, strict=True)]
         )
         mass, holds = (
-            own[MASS],
+            at[MASS],
             ~np.repeat([g.damps_whole for g in self.groups], [g.incidence.shape[0] for g in self.groups]),
         )
         if not np.isfinite(stiffness[holds]).all() or not (mass > 0).all():
@@ -421,15 +423,15 @@ class Structure:
 
         What springs and dampers of the coordinates were beside those that the model gives them, they are again.
         """
-        values, own = dict(self.parameters), self.groups[0].incidence.shape[0]
+        values, springs = dict(self.parameters), self.groups[0].incidence.shape[0]
         for kind in ("c", "k"):
             given, made = (
-                now if one.reduction is None else one.reduction.structure.parameters[kind][:own]
-                for one, now in ((self, values[kind][:own]), (other, other.parameters[kind][:own]))
+                now if structure.reduction is None else structure.reduction.structure.parameters[kind][:springs]
+                for structure, now in ((self, values[kind][:springs]), (other, other.parameters[kind][:springs]))
             )
-            now = values[kind][:own]
+            now = values[kind][:springs]
             kept = torch.where(given.isfinite() & (given != 0), made * now / given, now)
-            values[kind] = torch.cat([kept, values[kind][own:]])
+            values[kind] = torch.cat([kept, values[kind][springs:]])
         damping = (group for group in self.groups if group.damps_whole)
         return replace(
             self,
@@ -492,6 +494,6 @@ class Structure:
         The law's includes what a hidden force adds that follows the elongation.
         """
         p = self.parameters_like(np.empty(0))
-        each = [group.at_rest(part.own(p)) for group, part in zip(self.groups, self.parts, strict=True)]
-        stiffness, damping = (np.concatenate(x, axis=1) for x in zip(*each, strict=True))
+        by_group = [group.at_rest(part.of_group(p)) for group, part in zip(self.groups, self.parts, strict=True)]
+        stiffness, damping = (np.concatenate(x, axis=1) for x in zip(*by_group, strict=True))
         return stiffness, damping

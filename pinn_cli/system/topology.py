@@ -107,7 +107,9 @@ def build_partial_structure(
         hint = "it is of the motion beside one ground: give the connections dampers"
         raise InputError("system.damping", dict(damping), "null with system.supports", hint)
     if damping is not None and isinstance(connections, Mapping):
-        connections = {k: {"c": 0.0, **one} if isinstance(one, Mapping) else one for k, one in connections.items()}
+        connections = {
+            k: {"c": 0.0, **entry} if isinstance(entry, Mapping) else entry for k, entry in connections.items()
+        }
     structure = connected(names, _masses(mass, names), connections, moving)
     tell_if_loose(structure)
     return damped(replace(structure, pairs=drift_pairs(drifts, names, structure)), damping)
@@ -149,22 +151,26 @@ def connected(
     """
     read = [_connection(name, entry, names, supports) for name, entry in _checked_connections(connections).items()]
     groups: dict[tuple[object, ...], list[_Connection]] = {}
-    for one in read:
-        groups.setdefault(one.group, []).append(one)
-    ordered = [one for members in groups.values() for one in members]
+    for connection in read:
+        groups.setdefault(connection.group, []).append(connection)
+    ordered = [connection for members in groups.values() for connection in members]
     parameters = {MASS: list(masses)}
-    for kind_of in dict.fromkeys(kind for one in ordered for kind in one.parameters):
-        parameters[kind_of] = [one.parameters[kind_of] for one in ordered if kind_of in one.parameters]
-    labels = Labels(names, tuple(one.name for one in ordered), supports=supports)
+    for kind_of in dict.fromkeys(kind for connection in ordered for kind in connection.parameters):
+        parameters[kind_of] = [
+            connection.parameters[kind_of] for connection in ordered if kind_of in connection.parameters
+        ]
+    labels = Labels(names, tuple(connection.name for connection in ordered), supports=supports)
     n, moved = len(names), np.zeros((len(ordered), len(supports)))
-    for row, one in zip(moved, ordered, strict=True):
-        for end, weight in one.weights.items():
+    for row, connection in zip(moved, ordered, strict=True):
+        for end, weight in connection.weights.items():
             if end >= n:
                 row[end - n] = weight
     structure = Structure(
         {name: torch.tensor(values, dtype=torch.float64) for name, values in parameters.items()},
         tuple(
-            ConnectionGroup(members[0].law, Incidence.between([one.of_coordinates(n) for one in members], n))
+            ConnectionGroup(
+                members[0].law, Incidence.between([connection.of_coordinates(n) for connection in members], n)
+            )
             for members in groups.values()
         ),
         labels=labels,
@@ -232,19 +238,19 @@ def _connection(name: str, entry: Any, names: tuple[str, ...], supports: tuple[s
         raise InputError(setting, "supports alone", "one of system.dofs at one end", "nothing else can be moved by it")
     if entry.get("law") is None:
         raise InputError(f"{setting}.law", "nothing", "given", "linear is a spring and a damper")
-    own = law_settings(entry["law"], f"{setting}.law")
-    settings = {key: entry[key] for key in own if key in entry}
+    law_keys = law_settings(entry["law"], f"{setting}.law")
+    settings = {key: entry[key] for key in law_keys if key in entry}
     law = law_called(entry["law"], settings, setting)
     try:
         law = law.of_given([str(key) for key in entry])
     except InputError as error:
         raise InputError(setting, error.value, error.allowed) from None
     kinds = (*(kind for kind in LINEAR_UNITS if kind != MASS), *law.parameters)
-    known = (*_PLACE, *own, *kinds)
+    allowed_keys = (*_PLACE, *law_keys, *kinds)
     for key in map(str, entry):
-        if key not in known:
-            allowed = f"left out: a {law.name} connection has {', '.join((*kinds, *own))}"
-            raise InputError(f"{setting}.{key}", entry[key], allowed, suggestion(key, known))
+        if key not in allowed_keys:
+            allowed = f"left out: a {law.name} connection has {', '.join((*kinds, *law_keys))}"
+            raise InputError(f"{setting}.{key}", entry[key], allowed, suggestion(key, allowed_keys))
     parameters = {
         kind: _value(f"{setting}.{kind}", entry.get(kind), nonnegative=kind in law.nonnegative) for kind in kinds
     }

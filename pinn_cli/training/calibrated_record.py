@@ -89,7 +89,7 @@ def as_felt(record: Record, parameters: Iterable[ParameterEstimate]) -> Record:
 
 def _with_columns(record: Record, as_column: Callable[[Channel], Channel]) -> Record:
     columns = tuple(as_column(channel) for channel in record.calibrated)
-    return replace(record.showing(columns), felt=columns) if columns else record
+    return replace(record.showing(columns), corrected=columns) if columns else record
 
 
 def by_sensor(parameters: Iterable[ParameterEstimate]) -> defaultdict[str, dict[str, float]]:
@@ -103,7 +103,7 @@ def by_sensor(parameters: Iterable[ParameterEstimate]) -> defaultdict[str, dict[
 
 def sample_places(channel: Channel, numbers: Mapping[str, float], time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(J,), the place of each sample among the times (N,), and (J,) bool, those that are within them."""
-    felt_at = channel.felt_samples(numbers)[0]
+    felt_at = channel.corrected_samples(numbers)[0]
     step = (time[-1] - time[0]) / (len(time) - 1)
     # All samples of one sensor move alike: where it is late by half a step, each still has a place of its own.
     late = int(np.rint((channel.time[0] - felt_at[0]) / step))
@@ -114,7 +114,7 @@ def sample_places(channel: Channel, numbers: Mapping[str, float], time: np.ndarr
 
 def _residual(channel: Channel, numbers: dict[str, float], time: np.ndarray, response: Response) -> np.ndarray:
     """(J,), measured minus what a channel feels in a response; NaN outside."""
-    (felt_at, samples), (place, inside) = channel.felt_samples(numbers), sample_places(channel, numbers, time)
+    (felt_at, samples), (place, inside) = channel.corrected_samples(numbers), sample_places(channel, numbers, time)
     expected, out = channel.shown_of(response, numbers), np.full(len(samples), np.nan)
     residual = samples[inside] - BandLimited(time, expected)(felt_at[inside])
     if channel.filter_order:

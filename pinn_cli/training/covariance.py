@@ -124,7 +124,7 @@ class ReadoutPosterior:
             return dict(zip(RESPONSE_QUANTITIES, deviations, strict=True)) | self._of_ground(functions["displacement"])
         out = {
             quantity: std[:, : dynamics.ndof]
-            if dynamics.feels_own(quantity)
+            if dynamics.feels_coordinate(quantity)
             else self.combined(segments, dynamics.sensing(quantity))
             for quantity, std in functions.items()
         }

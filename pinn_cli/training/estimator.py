@@ -99,7 +99,7 @@ class TrainedNetwork(Estimator):
     def check(self, problem: Problem) -> None:
         """See :meth:`Estimator.check`."""
         if not problem.dynamics.is_plain and not self.training.solves_inputs(self.design):
-            allowed = f"network=spline with training=gauss_newton where {problem.dynamics.beside_motion} is to be found"
+            allowed = f"network=spline with training=gauss_newton where {problem.dynamics.also_unknown} is to be found"
             hint = "scheme.unknown_force=free leaves an unmeasured force to the motion" if problem.inputs.forces else ""
             raise InputError("network", self.design.name, allowed, hint)
         if problem.structure.is_damped_as_whole and not self.training.solves_inputs(self.design):
@@ -118,7 +118,7 @@ class TrainedNetwork(Estimator):
             allowed = "spline, with training=gauss_newton and inferred weights, where model=... says what is known"
             raise InputError("network", self.design.name, allowed, "other trainings know no correlated parameters")
         if not problem.dynamics.is_plain and problem.acceleration_through != "derivative":
-            hint = f"with {problem.dynamics.beside_motion} the observer equation has no one force"
+            hint = f"with {problem.dynamics.also_unknown} the observer equation has no one force"
             raise InputError("scheme.acceleration_through", problem.acceleration_through, "derivative", hint)
 
     def solve(self, problem: JointProblem, run: RunContext) -> Estimate:

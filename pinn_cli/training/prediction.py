@@ -150,7 +150,7 @@ class _Band:
         count, n = len(members.start), structure.coordinates
         largest = {q: np.zeros((count, record.ndof)) for q in RESPONSE_QUANTITIES}
         largest |= {"drift": np.zeros((count, drifts.shape[0])), "connection_force": np.zeros((count, len(added)))}
-        parameters = members.parameters_beside(structure)
+        parameters = members.with_parameters_of(structure)
         with np.errstate(over="ignore", invalid="ignore"):
             for part, motion, states, carried in followed_members(members, structure, record, response.state(0)):
                 u, v = (np.concatenate((states[..., k * n : (k + 1) * n], carried[..., k, :]), -1) for k in range(2))

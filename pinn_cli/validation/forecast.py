@@ -67,25 +67,25 @@ class Forecast(Withheld):
 
     def parts(self, record: Record) -> Sequence[int]:
         """First sample of each block; what is left of the record lies before them."""
-        return [len(record.time) - left * self._length(record) for left in range(self.blocks, 0, -1)]
+        return [len(record.time) - blocks * self._length(record) for blocks in range(self.blocks, 0, -1)]
 
     def without(self, part: int, problem: JointProblem, setup: Setup) -> JointProblem:
         """With the record up to a block."""
         return setup.scheme.with_record(problem, setup.prescribed, problem.alone.record.until(part))
 
-    def told(self, part: int, record: Record) -> str:
+    def in_words(self, part: int, record: Record) -> str:
         """See :meth:`Withheld.told`."""
         return f"with the record up to {record.time[part]:.4g} s"
 
-    def rows(self, part: int, record: Record, found: Estimate, setup: Setup) -> Iterator[dict[str, Any]]:
+    def rows(self, part: int, record: Record, estimate: Estimate, setup: Setup) -> Iterator[dict[str, Any]]:
         """See :meth:`Withheld.rows`."""
         first, end = part - max(1, round(LEAD * part)), part + self._length(record)
-        structure = estimated_structure(setup.prescribed, found.parameters)
-        forecast = free_run_of(structure, record.until(end), found.response, first, first)
+        structure = estimated_structure(setup.prescribed, estimate.parameters)
+        forecast = free_run_of(structure, record.until(end), estimate.response, first, first)
         for channel in channels(record):
             measured = channel.measured[part:end]
             mean = channel.of(forecast)[-len(measured) :]
             agreement = compared(measured, mean, np.full_like(mean, np.nan), channel_noise(record, channel))
             where = {"withheld_from": record.time[part], "dof": channel.dof + 1, "quantity": channel.quantity}
-            known = {name: agreement[name] for name in ("noise_std", "error_rms", "score")}
-            yield {**where, "samples": len(measured), **known}
+            scores = {name: agreement[name] for name in ("noise_std", "error_rms", "score")}
+            yield {**where, "samples": len(measured), **scores}

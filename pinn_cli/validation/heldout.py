@@ -58,18 +58,18 @@ class HeldOut(Withheld):
     def without(self, part: int, problem: JointProblem, setup: Setup) -> JointProblem:
         """Without one DOF's response sensors."""
         record = problem.alone.record
-        left = record.only(lambda channel: channel.is_input or part - 1 not in channel.weights)
-        return setup.scheme.with_record(problem, setup.prescribed, left)
+        remaining = record.only(lambda channel: channel.is_input or part - 1 not in channel.weights)
+        return setup.scheme.with_record(problem, setup.prescribed, remaining)
 
-    def told(self, part: int, record: Record) -> str:
+    def in_words(self, part: int, record: Record) -> str:
         """See :meth:`Withheld.told`."""
         return f"without the sensors of DOF {record.dof_name(part - 1)}"
 
-    def rows(self, part: int, record: Record, found: Estimate, setup: Setup) -> Iterator[dict[str, Any]]:
+    def rows(self, part: int, record: Record, estimate: Estimate, setup: Setup) -> Iterator[dict[str, Any]]:
         """See :meth:`Withheld.rows`."""
         for channel in channels(record):
             if channel.dof == part - 1:
-                mean, std = channel.of(found.response), channel.of(found.std)
+                mean, std = channel.of(estimate.response), channel.of(estimate.std)
                 agreement = compared(channel.measured, mean, std, channel_noise(record, channel))
                 samples = len(channel.measured)
                 yield {"withheld_dof": part, "quantity": channel.quantity, "samples": samples, **agreement}

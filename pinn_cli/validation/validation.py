@@ -113,11 +113,11 @@ class Withheld(Validation):
         """The same problem without a part."""
 
     @abstractmethod
-    def told(self, part: int, record: Record) -> str:
+    def in_words(self, part: int, record: Record) -> str:
         """The problem without a part, in words."""
 
     @abstractmethod
-    def rows(self, part: int, record: Record, found: Estimate, setup: Setup) -> Iterator[dict[str, Any]]:
+    def rows(self, part: int, record: Record, estimate: Estimate, setup: Setup) -> Iterator[dict[str, Any]]:
         """One row per channel of a part, with what `compared` makes of it.
 
         Raises:
@@ -129,10 +129,10 @@ class Withheld(Validation):
         rows, record = list[dict[str, Any]](), problem.alone.record
         for part in self.parts(record):
             try:
-                found = setup.estimator.solve(self.without(part, problem, setup), setup.run)
-                rows += [{"validation": self.name, **row} for row in self.rows(part, record, found, setup)]
+                without_part = setup.estimator.solve(self.without(part, problem, setup), setup.run)
+                rows += [{"validation": self.name, **row} for row in self.rows(part, record, without_part, setup)]
             except (DivergenceError, NoFreeRunError) as error:
-                reason = f"{self.told(part, record)}: {error}"
+                reason = f"{self.in_words(part, record)}: {error}"
                 log.warning("no validation score: %s", reason)
                 return Score(np.nan, pd.DataFrame(rows), reason)
         table = pd.DataFrame(rows)
@@ -163,14 +163,14 @@ def compared(measured: np.ndarray, mean: np.ndarray, std: np.ndarray, noise: flo
     """
     error = measured - mean
     square = float(np.mean(error**2))
-    known = bool(np.isfinite(std).all())
-    variance = std**2 + noise**2 if known else np.full_like(error, max(square, noise**2))
+    has_std = bool(np.isfinite(std).all())
+    variance = std**2 + noise**2 if has_std else np.full_like(error, max(square, noise**2))
     ratio = error**2 / variance
     return {
         "noise_std": noise,
         "error_rms": square**0.5,
-        "standardised_error_rms": float(np.mean(ratio)) ** 0.5 if known else np.nan,
-        "coverage_95_percent": 100.0 * float(np.mean(ratio <= NINETY_FIVE_PERCENT**2)) if known else np.nan,
+        "standardised_error_rms": float(np.mean(ratio)) ** 0.5 if has_std else np.nan,
+        "coverage_95_percent": 100.0 * float(np.mean(ratio <= NINETY_FIVE_PERCENT**2)) if has_std else np.nan,
         "score": float(0.5 * np.mean(np.log(variance / noise**2) + ratio - 1.0)),
     }
 
@@ -181,7 +181,7 @@ def channel_noise(record: Record, channel: Channel) -> float:
     The record has every sensor, and the channel is one of its own.
     """
     if record.repeats is not None:
-        found = float(record.repeats.noise_of_mean(channel.quantity)[channel.dof])
+        level = float(record.repeats.noise_of_mean(channel.quantity)[channel.dof])
     else:
-        found = white_level(channel.measured, record.step, 1.5 * record_band(record))
-    return max(found, FINEST_KNOWN * float(np.sqrt(np.mean(channel.measured**2))))
+        level = white_level(channel.measured, record.step, 1.5 * record_band(record))
+    return max(level, FINEST_KNOWN * float(np.sqrt(np.mean(channel.measured**2))))

@@ -121,7 +121,7 @@ def _in_columns(record: Record, excused: Sequence[str]) -> Record | None:
 
     if not acts or not any(map(stays, channels(record))) or any(channel.is_input for channel in doubted):
         return None
-    kept = replace(record.only(stays), calibrated=(), felt=())
+    kept = replace(record.only(stays), calibrated=(), corrected=())
     return kept if what_acts(kept) else None
 
 

@@ -214,7 +214,7 @@ def _energy(structure: Structure) -> list[Finding]:
     for group, part in zip(structure.groups, structure.parts, strict=True):
         if not isinstance(group.nonlinearity, Hysteresis):
             continue
-        creates = group.nonlinearity.creates_energy(part.own(parameters))
+        creates = group.nonlinearity.creates_energy(part.of_group(parameters))
         for connection in np.arange(part.connections.start, part.connections.stop)[creates]:
             name = structure.labels.connection(connection)
             text = (

@@ -45,7 +45,7 @@ def test_shapes_of_all_places():
     assert joined.names == ["1", "2", "3", "4", "5", "6", "7"]
     np.testing.assert_allclose(joined.shapes.real, SHAPES, atol=0.01)
     assert [[part.record for part in one.parts] for one in joined.joined] == [[0, 1, 2], [0, 1, 2]]
-    assert not joined.apart
+    assert not joined.unconnected
 
 
 def test_intervals_of_joined_modes():

@@ -23,7 +23,7 @@ def shown(gain: float, offset: float, drift: float, delay: float) -> Channel:
 
 def test_what_is_known_is_taken_out():
     channel = shown(1.3, -0.4, 0.2, 0.05)
-    at, felt = channel.felt_samples()
+    at, felt = channel.corrected_samples()
     np.testing.assert_allclose(at, TIME - 0.05)
     np.testing.assert_allclose(felt, motion(at), atol=1e-12)
     inside = TIME[TIME[-1] - 0.06 > TIME]

@@ -190,7 +190,7 @@ def test_what_is_known_of_a_calibration_is_taken_out(rig):
     assert record.calibrated == ()
     np.testing.assert_allclose(record.displacement[:, 0], 1e-3 * (U - 0.5 + 0.1 * TIME) / 2.0, atol=1e-15)
     (late,) = record_of(rig, u={**shown, "delay": 0.02}).calibrated
-    at, felt = late.felt_samples()
+    at, felt = late.corrected_samples()
     np.testing.assert_allclose(at, TIME - 0.02)
     np.testing.assert_allclose(felt, record.displacement[:, 0], atol=1e-15)
 
@@ -207,7 +207,7 @@ def test_two_sensors_of_one_dof(rig):
     (second,) = record.calibrated
     assert (second.key, second.fills, second.is_column) == ("a2", False, False)
     assert record.plain("acceleration").tolist() == record.sensors("acceleration").tolist()
-    np.testing.assert_allclose(second.felt_samples()[1], A2 / 1.1)
+    np.testing.assert_allclose(second.corrected_samples()[1], A2 / 1.1)
 
 
 def test_the_plain_sensor_of_a_dof_fills_its_column_whatever_the_order(rig):

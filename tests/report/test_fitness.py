@@ -139,7 +139,7 @@ def test_a_row_for_sensors_that_fill_no_column(make_case):
     size = [0.01 * np.std(x) for x in felt]
     record = replace(case.record, calibrated=calibrated)
     shown = [x + sigma * rng.normal(size=len(own)) for x, sigma in zip(felt, size, strict=True)]
-    record = replace(record, felt=tuple(c.at(own, x) for c, x in zip(record.calibrated, shown, strict=True)))
+    record = replace(record, corrected=tuple(c.at(own, x) for c, x in zip(record.calibrated, shown, strict=True)))
     estimate = replace(case.estimate, response=truth, noise=FoundNoise({CALIBRATED: np.array(size)}))
     table = residual_table(estimate, record, truth).iloc[-2:]
     assert table["dof"].isna().all()

@@ -179,6 +179,6 @@ def test_copies_end_with_a_process_that_is_killed():
 @pytest.mark.parametrize("cores", [1, 2])
 def test_one_item_has_a_copy_where_there_is_a_core_to_spare(cores, monkeypatch):
     monkeypatch.setattr(page, "usable_cores", lambda: list(range(cores)))
-    ((size, process),) = page.beside(5).each(size_and_process, (1,))
+    ((size, process),) = page.in_a_copy(5).each(size_and_process, (1,))
     assert size == 6
     assert (process == os.getpid()) == (cores == 1 or not sys.platform.startswith("linux"))

@@ -62,8 +62,8 @@ def test_they_belong_to_the_modes_of_the_present_structure():
     structure = chain({"ratio": [0.02, 0.01]})
     stiffer = structure.with_values({structure.parameter("k", 0): 3e6})
     np.testing.assert_allclose(NaturalModes.of(stiffer).damping_ratios, [0.02, 0.01, 0.01], rtol=1e-9)
-    assert structure.damping_apart(stiffer) > 0.1
-    assert structure.damping_apart(structure.with_values({})) == 0.0
+    assert structure.damping_change(stiffer) > 0.1
+    assert structure.damping_change(structure.with_values({})) == 0.0
 
 
 def test_their_names_and_where_they_are_unknown():
@@ -83,12 +83,12 @@ def test_a_run_keeps_them(damping):
     again = structure_of(*structure_content(structure))
     u = torch.tensor([0.01, -0.02], dtype=torch.float64)
     torch.testing.assert_close(again.restoring_force(u, u), structure.restoring_force(u, u))
-    assert again.present().damping_apart(structure) < 1e-12
+    assert again.present().damping_change(structure) < 1e-12
 
 
 def test_springs_that_stiffen_count_at_rest():
     cubic = build_chain(3, Duffing(), {"ratio": 0.02}, m=MASS, k=K, kappa=1e10)
-    assert cubic.damping_apart(chain({"ratio": 0.02})) == 0.0
+    assert cubic.damping_change(chain({"ratio": 0.02})) == 0.0
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,7 @@ def test_what_sensors_of_modes_feel(absolute):
         torch.testing.assert_close(dynamics.sensed(quantity, jet), values)
         sensing = sum(jet[order] @ torch.as_tensor(w.toarray()).T for order, w in dynamics.sensing(quantity))
         torch.testing.assert_close(sensing, values)
-        assert not dynamics.feels_own(quantity)
+        assert not dynamics.feels_coordinate(quantity)
     torch.testing.assert_close(dynamics.external_force(jet, dynamics.structure.parameters), expected["force"])
 
 
@@ -85,5 +85,5 @@ def test_of_a_motion_alone_nothing_is_added():
     dynamics, parameters = Dynamics(braced()), braced().parameters
     jet = some_jet(dynamics)
     assert dynamics.is_plain
-    assert not dynamics.beside_motion
+    assert not dynamics.also_unknown
     assert torch.equal(dynamics.residual(jet, parameters), dynamics.structure.external_force(*jet, parameters))

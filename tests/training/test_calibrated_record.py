@@ -73,7 +73,7 @@ def test_a_sensor_of_several_dofs_fills_no_column():
     calibrated = as_calibrated(record, estimate())
     assert np.isnan(calibrated.displacement).all()
     assert all(calibrated.column("displacement", dof).there.all() for dof in range(2))
-    assert [felt.name for felt in calibrated.felt] == ["displacement of sensor a1"]
+    assert [felt.name for felt in calibrated.corrected] == ["displacement of sensor a1"]
 
 
 def test_the_ground():

@@ -322,8 +322,8 @@ class RecordedMotion:
         else:
             values, step = columns[:, 1], _uniform_step(path, columns[:, 0], first)
         if len(values) < MINIMUM_SAMPLES or not values.any():
-            found = f"{len(values)} values" + ("" if values.any() else ", all of them 0")
-            raise InputError(MOTION_SETTING, path, f"a motion of {MINIMUM_SAMPLES} values or more", found)
+            content = f"{len(values)} values" + ("" if values.any() else ", all of them 0")
+            raise InputError(MOTION_SETTING, path, f"a motion of {MINIMUM_SAMPLES} values or more", content)
         if (largest := float(np.abs(values).max())) > LARGEST:
             raise InputError(MOTION_SETTING, path, f"a motion below {LARGEST:g}", f"it reaches {largest:g}")
         return cls(step, values)

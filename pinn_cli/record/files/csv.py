@@ -138,8 +138,8 @@ class CsvFormat(FileFormat):
         """Where the names are: by ``names_line``, else above the first rows of numbers."""
         separators = SEPARATORS if self.separator is None else (self.separator,)
         first = self.names_line if self.names_line is None else self.names_line - 1
-        found = (Heading.sought(lines, one, first) for one in separators)
-        heading = next((one for one in found if one is not None), None)
+        headings = (Heading.sought(lines, separator, first) for separator in separators)
+        heading = next((heading for heading in headings if heading is not None), None)
         if heading is not None:
             return heading
         if first is None:
@@ -282,8 +282,8 @@ def _names_and_units(rows: Sequence[list[str]]) -> tuple[list[list[str]], Sequen
 def _is_units(row: Sequence[str]) -> bool:
     """Whether half of the cells are units that we know, and none is the name of the times."""
     words = [cell for cell in row if cell not in ("", "-")]
-    known = sum(_ONLY_UNIT.match(word) is not None for word in words)
-    return bool(words) and 2 * known >= len(words) and not any(map(is_called_times, words))
+    units = sum(_ONLY_UNIT.match(word) is not None for word in words)
+    return bool(words) and 2 * units >= len(words) and not any(map(is_called_times, words))
 
 
 def _check_nameless(path: Path, heading: Heading) -> None:

@@ -122,29 +122,35 @@ class ArrayFormat(FileFormat):
         return content.startswith(self.beginnings)
 
 
-def tables_apart(own: ArrayFormat, path: Path, wanted: Mapping[str, str] | None) -> list[Table]:
+def tables_apart(file_format: ArrayFormat, path: Path, wanted: Mapping[str, str] | None) -> list[Table]:
     """What a format's ``tables`` reads in the other process.
 
     Args:
-        own: The file's format.
+        file_format: The file's format.
         path: Of the file.
         wanted: Setting to name of a column; None: all.
 
     Raises:
         InputError: The file is damaged, lacks a column, or takes more memory or time than a file may.
     """
-    kind, memory = type(own), of_this_machine() // _PART_OF_MEMORY
-    question = [kind.__module__, kind.__qualname__, vars(own), str(path), wanted if wanted is None else dict(wanted)]
+    kind, memory = type(file_format), of_this_machine() // _PART_OF_MEMORY
+    question = [
+        kind.__module__,
+        kind.__qualname__,
+        vars(file_format),
+        str(path),
+        wanted if wanted is None else dict(wanted),
+    ]
     try:
-        [(layout, found)] = read_apart(answered, question, [path], memory)
+        [(layout, values)] = read_apart(answered, question, [path], memory)
     except UnreadableError as error:
-        raise damaged(path, own.expected, str(error)) from None
-    arrays, tables = iter(found), []
+        raise damaged(path, file_format.expected, str(error)) from None
+    arrays, tables = iter(values), []
     for names, hints, timed, odd, first_line in layout:
         columns = {name: next(arrays) for name in names}
-        told = {name: SensorHint(*texts) for name, texts in hints.items()}
+        sensor_hints = {name: SensorHint(*texts) for name, texts in hints.items()}
         cells = {name: {int(row): text for row, text in of_column.items()} for name, of_column in odd.items()}
-        tables.append(Table(path, columns, cells, told, next(arrays) if timed else None, first_line))
+        tables.append(Table(path, columns, cells, sensor_hints, next(arrays) if timed else None, first_line))
     return tables
 
 
@@ -152,9 +158,9 @@ def answered(
     module: str, name: str, settings: Mapping[str, Any], path: str, wanted: Mapping[str, str] | None
 ) -> Iterator[Answer]:
     """What the other process answers: the layout of the tables of a file, and their arrays."""
-    own = object.__new__(getattr(import_module(module), name))
-    vars(own).update(settings)
-    tables = own.tables(Path(path), wanted)
+    file_format = object.__new__(getattr(import_module(module), name))
+    vars(file_format).update(settings)
+    tables = file_format.tables(Path(path), wanted)
     layout = [
         (
             list(t.columns),

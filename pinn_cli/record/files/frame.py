@@ -78,8 +78,8 @@ def table_of(data: Any, setting: str = DATA_SETTING) -> Table:
 
     cells = {name: pd.Series(values).reset_index(drop=True) for name, values in columns.items()}
     in_brackets = {name: match["unit"] for name in cells if (match := IN_BRACKETS.fullmatch(name))}
-    told = {name: units.get(name) or units.get(bare(name)) or in_brackets.get(name, "") for name in cells}
-    return named_by_content(Table.of_cells(Path(), cells, told))
+    column_units = {name: units.get(name) or units.get(bare(name)) or in_brackets.get(name, "") for name in cells}
+    return named_by_content(Table.of_cells(Path(), cells, column_units))
 
 
 def named_by_content(table: Table) -> Table:
@@ -102,8 +102,8 @@ def _of_frame(frame: pd.DataFrame) -> tuple[dict[str, Any], dict[str, str]]:
     has_times = any(map(is_called_times, names))
     if not has_times and (is_called_times(str(frame.index.name)) or frame.index.dtype.kind in "fmM"):
         columns = {TIME_COLUMN: frame.index.to_series(), **columns}
-    told = frame.attrs.get("units")
-    return columns, {name: str(unit or "") for name, unit in told.items()} if isinstance(told, Mapping) else {}
+    units = frame.attrs.get("units")
+    return columns, {name: str(unit or "") for name, unit in units.items()} if isinstance(units, Mapping) else {}
 
 
 def _of_arrays(data: Any, setting: str) -> tuple[dict[str, Any], dict[str, str]]:

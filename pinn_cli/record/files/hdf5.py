@@ -45,20 +45,20 @@ def arrays_of(file: h5py.File, read: Callable[[h5py.Dataset], np.ndarray]) -> di
 
     Links to other places and files are not followed.
     """
-    found: dict[str, Variable] = {}
+    variables: dict[str, Variable] = {}
 
     def visit(path: str, node: Any) -> None:
         name = node.attrs.get("NAME", b"")
         if not hasattr(node, "dtype") or node.shape is None or (isinstance(name, bytes) and _ONLY_DIMENSION in name):
             return
         if node.dtype.names is None:
-            found[path] = Variable(node.shape, lambda: read(node), content_of_node(node), SensorHint(_unit(node)))
+            variables[path] = Variable(node.shape, lambda: read(node), content_of_node(node), SensorHint(_unit(node)))
         for field in node.dtype.names or ():
             content = content_of_node(node, field)
-            found[f"{path}.{field}"] = Variable(node.shape, partial(node.__getitem__, field), content)
+            variables[f"{path}.{field}"] = Variable(node.shape, partial(node.__getitem__, field), content)
 
     file.visititems(visit)
-    return found | {f"/{path}": variable for path, variable in found.items()}
+    return variables | {f"/{path}": variable for path, variable in variables.items()}
 
 
 def content_of_node(node: h5py.Dataset, field: str | None = None) -> str:

@@ -50,8 +50,8 @@ class MatFormat(Hdf5Format):
         loaded = loadmat(str(path), appendmat=False, variable_names=roots)
         if roots is not None and not roots <= loaded.keys():  # an error lists all that there are
             loaded = loadmat(str(path), appendmat=False)
-        every = (_parts(name, value, 0) for name, value in loaded.items() if not name.startswith("__"))
-        return {name: variable for parts in every for name, variable in parts}
+        nested = (_parts(name, value, 0) for name, value in loaded.items() if not name.startswith("__"))
+        return {name: variable for parts in nested for name, variable in parts}
 
 
 def _is_version_4(content: bytes) -> bool:

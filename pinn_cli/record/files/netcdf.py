@@ -41,21 +41,21 @@ class NetcdfFormat(Hdf5Format):
                 return arrays_of(h5py.File(path, "r"), lambda node: _unpacked(node[()], node.attrs))
         from scipy.io import netcdf_file
 
-        found = {}
+        variables = {}
         for name, variable in netcdf_file(str(path), "r", mmap=False).variables.items():
-            told = vars(variable)  # attributes of the file are those of the object
-            unit = told.get("units", b"")
+            attributes = vars(variable)  # attributes of the file are those of the object
+            unit = attributes.get("units", b"")
             text = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else str(unit)
-            read = partial(_unpacked, variable.data, told)
-            found[name] = Variable(variable.shape, read, content_of(variable.data.dtype), SensorHint(text))
-        return found | {f"/{name}": variable for name, variable in found.items()}
+            read = partial(_unpacked, variable.data, attributes)
+            variables[name] = Variable(variable.shape, read, content_of(variable.data.dtype), SensorHint(text))
+        return variables | {f"/{name}": variable for name, variable in variables.items()}
 
 
-def _unpacked(stored: np.ndarray, told: Mapping[str, Any]) -> np.ndarray:
+def _unpacked(stored: np.ndarray, attributes: Mapping[str, Any]) -> np.ndarray:
     """Numbers as they were before they were packed, NaN where there is none."""
     values = np.asarray(stored).astype(np.float64)
     for name in ("_FillValue", "missing_value"):
-        if name in told:
-            values = np.where(np.isin(stored, np.ravel(told[name])), np.nan, values)
-    scale, offset = (np.ravel(told.get(n, d))[0] for n, d in (("scale_factor", 1.0), ("add_offset", 0.0)))
+        if name in attributes:
+            values = np.where(np.isin(stored, np.ravel(attributes[name])), np.nan, values)
+    scale, offset = (np.ravel(attributes.get(n, d))[0] for n, d in (("scale_factor", 1.0), ("add_offset", 0.0)))
     return np.asarray(values * float(scale) + float(offset))

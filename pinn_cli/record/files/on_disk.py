@@ -133,10 +133,10 @@ def other_format(path: Path, content: bytes, expected: str) -> InputError:
         content: Its first bytes.
         expected: What it should be, such as ``a MAT file``.
     """
-    found = _kind(content)
-    if not found and min(content, default=0) >= 9:  # no control characters but tabs and ends of lines
-        found = "text (data=csv?)"
-    hint = f"it is {found}" if found else "another format, or damaged?"
+    kind = _kind(content)
+    if not kind and min(content, default=0) >= 9:  # no control characters but tabs and ends of lines
+        kind = "text (data=csv?)"
+    hint = f"it is {kind}" if kind else "another format, or damaged?"
     return InputError("data.path", path, expected, hint if content else "it is empty")
 
 

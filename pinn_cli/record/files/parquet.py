@@ -30,7 +30,7 @@ class ParquetFormat(ArrayFormat):
 
         file = parquet.ParquetFile(path)
         counts = Counter(file.schema_arrow.names)
-        found = {}
+        variables = {}
         for field in file.schema_arrow:
             is_number = any(t(field.type) for t in (types.is_integer, types.is_floating, types.is_decimal))
             content = "" if is_number else str(field.type)
@@ -38,8 +38,8 @@ class ParquetFormat(ArrayFormat):
                 content = f"{counts[field.name]} columns of this name"
             unit = (field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace")
             read = partial(_numbers, file, field.name)
-            found[field.name] = Variable((1, file.metadata.num_rows), read, content, SensorHint(unit))
-        return found
+            variables[field.name] = Variable((1, file.metadata.num_rows), read, content, SensorHint(unit))
+        return variables
 
 
 def _numbers(file: Any, name: str) -> np.ndarray:

@@ -197,8 +197,8 @@ class Table:
 
 def bare(column: str) -> str:
     """The name of a column without a unit in brackets at its end."""
-    found = IN_BRACKETS.fullmatch(column)
-    return found["name"] if found else column.strip()
+    match = IN_BRACKETS.fullmatch(column)
+    return match["name"] if match else column.strip()
 
 
 def is_called_times(column: str) -> bool:
@@ -208,15 +208,15 @@ def is_called_times(column: str) -> bool:
 
 def unit_of_times(column: str) -> str:
     """The unit behind the name of a column of times; "" where there is none."""
-    found = _UNIT_BEHIND.fullmatch(column.translate(_PLAIN_LETTERS))
-    return found["unit"].lower() if found else ""
+    match = _UNIT_BEHIND.fullmatch(column.translate(_PLAIN_LETTERS))
+    return match["unit"].lower() if match else ""
 
 
 def _rank(column: str) -> int | None:
     """How many better names of times there are than that of a column; None: it is none. Groups stand before it."""
     name = bare(column)
-    found = _UNIT_BEHIND.fullmatch(name.translate(_PLAIN_LETTERS))
-    name = found["name"] if found else name
+    match = _UNIT_BEHIND.fullmatch(name.translate(_PLAIN_LETTERS))
+    name = match["name"] if match else name
     for last in (name, re.split(r"[/.]", name)[-1].strip()):
         if last == TIME_COLUMN:
             return 0
@@ -228,7 +228,7 @@ def _rank(column: str) -> int | None:
 def column_of_times(names: Collection[str]) -> str:
     """That which is called as it should be; else the one with the best of the other names, the first of several."""
     ranked = [(rank, name) for name in names if (rank := _rank(name)) is not None]
-    return min(ranked, key=lambda one: one[0])[1] if ranked else TIME_COLUMN
+    return min(ranked, key=lambda pair: pair[0])[1] if ranked else TIME_COLUMN
 
 
 def asked_for(path: Path, wanted: Mapping[str, str], names: Collection[str], otherwise: str = "") -> dict[str, str]:
@@ -285,9 +285,9 @@ def same_length(path: Path, columns: Mapping[str, np.ndarray]) -> None:
 
 def listed(names: Iterable[str]) -> str:
     """The first of the names, shortened and in quotes, and how many more there are; ``no columns`` of none."""
-    every: Sequence[str] = list(names)
-    more = f" and {len(every) - _NAMES_TOLD} more" if len(every) > _NAMES_TOLD else ""
-    return ", ".join(map(shortened, every[:_NAMES_TOLD])) + more or "no columns"
+    columns: Sequence[str] = list(names)
+    more = f" and {len(columns) - _NAMES_TOLD} more" if len(columns) > _NAMES_TOLD else ""
+    return ", ".join(map(shortened, columns[:_NAMES_TOLD])) + more or "no columns"
 
 
 def shortened(text: str) -> str:
@@ -323,8 +323,8 @@ def seconds_of(texts: Sequence[str]) -> np.ndarray | None:
     dates = pd.to_datetime(pd.Series(texts), format="ISO8601", errors="coerce", utc=True)
     if not dates.isna().any():
         return np.asarray((dates - dates.iloc[0]).dt.total_seconds(), dtype=np.float64)
-    found = [_written(text) for text in texts]
-    parts = [match.groups() for match in found if match is not None and any(match.groups()[:5])]
+    matches = [_written(text) for text in texts]
+    parts = [match.groups() for match in matches if match is not None and any(match.groups()[:5])]
     if len(parts) < len(texts):
         return None
     zones = {part[7] for part in parts if part[8] is None}

@@ -39,17 +39,17 @@ class TdmsFormat(ArrayFormat):
         channels = [channel for group in file.groups() for channel in group.channels()]
         if not channels:
             raise ValueError("it has no channels")
-        every = {f"{channel.group_name}/{channel.name}": _variable(channel) for channel in channels}
+        variables = {f"{channel.group_name}/{channel.name}": _variable(channel) for channel in channels}
         counts = Counter(channel.name for channel in channels)
-        own = {c.name: every[f"{c.group_name}/{c.name}"] for c in channels if counts[c.name] == 1}
-        return {**every, **{name: variable for name, variable in own.items() if name not in every}}
+        unique = {c.name: variables[f"{c.group_name}/{c.name}"] for c in channels if counts[c.name] == 1}
+        return {**variables, **{name: variable for name, variable in unique.items() if name not in variables}}
 
 
 def _variable(channel: Any) -> Variable:
-    told = channel.properties
-    step, start = told.get("wf_increment"), told.get("wf_start_offset", 0.0)
+    properties = channel.properties
+    step, start = properties.get("wf_increment"), properties.get("wf_start_offset", 0.0)
     time = _time(float(start), float(step), len(channel)) if isinstance(step, int | float) and step > 0 else None
-    unit = str(told.get("unit_string") or told.get("NI_UnitDescription") or "")
+    unit = str(properties.get("unit_string") or properties.get("NI_UnitDescription") or "")
     content = "nothing" if channel.dtype is None else content_of(np.dtype(channel.dtype))
     return Variable((len(channel), 1), lambda: channel[:], content, SensorHint(unit), time)
 

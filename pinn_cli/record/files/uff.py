@@ -55,58 +55,60 @@ class UffFormat(ArrayFormat):
         file = pyuff.UFF(str(path))
         numbers = [int(i) for i, kind in enumerate(file.get_set_types()) if int(kind) in (58, 164)]
         sets = [file.read_sets(number) for number in numbers]
-        functions = [one for one in sets if one["type"] == 58]
-        histories = [one for one in functions if _is_history(one)]
+        functions = [data_set for data_set in sets if data_set["type"] == 58]
+        histories = [data_set for data_set in functions if _is_history(data_set)]
         if not histories:
-            others = Counter(_FUNCTIONS.get(one["func_type"], "other functions") for one in functions)
-            found = ", ".join(f"{count} {kind}" for kind, count in others.items())
-            raise InputError("data.path", path, self.expected, f"it has {found or 'none'}, and no time history")
-        code = next((one.get("units_code", 0) for one in sets if one["type"] == 164), 0)
+            others = Counter(_FUNCTIONS.get(data_set["func_type"], "other functions") for data_set in functions)
+            counts = ", ".join(f"{count} {kind}" for kind, count in others.items())
+            raise InputError("data.path", path, self.expected, f"it has {counts or 'none'}, and no time history")
+        code = next((data_set.get("units_code", 0) for data_set in sets if data_set["type"] == 164), 0)
         named: dict[str, Variable] = {}
         labels: dict[str, list[Variable]] = {}
-        for one in histories:
-            plain = " ".join(filter(None, (_quantity(one) or "channel", _place(one))))
+        for data_set in histories:
+            plain = " ".join(filter(None, (_quantity(data_set) or "channel", _place(data_set))))
             number = 1 + sum(name == plain or name.startswith(f"{plain} (") for name in named)
             name = plain if number == 1 else f"{plain} ({number})"
-            named[name] = _variable(path, name, one, code)
-            labels.setdefault(one["id1"], []).append(named[name])
+            named[name] = _variable(path, name, data_set, code)
+            labels.setdefault(data_set["id1"], []).append(named[name])
         return named | {label: of[0] for label, of in labels.items() if len(of) == 1 and label not in named}
 
 
-def _is_history(one: Mapping[str, Any]) -> bool:
-    of_time = one["func_type"] in (_GENERAL, _TIME_RESPONSE) and one["abscissa_spec_data_type"] in (_UNKNOWN, _TIME)
-    return of_time and not np.iscomplexobj(one["data"])
+def _is_history(data_set: Mapping[str, Any]) -> bool:
+    kind, abscissa = data_set["func_type"], data_set["abscissa_spec_data_type"]
+    of_time = kind in (_GENERAL, _TIME_RESPONSE) and abscissa in (_UNKNOWN, _TIME)
+    return of_time and not np.iscomplexobj(data_set["data"])
 
 
-def _variable(path: Path, name: str, one: Mapping[str, Any], code: int) -> Variable:
+def _variable(path: Path, name: str, data_set: Mapping[str, Any], code: int) -> Variable:
     """The samples of a data set, as many as its header tells, at increasing times."""
-    count, step = one["num_pts"], one["abscissa_inc"]
-    values, time = one["data"][:count], np.asarray(one["x"][:count], dtype=np.float64)  # the last block is filled up
+    count, step = data_set["num_pts"], data_set["abscissa_inc"]
+    values = data_set["data"][:count]  # the last block is filled up
+    time = np.asarray(data_set["x"][:count], dtype=np.float64)
 
     def read() -> np.ndarray:
         if len(values) < count:
             raise ValueError(f"{name!r} has {len(values)} of the {count} samples that its header tells")
-        if one["abscissa_spacing"] == 1 and not (math.isfinite(step) and step > 0):
+        if data_set["abscissa_spacing"] == 1 and not (math.isfinite(step) and step > 0):
             allowed = "a file whose samples have a step in time"
             raise InputError("data.path", path, allowed, f"that of {name!r} is {step}")
         if not np.all(np.diff(time) > 0):
             raise InputError("data.path", path, "a file whose times increase", f"those of {name!r} do not")
         return values
 
-    quantity, label = _quantity(one), str(one.get("ordinate_axis_units_lab", "")).strip()
+    quantity, label = _quantity(data_set), str(data_set.get("ordinate_axis_units_lab", "")).strip()
     unit = "" if label.upper() in ("", "NONE") else label
     if not unit and code in _UNIT_CODES and quantity:
         unit = _OF_QUANTITY[quantity].format(*_UNIT_CODES[code])
-    return Variable((len(values), 1), read, hint=SensorHint(unit, quantity, _place(one)), time=time)
+    return Variable((len(values), 1), read, hint=SensorHint(unit, quantity, _place(data_set)), time=time)
 
 
-def _quantity(one: Mapping[str, Any]) -> str:
-    return _QUANTITY_CODES.get(one["ordinate_spec_data_type"], "")
+def _quantity(data_set: Mapping[str, Any]) -> str:
+    return _QUANTITY_CODES.get(data_set["ordinate_spec_data_type"], "")
 
 
-def _place(one: Mapping[str, Any]) -> str:
+def _place(data_set: Mapping[str, Any]) -> str:
     """Node and direction of the response; "" of a scalar of node 0."""
-    node, direction = one["rsp_node"], one["rsp_dir"]
+    node, direction = data_set["rsp_node"], data_set["rsp_dir"]
     if not direction or abs(direction) >= len(_DIRECTIONS):
         return str(node) if node else ""
     return f"{node}:{'+' if direction > 0 else '-'}{_DIRECTIONS[abs(direction)]}"

@@ -102,36 +102,36 @@ def tables_of(path: Path, variables: Mapping[str, Variable], wanted: Mapping[str
         InputError: Naming the setting: there is no such variable, or it is no vector of numbers; or the columns differ
             in length.
     """
-    every = {column: (v, j) for name, v in variables.items() for j, column in enumerate(_columns_of(name, v))}
+    places = {column: (v, j) for name, v in variables.items() for j, column in enumerate(_columns_of(name, v))}
     first: dict[tuple[Variable, int], str] = {}
-    own = [column for column, place in every.items() if first.setdefault(place, column) == column]
-    told = None if any(map(is_called_times, own)) else _told_rate(variables)
+    distinct = [column for column, place in places.items() if first.setdefault(place, column) == column]
+    rate = None if any(map(is_called_times, distinct)) else _rate(variables)
     if wanted is not None:
-        by_name = {setting: column or column_of_times(own) for setting, column in wanted.items()}
-        wanted = {setting: column for setting, column in by_name.items() if wanted[setting] or told is None}
+        by_name = {setting: column or column_of_times(distinct) for setting, column in wanted.items()}
+        wanted = {setting: column for setting, column in by_name.items() if wanted[setting] or rate is None}
     for setting, column in (wanted or {}).items():
-        if column not in every:
-            _refuse(path, setting, column, variables, own)
-    names = _of_usual_length({column: every[column][0] for column in own}) if wanted is None else wanted.values()
+        if column not in places:
+            _refuse(path, setting, column, variables, distinct)
+    names = _of_usual_length({column: places[column][0] for column in distinct}) if wanted is None else wanted.values()
     clocks: dict[bytes, dict[str, Variable]] = {}
     for column in names:
-        variable = every[column][0]
+        variable = places[column][0]
         clocks.setdefault(b"" if variable.time is None else variable.time.tobytes(), {})[column] = variable
     if b"" in clocks:  # nothing tells when they were taken with respect to each other
-        clocks = {b"": {column: every[column][0] for column in names}}
+        clocks = {b"": {column: places[column][0] for column in names}}
     read = {variable: variable.read() for of_clock in clocks.values() for variable in of_clock.values()}
     tables = []
     for clock, of_clock in clocks.items():
-        columns = {name: np.ascontiguousarray(read[variable][every[name][1]]) for name, variable in of_clock.items()}
+        columns = {name: np.ascontiguousarray(read[variable][places[name][1]]) for name, variable in of_clock.items()}
         same_length(path, columns)
         hints = {name: variable.hint for name, variable in of_clock.items() if variable.hint != NO_HINT}
         tables.append(Table(path, columns, {}, hints, np.frombuffer(clock) if clock else None))
-    if told is not None and len(tables) == 1 and tables[0].time is None:
-        tables = [replace(tables[0], time=np.arange(len(tables[0])) / told)]
+    if rate is not None and len(tables) == 1 and tables[0].time is None:
+        tables = [replace(tables[0], time=np.arange(len(tables[0])) / rate)]
     return tables or [Table(path, {})]
 
 
-def _told_rate(variables: Mapping[str, Variable]) -> float | None:
+def _rate(variables: Mapping[str, Variable]) -> float | None:
     """Hz, as a scalar of the file says."""
     for name, variable in variables.items():
         last = re.split(r"[./]", name)[-1].casefold()
@@ -153,7 +153,7 @@ def _of_usual_length(columns: Mapping[str, Variable]) -> list[str]:
     return [name for name, variable in columns.items() if variable.time is not None or variable.samples == usual]
 
 
-def _refuse(path: Path, setting: str, name: str, variables: Mapping[str, Variable], own: list[str]) -> None:
+def _refuse(path: Path, setting: str, name: str, variables: Mapping[str, Variable], columns: list[str]) -> None:
     """Say why there is no such column.
 
     Raises:
@@ -165,11 +165,11 @@ def _refuse(path: Path, setting: str, name: str, variables: Mapping[str, Variabl
             setting, repr(name), "a column of numbers", f"in {path.name} it {variables[name].why_none(name)}"
         )
     if root in variables and number.isdecimal():
-        found = f"{root} has {variables[root].columns} columns of numbers, counted from 1"
-        raise InputError(setting, repr(name), f"a column of {path.name}", found)
+        hint = f"{root} has {variables[root].columns} columns of numbers, counted from 1"
+        raise InputError(setting, repr(name), f"a column of {path.name}", hint)
     within = next((other for other in variables if other.startswith((f"{name}.", f"{name}/"))), "")
     check_names(
-        path, {setting: name}, own, within and f"{name} is a structure: name one of its fields, such as {within}"
+        path, {setting: name}, columns, within and f"{name} is a structure: name one of its fields, such as {within}"
     )
 
 
@@ -208,14 +208,14 @@ def joined(tables: Sequence[Table], times: Sequence[np.ndarray], without: Sequen
 
 def _union(times: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
     """All times, those that are the same once; and of each sequence the place of every time in it."""
-    every = np.concatenate(times)
-    order = np.argsort(every, kind="stable")
+    stacked = np.concatenate(times)
+    order = np.argsort(stacked, kind="stable")
     shortest = min(float(np.median(np.diff(time))) for time in times if len(time) > 1)
-    new = np.concatenate(([True], np.diff(every[order]) > SAME_TIME * shortest))
-    place = np.empty(len(every), dtype=int)
+    new = np.concatenate(([True], np.diff(stacked[order]) > SAME_TIME * shortest))
+    place = np.empty(len(stacked), dtype=int)
     place[order] = np.cumsum(new) - 1
     ends = np.cumsum([len(time) for time in times])[:-1]
-    return every[order][new], np.split(place, ends)
+    return stacked[order][new], np.split(place, ends)
 
 
 def _check_overlap(tables: Sequence[Table], times: Sequence[np.ndarray]) -> None:

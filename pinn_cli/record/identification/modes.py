@@ -59,14 +59,14 @@ def identify(outputs: np.ndarray, inputs: np.ndarray, step: float) -> Identified
         if f * lines.duration > FEWEST_PERIODS:
             tried.append((_fit(lines, candidate, (), shape).gain(), candidate, shape))
     tried = sorted(tried, key=lambda candidate: candidate[0])[:MOST_TRIED]
-    found: list[tuple[Pole, np.ndarray]] = []
+    accepted: list[tuple[Pole, np.ndarray]] = []
     lone: list[Pole] = []
     for gain, candidate, shape in tried:
-        beside = [*(pole for pole, _ in found), *lone]
-        if gain > CHANCE or any(_same(candidate, shape, *other) for other in found):
+        neighbours = [*(pole for pole, _ in accepted), *lone]
+        if gain > CHANCE or any(_same(candidate, shape, *other) for other in accepted):
             continue
-        fit = _fit(lines, candidate, beside, shape)
-        if beside and fit.gain() > CHANCE:
+        fit = _fit(lines, candidate, neighbours, shape)
+        if neighbours and fit.gain() > CHANCE:
             continue
         fitted = fit.solve()
         if fitted is None:
@@ -74,12 +74,12 @@ def identify(outputs: np.ndarray, inputs: np.ndarray, step: float) -> Identified
         pole = Pole(fitted.frequency, fitted.damping)
         if _is_line(fit, pole, lines):
             lone.append(pole)
-        elif _holds(fitted, candidate, lines) and not any(_same(pole, fitted.shape, *other) for other in found):
-            found.append((pole, shape))
+        elif _holds(fitted, candidate, lines) and not any(_same(pole, fitted.shape, *other) for other in accepted):
+            accepted.append((pole, shape))
     modes = []
-    for pole, shape in found:
-        beside = [*(other for other, _ in found if other is not pole), *lone]
-        fitted = _fit(lines, pole, beside, shape).solve()
+    for pole, shape in accepted:
+        neighbours = [*(other for other, _ in accepted if other is not pole), *lone]
+        fitted = _fit(lines, pole, neighbours, shape).solve()
         if fitted is not None and _holds(fitted, pole, lines):
             modes.append(fitted)
     modes.sort(key=lambda mode: mode.frequency)
@@ -93,10 +93,10 @@ def _levelled(values: np.ndarray) -> np.ndarray:
     return np.asarray(values - first - np.linspace(0.0, 1.0, len(values))[:, None] * (last - first))
 
 
-def _fit(lines: Lines, pole: Pole, beside: Sequence[Pole], shape: np.ndarray) -> ResponseFit | PowerFit:
+def _fit(lines: Lines, pole: Pole, neighbours: Sequence[Pole], shape: np.ndarray) -> ResponseFit | PowerFit:
     if lines.inputs.shape[1]:
-        return ResponseFit(lines, pole, beside)
-    return PowerFit(lines, pole, beside, shape)
+        return ResponseFit(lines, pole, neighbours)
+    return PowerFit(lines, pole, neighbours, shape)
 
 
 def _same(pole: Pole, shape: np.ndarray, other: Pole, its_shape: np.ndarray) -> bool:

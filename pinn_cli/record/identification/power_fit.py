@@ -40,23 +40,23 @@ class PowerFit:
     Args:
         lines: Of the record.
         pole: Around which.
-        beside: Other modes.
+        neighbours: Other modes.
         shape: (S,), of the mode, roughly.
     """
 
-    def __init__(self, lines: Lines, pole: Pole, beside: Sequence[Pole], shape: np.ndarray) -> None:
+    def __init__(self, lines: Lines, pole: Pole, neighbours: Sequence[Pole], shape: np.ndarray) -> None:
         self.band, self.pole = lines.around(pole, FEWEST_IN_BAND_FIT), pole
         f = self.band.frequency
         reach = f[-1] - f[0]
-        self.free = tuple(other for other in beside if f[0] < other.frequency < f[-1])
+        self.free = tuple(other for other in neighbours if f[0] < other.frequency < f[-1])
         self.held = tuple(
-            other for other in beside
+            other for other in neighbours
             if other not in self.free and f[0] - reach < other.frequency < f[-1] + reach
         )  # fmt: skip
         self.shape, self.weights = shape, self._filter(shape)
         self.power = np.abs(self.band.outputs @ self.weights) ** 2
         self.power = self.power / max(float(self.power.mean()), 1e-300)
-        self.known: dict[Pole, np.ndarray] = {}
+        self.spectra: dict[Pole, np.ndarray] = {}
         self.slope = (f - f.mean()) / max(0.5 * reach, 1e-300)
 
     def _filter(self, shape: np.ndarray) -> np.ndarray:
@@ -74,11 +74,11 @@ class PowerFit:
 
     def _shown(self, pole: Pole) -> np.ndarray:
         """(L, 2) of G for both parts of a, scaled."""
-        if pole not in self.known:
+        if pole not in self.spectra:
             decay, omega = pole.at * self.band.step, 2.0 * np.pi * self.band.frequency * self.band.step
             g = _folded(decay - 1j * omega, self.band.samples) + _folded(decay + 1j * omega, self.band.samples)
-            self.known[pole] = np.stack((g.real, -g.imag), axis=1) * abs(decay.real)
-        return self.known[pole]
+            self.spectra[pole] = np.stack((g.real, -g.imag), axis=1) * abs(decay.real)
+        return self.spectra[pole]
 
     def _shapes(self, poles: Sequence[Pole]) -> np.ndarray:
         """(L, 2K)."""
@@ -158,18 +158,18 @@ class PowerFit:
         norm = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
         jacobian = jacobian / norm
         inverse = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-10, hermitian=True)
-        left = (self.power - expected) / expected
+        residual = (self.power - expected) / expected
         leverage = np.minimum(np.einsum("la,ab,lb->l", jacobian, inverse, jacobian), 0.7)
-        scores = jacobian * (left / (1.0 - leverage))[:, None]
+        scores = jacobian * (residual / (1.0 - leverage))[:, None]
         grouped = inverse @ (scores.T @ scores) @ inverse / np.outer(norm, norm)
         even = inverse / np.outer(norm, norm)
         covariance = (even if np.trace(even[:2, :2]) > np.trace(grouped[:2, :2]) else grouped)[:2, :2]
         covariance = widened(covariance, poles[0], self.band.duration, WIDENED_POWER)
         peak = self._shapes(poles[:1]) @ values[:2]
-        own = np.clip(peak / expected, 0.0, 1.0)
+        share = np.clip(peak / expected, 0.0, 1.0)
         top = int(np.argmax(peak))
-        shape, noise = self._shape(own, expected)
-        return RecordMode(poles[0].frequency, poles[0].damping, covariance, shape, noise, float(own[top]))
+        shape, noise = self._shape(share, expected)
+        return RecordMode(poles[0].frequency, poles[0].damping, covariance, shape, noise, float(share[top]))
 
     @property
     def is_steady(self) -> bool:
@@ -183,7 +183,7 @@ class PowerFit:
         times = 2.0 * np.pi * self.pole.damping * self.pole.frequency * self.band.duration
         return bool(times > FEWEST_TIMES and np.mean(envelope**2) < STEADY * np.mean(envelope) ** 2)
 
-    def _shape(self, own: np.ndarray, expected: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _shape(self, share: np.ndarray, expected: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of what goes together with the weighed sum of the sensors, where that is the mode's."""
         y = self.band.outputs
         y = y[1:-1] - 0.5 * (y[:-2] + y[2:])  # Hann's window: a machine's line far away has left its mark in every line
@@ -191,11 +191,11 @@ class PowerFit:
         rough = self.shape / ((self.weights @ self.shape) or 1.0)
         off = np.sum(np.abs(y - coordinate[:, None] * rough) ** 2, axis=1)  # large where a machine runs
         usual = float(np.median(off)) + 1e-300
-        weight = own[1:-1] ** OWN_POWER / expected[1:-1] * (usual / (usual + off)) ** 2
+        weight = share[1:-1] ** OWN_POWER / expected[1:-1] * (usual / (usual + off)) ** 2
         size = max(float(np.sum(weight * np.abs(coordinate) ** 2)), 1e-140)
         shape = (weight * coordinate.conj()) @ y / size
-        left = y - coordinate[:, None] * shape
-        together = (left.conj() * (weight**2 * np.abs(coordinate) ** 2)[:, None]).T @ left / size**2
+        residual = y - coordinate[:, None] * shape
+        together = (residual.conj() * (weight**2 * np.abs(coordinate) ** 2)[:, None]).T @ residual / size**2
         return normalised(shape, together / HANN)
 
 

@@ -30,10 +30,10 @@ class ResponseFit:
     Args:
         lines: Of the record.
         pole: Around which.
-        beside: Other modes.
+        neighbours: Other modes.
     """
 
-    def __init__(self, lines: Lines, pole: Pole, beside: Sequence[Pole]) -> None:
+    def __init__(self, lines: Lines, pole: Pole, neighbours: Sequence[Pole]) -> None:
         columns = (2 + DEGREE) * (lines.inputs.shape[1] + 1)
         band = lines.around(pole, int(LINES_OF_COLUMN * columns))
         while (
@@ -44,9 +44,11 @@ class ResponseFit:
             band = lines.around(pole, int(1.5 * len(band.frequency)))
         self.band, f = band, band.frequency
         reach = f[-1] - f[0]
-        self.beside = tuple(other for other in beside if f[0] - 0.5 * reach < other.frequency < f[-1] + 0.5 * reach)
-        self.free = tuple(other for other in self.beside if f[0] < other.frequency < f[-1])
-        self.held = tuple(other for other in self.beside if other not in self.free)
+        self.neighbours = tuple(
+            other for other in neighbours if f[0] - 0.5 * reach < other.frequency < f[-1] + 0.5 * reach
+        )
+        self.free = tuple(other for other in self.neighbours if f[0] < other.frequency < f[-1])
+        self.held = tuple(other for other in self.neighbours if other not in self.free)
         self.pole = pole
         place = (f - pole.frequency) / max(reach, 1e-300)
         self.powers = place[:, None] ** np.arange(DEGREE + 1)
@@ -59,7 +61,7 @@ class ResponseFit:
     @property
     def determined(self) -> bool:
         """Whether there are lines enough, of the inputs too."""
-        columns = len(self.beside) + 2 + DEGREE
+        columns = len(self.neighbours) + 2 + DEGREE
         return len(self.y) > columns * (self.u.shape[1] + 1) + 8 and _lines_of_power(self.u) >= columns + MORE_LINES - 1
 
     def _resonances(self, poles: Sequence[Pole]) -> np.ndarray:
@@ -68,9 +70,9 @@ class ResponseFit:
 
     def _basis(self, poles: Sequence[Pole], pushing: np.ndarray) -> np.ndarray:
         """(L, columns): of the first pole under inputs that push it, then all others."""
-        own, others = self._resonances(poles[:1]), self._resonances([*poles[1:], *self.held])
+        first, others = self._resonances(poles[:1]), self._resonances([*poles[1:], *self.held])
         common = np.concatenate((others, self.powers), axis=1)
-        return np.concatenate([own * pushing, own, common, *(common * u[:, None] for u in self.u.T)], axis=1)
+        return np.concatenate([first * pushing, first, common, *(common * u[:, None] for u in self.u.T)], axis=1)
 
     def gain(self) -> float:
         """Logarithm of the probability that chance explains as much as the mode's response, of the best sensor."""
@@ -79,7 +81,7 @@ class ResponseFit:
         if not self.determined:
             return 0.0
         poles = (self.pole, *self.free)
-        less, more = (_left(self._basis(poles, x), self.y) for x in (self.u[:, :0], self.u))
+        less, more = (_residual(self._basis(poles, x), self.y) for x in (self.u[:, :0], self.u))
         columns = self._basis(poles, self.u).shape[1]
         free, added = len(self.y) - columns, self.u.shape[1]
         before, after = (np.sum(np.abs(x) ** 2, axis=0) for x in (less, more))
@@ -91,18 +93,18 @@ class ResponseFit:
         poles: list[Pole] = [self.pole, *self.free]
         weights = np.ones(self.y.shape[1])
         for _turn in range(2):
-            left = _left(self._basis(poles, self.u), self.y)
-            size = np.sqrt(np.mean(np.abs(left) ** 2, axis=0))
+            residual = _residual(self._basis(poles, self.u), self.y)
+            size = np.sqrt(np.mean(np.abs(residual) ** 2, axis=0))
             weights = 1.0 / np.maximum(size, 1e-9)
-            cost = float(np.sum(np.abs(left * weights) ** 2))
+            cost = float(np.sum(np.abs(residual * weights) ** 2))
             for _ in range(FIT_STEPS):
-                jacobian, left, *_ = self._linearised(poles)
-                step = _solve(jacobian * weights[:, None], left * weights)
+                jacobian, residual, *_ = self._linearised(poles)
+                step = _solve(jacobian * weights[:, None], residual * weights)
                 step *= min(1.0, 0.5 / max(float(np.max(np.abs(step[1::2]), initial=0.0)), 1e-300))
                 step *= min(1.0, 0.05 / max(float(np.max(np.abs(step[::2]), initial=0.0)), 1e-300))
                 for _ in range(6):
                     tried = [p.moved(step[2 * i : 2 * i + 2]) for i, p in enumerate(poles)]
-                    now = float(np.sum(np.abs(_left(self._basis(tried, self.u), self.y) * weights) ** 2))
+                    now = float(np.sum(np.abs(_residual(self._basis(tried, self.u), self.y) * weights) ** 2))
                     if now < cost:
                         break
                     step *= 0.3
@@ -118,7 +120,7 @@ class ResponseFit:
         basis = self._basis(poles, self.u)
         directions, _ = np.linalg.qr(basis)
         coefficients = np.linalg.lstsq(basis, self.y, rcond=1e-12)[0]
-        left = self.y - directions @ (directions.conj().T @ self.y)
+        residual = self.y - directions @ (directions.conj().T @ self.y)
         resonances, inputs = self._resonances(poles), self.u.shape[1]
         slopes = []
         for i, pole in enumerate(poles):
@@ -133,10 +135,10 @@ class ResponseFit:
             by_pole = -through @ coefficients[rows]
             by_pole -= directions @ (directions.conj().T @ by_pole)
             slopes += [by_pole * slope for slope in pole.slopes]
-        return np.stack(slopes, axis=2), left, coefficients, directions
+        return np.stack(slopes, axis=2), residual, coefficients, directions
 
     def _fitted(self, poles: Sequence[Pole], weights: np.ndarray) -> RecordMode | None:
-        jacobian, left, coefficients, directions = self._linearised(poles)
+        jacobian, residual, coefficients, directions = self._linearised(poles)
         lines, columns = directions.shape
         inputs, w = self.u.shape[1], jacobian * weights[:, None]
         normal = np.einsum("lsa,lsb->ab", w.conj(), w).real
@@ -146,11 +148,11 @@ class ResponseFit:
             return None
         # Every line is a group, whose errors go together and are as large as they are (Liang and Zeger, Biometrika 73,
         # 1986); what the fit has taken of its line is put back (MacKinnon and White's HC3).
-        own = np.einsum("lsa,ab,lsb->l", w.conj(), inverse, w).real / max(len(weights), 1)
-        leverage = np.minimum(np.sum(np.abs(directions) ** 2, axis=1) + own, LARGEST_LEVERAGE)
-        scores = np.einsum("lsa,ls->la", w.conj(), left * weights).real / (1.0 - leverage)[:, None]
+        of_poles = np.einsum("lsa,ab,lsb->l", w.conj(), inverse, w).real / max(len(weights), 1)
+        leverage = np.minimum(np.sum(np.abs(directions) ** 2, axis=1) + of_poles, LARGEST_LEVERAGE)
+        scores = np.einsum("lsa,ls->la", w.conj(), residual * weights).real / (1.0 - leverage)[:, None]
         grouped = inverse @ (scores.T @ scores) @ inverse
-        errors = left * weights
+        errors = residual * weights
         together = errors.conj().T @ errors / (lines - columns)
         even = inverse @ np.einsum("lsa,st,ltb->ab", w.conj(), 0.5 * together.T, w).real @ inverse
         covariance = grouped if np.trace(grouped[:2, :2]) > np.trace(even[:2, :2]) else even
@@ -158,13 +160,15 @@ class ResponseFit:
         strongest = int(np.argmax(np.sum(np.abs(residues) ** 2, axis=1)))
         level = np.sqrt(np.mean(np.abs(self.band.outputs) ** 2, axis=0))
         spread = np.linalg.pinv(self._basis(poles, self.u))[strongest]
-        noise = (left * level).conj().T @ (left * level) / (lines - columns) * float(np.sum(np.abs(spread) ** 2))
+        noise = (
+            (residual * level).conj().T @ (residual * level) / (lines - columns) * float(np.sum(np.abs(spread) ** 2))
+        )
         shape, noise = normalised(residues[strongest] * level, noise)
         mode = self._resonances(poles[:1]) * self.u @ residues
         width = max(poles[0].damping * poles[0].frequency, 1.5 / self.band.duration)
         near = np.abs(self.band.frequency - poles[0].frequency) <= width
-        own, other = (np.sum(np.abs(x[near]) ** 2, axis=0) for x in (mode, self.y - mode))
-        part = float(np.max(own / np.maximum(own + other, 1e-300)))
+        power, other = (np.sum(np.abs(x[near]) ** 2, axis=0) for x in (mode, self.y - mode))
+        part = float(np.max(power / np.maximum(power + other, 1e-300)))
         covariance = widened(covariance[:2, :2], poles[0], self.band.duration, WIDENED_RESPONSE)
         return RecordMode(poles[0].frequency, poles[0].damping, covariance, shape, noise, part)
 
@@ -175,13 +179,14 @@ def _lines_of_power(inputs: np.ndarray) -> float:
     return float(np.min(power.sum(axis=0) ** 2 / np.maximum(np.sum(power**2, axis=0), 1e-300)))
 
 
-def _left(basis: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _residual(basis: np.ndarray, y: np.ndarray) -> np.ndarray:
     directions, _ = np.linalg.qr(basis)
     return np.asarray(y - directions @ (directions.conj().T @ y))
 
 
-def _solve(jacobian: np.ndarray, left: np.ndarray) -> np.ndarray:
+def _solve(jacobian: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """The real step that takes least squares of complex rows down."""
     flat = jacobian.reshape(-1, jacobian.shape[-1])
-    rows, target = np.concatenate((flat.real, flat.imag)), np.concatenate((left.ravel().real, left.ravel().imag))
+    rows = np.concatenate((flat.real, flat.imag))
+    target = np.concatenate((residual.ravel().real, residual.ravel().imag))
     return np.asarray(-np.linalg.lstsq(rows, target, rcond=1e-10)[0])

@@ -54,35 +54,35 @@ class Stabilisation:
 
     def clusters(self) -> list[tuple[float, float, np.ndarray]]:
         """Frequency (Hz), damping ratio and shape (S,) of poles that stay from order to order, by frequency."""
-        found: list[tuple[float, float, np.ndarray]] = []
+        clusters: list[tuple[float, float, np.ndarray]] = []
         for scale in np.unique(self.scale):
-            left = np.flatnonzero(self.stable & (self.scale == scale))
-            while len(left):
-                near = _alike(self, left, left)
+            rest = np.flatnonzero(self.stable & (self.scale == scale))
+            while len(rest):
+                near = _alike(self, rest, rest)
                 heaviest = int(np.argmax(near.sum(axis=1)))
-                members = left[near[heaviest]]
+                members = rest[near[heaviest]]
                 if len(members) < max(2.0, PART_OF_ORDERS * self.orders):
                     break
                 middle = members[np.argsort(self.damping[members])[len(members) // 2]]
-                found.append(
+                clusters.append(
                     (float(np.median(self.frequency[members])), float(self.damping[middle]), self.shapes[middle])
                 )
-                left = left[~near[heaviest]]
-        return sorted(found, key=lambda pole: pole[0])
+                rest = rest[~near[heaviest]]
+        return sorted(clusters, key=lambda pole: pole[0])
 
 
-def _alike(poles: Stabilisation, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """(one, other) bool, whether poles are the same in frequency and shape."""
-    f, g = poles.frequency[one], poles.frequency[other]
-    width = SAME_FREQUENCY + poles.damping[one]
+def _alike(poles: Stabilisation, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """(rows, columns) bool, whether poles are the same in frequency and shape."""
+    f, g = poles.frequency[rows], poles.frequency[columns]
+    width = SAME_FREQUENCY + poles.damping[rows]
     close = np.abs(f[:, None] - g) < width[:, None] * f[:, None]
-    return np.asarray(close & (assurance(poles.shapes[one], poles.shapes[other]) > SAME_SHAPE))
+    return np.asarray(close & (assurance(poles.shapes[rows], poles.shapes[columns]) > SAME_SHAPE))
 
 
-def assurance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+def assurance(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """(A, B), modal assurance criterion of shapes (A, S) and (B, S): 1 where they are the same."""
-    power = np.sum(np.abs(one) ** 2, axis=1)[:, None] * np.sum(np.abs(other) ** 2, axis=1)
-    return np.asarray(np.abs(one.conj() @ other.T) ** 2 / np.maximum(power, 1e-300))
+    power = np.sum(np.abs(first) ** 2, axis=1)[:, None] * np.sum(np.abs(second) ** 2, axis=1)
+    return np.asarray(np.abs(first.conj() @ second.T) ** 2 / np.maximum(power, 1e-300))
 
 
 def stabilisation(outputs: np.ndarray, inputs: np.ndarray, step: float) -> Stabilisation:
@@ -154,19 +154,19 @@ def _observability(values: np.ndarray, sensors: int, lags: int) -> np.ndarray | 
     channels = values.shape[1]
     # Blocks of time -lags ... lags - 1; entry (a, b) is the covariance of what is there.
     at = np.arange(2 * lags)
-    every = r[2 * lags + at[None, :] - at[:, None]]  # (a, b, channel, channel): z_t z_(t + b - a)
-    every = np.swapaxes(every, 1, 2).reshape(2 * lags * channels, -1)
+    blocks = r[2 * lags + at[None, :] - at[:, None]]  # (a, b, channel, channel): z_t z_(t + b - a)
+    blocks = np.swapaxes(blocks, 1, 2).reshape(2 * lags * channels, -1)
     place = np.arange(2 * lags * channels).reshape(2 * lags, channels)
     past, future, acting = place[:lags].ravel(), place[lags:, :sensors].ravel(), place[lags:, sensors:].ravel()
     if len(acting):
-        both, kept = np.concatenate((past, future)), every[np.ix_(acting, acting)]
+        both, kept = np.concatenate((past, future)), blocks[np.ix_(acting, acting)]
         kept = kept + RIDGE * np.trace(kept) / len(kept) * np.eye(len(kept))
-        cross = every[np.ix_(acting, both)]
-        every[np.ix_(both, both)] -= cross.T @ np.linalg.solve(kept, cross)
-    one, other = (_root(every[np.ix_(x, x)]) for x in (future, past))
-    middle = np.linalg.solve(one, np.linalg.solve(other, every[np.ix_(past, future)]).T)
+        cross = blocks[np.ix_(acting, both)]
+        blocks[np.ix_(both, both)] -= cross.T @ np.linalg.solve(kept, cross)
+    future_root, past_root = (_root(blocks[np.ix_(x, x)]) for x in (future, past))
+    middle = np.linalg.solve(future_root, np.linalg.solve(past_root, blocks[np.ix_(past, future)]).T)
     left, strength, _ = np.linalg.svd(middle, full_matrices=False)
-    gamma = one @ left * np.sqrt(strength)
+    gamma = future_root @ left * np.sqrt(strength)
     return np.asarray(gamma.reshape(lags, sensors, -1) * size[None, :sensors, None]).reshape(lags * sensors, -1)
 
 
@@ -184,8 +184,8 @@ def _correlations(values: np.ndarray, lags: int) -> np.ndarray:
 
     length = next_fast_len(len(values) + lags, real=True)
     lines = rfft(values, length, axis=0)
-    found = np.empty((2 * lags + 1, values.shape[1], values.shape[1]))
+    correlations = np.empty((2 * lags + 1, values.shape[1], values.shape[1]))
     for i in range(values.shape[1]):
         together = irfft(lines[:, i, None].conj() * lines, length, axis=0)
-        found[:, i] = np.concatenate((together[-lags:], together[: lags + 1])) / len(values)
-    return found
+        correlations[:, i] = np.concatenate((together[-lags:], together[: lags + 1])) / len(values)
+    return correlations

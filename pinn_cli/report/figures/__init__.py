@@ -70,8 +70,8 @@ def write_figures(results: Results, directory: Path | str, part: int = 0, of: in
     Of several records each has figures of its own. Parts are counted from 0.
     """
     drawings: list[Drawing] = []
-    for number, own in enumerate(results.by_record, start=1):
-        drawings += record_drawings(own, Path(directory) / record_folder(number) / "figures")
+    for number, of_record in enumerate(results.by_record, start=1):
+        drawings += record_drawings(of_record, Path(directory) / record_folder(number) / "figures")
     drawings += run_drawings(results, Path(directory) / "figures")
     share = [drawings[i] for i in shared_out([drawing.panels for drawing in drawings], of)[part]]
     return [path for drawing in share for path in save(drawing.build(), drawing.directory, drawing.name)]
@@ -80,45 +80,45 @@ def write_figures(results: Results, directory: Path | str, part: int = 0, of: in
 def run_drawings(results: Results, directory: Path) -> list[Drawing]:
     """Those that are about parameters and training, which several records have in common."""
     estimate, prescribed, true = results.estimate, results.prescribed, results.truth.parameters
-    every, modes = estimate.parameters, ModeEstimates.of(prescribed, estimate, results.true)
-    found: dict[str, tuple[int, Callable[[], Figure]]] = {}
+    parameters, modes = estimate.parameters, ModeEstimates.of(prescribed, estimate, results.true)
+    builders: dict[str, tuple[int, Callable[[], Figure]]] = {}
     if modes is not None:
-        found["modes"] = modes.count, partial(modes_figure, modes, results.run.truth_label)
+        builders["modes"] = modes.count, partial(modes_figure, modes, results.run.truth_label)
     if prescribed.labels.connections and not prescribed.is_modal:
-        found["structure"] = 2, partial(structure_figure, prescribed)
+        builders["structure"] = 2, partial(structure_figure, prescribed)
     if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):
-        found["history"] = 5, partial(history_figure, estimate.history)
-    if any(given.prescribed or given.unknown for given in every):
-        found["parameters"] = 4, partial(parameters_figure, every, true)
-    if estimate.correlation is not None and len(every) > 1 and any(p.unknown for p in every):
-        found["correlation"] = 2, partial(correlation_figure, every, estimate.correlation)
-    return [Drawing(directory, name, *how) for name, how in found.items()]
+        builders["history"] = 5, partial(history_figure, estimate.history)
+    if any(given.prescribed or given.unknown for given in parameters):
+        builders["parameters"] = 4, partial(parameters_figure, parameters, true)
+    if estimate.correlation is not None and len(parameters) > 1 and any(p.unknown for p in parameters):
+        builders["correlation"] = 2, partial(correlation_figure, parameters, estimate.correlation)
+    return [Drawing(directory, name, *how) for name, how in builders.items()]
 
 
 def record_drawings(results: Results, directory: Path) -> list[Drawing]:
     """Those that are about one record."""
     estimate, record, truth, prescribed = results.estimate, results.record, results.truth, results.prescribed
     rows, label = len(shown_dofs(record.ndof)), results.run.truth_label
-    found: dict[str, tuple[int, Callable[[], Figure]]] = {
+    builders: dict[str, tuple[int, Callable[[], Figure]]] = {
         "response": (5 * rows, partial(response_figure, results)),
         "error_map": (8, partial(error_map_figure, estimate, record, truth.response)),
     }
     if compared_channels(estimate, record):
-        found["residuals"] = 12, partial(residuals_figure, estimate, record)
+        builders["residuals"] = 12, partial(residuals_figure, estimate, record)
     if record.band is not None:
         estimated = estimated_structure(prescribed, estimate.parameters)
-        found["frequency_response"] = 6, partial(frequency_response_figure, record, estimated)
+        builders["frequency_response"] = 6, partial(frequency_response_figure, record, estimated)
     stretched, forces = drifts(prescribed, estimate, truth.response), connection_forces(prescribed, estimate, truth)
     if stretched.places:
-        found["drift"] = 2 * rows, partial(drift_figure, stretched, label, results.shown)
+        builders["drift"] = 2 * rows, partial(drift_figure, stretched, label, results.shown)
     if (discrepancy := Discrepancy.of(results)) is not None:
-        found["discrepancy"] = 4, partial(discrepancy_figure, discrepancy)
+        builders["discrepancy"] = 4, partial(discrepancy_figure, discrepancy)
     if curves := restoring_curves(results):
-        found["restoring"] = len(curves), partial(restoring_figure, curves, label)
+        builders["restoring"] = len(curves), partial(restoring_figure, curves, label)
     if forces is not None and len(prescribed.memory):
         memory = np.searchsorted(prescribed.added, prescribed.memory)
-        found["hysteresis"] = rows, partial(hysteresis_figure, stretched, forces, memory, label)
-    return [Drawing(directory, name, *how) for name, how in found.items()]
+        builders["hysteresis"] = rows, partial(hysteresis_figure, stretched, forces, memory, label)
+    return [Drawing(directory, name, *how) for name, how in builders.items()]
 
 
 def write_over_time_figure(table: pd.DataFrame, directory: Path, of: str = "Record") -> list[Path]:
@@ -134,7 +134,7 @@ def write_posterior_figures(results: Results, groups: Mapping[str, xr.Dataset], 
     """
     posterior, draws = results.posterior, groups["posterior"]
     assert posterior is not None
-    parameters = [found.parameter for found in results.estimate.parameters]
+    parameters = [p.parameter for p in results.estimate.parameters]
     figures = {"posterior_pairs": posterior_pairs_figure(draws, parameters, results.truth.parameters)}
     if "sample_stats" in groups:
         worst = worst_sampled(posterior.diagnostics.head(len(parameters)), IN_TRACES)

@@ -64,9 +64,9 @@ def drift_figure(drifts: Histories, truth_label: str = "truth", shown_s: tuple[f
         top, bottom = panels[0, 1].get_position(), panels[-1, 1].get_position()
         for axes in panels[:, 1]:
             axes.remove()
-        beside = figure.add_axes((bottom.x0, bottom.y0, top.width, top.y1 - bottom.y0))
-        _draw_peaks(beside, drifts, factor)
-        beside.set_xlabel(panels[0, 0].get_title().replace("Drift", "Peak drift"), labelpad=2)
+        peak_axes = figure.add_axes((bottom.x0, bottom.y0, top.width, top.y1 - bottom.y0))
+        _draw_peaks(peak_axes, drifts, factor)
+        peak_axes.set_xlabel(panels[0, 0].get_title().replace("Drift", "Peak drift"), labelpad=2)
         style.legend(figure)
         if len(shown) < len(peaks):
             style.note(figure, f"histories: the {len(shown)} of {len(peaks)} connections with the largest peaks")
@@ -75,17 +75,17 @@ def drift_figure(drifts: Histories, truth_label: str = "truth", shown_s: tuple[f
 
 def _draw_peaks(axes: Axes, drifts: Histories, factor: float) -> None:
     """The first connection lowest, as the storeys of a building are."""
-    found = drifts.peak_estimates()
-    place = np.arange(len(found.estimate))
-    known = np.isfinite(found.std).all()
-    dot = {**_PEAK_MARK, "markersize": 2.0} if known else _PEAK_MARK
-    axes.plot(factor * found.estimate, place, **dot, label="peak, 90 % interval" if known else "peak")
-    if known:
-        ends = factor * np.maximum(found.interval, 0.0)
+    peaks = drifts.peak_estimates()
+    place = np.arange(len(peaks.estimate))
+    has_std = np.isfinite(peaks.std).all()
+    dot = {**_PEAK_MARK, "markersize": 2.0} if has_std else _PEAK_MARK
+    axes.plot(factor * peaks.estimate, place, **dot, label="peak, 90 % interval" if has_std else "peak")
+    if has_std:
+        ends = factor * np.maximum(peaks.interval, 0.0)
         axes.hlines(place, *ends, color=style.VERMILLION, linewidth=1.2)
         for end in ends:  # upright bars, higher than the dot, which hides a short interval
             axes.plot(end, place, "|", color=style.VERMILLION, markersize=12.0, markeredgewidth=0.9)
-    axes.plot(factor * found.true, place, **_TRUE_PEAK)
+    axes.plot(factor * peaks.true, place, **_TRUE_PEAK)
     axes.set_xlim(0.0, PEAK_ROOM * axes.dataLim.x1)
     axes.set_ylim(-0.6, len(place) - 0.4)
     few = place if len(place) <= 2 * ROWS_IN_FULL else place[:: -(-len(place) // ROWS_IN_FULL)]
@@ -139,17 +139,17 @@ def restoring_figure(curves: Sequence[RestoringCurve], truth_label: str = "truth
     largest = np.array([max(float(np.abs(curve.force.estimate).max()) for curve in row) for row in rows])
     shown = style.largest(largest, LOOPS_IN_FULL)
     of_force, prefix = style.unit_prefix(float(largest[shown].max()), kilo=True)
-    known = bool(np.isfinite(curves[0].force.true).all())
-    looks = histories.beside_truth(histories.looks(true=truth_label), known)
+    has_truth = bool(np.isfinite(curves[0].force.true).all())
+    looks = histories.with_truth(histories.looks(true=truth_label), has_truth)
     with style.look():
         figure, panels = style.panels(len(shown), 2, 1.5, margins=(0.62, 0.1, 0.42, 0.42), gaps=(0.62, 0.45))
         for row, place in zip(panels, shown, strict=True):
             for axes, curve in zip(row, rows[place], strict=True):
-                factor, own = style.unit_prefix(float(np.abs(curve.at).max()))
+                factor, at_prefix = style.unit_prefix(float(np.abs(curve.at).max()))
                 at, force = factor * curve.at, curve.force
                 spread = HALF_WIDTH_95 * force.std
                 axes.axvspan(*(factor * x for x in curve.usual), color=style.GREY, alpha=0.12, linewidth=0)
-                if known:
+                if has_truth:
                     axes.plot(at, of_force * force.true, **looks["true"])
                 axes.plot(at, of_force * force.estimate, **looks["estimate"])
                 limits = axes.get_ylim()
@@ -158,7 +158,7 @@ def restoring_figure(curves: Sequence[RestoringCurve], truth_label: str = "truth
                 )
                 axes.set_ylim(limits)
                 quantity = dict(zip(OVER, ("displacement", "velocity"), strict=True))[curve.over]
-                axes.set_xlabel(f"{curve.over.capitalize()} ({style.unit(quantity, own)})", labelpad=2)
+                axes.set_xlabel(f"{curve.over.capitalize()} ({style.unit(quantity, at_prefix)})", labelpad=2)
             row[0].set_title(curve.connection, pad=3)
             row[0].set_ylabel(f"Force ({style.unit('force', prefix)})", labelpad=2)
         style.legend(figure)
@@ -217,9 +217,9 @@ class Discrepancy:
         """Means of a history (L,) and of the force in classes of it, and the share of the force that they explain."""
         parts = np.array_split(np.argsort(history, kind="stable"), CLASSES)
         x, y = (np.array([values[part].mean() for part in parts]) for values in (history, self.slow))
-        left = sum(float(np.sum((self.slow[part] - mean) ** 2)) for part, mean in zip(parts, y, strict=True))
+        residual = sum(float(np.sum((self.slow[part] - mean) ** 2)) for part, mean in zip(parts, y, strict=True))
         total = float(np.sum((self.slow - self.slow.mean()) ** 2))
-        return x, y, max(0.0, 1.0 - left / total) if total > 0.0 else 0.0
+        return x, y, max(0.0, 1.0 - residual / total) if total > 0.0 else 0.0
 
 
 def _slow(force: np.ndarray, velocity: np.ndarray, step: float) -> np.ndarray:
@@ -233,51 +233,53 @@ def _slow(force: np.ndarray, velocity: np.ndarray, step: float) -> np.ndarray:
     return slow
 
 
-def discrepancy_figure(found: Discrepancy) -> Figure:
+def discrepancy_figure(discrepancy: Discrepancy) -> Figure:
     """Four panels: dots and class means of the force over elongation and over velocity, its history, its spectrum.
 
     Friction is a step over the velocity, play a step over the elongation, a stiffer spring a bend. Above the first two
     stands the share of the force that a function of that alone explains.
     """
-    of_force, force_prefix = style.unit_prefix(float(np.abs(found.slow).max()), kilo=True)
+    of_force, force_prefix = style.unit_prefix(float(np.abs(discrepancy.slow).max()), kilo=True)
     with style.look():
         figure, panels = style.panels(2, 2, 1.9, margins=(0.62, 0.12, 0.5, 0.42), gaps=(0.62, 0.6))
         (over_elongation, over_velocity), (over_time, spectrum) = panels
-        kept, named = style.line_indices(found.slow), f"force left out, connection {found.connection}"
-        over_time.plot(found.time[kept], of_force * found.slow[kept], color=style.BLUE, linewidth=0.6, label=named)
+        kept, named = style.line_indices(discrepancy.slow), f"force left out, connection {discrepancy.connection}"
+        over_time.plot(
+            discrepancy.time[kept], of_force * discrepancy.slow[kept], color=style.BLUE, linewidth=0.6, label=named
+        )
         over_time.set_xlabel("Time $t$ (s)", labelpad=2)
-        over_time.set_xlim(found.time[0], found.time[-1])
+        over_time.set_xlim(discrepancy.time[0], discrepancy.time[-1])
         for axes, history, quantity, name in (
-            (over_elongation, found.elongation, "displacement", "Elongation"),
-            (over_velocity, found.velocity, "velocity", "Velocity"),
+            (over_elongation, discrepancy.elongation, "displacement", "Elongation"),
+            (over_velocity, discrepancy.velocity, "velocity", "Velocity"),
         ):
             factor, prefix = style.unit_prefix(float(np.abs(history).max()))
-            every = max(1, len(history) // MOST_DOTS)
-            x, y, share = found.explained_by(history)
+            stride = max(1, len(history) // MOST_DOTS)
+            x, y, share = discrepancy.explained_by(history)
             dots = style.DOTS | {"markersize": 2.0, "color": style.SKY}
-            axes.plot(factor * history[::every], of_force * found.slow[::every], **dots)
+            axes.plot(factor * history[::stride], of_force * discrepancy.slow[::stride], **dots)
             axes.plot(factor * x, of_force * y, color=style.VERMILLION, linewidth=1.2, label="mean")
             axes.axhline(0.0, color=style.GREY, linewidth=0.5, zorder=0)
             axes.set_title(f"explains {100.0 * share:.0f} %", loc="right", fontsize=7, pad=2)
             axes.set_xlabel(f"{name} ({style.unit(quantity, prefix)})", labelpad=2)
-        _draw_spectrum(spectrum, found)
+        _draw_spectrum(spectrum, discrepancy)
         for axes in panels[:, 0]:
             axes.set_ylabel(f"Force left out ({style.unit('force', force_prefix)})", labelpad=2)
         style.legend(figure, [over_time, *panels.flat])
     return figure
 
 
-def _draw_spectrum(axes: Axes, found: Discrepancy) -> None:
+def _draw_spectrum(axes: Axes, discrepancy: Discrepancy) -> None:
     """Mean squares at every frequency, of all of the force and of what the other panels show."""
-    step = float(found.time[1] - found.time[0])
-    frequency, power = (x[1:] for x in periodogram(found.force, step))
-    _, slow = (x[1:] for x in periodogram(found.slow, step))
+    step = float(discrepancy.time[1] - discrepancy.time[0])
+    frequency, power = (x[1:] for x in periodogram(discrepancy.force, step))
+    _, slow = (x[1:] for x in periodogram(discrepancy.slow, step))
     axes.plot(frequency, power, color=style.GREY, alpha=0.6, linewidth=0.6, label="the same above its motion")
     axes.plot(frequency, np.where(slow > 1e-9 * slow.max(initial=0.0), slow, np.nan), color=style.BLUE, linewidth=0.6)
     dashes: style.Look = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (2.5, 1.2))}
-    for at in found.natural[(found.natural >= frequency[0]) & (found.natural <= frequency[-1])]:
+    for at in discrepancy.natural[(discrepancy.natural >= frequency[0]) & (discrepancy.natural <= frequency[-1])]:
         axes.axvline(at, label="natural frequency", **dashes)
-    for at in found.missing:
+    for at in discrepancy.missing:
         axes.axvline(at, color=style.VERMILLION, linewidth=1.0, linestyle=(0, (1, 1.2)), label="mode not in the model")
     axes.set_xscale("log")
     axes.set_xlim(frequency[0], frequency[-1])

@@ -66,43 +66,43 @@ def draw(
             continue
         values = factor * histories.of(source)[window, place]
         if np.isfinite(values).any():
-            every = np.arange(0, len(time), thinned(len(time)))
-            kept = every if source == "observed" else style.line_indices(np.nan_to_num(values))
+            samples = np.arange(0, len(time), thinned(len(time)))
+            kept = samples if source == "observed" else style.line_indices(np.nan_to_num(values))
             axes.plot(time[kept], values[kept], **look)
     axes.set_xlim(time[0], time[-1])
     style.ticks(axes)
 
 
-def beside_truth(looks: Looks, known: bool) -> Looks:
+def with_truth(looks: Looks, has_truth: bool) -> Looks:
     """Dashes let the truth show through; where it is not known, the estimate has nothing to let through."""
-    return looks if known else {**looks, "estimate": {**looks["estimate"], "linestyle": "-"}}
+    return looks if has_truth else {**looks, "estimate": {**looks["estimate"], "linestyle": "-"}}
 
 
-def draw_column(panels: np.ndarray, each: Histories, places: Sequence[int], window: slice, looks: Looks) -> float:
+def draw_column(panels: np.ndarray, histories: Histories, places: Sequence[int], window: slice, looks: Looks) -> float:
     """A panel for each place, with the time below and the quantity above; the factor to the unit that is shown.
 
     Forces have one scale, so that one that should not be there is seen in proportion.
     """
-    ends = np.array([_limits(each, place, window) for place in places])
-    if each.name == "force":
+    ends = np.array([_limits(histories, place, window) for place in places])
+    if histories.name == "force":
         ends[:] = [np.nanmin(ends[:, 0]), np.nanmax(ends[:, 1])] if np.isfinite(ends).any() else [-1.0, 1.0]
-    factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(ends), initial=0.0)), kilo=each.name == "force")
+    factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(ends), initial=0.0)), kilo=histories.name == "force")
     for axes, place, (low, high) in zip(panels, places, ends, strict=True):
-        known = bool(np.isfinite(each.of("true")[window, place]).all())
-        draw(axes, each, place, window, factor, beside_truth(looks, known))
+        has_truth = bool(np.isfinite(histories.of("true")[window, place]).all())
+        draw(axes, histories, place, window, factor, with_truth(looks, has_truth))
         if np.isfinite(low):
             axes.set_ylim(factor * low, factor * high)
         axes.tick_params(labelbottom=axes is panels[-1])
-    title = f"{each.words.capitalize()} {style.SYMBOLS.get(each.name, '')}".strip()
-    panels[0].set_title(f"{title} ({prefix}{each.unit.replace('^2', style.SQUARED)})", pad=4)
+    title = f"{histories.words.capitalize()} {style.SYMBOLS.get(histories.name, '')}".strip()
+    panels[0].set_title(f"{title} ({prefix}{histories.unit.replace('^2', style.SQUARED)})", pad=4)
     panels[-1].set_xlabel(r"Time $t$ (s)", labelpad=2)
     return factor
 
 
 def band(histories: Histories, place: int, window: slice) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper edge: those that were found, or 1.96 standard deviations about the estimate; NaN of neither."""
-    if "lower" in histories.found:
-        return histories.found["lower"][window, place], histories.found["upper"][window, place]
+    if "lower" in histories.sources:
+        return histories.sources["lower"][window, place], histories.sources["upper"][window, place]
     estimate, spread = histories.of("estimate")[window, place], HALF_WIDTH_95 * histories.of("std")[window, place]
     return estimate - spread, estimate + spread
 
@@ -174,15 +174,15 @@ def response_figure(results: Results) -> Figure:
     if results.shown is not None:
         window = window_between(record.time, results.shown)
     ground = None if record.ground_acceleration is None else ground_history(results)
-    every = thinned(len(record.time[window]))
-    seen = "observations" + (f" (one in {every} shown)" if every > 1 else "")
+    stride = thinned(len(record.time[window]))
+    seen = "observations" + (f" (one in {stride} shown)" if stride > 1 else "")
     labelled = looks(true=run.truth_label, baseline=run.baseline.replace("_", " "), observed=seen)
     with style.look():
         count, margins = len(rows) + (ground is not None), (0.62, 0.08, 0.48, 0.46)
         figure, panels = style.panels(count, len(QUANTITIES), 0.645, margins=margins, gaps=(0.36, 0.077))
         of_dofs = panels[: len(rows)]
-        for column, each in zip(of_dofs.T, dof_histories(results), strict=True):
-            draw_column(column, _with_others(each, results), rows, window, labelled)
+        for column, histories in zip(of_dofs.T, dof_histories(results), strict=True):
+            draw_column(column, _with_others(histories, results), rows, window, labelled)
         for (first, *_, last), dof in zip(of_dofs, rows, strict=True):
             name = record.dof_name(dof) if record.dofs else f"DOF {dof + 1}"
             first.set_ylabel(name + ("" if record.observed[dof] else "*"))
@@ -214,12 +214,12 @@ def _largest_input(record: Record) -> int:
     return int(np.argmax(size)) if size.any() else len(record.time) // 2
 
 
-def _with_others(each: Histories, results: Results) -> Histories:
+def _with_others(histories: Histories, results: Results) -> Histories:
     """Beside the baseline's, and those of the equivalent linear system."""
     baseline = None if results.baseline is None else results.baseline.response
     others = {"linear": results.linear_response, "baseline": baseline}
-    found = {name: getattr(response, each.name) for name, response in others.items() if response is not None}
-    return each.beside(**{name: x if x is None or x.ndim > 1 else x[:, None] for name, x in found.items()})
+    values = {name: getattr(response, histories.name) for name, response in others.items() if response is not None}
+    return histories.with_sources(**{name: x if x is None or x.ndim > 1 else x[:, None] for name, x in values.items()})
 
 
 def _draw_ground(rows: np.ndarray, ground: Histories, window: slice, looks: Looks) -> None:

@@ -134,8 +134,8 @@ def _draw_group(axes: Axes, group: Sequence[ParameterEstimate], values: np.ndarr
     axes.xaxis.set_major_locator(MaxNLocator(7, integer=True, min_n_ticks=1))
     axes.yaxis.set_major_locator(MaxNLocator(6))
     if names[0]:
-        every = -(-len(names) // NAMED)
-        axes.set_xticks(place[::every], names[::every], rotation=90)  # upright: long ones do not meet
+        stride = -(-len(names) // NAMED)
+        axes.set_xticks(place[::stride], names[::stride], rotation=90)  # upright: long ones do not meet
     elif not (first := group[0].parameter).alone:
         owner = first.owner.removesuffix(first.whose)
         axes.set_xlabel(f"{owner[0].upper()}{owner[1:]}$i$", labelpad=2)
@@ -207,20 +207,20 @@ def over_time_figure(table: pd.DataFrame, of: str = "Record") -> Figure:
     return figure
 
 
-def _draw_over_records(axes: Axes, own: pd.DataFrame, name: str) -> None:
-    factor, prefix = style.unit_prefix(float(own["estimate"].abs().max()), kilo=True)
-    record, unit = own["record"].to_numpy(), str(own["unit"].iloc[-1]) if own["unit"].notna().all() else ""
-    estimate, lower, upper, alone = factor * own[["estimate", "lower_90", "upper_90", "alone"]].to_numpy(float).T
+def _draw_over_records(axes: Axes, rows: pd.DataFrame, name: str) -> None:
+    factor, prefix = style.unit_prefix(float(rows["estimate"].abs().max()), kilo=True)
+    record, unit = rows["record"].to_numpy(), str(rows["unit"].iloc[-1]) if rows["unit"].notna().all() else ""
+    estimate, lower, upper, alone = factor * rows[["estimate", "lower_90", "upper_90", "alone"]].to_numpy(float).T
     axes.plot(record, estimate, color=style.BLUE, marker="o", markersize=2.5, linewidth=1.0, label="with all so far")
     axes.fill_between(record, lower, upper, color=style.BLUE, alpha=0.25, linewidth=0, label="90 % band")
     low, high = axes.get_ylim()
-    half = factor * HALF_WIDTH_90 * own["alone_std"].to_numpy()
+    half = factor * HALF_WIDTH_90 * rows["alone_std"].to_numpy()
     dots: style.Look = {"color": style.GREY, "linestyle": "none", "marker": ".", "markersize": 3.0, "elinewidth": 0.6}
     axes.errorbar(record + 0.12, alone, half, label="by itself", **dots)
     reach = np.clip(alone, low - 2 * (high - low), high + 2 * (high - low))
     spread, margin = reach[np.isfinite(reach)], 0.1 * (high - low)
     axes.set_ylim(min(low, spread.min(initial=low)) - margin, max(high, spread.max(initial=high)) + margin)
-    for at in own.loc[own["changed"].astype(bool), "record"]:
+    for at in rows.loc[rows["changed"].astype(bool), "record"]:
         axes.axvline(at - 0.5, color=style.VERMILLION, linestyle=(0, (3, 2)), linewidth=1.0, label="changed")
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     axes.yaxis.set_major_locator(MaxNLocator(4))
@@ -259,8 +259,8 @@ def modes_figure(modes: ModeEstimates, truth_label: str = "truth") -> Figure:
 def _draw_shape(axes: Axes, modes: ModeEstimates, mode: int, truth_label: str) -> None:
     place = np.arange(1, len(modes.dofs) + 1)
     axes.axvline(0.0, color="#BFBFBF", linewidth=0.5, zorder=1.0)
-    every = {"true": modes.true.shapes, "prescribed": modes.prescribed.shapes, "estimate": modes.shapes}
-    for order, (source, shapes) in enumerate(every.items()):
+    by_source = {"true": modes.true.shapes, "prescribed": modes.prescribed.shapes, "estimate": modes.shapes}
+    for order, (source, shapes) in enumerate(by_source.items()):
         shape, look = shapes[:, mode], {"label": truth_label, "zorder": 2.0 + 0.1 * order, **_SHAPES[source]}
         if np.isfinite(shape).all() and modes.is_chain:
             axes.plot([0.0, *shape], [0, *place], **look, markevery=slice(1, None))
@@ -274,9 +274,9 @@ def _draw_shape(axes: Axes, modes: ModeEstimates, mode: int, truth_label: str) -
     frequency = interval_text(modes.frequencies[mode], modes.frequency_interval[:, mode], "Hz")
     damping = interval_text(100.0 * modes.damping_ratios[mode], 100.0 * modes.damping_interval[:, mode], "%")
     mac = modes.prescribed.mac[mode]
-    known = f"\nMAC {mac:.4f}" if np.isfinite(mac) else ""
+    mac_text = f"\nMAC {mac:.4f}" if np.isfinite(mac) else ""
     axes.set_title(
-        f"mode {mode + 1}: {frequency}\n" + rf"$\zeta$ = {damping}" + known, pad=3, fontsize=7, linespacing=1.15
+        f"mode {mode + 1}: {frequency}\n" + rf"$\zeta$ = {damping}" + mac_text, pad=3, fontsize=7, linespacing=1.15
     )
 
 

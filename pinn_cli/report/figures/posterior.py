@@ -275,9 +275,9 @@ def force_predictive_figure(predictive: ForcePredictive, record: Record, dofs: n
     """
     observed = record.force[np.ix_(predictive.samples, dofs - 1)]
     lower, median, upper = np.quantile(predictive.force, (CENTRAL_90[0], 0.5, CENTRAL_90[1]), axis=(0, 1))
-    found = {"estimate": median, "lower": lower, "upper": upper, "observed": observed}
+    sources = {"estimate": median, "lower": lower, "upper": upper, "observed": observed}
     places = tuple(record.dof_name(dof - 1) for dof in dofs)
-    forces = Histories("force", "dof", places, record.time[predictive.samples], found)
+    forces = Histories("force", "dof", places, record.time[predictive.samples], sources)
     held = np.mean((observed >= lower) & (observed <= upper), axis=0)
     rows = histories.shown_dofs(len(dofs))
     window = histories.window_about(len(median) // 2, median[:, rows], FORCE_PERIODS_SHOWN, FORCE_PERIODS_SHOWN)

@@ -52,9 +52,9 @@ def residuals_figure(estimate: Estimate, record: Record) -> Figure:
     the time. Of more than `ROWS_IN_FULL` sensors those with the largest NMSE are shown, the ground's only where its
     motion was estimated. There is one, see `compared_channels`.
     """
-    every = compared_channels(estimate, record)
-    errors = [nmse_percent(c.measured - c.of(estimate.response), c.measured) for c in every]
-    shown = [every[i] for i in style.largest(errors, ROWS_IN_FULL)]
+    sensors = compared_channels(estimate, record)
+    errors = [nmse_percent(c.measured - c.of(estimate.response), c.measured) for c in sensors]
+    shown = [sensors[i] for i in style.largest(errors, ROWS_IN_FULL)]
     labels = "measured less estimated", r"noise found ($\pm$1.96 $\sigma$; level)"
     with style.look():
         figure, panels = style.panels(
@@ -62,20 +62,20 @@ def residuals_figure(estimate: Estimate, record: Record) -> Figure:
         )
         for (history, spectrum, correlation), channel in zip(panels, shown, strict=True):
             signal, sigma = channel.measured, estimate.noise.of(channel)
-            left = signal - channel.of(estimate.response)
-            largest = float(np.max(np.abs(left)))
+            residual = signal - channel.of(estimate.response)
+            largest = float(np.max(np.abs(residual)))
             reach = max(largest, 1.2 * HALF_WIDTH_95 * sigma) if sigma <= 10.0 * largest else largest
             factor, prefix = style.unit_prefix(reach, kilo=channel.quantity == FORCE)
-            edge = np.full(len(left), factor * HALF_WIDTH_95 * sigma)
-            _draw_residual(history, record.time, factor * left, edge, labels)
+            edge = np.full(len(residual), factor * HALF_WIDTH_95 * sigma)
+            _draw_residual(history, record.time, factor * residual, edge, labels)
             history.set_ylim(-1.1 * factor * (reach or 1.0), 1.1 * factor * (reach or 1.0))
             history.set_title(f"({style.unit(channel.quantity, prefix)})", loc="left", fontsize=7, pad=2)
-            _draw_spectrum(spectrum, left, signal, sigma, record.step)
+            _draw_spectrum(spectrum, residual, signal, sigma, record.step)
             spectrum.set_title(f"({style.unit(channel.quantity)})\N{SUPERSCRIPT TWO}", loc="left", fontsize=7, pad=2)
-            _draw_correlation(correlation, left)
+            _draw_correlation(correlation, residual)
             _name(history, channel, record)
-            _write_nmse(correlation, left, signal, digits=2)
-        _finish(figure, panels, ("Residual", "Periodogram", "Autocorrelation"), len(every))
+            _write_nmse(correlation, residual, signal, digits=2)
+        _finish(figure, panels, ("Residual", "Periodogram", "Autocorrelation"), len(sensors))
         for axes, label in zip(panels[-1], ("Time $t$ (s)", "Frequency (Hz)", "Lag (samples)"), strict=True):
             axes.set_xlabel(label, labelpad=2)
     return figure
@@ -85,8 +85,8 @@ def compared_channels(estimate: Estimate, record: Record) -> list[Channel]:
     """The sensors that an estimate is compared with: not those that it has nothing of, or was given as exact."""
     out = []
     for channel in every_channel(record):
-        left = channel.measured - channel.of(estimate.response)
-        if np.isfinite(left).all() and np.abs(left).max() > ROUND_OFF * np.abs(channel.measured).max():
+        residual = channel.measured - channel.of(estimate.response)
+        if np.isfinite(residual).all() and np.abs(residual).max() > ROUND_OFF * np.abs(channel.measured).max():
             out.append(channel)
     return out
 
@@ -98,9 +98,9 @@ def validation_figure(run: ValidationRun, estimate: Estimate) -> Figure:
     too many periods the histories show the last ones, where errors of the parameters have added up; the error is shown
     as a whole. Of more than `ROWS_IN_FULL` sensors those with the largest NMSE are shown. The run has a response.
     """
-    every = channels(run.record, RESPONSE_QUANTITIES)
-    errors = [nmse_percent(m - s, m) for m, s, _ in map(run.compared, every)]
-    shown = [every[i] for i in style.largest(errors, ROWS_IN_FULL)]
+    sensors = channels(run.record, RESPONSE_QUANTITIES)
+    errors = [nmse_percent(m - s, m) for m, s, _ in map(run.compared, sensors)]
+    shown = [sensors[i] for i in style.largest(errors, ROWS_IN_FULL)]
     simulated = np.stack([run.of_channel(channel)[1] for channel in shown], axis=1)
     window = histories.window_about(len(simulated), np.diff(simulated, axis=0, prepend=0.0))
     time = run.record.time[run.first :]
@@ -110,31 +110,33 @@ def validation_figure(run: ValidationRun, estimate: Estimate) -> Figure:
             len(shown), 2, 0.95, margins=(0.62, 0.08, 0.56, 0.42), gaps=(0.5, 0.28), width_ratios=(1.25, 1.0)
         )
         for (history, error), channel in zip(panels, shown, strict=True):
-            measured, found, std = (x[:, None] for x in run.of_channel(channel))
-            name, sources = channel.quantity, {"estimate": found, "std": std, "true": measured}
-            each = Histories(name, "", (channel.where,), time, sources)
+            measured, response, std = (x[:, None] for x in run.of_channel(channel))
+            name, sources = channel.quantity, {"estimate": response, "std": std, "true": measured}
+            compared = Histories(name, "", (channel.where,), time, sources)
             factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(measured[window]), initial=0.0)))
-            histories.draw(history, each, 0, window, factor, looks)
+            histories.draw(history, compared, 0, window, factor, looks)
             history.set_title(f"({style.unit(name, prefix)})", loc="left", fontsize=7, pad=2)
-            left, known = (measured - found)[:, 0], np.isfinite(measured[:, 0])
+            residual, sampled = (measured - response)[:, 0], np.isfinite(measured[:, 0])
             noise = estimate.noise.of(channel)
             edge = HALF_WIDTH_95 * np.hypot(std[:, 0], np.nan_to_num(noise))
             labels = "error", WITH_NOISE if np.isfinite(noise) else WITHOUT_NOISE
-            factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(left), initial=0.0)))
-            _draw_residual(error, time[known], factor * left[known], factor * edge[known], labels)
+            factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(residual), initial=0.0)))
+            _draw_residual(error, time[sampled], factor * residual[sampled], factor * edge[sampled], labels)
             error.set_title(f"({style.unit(name, prefix)})", loc="left", fontsize=7, pad=2)
             _name(history, channel, run.record)
-            _write_nmse(error, left[known], measured[known, 0], digits=3)
-        _finish(figure, panels, ("Validation data", "Error"), len(every))
+            _write_nmse(error, residual[sampled], measured[sampled, 0], digits=3)
+        _finish(figure, panels, ("Validation data", "Error"), len(sensors))
         for axes in panels[-1]:
             axes.set_xlabel("Time $t$ (s)", labelpad=2)
     return figure
 
 
-def _draw_residual(axes: Axes, time: np.ndarray, left: np.ndarray, edge: np.ndarray, labels: tuple[str, str]) -> None:
+def _draw_residual(
+    axes: Axes, time: np.ndarray, residual: np.ndarray, edge: np.ndarray, labels: tuple[str, str]
+) -> None:
     """What is left of a sensor (N,), between the edges of its band, which may be NaN."""
-    kept = style.line_indices(left)
-    axes.plot(time[kept], left[kept], **_RESIDUAL, label=labels[0])
+    kept = style.line_indices(residual)
+    axes.plot(time[kept], residual[kept], **_RESIDUAL, label=labels[0])
     if np.isfinite(edge).any():
         look = _NOISE | ({"linestyle": ":"} if labels[1] == WITHOUT_NOISE else {})
         axes.plot(time[kept], edge[kept], **look, label=labels[1])
@@ -143,10 +145,10 @@ def _draw_residual(axes: Axes, time: np.ndarray, left: np.ndarray, edge: np.ndar
     style.ticks(axes)
 
 
-def _draw_spectrum(axes: Axes, left: np.ndarray, signal: np.ndarray, sigma: float, step: float) -> None:
+def _draw_spectrum(axes: Axes, residual: np.ndarray, signal: np.ndarray, sigma: float, step: float) -> None:
     """Mean squares: white noise of variance s^2 reads s^2 at every frequency."""
     tops = []
-    for values, look in ((signal, _SIGNAL), (left, _RESIDUAL)):
+    for values, look in ((signal, _SIGNAL), (residual, _RESIDUAL)):
         frequency, power = _binned(*periodogram(values, step))
         axes.plot(frequency, np.where(power > 0.0, power, np.nan), **look)
         tops += [float(power.max())]
@@ -173,9 +175,9 @@ def _binned(frequency: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, np.nd
     return np.add.reduceat(frequency, edges[:-1]) / counts, np.add.reduceat(power, edges[:-1]) / counts
 
 
-def _draw_correlation(axes: Axes, left: np.ndarray) -> None:
-    lags, bound = min(LAGS_SHOWN, len(left) - 1), HALF_WIDTH_95 / np.sqrt(len(left))
-    correlation = autocorrelation(left, lags)
+def _draw_correlation(axes: Axes, residual: np.ndarray) -> None:
+    lags, bound = min(LAGS_SHOWN, len(residual) - 1), HALF_WIDTH_95 / np.sqrt(len(residual))
+    correlation = autocorrelation(residual, lags)
     axes.axhspan(-bound, bound, color=style.ORANGE, alpha=0.3, linewidth=0, zorder=0, label="white noise, 95 %")
     axes.axhline(0.0, color=style.GREY, linewidth=0.5)
     axes.vlines(np.arange(1, lags + 1), 0.0, correlation, color=style.BLUE, linewidth=1.0)
@@ -192,8 +194,8 @@ def _name(axes: Axes, channel: Channel, record: Record) -> None:
     axes.set_ylabel(f"{style.SYMBOLS[channel.quantity]}, {style.literal(place)}")
 
 
-def _write_nmse(axes: Axes, left: np.ndarray, signal: np.ndarray, digits: int) -> None:
-    error = nmse_percent(left, signal)
+def _write_nmse(axes: Axes, residual: np.ndarray, signal: np.ndarray, digits: int) -> None:
+    error = nmse_percent(residual, signal)
     if np.isfinite(error):
         axes.set_title(f"NMSE {error:.{digits}g} %", loc="right", fontsize=7, pad=2)
 

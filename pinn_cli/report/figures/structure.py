@@ -114,8 +114,8 @@ def _draw_hub(
 
 def _free_place(places: list[np.ndarray], taken: list[np.ndarray]) -> np.ndarray:
     """The first of those that are furthest from what is taken, which it joins; names are wider than high."""
-    apart = [round(min(1.0, (np.abs(np.stack(taken) - place) / _ROOM).max(axis=1).min()), 1) for place in places]
-    taken.append(places[int(np.argmax(apart))])
+    distances = [round(min(1.0, (np.abs(np.stack(taken) - place) / _ROOM).max(axis=1).min()), 1) for place in places]
+    taken.append(places[int(np.argmax(distances))])
     return taken[-1]
 
 

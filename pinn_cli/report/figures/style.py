@@ -82,8 +82,8 @@ def look() -> Iterator[None]:
 def _fonts() -> list[str]:
     """The figures' font, and what this machine has for other scripts."""
     there = sorted({font.name for font in fontManager.ttflist})
-    found = [name for name in there if name.startswith(_OTHER_FONTS) or name in _FROM_THEIR_SYSTEMS]
-    return [_FONT, "DejaVu Sans", *found]
+    fonts = [name for name in there if name.startswith(_OTHER_FONTS) or name in _FROM_THEIR_SYSTEMS]
+    return [_FONT, "DejaVu Sans", *fonts]
 
 
 def panels(
@@ -113,8 +113,8 @@ def panels(
 def legend(figure: Figure | SubFigure, axes: Iterable[Axes] | None = None, **options: Any) -> None:
     """One legend above, of all that has a label in any of the panels (or of these), each label once."""
     handles: dict[str, Any] = {}
-    for each in figure.axes if axes is None else axes:
-        for handle, label in zip(*each.get_legend_handles_labels(), strict=True):
+    for panel in figure.axes if axes is None else axes:
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
     # Matplotlib lists what has error bars last; what only a later panel has must not come after it.
     labels = sorted(handles, key=lambda label: isinstance(handles[label], ErrorbarContainer))
@@ -180,8 +180,8 @@ def save(figure: Figure, directory: Path | str, name: str) -> list[Path]:
     }
     written = [Path(directory) / f"{name}.{kind}" for kind in kinds]
     for place, (kind, options) in zip(written, kinds.items(), strict=True):
-        with look(), replacing(place) as beside:
-            figure.savefig(beside, format=kind, **options)
+        with look(), replacing(place) as temporary:
+            figure.savefig(temporary, format=kind, **options)
     return written
 
 

@@ -130,16 +130,16 @@ class MlflowTracking(Tracking):
             yield client, self._experiment(client)
 
     def _experiment(self, client: MlflowClient) -> str:
-        found = client.get_experiment_by_name(self.experiment)
-        if found is None:
+        experiment = client.get_experiment_by_name(self.experiment)
+        if experiment is None:
             place = None if self.artifacts is None else self.artifacts.as_uri()
             try:
                 return str(client.create_experiment(self.experiment, artifact_location=place))
             except Exception:  # another process was faster, on a server
-                found = client.get_experiment_by_name(self.experiment)
-                if found is None:
+                experiment = client.get_experiment_by_name(self.experiment)
+                if experiment is None:
                     raise
-        return str(found.experiment_id)
+        return str(experiment.experiment_id)
 
 
 class MlflowTracker(Tracker):
@@ -166,12 +166,12 @@ class MlflowTracker(Tracker):
         with self.tracking.connected() as (client, experiment):
             from mlflow.entities import Metric, Param
 
-            everywhere = [each.experiment_id for each in client.search_experiments()]
+            everywhere = [other.experiment_id for other in client.search_experiments()]
             for before in client.search_runs(everywhere, f"tags.{KEY} = '{self.key}'"):
                 client.delete_run(before.info.run_id)
             tags = {name: str(value) for name, value in self.run.labels.items()}
-            told = {"status": status, "reason": reason[:LONGEST_TEXT]}
-            tags |= {"directory": str(self.run.directory), KEY: self.key, **told}
+            end_tags = {"status": status, "reason": reason[:LONGEST_TEXT]}
+            tags |= {"directory": str(self.run.directory), KEY: self.key, **end_tags}
             run = client.create_run(experiment, tags=tags, run_name=self.run.name).info.run_id
             client.set_terminated(run, HALF_TOLD)
             settings = {n.replace("[", ".").replace("]", ""): value for n, value in self.run.settings.items()}
@@ -203,13 +203,13 @@ def _client(uri: str) -> MlflowClient:
 
 def _make_tables(database: Path) -> None:
     """Make the database whole: MLflow does it in a thousand steps and cannot go on where it was killed in one."""
-    beside = database.with_name(f".{database.name}.new")
-    beside.unlink(missing_ok=True)
-    _client(f"{SQLITE}{beside}")
+    draft = database.with_name(f".{database.name}.new")
+    draft.unlink(missing_ok=True)
+    _client(f"{SQLITE}{draft}")
     # Not renamed: MLflow has it open to the end of the process.
-    with replacing(database) as whole, closing(connect(beside)) as made, closing(connect(whole)) as copy:
+    with replacing(database) as whole, closing(connect(draft)) as made, closing(connect(whole)) as copy:
         made.backup(copy)
-    beside.unlink()
+    draft.unlink()
 
 
 def _parts(items: list[Any], most: int) -> Iterator[list[Any]]:

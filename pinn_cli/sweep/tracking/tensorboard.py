@@ -111,10 +111,10 @@ class TensorboardTracker(Tracker):
             writer.add_image(figure.stem, np.asarray(imread(figure))[..., :3], 0, dataformats="HWC")
         writer.flush()
         # SummaryWriter.add_hparams would make a file without the key. A reader never comes back from a later file.
-        beside = FileWriter(str(self.place), filename_suffix=f".{self.key}")
+        results_writer = FileWriter(str(self.place), filename_suffix=f".{self.key}")
         for summary in hparams(dict(self.run.settings), metrics):
-            beside.add_summary(summary)
-        beside.close()
+            results_writer.add_summary(summary)
+        results_writer.close()
 
     def delete(self) -> None:
         """See :meth:`Tracker.delete`."""

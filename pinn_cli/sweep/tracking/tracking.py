@@ -76,17 +76,17 @@ class Outcome:
         errors = read_table(directory / "parameters.csv", ("error_percent",), ("estimator", "parameter"))
         record = read_record(directory)
         numbers = {n: v for n, v in record.get("training", {}).items() if isinstance(v, int | float)}
-        found: dict[str, float | None] = {"validation_score": record.get("validation", {}).get("score")}
-        found |= {f"seconds/{name}": value for name, value in record.get("seconds", {}).items()}
-        found |= {f"training/{name}": value for name, value in numbers.items() if not isinstance(value, bool)}
+        values: dict[str, float | None] = {"validation_score": record.get("validation", {}).get("score")}
+        values |= {f"seconds/{name}": value for name, value in record.get("seconds", {}).items()}
+        values |= {f"training/{name}": value for name, value in numbers.items() if not isinstance(value, bool)}
         for table, of, columns in (
             (fitness[fitness["group"] == "all"], "quantity", FORMULAS),
             (errors, "parameter", ("error_percent",)),
         ):
             for _, row in table.iterrows():
                 whose = "" if row["estimator"] == "pinn" else f"{row['estimator']}/"
-                found |= {f"{whose}{column}/{row[of]}": row[column] for column in columns}
-        metrics = {name: float(value) for name, value in found.items() if pd.notna(value)}
+                values |= {f"{whose}{column}/{row[of]}": row[column] for column in columns}
+        metrics = {name: float(value) for name, value in values.items() if pd.notna(value)}
         files = [entry for entry in sorted(directory.iterdir()) if entry.name not in NOT_COPIED]
         return cls(metrics, sorted((directory / "figures").glob("*.png")), files)
 
@@ -137,10 +137,10 @@ def require(package: str, choice: str) -> None:
         InputError: It is not.
     """
     try:
-        found = importlib.util.find_spec(package) is not None
+        installed = importlib.util.find_spec(package) is not None
     except ModuleNotFoundError:
-        found = False
-    if not found:
+        installed = False
+    if not installed:
         allowed = "none, or a choice whose packages are installed"
         raise InputError("tracking", choice, allowed, f"pip install 'pinn-cli[{choice}]'")
 

@@ -89,8 +89,8 @@ class WindowedRun:
         folders = [store.folder(number) for number in range(1, done + 1)]
         for name in FINAL:
             if (folders[-1] / name).is_file():
-                with replacing(self.directory / name) as beside:
-                    shutil.copyfile(folders[-1] / name, beside)
+                with replacing(self.directory / name) as temporary:
+                    shutil.copyfile(folders[-1] / name, temporary)
         if self.solver.earlier and self.solver.model is not None:  # the parameters over time of the records before
             folders.insert(0, store.folder(0))
             write_table(history(self.solver.model), folders[0] / OVER_TIME)
@@ -102,8 +102,8 @@ class WindowedRun:
 
     def _entries(self) -> list[dict[str, Any]]:
         """What is known of all windows; the last one hands over to none yet."""
-        found = [self.store.entry(number) for number in range(1, self.store.done + 1)]
-        return [*found[:-1], found[-1] | {"hand_over": None}]
+        entries = [self.store.entry(number) for number in range(1, self.store.done + 1)]
+        return [*entries[:-1], entries[-1] | {"hand_over": None}]
 
     def _whole(self, stages: Stages) -> str:
         """Write what is about the whole record; ``run.json`` comes last."""
@@ -137,8 +137,8 @@ class WindowedRun:
                 Page(self.solver.run.case, verdict, sheets, entries[-1]["doubts"], [IN_PYTHON]).write(self.directory)
         digest = hashlib.sha256(" ".join(e["observed"] for e in entries).encode()).hexdigest()[:16]
         content = run_facts(self.solver.run, entries[-1]["training"], digest, stages.seconds)
-        told = ("number", "start", "hand_over", "stop", "verdict", "reasons", "changed")
-        content["windows"] = [{name: entry.get(name) for name in told} for entry in entries]
+        names = ("number", "start", "hand_over", "stop", "verdict", "reasons", "changed")
+        content["windows"] = [{name: entry.get(name) for name in names} for entry in entries]
         content["parameters"] = parameters_of(parameters)
         write_json({**content, **verdict.record()}, self.directory / RESULT)
         texts = (parameters_text(parameters, entries[-1]["doubts"]), fitness_text(fitness), verdict_text(verdict))

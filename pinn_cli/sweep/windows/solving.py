@@ -116,15 +116,15 @@ class WindowSolver:
         folder, number, estimate = store.folder(window.number), window.number, results.estimate
         # Of every parameter what was prescribed before the first window: name, value, standard deviation.
         uncertain = [] if results.problem is None else results.problem.uncertain
-        own = [[parameter.name, parameter.prescribed, parameter.prior_std] for parameter in uncertain]
-        beliefs = own if number == 1 else store.entry(1)["beliefs"]
+        prescribed = [[parameter.name, parameter.prescribed, parameter.prior_std] for parameter in uncertain]
+        beliefs = prescribed if number == 1 else store.entry(1)["beliefs"]
         believed, report = _with_beliefs(results, beliefs), RecordReport(results, folder)
         with stages("verdict"):
             verdict = report.verdict
         with stages("report"):
             report.write()
-            (_, found), *_ = RecordReport(believed, folder).tables
-            write_tables(believed, found, folder)
+            (_, parameter_table), *_ = RecordReport(believed, folder).tables
+            write_tables(believed, parameter_table, folder)
             rows = window_rows(number + self.earlier, f"window_{number}", estimate)
             write_table(rows, folder / OVER_TIME)
             write_run_model(results, verdict, folder)
@@ -144,8 +144,8 @@ def _with_beliefs(results: Results, beliefs: list[list[Any]]) -> Results:
     """The results with what was prescribed before the first window in their tables."""
     given = {name: {"prescribed": value, "prior_std": std} for name, value, std in beliefs}
     parameters = [
-        replace(one, parameter=replace(one.parameter, **given.get(one.parameter.name, {})))
-        for one in results.estimate.parameters
+        replace(p, parameter=replace(p.parameter, **given.get(p.parameter.name, {})))
+        for p in results.estimate.parameters
     ]
     return replace(results, estimate=replace(results.estimate, parameters=parameters))
 

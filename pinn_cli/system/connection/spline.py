@@ -110,9 +110,9 @@ class _Curve:
         bent = np.pad(6.0 * np.maximum(end * OVER_SPAN[:, None] - self._knots, 0.0), ((0, 0), (2, 0)))
         beyond = np.pad([self._knots**0, self._knots], ((0, 0), (2, 0)))
         free = null_space(np.stack((*beyond, at_rest[0], (OVER_SPAN - rest) @ raw / len(OVER_SPAN))))
-        roughness, own = eigh(*(f.T @ f / len(OVER_SPAN) for f in (bent @ free, raw @ free)))
+        roughness, vectors = eigh(*(f.T @ f / len(OVER_SPAN) for f in (bent @ free, raw @ free)))
         # What each function is made of (terms, 2 + knots): one, x, and the knots' cubes.
-        self._made_of = (free @ (own * np.sign(raw[-1] @ free @ own))).T
+        self._made_of = (free @ (vectors * np.sign(raw[-1] @ free @ vectors))).T
         self.smaller = np.sqrt(roughness[0] / roughness)
         self._slopes = self._made_of @ np.r_[0.0, 1.0, 3.0 * np.maximum(rest - self._knots, 0.0) ** 2] / self._half
 

@@ -97,7 +97,7 @@ def update_modes(inference: Inference) -> Inference | None:
 def problem_in_own_modes(inference: Inference) -> JointProblem | None:
     """The problem in the modes at a solution's parameters; None where they are those that it has."""
     before, problem = inference.problem.structure, _present(inference)
-    moved = not problem.structure.shares_coordinates(before) or problem.structure.damping_apart(before) > SAME_MODES
+    moved = not problem.structure.shares_coordinates(before) or problem.structure.damping_change(before) > SAME_MODES
     return problem if moved else None
 
 
