@@ -1,5 +1,6 @@
 """What tests start from: the composed configuration, an empty folder, and global state as it was before any test."""
 
+import gc
 import json
 import logging
 import os
@@ -25,6 +26,16 @@ from pinn_cli.runs import histories
 from pinn_cli.runs.apart import Answer, UnreadableError
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system import matrix_files
+
+
+def pytest_collection() -> None:
+    """Have Python look for no garbage while the tests are imported, and never among what they import."""
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)
