@@ -19,6 +19,9 @@ help: ## list the targets
 
 venv: $(INSTALLED) ## install the package and its tools into .venv, in the exact versions of constraints.txt
 
+# Hundreds of processes of the tests import the same libraries: what Python compiles is kept, whatever the shell says.
+export PYTHONDONTWRITEBYTECODE :=
+
 # PIP_CONSTRAINT rather than -c: it binds the isolated build environment too. Python compiles what it imports, which is a
 # small part of what pip would.
 INSTALL := PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --no-compile --quiet --disable-pip-version-check

@@ -1,12 +1,15 @@
 """What tests start from: the composed configuration, an empty folder, and global state as it was before any test."""
 
+import gc
+import json
 import logging
 import os
 import random
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +21,21 @@ from small_estimates import Case, make_estimate
 
 from pinn_cli.cli.command_line import execute
 from pinn_cli.main import find_modes, inspect, run
+from pinn_cli.record.files import file_format
+from pinn_cli.runs import histories
+from pinn_cli.runs.apart import Answer, UnreadableError
+from pinn_cli.settings.errors import InputError
+from pinn_cli.system import matrix_files
+
+
+def pytest_collection() -> None:
+    """Have Python look for no garbage while the tests are imported, and never among what they import."""
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)
@@ -61,12 +79,23 @@ def make_case() -> Callable[..., Case]:
     return make_estimate
 
 
-@pytest.fixture
-def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files are read in this process, where what a bad one does to its reader is not what a test is about."""
-    monkeypatch.setattr(
-        "pinn_cli.record.files.file_format.tables_apart", lambda own, path, wanted: own.tables(path, wanted)
-    )
+def read_here(read: Callable[..., Iterable[Answer]], question: list[Any], *_: object) -> Iterator[Answer]:
+    """What :func:`pinn_cli.runs.apart.read_apart` answers, from this process: a new one imports for a second."""
+    try:
+        for plain, arrays in read(*json.loads(json.dumps(question))):
+            yield json.loads(json.dumps(plain)), list(map(np.array, arrays))
+    except InputError:
+        raise
+    except Exception as error:
+        raise UnreadableError(str(error).strip().partition("\n")[0] or type(error).__name__) from None
+
+
+@pytest.fixture(autouse=True)
+def files_read_here(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Quick tests read files in this process, but for those about what a file does to a process of its own."""
+    if not any(map(request.node.get_closest_marker, ("apart", "slow"))):
+        for reader in (file_format, histories, matrix_files):
+            monkeypatch.setattr(reader, "read_apart", read_here)
 
 
 @pytest.fixture

@@ -52,6 +52,17 @@ MODAL = [line for line in EVERY if line.startswith("pinn-run modes")]
 GALLERY = {line for page in (ROOT / "docs" / "gallery").glob("*.md") for line in commands(page)}  # docs/test_gallery.py
 LOOKS = [line for line in EVERY if line.startswith("pinn-run inspect")]
 
+# What takes minutes is cut short, what a command goes through is not; a setting of its own comes later, and holds.
+SHORT = {
+    r"^(?!.*(figures|paper/))": ("figures=false",),  # docs/test_gallery.py draws them
+    r"^(?!.*(data=|model=|experiment=examples))": ("simulation.duration=15", "simulation.samples=1025"),
+    r"data\.path=rig\.csv(?!.*(stop|until|model=|validation))": ("data.stop=5",),
+    r"network=mlp(?!.*(adam|lbfgs))": ("training.iterations=5",),
+    r"network=mlp.*(adam|lbfgs)": ("training.iterations=50",),
+    r"(scheme=bayesian|paper/pe_)(?!.*laplace)": ("posterior.warmup=20", "posterior.draws=20"),
+    r"examples/beam_with_stop": ("simulation.duration=0.5", "simulation.samples=257"),
+}
+
 
 def missing_package(line: str) -> str | None:
     """The package of an extra that a command needs and that is not installed."""
@@ -71,6 +82,11 @@ def first_job(arguments: list[str]) -> list[str]:
         # The command line has a map's keys added, and these tests have no GPU.
         out.append(re.sub(r"^(?=[\w.]+=\{)", "++", text).replace("device=cuda", "device=cpu"))
     return out
+
+
+def shortened(arguments: list[str]) -> list[str]:
+    """The same of a shorter record, and of a shorter training."""
+    return [one for of, ones in SHORT.items() if re.search(of, " ".join(arguments)) for one in ones] + arguments
 
 
 def blocks(page: Path, language: str) -> list[str]:

@@ -14,6 +14,7 @@ from documented_commands import (
     RUNS,
     first_job,
     missing_package,
+    shortened,
     write_files,
     write_model_run,
 )
@@ -74,7 +75,7 @@ def test_a_documented_run_gets_as_far_as_training(composed: Compose, line: str, 
     while "--config-dir" in arguments:
         place = arguments.index("--config-dir")
         arguments[place : place + 2] = [f"hydra.searchpath=[file://{rig / arguments[place + 1]}]"]
-    config = RunConfig.read(composed(*first_job(arguments)), rig)
+    config = RunConfig.read(composed(*first_job(shortened(arguments))), rig)
     true, prescribed = config.model_error.structures(config.structure)
     record = config.observe(config.source.measure(true).record)
     modes = config.modes

@@ -16,22 +16,13 @@ from documented_commands import (
     RUNS,
     first_job,
     missing_package,
+    shortened,
     write_files,
     write_model_run,
 )
 
 # They take hours: test_documented_commands.py poses them.
 HOURS = re.compile(r"paper_training")
-# What takes minutes is cut short, what a command goes through is not; a setting of its own comes later, and holds.
-SHORT = {
-    r"^(?!.*(figures|paper/))": ("figures=false",),  # docs/test_gallery.py draws them
-    r"^(?!.*(data=|model=|experiment=examples))": ("simulation.duration=15", "simulation.samples=1025"),
-    r"data\.path=rig\.csv(?!.*(stop|until|model=|validation))": ("data.stop=5",),
-    r"network=mlp(?!.*(adam|lbfgs))": ("training.iterations=5",),
-    r"network=mlp.*(adam|lbfgs)": ("training.iterations=50",),
-    r"(scheme=bayesian|paper/pe_)(?!.*laplace)": ("posterior.warmup=20", "posterior.draws=20"),
-    r"examples/beam_with_stop": ("simulation.duration=0.5", "simulation.samples=257"),
-}
 # Where the jobs of a sweep go, and who chooses them: a job is a run like any other.
 OF_SWEEPS = re.compile(r"hydra/launcher|hydra/sweeper|hydra\.launcher\.|hydra\.sweeper\.")
 
@@ -61,8 +52,8 @@ def test_a_documented_command_runs(line: str, measured: Path, pinn_run: PinnRun)
         del arguments[place : place + 2]
     # What is no override is a file to look at.
     options += [argument for argument in arguments[1:] if options and "=" not in argument]
-    short = () if options else (one for of, ones in SHORT.items() if re.search(of, " ".join(arguments)) for one in ones)
-    overrides = [*short, *(a for a in arguments if a not in options and not OF_SWEEPS.search(a))]
+    own = arguments if options else shortened(arguments)
+    overrides = [argument for argument in own if argument not in options and not OF_SWEEPS.search(argument)]
     overrides += ["follow.until_idle=0.2", "follow.poll=0.1"] if options == ["follow"] else []
     # A search is of what its experiment runs.
     overrides = [re.sub(r",search/\w+|^experiment=search/\w+$", "", override) for override in overrides]

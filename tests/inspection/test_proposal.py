@@ -28,7 +28,7 @@ def proposed(out: str) -> list[str]:
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in FILES]
 )
-def test_a_file_is_looked_at_and_the_command_gets_as_far_as_a_problem(name, pinn_run, tmp_path, in_this_process):
+def test_a_file_is_looked_at_and_the_command_gets_as_far_as_a_problem(name, pinn_run, tmp_path):
     FILES[name](tmp_path / name)
     outcome = pinn_run("inspect", name, "figures=false")
     assert (outcome.status, outcome.err) == (0, "")
@@ -51,7 +51,7 @@ def test_a_file_is_looked_at_and_the_command_gets_as_far_as_a_problem(name, pinn
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*QUICK, *WITHOUT_FORCE, "shaker.uff"])
-def test_the_command_runs_as_it_is(name, pinn_run, tmp_path, in_this_process):
+def test_the_command_runs_as_it_is(name, pinn_run, tmp_path):
     FILES[name](tmp_path / name)
     outcome = pinn_run(*proposed(pinn_run("inspect", name, "figures=false").out))
     assert outcome.status == 0, outcome.err
@@ -127,7 +127,7 @@ def test_a_file_that_nobody_reads_is_told_in_a_line(pinn_run, tmp_path, argument
     assert outcome.err.count("\n") == 1
 
 
-def test_a_file_is_known_by_what_is_in_it(pinn_run, tmp_path, in_this_process):
+def test_a_file_is_known_by_what_is_in_it(pinn_run, tmp_path):
     FILES["struct.mat"](tmp_path / "record.mat")
     (tmp_path / "record.mat").rename(tmp_path / "record.bin")
     FILES["tabs.dat"](tmp_path / "record")

@@ -27,7 +27,6 @@ def dataset(case):
     return response_dataset(results_of(case))
 
 
-@pytest.mark.usefixtures("in_this_process")
 def test_every_format_has_every_quantity_of_every_dof(case, dataset, tmp_path):
     pytest.importorskip("pyuff")
     pytest.importorskip("openpyxl")

@@ -17,6 +17,8 @@ from pinn_cli.runs.histories import read_groups, read_histories, read_tree
 from pinn_cli.runs.reading import DamagedError
 from pinn_cli.settings.errors import InputError
 
+# Kinds of damage that this process may not survive.
+TOO_MUCH = ("one text", "random")
 DEEDS = """
 import ctypes, os, time
 
@@ -50,6 +52,7 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "x.nc"
 
 
+@pytest.mark.apart
 def test_histories_are_what_xarray_reads(file: Path) -> None:
     expected, found = xr.load_dataset(file, engine="h5netcdf"), read_histories(file)
     xr.testing.assert_identical(found, expected)
@@ -94,7 +97,7 @@ def test_histories_are_no_more_than_the_file(tmp_path: Path) -> None:
         ("raw", "it holds data of another file"),
         ("huge", "it unfolds to more than was written"),
         ("packed", "it unfolds to more than was written"),
-        ("compound", "neither numbers nor texts"),
+        pytest.param("compound", "neither numbers nor texts", marks=pytest.mark.apart),
         ("references", "other things than numbers and texts"),
     ],
 )
@@ -104,7 +107,9 @@ def test_what_is_none_of_ours_is_refused(file: Path, kind: str, reason: str) -> 
         read_histories(file)
 
 
-@pytest.mark.parametrize("kind", sorted(HISTORIES))
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=pytest.mark.apart if kind in TOO_MUCH else ()) for kind in sorted(HISTORIES)]
+)
 def test_any_damage_is_read_or_told_in_one_line(file: Path, kind: str) -> None:
     before = file.read_bytes()
     hdf5_(file, kind)
@@ -126,6 +131,7 @@ def test_groups_have_an_end(tmp_path: Path) -> None:
         read_tree(tmp_path / "x.nc")
 
 
+@pytest.mark.apart
 @pytest.mark.parametrize(("deed", "reason"), [("crash", "its reader crashes"), ("loop", "takes more than 2 s to read")])
 def test_what_a_file_does_to_its_library_is_told(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, deed: str, reason: str

@@ -29,7 +29,7 @@ def folder(tmp_path):
     ("files", "path", "names"),
     [
         (NOTHING, "dense.npz", ["M", "K", "C"]),
-        (NOTHING, "model.mat", ["M", "K"]),
+        pytest.param(NOTHING, "model.mat", ["M", "K"], marks=pytest.mark.apart),
         ({"M": "M.npz", "K": "K.npz", "C": None}, None, ["M", "K"]),
         ({"M": "M.mtx", "K": "K.mtx", "C": None}, None, ["M", "K"]),
         ({"M": "M.mat", "K": "K.mat", "C": None}, None, ["M", "K"]),
@@ -54,7 +54,7 @@ def test_every_kind_of_file_gives_the_same_matrices(folder, files, path, names):
         ({"X": None}, "dense.npz", "system.path", "no matrix called X"),
         ({"M": "broken.npz"}, None, "system.M", "a readable .npz file"),
         ({"M": "broken.mat"}, None, "system.M", "a readable .mat file"),
-        ({"M": "broken.mtx"}, None, "system.M", "a readable .mtx file"),
+        pytest.param({"M": "broken.mtx"}, None, "system.M", "a readable .mtx file", marks=pytest.mark.apart),
         ({"M": "objects.npz"}, None, "system.M", "a readable .npz file"),
         ({"M": "wide.npz"}, None, "system.M", "a square matrix"),
         ({"M": "triangle.npz"}, None, "system.M", "only one triangle"),
@@ -80,6 +80,7 @@ def test_what_is_no_matrix_is_refused_in_one_line(folder, files, path, setting, 
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.apart
 def test_a_file_that_asks_for_more_than_the_machine_has_ends_its_reader_alone(folder):
     (folder / "vast.mtx").write_text("%%MatrixMarket matrix array real general\n2000000 2000000\n1.0\n")
     with pytest.raises(InputError, match=r"^system\.K=vast\.mtx") as error:

@@ -10,8 +10,6 @@ from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.excel import ExcelFormat
 from pinn_cli.record.files.table import first_other, seconds_of
 
-pytestmark = pytest.mark.usefixtures("in_this_process")
-
 # Names and units of force and accelerations.
 COLUMNS = {
     "local dates.csv": {"F1 [N]": "N", "A1 [m/s²]": "m/s^2", "A2 [m/s²]": "m/s^2"},

@@ -18,8 +18,6 @@ from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build
 
-pytestmark = pytest.mark.usefixtures("in_this_process")
-
 CONF = Path(__file__).parents[3] / "conf" / "data"
 ROWS, RATE = 64, 128.0  # a step that text has exactly
 TIME = np.arange(ROWS) / RATE
@@ -233,7 +231,6 @@ def test_a_file_that_unpacks_to_more_than_memory_holds(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_damaged_bytes_are_told_in_one_line_or_do_no_harm(tmp_path, case, monkeypatch, capfd):
     """Some bytes of a good file are others."""
-    monkeypatch.undo()  # read in a process of its own, which such a file may end
     name, _, write, _ = CASES[case]
     path = tmp_path / name
     write(path)

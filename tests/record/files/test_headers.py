@@ -17,8 +17,6 @@ from pinn_cli.record.files.table import SensorHint
 from pinn_cli.record.files.tdms import TdmsFormat
 from pinn_cli.record.files.uff import UffFormat
 
-pytestmark = pytest.mark.usefixtures("in_this_process")
-
 VALUES = np.sin(np.arange(40.0))
 
 

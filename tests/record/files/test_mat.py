@@ -12,8 +12,6 @@ from scipy.io import savemat
 from pinn_cli.record.files.mat import MatFormat
 from pinn_cli.settings.errors import InputError
 
-pytestmark = pytest.mark.usefixtures("in_this_process")
-
 MATLABS = Path(scipy.io.matlab.__file__).parent / "tests" / "data"
 NINE = np.linspace(0.0, 2.0 * np.pi, 9)
 

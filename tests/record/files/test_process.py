@@ -10,6 +10,8 @@ from refusals import refusal
 
 from pinn_cli.runs import apart
 
+pytestmark = pytest.mark.apart
+CRASHES = "an odd file that is whole; damaged or cut off? its reader crashes"
 READER = """
 import ctypes, os, sys, time
 import numpy as np
@@ -81,9 +83,9 @@ def test_times_come_back_clock_by_clock(read):
 @pytest.mark.parametrize(
     ("deed", "told"),
     [
-        ("crash", "an odd file that is whole; damaged or cut off? its reader crashes"),
-        ("leave", "an odd file that is whole; damaged or cut off? its reader crashes"),
-        ("exit", "an odd file that is whole; damaged or cut off? its reader crashes"),
+        ("crash", CRASHES),
+        pytest.param("leave", CRASHES, marks=pytest.mark.slow),
+        pytest.param("exit", CRASHES, marks=pytest.mark.slow),
         ("loop", "an odd file that is whole; damaged or cut off? it takes more than 2 s to read"),
         ("fill", "a file of at most "),
         ("lack", "a format whose package works; No module named"),
