@@ -102,6 +102,15 @@ def test_a_late_load_cell_is_named_and_not_an_early_sensor():
     assert doubt.value == pytest.approx(late, rel=0.05)
 
 
+def test_what_one_half_of_the_record_says_and_the_other_does_not_is_not_named():
+    """A load cell that is late in the first half: on the whole it is late by half as much, and in no part."""
+    truth = moved(False, 1, ())
+    record, late = recorded(truth), 0.8 / RATE
+    force, half = record.force.copy(), len(truth.time) // 2
+    force[:half, 2] = make_interp_spline(truth.time, truth.force[:, 2], 7)(truth.time[:half] - late)
+    assert not any(doubt.kind == "delay" for doubt in solved(posed(replace(record, force=force))).doubts)
+
+
 def test_a_rate_tells_no_longer_delay_than_a_radian():
     time = np.arange(0.0, 10.0, 1e-3)
     least, most = delays(np.sin(2.0 * np.pi * 3.0 * time), 6.0 * np.pi * np.cos(2.0 * np.pi * 3.0 * time))
