@@ -1,6 +1,8 @@
 """How tests call the program, and the small settings that they call it with."""
 
 import json
+import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,15 @@ ALIVE = "pinn-run: still running after "
 
 Compose = Callable[..., DictConfig]
 PinnRun = Callable[..., "Outcome"]
+
+
+def limit_files(size: int) -> None:
+    """Have the system refuse what makes a file of this process larger, bytes, as a full disk does."""
+    import resource
+
+    # Python would keep the beginning of what it compiles, and read it next time.
+    sys.dont_write_bytecode, os.environ["PYTHONDONTWRITEBYTECODE"] = True, "1"
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 
 
 class Outcome:

@@ -32,7 +32,7 @@ class LeftOut:
         shapes: What the force does not grow with, as it is tried: gaps, or elongations at which it slips, over the rms
             elongation; of most there is none.
         parameter: Kind of the parameter that says its size in a law that has it.
-        least: Of its size: what rubs, slips or has play resists.
+        least, most: Of its size: what rubs, slips or has play resists.
     """
 
     kind: str
@@ -41,6 +41,7 @@ class LeftOut:
     shapes: tuple[float, ...] = (np.nan,)
     parameter: str = ""
     least: float = -np.inf
+    most: float = np.inf
 
 
 LEFT_OUT = (

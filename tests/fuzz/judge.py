@@ -18,7 +18,7 @@ import traceback
 from dataclasses import dataclass
 from pathlib import Path
 
-from calls import ALIVE
+from calls import ALIVE, limit_files
 from fuzz.starts import Starts
 from fuzz.trial import Trial
 
@@ -183,7 +183,7 @@ def _child(trial: Trial, folder: Path, executable: bool, pipes: list[int]) -> No
     resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
     if trial.largest_file is not None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (trial.largest_file, trial.largest_file))
+        limit_files(trial.largest_file)
     if executable and trial.arguments[0] != "load":
         command = shutil.which("pinn-run", path=os.path.dirname(sys.executable)) or "pinn-run"
         os._exit(subprocess.run([command, *trial.arguments], check=False).returncode)

@@ -1,14 +1,13 @@
 """A disk that takes no more, and paths that are none: one line, nothing half-written, and the run goes on later."""
 
 import os
-import resource
 import subprocess
 import sys
 import traceback
 from pathlib import Path
 
 import pytest
-from calls import SMALL, PinnRun
+from calls import SMALL, PinnRun, limit_files
 from interrupted_runs import ADAM, assert_same_numbers, contents, run_in_a_child, without_figures
 
 from pinn_cli.cli.command_line import execute
@@ -26,7 +25,7 @@ def limited(size: int, *arguments: str) -> tuple[int, str]:
     if child == 0:
         try:
             figures.write_figures = lambda *args, **kwargs: None
-            resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+            limit_files(size)
             sys.argv = ["pinn-run", *arguments]
             sys.stderr = os.fdopen(into, "w", buffering=1)
             os._exit(execute(run))

@@ -112,30 +112,34 @@ class _Forces:
     def of_connections(self, point: Point) -> Iterator[ForceTerm]:
         """What a connection may have beside its law, and more or less of what its law has but is held."""
         structure = self.equations.dynamics.structure
-        moves = {kind.kind: self._moves(kind.parameter, point) for kind in LEFT_OUT}
+        most = {kind.kind: self._most(kind.parameter, point) for kind in LEFT_OUT}
         pulls = structure.incidence.matrix[structure.added].toarray()
         histories = (x[:, structure.added].T for x in connection_force(self.equations, point, self.motion))
         for connection, pull, e, de, force in zip(structure.added.tolist(), pulls, *histories, strict=True):
             of, state = f"connection {structure.labels.connection(connection)}", (pull, e, de, _rms(force))
-            for kind in (kind for kind in LEFT_OUT if not moves[kind.kind][connection]):
-                yield from (self.of_connection(shape * _rms(e), kind, of, state) for shape in kind.shapes)
+            for kind in (kind for kind in LEFT_OUT if not np.isnan(most[kind.kind][connection])):
+                bounded = replace(kind, most=float(most[kind.kind][connection]))
+                yield from (self.of_connection(shape * _rms(e), bounded, of, state) for shape in kind.shapes)
 
-    def _moves(self, kind: str, point: Point) -> np.ndarray:
-        """(C,) bool: the connections that have a parameter of a kind which may move, and which no bound holds."""
+    def _most(self, kind: str, point: Point) -> np.ndarray:
+        """(C,), what connections lack at most of what a parameter says: below its bound, 0; NaN: it may move itself."""
         structure = self.equations.dynamics.structure
         connections, member = structure.carriers.get(kind, (np.zeros(0, dtype=int),) * 2)
-        at_bound = (point.parameters.numpy() <= self.equations.lower).tolist()
-        of = [
-            p.index for p, held in zip(self.equations.uncertain, at_bound, strict=True) if p.kind == kind and not held
-        ]
-        return np.isin(np.arange(len(structure.parameters[SPRING])), connections[np.isin(member, of)])
+        most = np.full(len(structure.parameters[SPRING]), np.inf)
+        at_bound = point.parameters.numpy() <= self.equations.lower
+        for p, held in zip(self.equations.uncertain, at_bound.tolist(), strict=True):
+            if p.kind == kind:
+                most[connections[member == p.index]] = 0.0 if held else np.nan
+        return most
 
     def of_connection(
         self, shape: float, kind: LeftOut, of: str, state: tuple[np.ndarray, np.ndarray, np.ndarray, float]
     ) -> ForceTerm:
         """One of them."""
         pull, e, de, size = state
-        plain = self.term(Term(kind.kind, of, kind.unit, 1.0, shape, kind.least), pull, kind.force(e, de, shape), size)
+        plain = self.term(
+            Term(kind.kind, of, kind.unit, 1.0, shape, kind.least, kind.most), pull, kind.force(e, de, shape), size
+        )
         if len(kind.shapes) == 1:
             return plain
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 import pytest
-from calls import SMALL, PinnRun
+from calls import SMALL, PinnRun, limit_files
 from interrupted_runs import ADAM, Steps, in_a_child
 
 from pinn_cli.cli.command_line import execute
@@ -95,8 +95,6 @@ def test_impossible_settings_are_named(pinn_run: PinnRun, tmp_path: Path) -> Non
 
 def test_a_disk_that_is_full_is_told_in_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """TensorBoard writes in a thread of its own, which would print a traceback."""
-    import resource
-
     from pinn_cli.sweep.tracking.tensorboard import TensorboardTracking
     from pinn_cli.sweep.tracking.tracking import TrackedRun, follow
 
@@ -104,7 +102,7 @@ def test_a_disk_that_is_full_is_told_in_one_line(tmp_path: Path, capfd: pytest.C
 
     def start() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+        limit_files(1000)
         full = pytest.raises(InputError, match=r"^tracking\.directory=None: .*: File too large$")
         with full, follow(TensorboardTracking(), job, resuming=False):
             pass
