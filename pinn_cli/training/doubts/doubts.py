@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -25,6 +26,7 @@ from pinn_cli.training.doubts.force_doubts import ForceTerm, connection_force, f
 from pinn_cli.training.doubts.left_spectra import WHOLE_RECORD, Fit, LeftSpectra, left_spectra
 from pinn_cli.training.doubts.sensor_doubts import (
     DELAY,
+    GAIN,
     SensorTerm,
     Term,
     sensor_border,
@@ -168,7 +170,16 @@ class _Solution:
         spectra = left_spectra(equations, self.point, self.noise, self.channels, terms_of, moved, self.prior, part)
         free = np.flatnonzero(self.point.parameters.numpy() > equations.lower).tolist()
         places = {id(term): i for i, term in enumerate([*forces, *sensors], start=p)}
-        return _Asked(terms, [places[id(term)] for term in terms], spectra, moved[:, 1:], free)
+        return _Asked(terms, [places[id(term)] for term in terms], spectra, moved[:, 1:], free, self.half_gains)
+
+    @cached_property
+    def half_gains(self) -> dict[int, float]:
+        """Place of every gain that is a parameter, among the columns, to the step that is half of it."""
+        distances, scale = self.point.parameters.tolist(), self.equations.scale.tolist()
+        gains = [
+            (i, p.value(scale[i] * distances[i])) for i, p in enumerate(self.equations.uncertain) if p.kind == GAIN
+        ]
+        return {i: 0.5 * abs(value) / scale[i] for i, value in gains}
 
     def gain_in_other_half(self, terms: Sequence[ForceTerm | SensorTerm]) -> float:
         """Logarithm of how many times as probable each half is with the last term, as the other half tells all of them.
@@ -217,6 +228,7 @@ class _Asked:
         spectra: Of the parameters of the model, and of the terms.
         moved: (size, columns), how the motion adapts to each.
         free: Places of the parameters that no bound holds.
+        half_gains: See :class:`_Solution`.
     """
 
     terms: Sequence[ForceTerm | SensorTerm]
@@ -224,6 +236,7 @@ class _Asked:
     spectra: LeftSpectra
     moved: np.ndarray
     free: list[int]
+    half_gains: dict[int, float]
 
     def fits(self, chosen: int) -> list[Fit]:
         """Without any term, and with one more of the first ones at a time."""
@@ -262,6 +275,8 @@ class _Asked:
         # What explains something else at the price of where the structure moves stands in for what is not asked.
         moving = self.spectra.moving
         wrong |= fit.energy[moving].sum() > before.energy[moving].sum()
+        # Where what acts is smaller by an unknown gain, so is the motion, and less is left of whatever is wrong.
+        wrong |= any(abs(fit.step[i]) > half for i, half in self.half_gains.items())
         # What comes late is more usual than what comes early: where all sensors are early, the load cell is late.
         early = EARLY * gain if term.kind == DELAY and x < 0.0 else 0.0
         return -np.inf if wrong else float(gain - early)
