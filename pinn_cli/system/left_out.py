@@ -50,7 +50,7 @@ LEFT_OUT = (
     LeftOut(CUBIC, "N/m^3", lambda e, de, _: e**3, parameter="kappa"),
     LeftOut(QUADRATIC, "N (s/m)^2", lambda e, de, _: abs(de) * de),
     LeftOut(FRICTION, "N", lambda e, de, _: _rubbing(de), parameter="F_c", least=0.0),
-    LeftOut(STRIBECK, "N", lambda e, de, at: _rubbing(de) * np.exp(-((_rms(e) / _rms(de) * de / at) ** 2)), (0.1, 0.4)),
+    LeftOut(STRIBECK, "N", lambda e, de, at: _rubbing(de) * np.exp(-((rms(e) / rms(de) * de / at) ** 2)), (0.1, 0.4)),
     LeftOut(ONE_SIDED, "N/m", lambda e, de, _: np.maximum(e, 0.0)),
     LeftOut(BACKLASH, "N", lambda e, de, gap: -np.clip(e / gap, -1.0, 1.0), (0.03, 0.2), least=0.0),
     LeftOut(HYSTERESIS, "N", lambda e, de, at: _slipping(e / at), (0.3, 1.0), least=0.0),
@@ -58,12 +58,13 @@ LEFT_OUT = (
 )
 
 
-def _rms(x: np.ndarray) -> float:
+def rms(x: np.ndarray) -> float:
+    """Root mean square."""
     return float(np.sqrt(np.mean(x**2)))
 
 
 def _rubbing(de: np.ndarray) -> np.ndarray:
-    return np.tanh(de / (CREEP * max(_rms(de), 1e-300)))
+    return np.tanh(de / (CREEP * max(rms(de), 1e-300)))
 
 
 def _slipping(e: np.ndarray) -> np.ndarray:
@@ -78,9 +79,9 @@ def _slipping(e: np.ndarray) -> np.ndarray:
 def sliding(acceleration: np.ndarray, step: float, at: float) -> np.ndarray:
     """(N,) acceleration of a mass that lies on what moves so and slides beyond ``at``, m/s^2, until both move alike."""
     out, behind = np.empty(len(acceleration)), 0.0
-    for i, own in enumerate(acceleration.tolist()):
-        out[i] = min(at, max(-at, own + behind / step))
-        behind += (own - out[i]) * step
+    for i, carried in enumerate(acceleration.tolist()):
+        out[i] = min(at, max(-at, carried + behind / step))
+        behind += (carried - out[i]) * step
     return out
 
 

@@ -151,8 +151,14 @@ class _Solution:
         gradient = system.gradient[:, None]
         return cls(equations, point, noise, channels, gradient, eliminated.readout, solution.prior)
 
-    def asked(self, terms: Sequence[ForceTerm | SensorTerm], part: tuple[float, float] = WHOLE_RECORD) -> _Asked:
-        """Further parameters, of a part of the record; forces come first."""
+    def asked(self, terms: Sequence[ForceTerm | SensorTerm]) -> _Asked:
+        """Further parameters."""
+        return self.asked_in_parts(terms, [WHOLE_RECORD])[0]
+
+    def asked_in_parts(
+        self, terms: Sequence[ForceTerm | SensorTerm], parts: Sequence[tuple[float, float]]
+    ) -> list[_Asked]:
+        """The same, of each part of the record; forces come first."""
         forces = [term for term in terms if isinstance(term, ForceTerm)]
         sensors = [term for term in terms if isinstance(term, SensorTerm)]
         equations, p = self.equations, len(self.point.parameters)
@@ -167,10 +173,12 @@ class _Solution:
         # Products with sparse rows take it by rows.
         moved = np.ascontiguousarray(-np.hstack((motion[:, :1], self.readout.solved_border, motion[:, 1:])))
         terms_of = forces, sensors
-        spectra = left_spectra(equations, self.point, self.noise, self.channels, terms_of, moved, self.prior, part)
+        of_solution = equations, self.point, self.noise, self.channels
+        spectra = [left_spectra(*of_solution, terms_of, moved, self.prior, part) for part in parts]
         free = np.flatnonzero(self.point.parameters.numpy() > equations.lower).tolist()
-        places = {id(term): i for i, term in enumerate([*forces, *sensors], start=p)}
-        return _Asked(terms, [places[id(term)] for term in terms], spectra, moved[:, 1:], free, self.half_gains)
+        number = {id(term): i for i, term in enumerate([*forces, *sensors], start=p)}
+        places = [number[id(term)] for term in terms]
+        return [_Asked(terms, places, of_part, moved[:, 1:], free, self.half_gains) for of_part in spectra]
 
     @cached_property
     def half_gains(self) -> dict[int, float]:
@@ -186,7 +194,7 @@ class _Solution:
 
         What stands in for something else in one part of a record does so in no other.
         """
-        halves = [self.asked(terms, half) for half in HALVES]
+        halves = self.asked_in_parts(terms, HALVES)
         fits = [half.fits(len(terms))[-2:] for half in halves]
         gain = 0.0
         for other, (without, whole) in zip(reversed(halves), fits, strict=True):

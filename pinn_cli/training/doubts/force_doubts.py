@@ -18,7 +18,7 @@ from pinn_cli.record.channel import WIDEST_DELAY
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.spectrum import signal_band
 from pinn_cli.system.functions import Jet
-from pinn_cli.system.left_out import LEFT_OUT, MODE, SLIDES_AT, SLIDING, SPRING, LeftOut, resonance, sliding
+from pinn_cli.system.left_out import LEFT_OUT, MODE, SLIDES_AT, SLIDING, SPRING, LeftOut, resonance, rms, sliding
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE, MOTION
 from pinn_cli.training.doubts.sensor_doubts import DELAY, Term, delays
@@ -105,7 +105,7 @@ class _Forces:
 
     def term(self, term: Term, pull: np.ndarray, unit: np.ndarray, size: float) -> ForceTerm:
         """With a prior standard deviation that makes its force so large, rms; ``pull`` is (coordinates,)."""
-        scale = max(size, 1e-300) / max(_rms(unit), 1e-300)
+        scale = max(size, 1e-300) / max(rms(unit), 1e-300)
         distribution = self.equations.dynamics.padded(torch.as_tensor(pull)).numpy()
         return ForceTerm(replace(term, scale=scale), distribution, scale * unit)
 
@@ -116,10 +116,10 @@ class _Forces:
         pulls = structure.incidence.matrix[structure.added].toarray()
         histories = (x[:, structure.added].T for x in connection_force(self.equations, point, self.motion))
         for connection, pull, e, de, force in zip(structure.added.tolist(), pulls, *histories, strict=True):
-            of, state = f"connection {structure.labels.connection(connection)}", (pull, e, de, _rms(force))
+            of, state = f"connection {structure.labels.connection(connection)}", (pull, e, de, rms(force))
             for kind in (kind for kind in LEFT_OUT if not np.isnan(most[kind.kind][connection])):
                 bounded = replace(kind, most=float(most[kind.kind][connection]))
-                yield from (self.of_connection(shape * _rms(e), bounded, of, state) for shape in kind.shapes)
+                yield from (self.of_connection(shape * rms(e), bounded, of, state) for shape in kind.shapes)
 
     def _most(self, kind: str, point: Point) -> np.ndarray:
         """(C,), what connections lack at most of what a parameter says: below its bound, 0; NaN: it may move itself."""
@@ -155,21 +155,21 @@ class _Forces:
         moving = {p.index for p in problem.uncertain if of_dofs and p.kind == MASS}
         for dof in (dof for dof in range(len(self.place)) if dof not in moving):
             name, acceleration = f"DOF {problem.record.dof_name(dof)}", self.acceleration[:, dof]
-            size = self.mass[dof] * _rms(acceleration)
+            size = self.mass[dof] * rms(acceleration)
             whole = Term(MASS, name, "kg", 1.0, least=-float(self.mass[dof]))  # no mass is left
             yield self.term(whole, self.place[dof], acceleration, size)
 
     def of_sliding_masses(self) -> Iterator[ForceTerm]:
         """A part of what a DOF carries that slides on it."""
         for dof in np.flatnonzero(self.mass > 0.0).tolist():
-            size = _rms(self.acceleration[:, dof])
+            size = rms(self.acceleration[:, dof])
             yield from (self.of_sliding_mass(at * size, dof) for at in SLIDES_AT if size > 0.0)
 
     def of_sliding_mass(self, at: float, dof: int) -> ForceTerm:
         """One of them."""
         moved = self.acceleration[:, dof]
         lying = Term(SLIDING, f"DOF {self.equations.problem.record.dof_name(dof)}", "kg", 1.0, at, least=0.0)
-        plain = self.term(lying, self.place[dof], sliding(moved, self.step, at), self.mass[dof] * _rms(moved))
+        plain = self.term(lying, self.place[dof], sliding(moved, self.step, at), self.mass[dof] * rms(moved))
 
         def again(at: float) -> Iterator[ForceTerm]:
             yield self.of_sliding_mass(at, dof)
@@ -183,7 +183,7 @@ class _Forces:
             shown = self.equations.target.force[:, dof].numpy()
             rate = _rate(shown, self.step, signal_band(record.force[:, dof], record.step))
             late = Term(DELAY, f"force on DOF {record.dof_name(dof)}", "s", 1.0, np.nan, *delays(shown, rate))
-            yield self.term(late, self.place[dof], -rate, WIDEST_DELAY * record.step * _rms(rate))
+            yield self.term(late, self.place[dof], -rate, WIDEST_DELAY * record.step * rms(rate))
 
     def of_oscillators(self) -> Iterator[ForceTerm]:
         """One mode more, on a DOF with a sensor or under a force."""
@@ -203,7 +203,7 @@ class _Forces:
         moved, record = self.acceleration[:, dof], self.equations.problem.record
         mode = Term(MODE, f"DOF {record.dof_name(dof)}", "kg", 1.0, frequency)
         driven = resonance(moved, self.step, frequency, damping)
-        plain = self.term(mode, self.place[dof], driven, self.mass[dof] * _rms(moved))
+        plain = self.term(mode, self.place[dof], driven, self.mass[dof] * rms(moved))
 
         def again(finer: float) -> Iterator[ForceTerm]:
             yield from (self.of_oscillator(finer, dof, ratio, at) for at in DAMPED)
@@ -288,7 +288,3 @@ def _rate(history: np.ndarray, step: float, highest: float) -> np.ndarray:
     cosines[int(2.0 * highest * len(history) * step) + 1 :] = 0.0
     rate: np.ndarray = np.gradient(idct(cosines, type=2, norm="ortho"), step)
     return rate
-
-
-def _rms(x: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(x**2)))

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import solve_banded  # scipy.signal takes a third of a second to import
 
 from pinn_cli.record.channel import WIDEST_DELAY
+from pinn_cli.system.left_out import rms
 from pinn_cli.system.quantities import CONNECTION_FORCE, FORCE, GROUND, MOTION, SUPPORT
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint
 from pinn_cli.training.normal_equations import NormalEquations
@@ -103,7 +104,7 @@ def columns_of(channel: ChannelAtPoint) -> Iterator[tuple[Term, np.ndarray]]:
     yield Term(GAIN, name, "", 1.0, least=-1.0), signal  # nothing is left of the sensor
     yield Term(DELAY, name, "s", late, np.nan, *delays(signal, rate)), -late * rate
     if channel.quantity == "acceleration" and channel.displacement is not None and channel.displacement.any():
-        size = _rms(signal) / _rms(channel.displacement)
+        size = rms(signal) / rms(channel.displacement)
         yield Term(TILT, name, "m/s^2 per m", size), size * channel.displacement
     # One that passes more than the others do is one whose others pass less.
     yield from ((Term(HIGH_PASS, name, "Hz", corner, least=0.0), column) for corner, column in _taken(channel).items())
@@ -111,7 +112,7 @@ def columns_of(channel: ChannelAtPoint) -> Iterator[tuple[Term, np.ndarray]]:
 
 def delays(shown: np.ndarray, rate: np.ndarray) -> tuple[float, float]:
     """The least and the most, s, that a history's rate can tell: the change is then as large as the history."""
-    longest = _rms(shown) / max(_rms(rate), 1e-300)
+    longest = rms(shown) / max(rms(rate), 1e-300)
     return -longest, longest
 
 
@@ -126,10 +127,6 @@ def _taken(channel: ChannelAtPoint) -> dict[float, np.ndarray]:
     while True:
         kept = float(np.exp(-2.0 * np.pi * corner * steps[0]))
         slow = solve_banded((1, 0), np.outer((1.0, -kept), np.ones(len(signal))), (1.0 - kept) * signal)
-        if _rms(slow) ** 2 > MOST_TAKEN * _rms(signal) ** 2 or not signal.any():
+        if rms(slow) ** 2 > MOST_TAKEN * rms(signal) ** 2 or not signal.any():
             return out
         out[corner], corner = -slow, 2.0 * corner
-
-
-def _rms(x: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(x**2)))
