@@ -45,9 +45,6 @@ KINSHIP_UNDER_FORCES = 0.05
 # An accelerometer beside a load cell, about whose noise nothing is known, has this part of what the load cell's noise
 # makes of the acceleration, at most: that much of it passes for the load cell's.
 BESIDE_LOAD_CELL = 0.4
-# Times that a load cell may be as noisy as its spectrum shows: what is more lies in the band of the force alone, and is
-# none of its noise. A force that is missing there would pass for it, and the model for right.
-LOUDEST = 1.5
 # Steps of a level that shrink by a steady ratio are taken at once, so many of them at most.
 LONGEST_STRIDE = 5.0
 
@@ -159,14 +156,12 @@ def updated(evidence: RecordEvidence, solution: RecordSolution, least: NoiseMode
         variance = np.where(usual > 0, (square + weight * usual**2) / (freedom + weight), square / freedom)
         level = _limited(np.sqrt(variance), noise.response[name])
         response[name] = np.where(channels.present, np.maximum(level, least.response[name]), noise.response[name])
-    for (name, i), cell in evidence.load_cell_channels.items():
-        if cell.shown:
-            response[name][i] = min(response[name][i], max(LOUDEST * cell.shown, least.response[name][i]))
+    for (name, i), sensor in evidence.input_channels.items():
+        response[name][i] = min(response[name][i], max(sensor.loudest, least.response[name][i]))
     noise = replace(noise, taken_up=taken.response.get(CALIBRATED))
     most = np.full(len(force), np.inf)
     for dof, cell in evidence.load_cells.items():
-        if cell.shown:
-            most[dof] = max(LOUDEST * cell.shown, least.force[dof])
+        most[dof] = max(cell.loudest, least.force[dof])
     force = np.clip(_limited(force, noise.force), least.force, most)
     return replace(noise, response=response, force=force, discrepancy=discrepancy)
 

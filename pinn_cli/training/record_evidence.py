@@ -176,9 +176,14 @@ class RecordEvidence:
         }
 
     @cached_property
+    def input_channels(self) -> dict[tuple[str, int], SensorSamples]:
+        """Those of :attr:`sensors` that measure an input."""
+        return {place: sensor for place, sensor in self.sensors.items() if sensor.channel.is_input}
+
+    @cached_property
     def load_cell_channels(self) -> dict[tuple[str, int], SensorSamples]:
-        """Those of :attr:`sensors` that are load cells."""
-        return {place: sensor for place, sensor in self.sensors.items() if sensor.channel.quantity == FORCE}
+        """Those of :attr:`input_channels` that are load cells."""
+        return {place: sensor for place, sensor in self.input_channels.items() if sensor.channel.quantity == FORCE}
 
     def log_evidence(self, point: Point, noise: NoiseModel, readout_log_determinant: float) -> float:
         """The record's own part, without the parameters' prior and without their share of the Hessian."""

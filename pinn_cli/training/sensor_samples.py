@@ -15,6 +15,9 @@ from pinn_cli.record.spectrum import FAR_BELOW, level_at_end, lowest_level, visi
 # Where a sensor's noise starts that no spectrum shows, over the spread of its channel, unless the emptiest part of its
 # spectrum has less.
 FIRST_SENSOR = 0.1
+# Times that the sensor of an input may be as noisy as its spectrum shows: what is more lies in the band of the input
+# alone, and is none of its noise. A force that is missing there would pass for it, and the model for right.
+LOUDEST = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +77,11 @@ class SensorSamples:
     def most(self) -> float:
         """Noise that it has at most: what the emptiest part of its spectrum has."""
         return np.inf if self.run is None else lowest_level(*self.run)
+
+    @property
+    def loudest(self) -> float:
+        """Noise that it may be found to have where it measures an input."""
+        return LOUDEST * (self.shown or self.most)
 
     @property
     def first(self) -> float:

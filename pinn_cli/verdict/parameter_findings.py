@@ -98,6 +98,9 @@ def _undetermined(p: ParameterEstimate, kind: str) -> Finding | None:
         return None
     value, size = abs(p.estimate), p.parameter.magnitude if p.parameter.may_vanish else 0.0
     if value <= 1e-9 * max(abs(p.prescribed), p.std) and size == 0.0:
+        if p.held:
+            text = f"the record does not determine {p.name}: it is held at its bound, and below {p.upper_90:.3g} (95 %)"
+            return Finding("not_identified", p.name, f"{text}; prescribe it, or measure nearer to it")
         text = f"{p.name} ended at zero"
         return Finding("parameter", p.name, f"{text}; check the model, or start elsewhere (scheme.initial.{p.name})")
     allowed = IDENTIFIED if kind in ("m", "k") else ROUGHLY_IDENTIFIED

@@ -127,6 +127,9 @@ def test_an_unknown_parameter_at_zero_or_undetermined(right_estimate):
     problem, estimate = right_estimate
     (found,) = parameter_findings(problem, with_parameter(estimate, "k_1", estimate=0.0), problem.structure)
     assert (found.suspect, "ended at zero" in found.text) == ("k_1", True)
+    held = with_parameter(estimate, "k_1", estimate=0.0, held=True)
+    (found,) = parameter_findings(problem, held, problem.structure)
+    assert (found.kind, found.suspect) == ("not_identified", "k_1")
     assert of_parameters(problem, with_parameter(estimate, "k_1", std=3.0)) == [("not_identified", "k_1")]
     rough = replace(problem, uncertain=(Parameter("kappa", 0, 1.0, 1.0, unknown=True),))
     named = with_parameter(estimate, "k_1", kind="kappa", std=3.0)

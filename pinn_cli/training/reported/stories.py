@@ -70,10 +70,9 @@ def of_free_running(inference: Inference, free: FreeRunning, estimate: Estimate)
     equations, varying = inference.evidence.equations, np.hypot(free.varying, story_distance(inference, free, estimate))
     misfit = varying, np.ones(len(varying))
     parameters, correlation, known = parameter_posterior(equations, free.trained, misfit, free.covariance)
-    if not any(p.held for p in parameters):
-        # A mean that a bound moves is no longer what makes the structure run; of one on its bound there is no other.
-        modes = free.trained.solution.point.parameters.numpy() * equations.scale
-        parameters = [_at_mode(p, p.parameter.value(float(x))) for p, x in zip(parameters, modes, strict=False)]
+    # Means that a bound moves are no longer what makes the structure run.
+    modes = np.maximum(free.trained.solution.point.parameters.numpy(), equations.lower) * equations.scale
+    parameters = [_at_mode(p, p.parameter.value(float(x))) for p, x in zip(parameters, modes, strict=False)]
     point = Point(inference.trained.solution.point.unknowns, free.trained.solution.point.parameters)
     moved = replace(inference.trained, solution=replace(inference.trained.solution, point=point))
     pairs = zip(estimate.by_record, inference.evidence.each_record(misfit_history, moved), strict=True)

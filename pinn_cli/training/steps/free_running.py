@@ -108,7 +108,7 @@ def _stiffer(evidence: RecordEvidence, solution: RecordSolution, end: float, fir
     response = {q: np.sqrt(level**2 + part * size.get(q, 0.0)) for q, level in first.response.items()}
     discrepancy = max(solution.noise.discrepancy / SCAN_FACTOR, end)
     of_force = np.clip(discrepancy / (PARTS_LEFT[0] * first.discrepancy), FORCE_LEFT, 1.0)
-    for name, i in evidence.load_cell_channels:
+    for name, i in evidence.input_channels:
         response[name][i] *= of_force
     return replace(solution.noise, response=response, force=of_force * first.force, discrepancy=discrepancy)
 
