@@ -229,6 +229,14 @@ def _by_kind(structure: Structure, kind: str) -> np.ndarray:
     return (above - below)[:, connections] / (2.0 * step.numpy()[which])
 
 
+def undamped_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) omega^2, (rad/s)^2, ascending, and (n, n) shapes v of the coordinates with v' M v = 1, one a column."""
+    m = structure.parameters_like(np.empty(0))[MASS]
+    stretch = structure.incidence.matrix.toarray() / np.sqrt(m)
+    squares, shapes = np.linalg.eigh(stretch.T @ (at_rest(structure)[0][:, None] * stretch))
+    return squares, shapes / np.sqrt(m)[:, None]
+
+
 def frequency_with_oscillator(structure: Structure, place: np.ndarray, mass: float, alone: float) -> float:
     """Natural frequency, Hz, of the mode in which an oscillator moves most that is attached to a DOF.
 

@@ -267,7 +267,7 @@ class Estimate:
             history; empty of a lone one. Motion, forces and noise are then those of the first, ``parameters`` and
             ``correlation`` those of all records.
         rivals: Other solutions that explain the record as well.
-        damping_doubt: What the record says of another model of damping; None where that was not asked.
+        damping_doubt: What spectra say of another model of damping; None where no spectra told the parameters.
         disagreements: Of every record that was solved together with others; none of a lone one.
         known: Of ``parameters``, before bounds cut anything off; None where the training gives no covariance.
         end: Where the motion ended; None where the training does not say, or of several records.

@@ -20,7 +20,6 @@ from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
-from pinn_cli.training.doubts.damping_score import scored_damping
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.estimator import Training, built
 from pinn_cli.training.function_space.training import MOST_RESIDUALS, FunctionSpaceGaussNewton
@@ -102,11 +101,10 @@ class GaussNewton(Training):
         for equations, point in inference.by_record:
             equations.network.readout.data = equations.readout(point)
         estimate = posterior_estimate(inference.evidence, inference.trained, history)
-        doubt = None if self.weights else scored_damping(inference)
         summary = estimate.summary | {
             "narrowed_by_refinement": inference.narrowed, "at_marginal_peak": inference.at_marginal_peak,
         }  # fmt: skip
-        estimate = replace(estimate, summary=summary, rivals=inference.rivals, handed_over=handed, damping_doubt=doubt)
+        estimate = replace(estimate, summary=summary, rivals=inference.rivals, handed_over=handed)
         if not inference.evidence.problem.structure.shares_coordinates(problem.structure):
             estimate = replace(estimate, structure=inference.evidence.problem.structure)
         estimate = with_stories(inference, estimate)

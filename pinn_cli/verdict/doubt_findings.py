@@ -9,6 +9,7 @@ import numpy as np
 from pinn_cli.system.left_out import (
     BACKLASH,
     CUBIC,
+    DAMPED_MODE,
     DAMPER,
     DRIFT,
     FRICTION,
@@ -33,6 +34,8 @@ MATTERS = 1.0
 RATIOS_APART = 0.1
 # Share of what is left that is worth a word.
 LEAST_SHARE = 0.05
+# What lets every mode have its own.
+OF_MODES = "try system.damping={ratio: [null, ...]}, a null for each mode in the band"
 # Numbers that are held.
 HELD = {"m": "mass", SPRING: "stiffness", DAMPER: "damping"}
 # What a connection lacks, with its size and its shape.
@@ -65,14 +68,9 @@ LAWS = {
 
 
 def doubt_findings(estimate: Estimate) -> list[Finding]:
-    """One of each doubt that makes the record far more probable; those that move nothing are told of a sound run.
-
-    Beside another model of damping that makes it more probable still the others are not told: they stand in for it.
-    """
-    damping = _other_damping(estimate)
-    least = estimate.damping_doubt.log_odds if damping and estimate.damping_doubt is not None else 0.0
+    """One of each doubt that makes the record far more probable; those that move nothing are told of a sound run."""
     held = {p.name for p in estimate.parameters if p.held}
-    return [_finding(doubt, held) for doubt in estimate.doubts if doubt.log_odds > least] + damping
+    return [_finding(doubt, held) for doubt in estimate.doubts] + _other_damping(estimate)
 
 
 def _other_damping(estimate: Estimate) -> list[Finding]:
@@ -87,7 +85,7 @@ def _other_damping(estimate: Estimate) -> list[Finding]:
     if difference[worst] < RATIOS_APART:
         return []
     model, remedy = (
-        ("a damping ratio for each mode", "try system.damping={ratio: [null, ...]}, a null for each mode in the band")
+        ("a damping ratio for each mode", OF_MODES)
         if doubt.of_modes
         else ("dampers of the connections beside its ratios", "let c be unknown as well")
     )
@@ -123,6 +121,7 @@ def _said(doubt: Doubt) -> tuple[str, str]:
             f"a mode at {doubt.shape:.3g} Hz is not in the model: as if {abs(doubt.value):.2g} kg swung on {doubt.of}",
             "add its mass and spring (system=structure), or keep to the band below (data.decimate)",
         ),
+        DAMPED_MODE: (f"the damping ratio of {doubt.of} is another one, by {changed}", OF_MODES),
         SLIDING: (
             f"{number} on {doubt.of} slide, beyond about {doubt.shape:.2g} m/s^2",
             "fasten what lies there, or record a smaller motion",

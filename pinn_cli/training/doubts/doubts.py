@@ -4,7 +4,7 @@ A doubt is a parameter that the model does not have: a force of a connection, a 
 DOF, or what a sensor shows beside what it is said to feel. Its rows at the solution are a column. Columns and
 residuals, with the motion projected out, are compared band by band, each of which has a level of its own
 (`left_spectra`). The doubt with which the record is most probable is freed, and the others are asked again; what
-either half of the record says of it must hold in the other one.
+either half of the record says of it must hold in the other one, and what later ones explain as well is dropped.
 """
 
 from __future__ import annotations
@@ -100,20 +100,37 @@ def _chosen(
     refuted: set[tuple[str, str]] = set()
     candidates: list[ForceTerm | SensorTerm] = [*forces, *sensors]
     for _ in range(MOST_CHOSEN):
-        open_terms = [term for term in candidates if (term.term.kind, term.term.of) not in refuted]
-        best, gain = solution.asked([*chosen, *open_terms]).best(len(chosen))
+        best, gain = _best(solution, chosen, candidates, refuted)
         if not gain > max([DECISIVE_DOUBT, *(FURTHER_SHARE * first for first in gains[:1])]):
             break
-        for span in SPANS:
-            finer = best.finer(span) if isinstance(best, ForceTerm) else []
-            if finer:
-                best, gain = solution.asked([*chosen, *finer]).best(len(chosen))
         if solution.gain_in_other_half([*chosen, best]) > HELD_TRUE * gain:
-            chosen.append(best)
-            gains.append(gain)
+            chosen, gains, replaced = solution.needed([*chosen, best])
         else:
-            refuted.add((best.term.kind, best.term.of))
+            replaced = [best]
+        refuted |= {(term.term.kind, term.term.of) for term in replaced}
+    for term, gain in zip(chosen, gains, strict=True) if len(chosen) > 1 else ():
+        rest = [other for other in chosen if other is not term]
+        best, of_best = _best(solution, rest, candidates, refuted)
+        far = of_best > gain + DECISIVE_DOUBT and len(rest) < len(chosen)
+        if far and solution.gain_in_other_half([*rest, best]) > HELD_TRUE * of_best:
+            chosen, gains, _ = solution.needed([*rest, best])
     return chosen, gains
+
+
+def _best(
+    solution: _Solution,
+    chosen: Sequence[ForceTerm | SensorTerm],
+    candidates: Sequence[ForceTerm | SensorTerm],
+    refuted: set[tuple[str, str]],
+) -> tuple[ForceTerm | SensorTerm, float]:
+    """The candidate, in its best shape, that makes the record most probable beside those that are chosen."""
+    open_terms = [term for term in candidates if (term.term.kind, term.term.of) not in refuted]
+    best, gain = solution.asked([*chosen, *open_terms]).best(len(chosen))
+    for span in SPANS if gain > DECISIVE_DOUBT else ():
+        finer = best.finer(span) if isinstance(best, ForceTerm) else []
+        if finer:
+            best, gain = solution.asked([*chosen, *finer]).best(len(chosen))
+    return best, gain
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +218,21 @@ class _Solution:
             gain += other.spectra.minus_log_after(without.step) - other.spectra.minus_log_after(whole.step)
         return gain
 
+    def needed(
+        self, terms: Sequence[ForceTerm | SensorTerm]
+    ) -> tuple[list[ForceTerm | SensorTerm], list[float], list[ForceTerm | SensorTerm]]:
+        """Those with which the record is far more probable than with the others alone, by how much, and the rest.
+
+        The most probable one is first. What was the best guess alone may stand in for what was found after it.
+        """
+        gains = self.asked(terms).gains_beside_others()
+        ranked = sorted(zip(gains, terms, strict=True), key=lambda pair: -pair[0])
+        kept, least = [term for _, term in ranked], ranked[-1][0]
+        if least > DECISIVE_DOUBT or len(kept) == 1:
+            return kept, [gain for gain, _ in ranked], []
+        needed, gains, rest = self.needed(kept[:-1])
+        return needed, gains, [*rest, kept[-1]]
+
     def at_its_mode(self, doubt: Doubt, term: ForceTerm | SensorTerm, step: np.ndarray) -> Doubt:
         """Of an attached oscillator with the frequency of the whole, in place of its own while its DOF is held."""
         if doubt.kind != MODE or not isinstance(term, ForceTerm):
@@ -252,6 +284,16 @@ class _Asked:
         for count in range(1, chosen + 1):
             fits.append(self.spectra.fit([*self.free, *self.places[:count]], fits[-1].energy))
         return fits
+
+    def gains_beside_others(self) -> list[float]:
+        """Of each term, the logarithm of how many times as probable the record is with it beside all others."""
+        whole = self.fits(len(self.terms))[-1]
+        return [
+            self.spectra.fit([*self.free, *(other for other in self.places if other != place)], whole.energy).minus_log
+            - whole.minus_log
+            - 0.5 * float(np.log(max(whole.information[place], 1.0)))
+            for place in self.places
+        ]
 
     def best(self, chosen: int) -> tuple[ForceTerm | SensorTerm, float]:
         """The term that makes the record most probable beside the first ones, and its gain."""

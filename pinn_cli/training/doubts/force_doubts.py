@@ -17,10 +17,24 @@ from torch import Tensor
 from pinn_cli.record.channel import WIDEST_DELAY
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.spectrum import signal_band
+from pinn_cli.system.damping import RATIO
 from pinn_cli.system.functions import Jet
-from pinn_cli.system.left_out import LEFT_OUT, MODE, SLIDES_AT, SLIDING, SPRING, LeftOut, resonance, rms, sliding
+from pinn_cli.system.left_out import (
+    DAMPED_MODE,
+    LEFT_OUT,
+    MODE,
+    SLIDES_AT,
+    SLIDING,
+    SPRING,
+    LeftOut,
+    resonance,
+    rms,
+    sliding,
+)
+from pinn_cli.system.modes import undamped_modes
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE, MOTION
+from pinn_cli.training.doubts.other_damping import USUAL
 from pinn_cli.training.doubts.sensor_doubts import DELAY, Term, delays
 from pinn_cli.training.factors.channel_at_point import sparse_rows
 from pinn_cli.training.noise_model import NoiseModel
@@ -176,6 +190,22 @@ class _Forces:
 
         return replace(plain, reshaped=again, ratio=SLIDES_AT[1] / SLIDES_AT[0])
 
+    def of_modes(self, point: Point) -> Iterator[ForceTerm]:
+        """More or less damping of a mode, but where its ratio is a parameter that may move."""
+        dynamics, uncertain = self.equations.dynamics, self.equations.uncertain
+        structure = dynamics.structure
+        values = self.equations.parameters(point)
+        present = replace(structure, parameters={kind: values[kind] for kind in structure.parameters})
+        mass = values[MASS].numpy()
+        moving = {p.index for p in uncertain if p.kind == RATIO}
+        rate = self.motion.rate[:, : dynamics.ndof].numpy()
+        squares, shapes = undamped_modes(present)
+        for mode, (square, shape) in enumerate(zip(squares, shapes.T, strict=True)):
+            omega, pull = max(square, 0.0) ** 0.5, mass * shape
+            if 0.0 < omega < 2.0 * np.pi * self.highest and mode not in moving:
+                unit = 2.0 * omega * (rate @ pull)
+                yield self.term(Term(DAMPED_MODE, f"mode {mode + 1}", "", 1.0), pull, unit, USUAL * rms(unit))
+
     def of_loads(self) -> Iterator[ForceTerm]:
         """Load cells that show a force late; what is above their band is noise, which a derivative makes more of."""
         record = self.equations.problem.record
@@ -226,7 +256,7 @@ def force_terms(equations: NormalEquations, point: Point) -> list[ForceTerm]:
     motion = Jet(*equations.flat_states(equations.physics, point)[:3])
     made = _Forces(equations, motion, equations.target.physics_time.numpy())
     loads = () if equations.problem.inputs.loads else made.of_loads()  # or they are channels, see `sensor_terms`
-    carried = (*made.of_masses(), *made.of_sliding_masses(), *made.of_oscillators())
+    carried = (*made.of_modes(point), *made.of_masses(), *made.of_sliding_masses(), *made.of_oscillators())
     return [*made.of_connections(point), *carried, *loads]
 
 

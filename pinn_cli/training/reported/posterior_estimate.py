@@ -104,8 +104,9 @@ def record_estimate(evidence: RecordEvidence, solution: RecordSolution) -> Estim
         _values_taken(evidence, solution),
     )
     summary |= _of_unknown_forces(equations, solution)
-    if equations.known_parameters is not None:
-        summary["spectral_misfit"] = equations.known_parameters.misfit
+    known = equations.known_parameters
+    if known is not None:
+        summary["spectral_misfit"] = known.misfit
     connections, misfit = _connections(posterior, response), misfit_history(evidence, solution)
     left = {
         name: samples
@@ -122,6 +123,7 @@ def record_estimate(evidence: RecordEvidence, solution: RecordSolution) -> Estim
         connections=connections,
         misfit=misfit,
         left=left,
+        damping_doubt=None if known is None else known.damping_doubt,
     )
 
 
