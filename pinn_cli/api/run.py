@@ -16,7 +16,8 @@ from typing import Any, Literal, overload
 
 from pinn_cli.api.data import settings_of
 from pinn_cli.api.results import Result, SweepResult, load
-from pinn_cli.cli.command_line import REPORTED, WITHOUT_LOGS, Jobs, Silence, Task, perform
+from pinn_cli.cli.command_line import REPORTED, WITHOUT_LOGS, Jobs, Task, perform
+from pinn_cli.cli.terminal import SILENCE
 from pinn_cli.main import run as run_job
 from pinn_cli.runs.interruption import watched
 from pinn_cli.runs.process import borrowed
@@ -114,7 +115,7 @@ def run(
                 arguments[1:1] = ["--config-dir", os.fspath(config_dir)]
             if place is not None:
                 arguments.append(f"hydra.{'sweep' if multirun else 'run'}.dir={quoted(str(place))}")
-            result = load(performed(partial(run_job, terminal=Silence()), arguments))
+            result = load(performed(partial(run_job, terminal=SILENCE), arguments))
         on_failure.pop_all()
     if temporary is not None:
         weakref.finalize(result, shutil.rmtree, temporary, ignore_errors=True)
@@ -145,7 +146,7 @@ def performed(task: Task, arguments: Sequence[str]) -> Path:
         task: Called with the composed configuration.
         arguments: As `sys.argv` has them.
     """
-    jobs = Jobs(task, Silence(), of_hydra=WITHOUT_LOGS)
+    jobs = Jobs(task, SILENCE, of_hydra=WITHOUT_LOGS)
     try:
         with borrowed(arguments):
             here = Path.cwd()
