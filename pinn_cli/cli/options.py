@@ -114,21 +114,16 @@ def _take_out(options: Namespace, word: str) -> None:
         if setting_of(override) in left_out:
             raise InputError(setting_of(override), override.partition("=")[2], f"left out with {word}", hint)
     options.overrides.remove(word)
-    if word in ("inspect", "modes"):
-        options.overrides = _with_file(options.overrides)
+    files = [name for name in options.overrides if "=" not in name and not name.startswith("~")]
+    if word in ("inspect", "modes") and files:  # `inspect rig.csv` is `data=csv data.path=rig.csv`
+        others = [override for override in options.overrides if override not in files]
+        options.overrides = [*settings_of_files(files, others), *others]
     if word == "follow" and not any(setting_of(o) == setting_of(_FOLLOWS_IN) for o in options.overrides):
         options.overrides.append(_FOLLOWS_IN)
 
 
-def _with_file(overrides: list[str]) -> list[str]:
-    """`inspect rig.csv` as `data=csv data.path=rig.csv`; several files stand on one clock."""
-    files = [word for word in overrides if "=" not in word and not word.startswith("~")]
-    others = [override for override in overrides if override not in files]
-    return [*settings_of_files(files, others), *others] if files else overrides
-
-
 def settings_of_files(files: Sequence[str], others: Sequence[str]) -> list[str]:
-    """What has a record read from files, whose format is recognised unless one of the other overrides says it.
+    """What has a record read from files on one clock, whose format is recognised unless another override says it.
 
     Raises:
         InputError: A file is missing, or in no format that anybody here reads.

@@ -17,12 +17,20 @@ from pinn_cli.record.channels import channels
 from pinn_cli.record.record import Record, Truth
 from pinn_cli.record.response import MEASURED_QUANTITIES, Response
 from pinn_cli.report import parameters, text
-from pinn_cli.report.estimates import ModeEstimates, dissipated_energy, drift_table, drifts, energy_table, mode_table
+from pinn_cli.report.estimates import (
+    ModeEstimates,
+    dissipated_energy,
+    drift_table,
+    drifts,
+    energy_table,
+    mode_table,
+    restoring_curves,
+    restoring_table,
+)
 from pinn_cli.report.export import Export
 from pinn_cli.report.fitness import FORMULAS, fitness_table, residual_table
 from pinn_cli.report.free_run import FreeRun, ValidationRun, free_run, free_run_table, validation_table, with_noise_of
 from pinn_cli.report.published import fitness_of
-from pinn_cli.report.restoring import restoring_curves, restoring_table
 from pinn_cli.report.results import Results, RunDescription, record_folder, with_labels
 from pinn_cli.report.run_record import run_record, write_run_model
 from pinn_cli.runs.side_by_side import in_a_copy, side_by_side
@@ -36,8 +44,6 @@ from pinn_cli.verdict.parameter_findings import posterior_findings
 
 if TYPE_CHECKING:
     import xarray as xr
-
-    from pinn_cli.report.page import Page
 
 # Parts that the figures are drawn in, side by side.
 _SHARES = 2
@@ -274,8 +280,13 @@ class RunReport:
                 write_table(table, directory / name)
             if not results.estimate.peaks:
                 write_run_model(results, verdict, directory)
-        page = None if drawn is None else self._page()
+        page = None
         if drawn is not None:
+            # Not above: who draws nothing has no need of templates.
+            from pinn_cli.report.page import run_page
+
+            # All of it but the figures, which are still being drawn.
+            page = run_page(results, verdict, self.tables[0], self.residuals, self._warnings, self.validation)
             with self.stages("figures"):
                 self._draw_tables()
                 drawn()
@@ -289,14 +300,6 @@ class RunReport:
             with self.stages("page"):
                 page.write(directory)
         write_json(run_record(results, verdict, self.stages.seconds), directory / "run.json")
-
-    def _page(self) -> Page:
-        """All of ``report.html`` but the figures, which are still being drawn."""
-        # Not above: who draws nothing has no need of templates.
-        from pinn_cli.report.page import run_page
-
-        fitness, table = self.tables[0]
-        return run_page(self.results, self.verdict, table, fitness, self.residuals, self._warnings, self.validation)
 
     @property
     def _warnings(self) -> list[str]:
@@ -320,14 +323,13 @@ class RunReport:
 
     def _draw_tables(self) -> None:
         """Draw what is not drawn of the results alone."""
-        from pinn_cli.report.figures import validation_figure, write_over_time_figure
-        from pinn_cli.report.figures.style import save
+        from pinn_cli.report.figures import over_time_figure, save, validation_figure
 
         place = self.directory / "figures"
         if self.validation is not None and self.validation[0].response is not None:
             save(validation_figure(self.validation[0], self._tried), place, "validation")
         if self.over_time is not None:
-            write_over_time_figure(self.over_time, place)
+            save(over_time_figure(self.over_time), place, "parameters_over_time")
 
 
 def estimator_tables(
