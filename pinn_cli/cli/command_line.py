@@ -29,9 +29,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from pinn_cli.cli.help import help_text
+from pinn_cli.cli.help import explain, help_text
 from pinn_cli.cli.options import read_options
-from pinn_cli.cli.override_errors import explain
 from pinn_cli.cli.terminal import AS_JSON, QUIET, Terminal
 from pinn_cli.runs.claim import Claim, discard, entered
 from pinn_cli.runs.interruption import Interruption, stop_if_asked, watched

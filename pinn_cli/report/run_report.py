@@ -28,9 +28,8 @@ from pinn_cli.report.estimates import (
     restoring_table,
 )
 from pinn_cli.report.export import Export
-from pinn_cli.report.fitness import FORMULAS, fitness_table, residual_table
+from pinn_cli.report.fitness import FORMULAS, fitness_table, published_fitness_of, residual_table
 from pinn_cli.report.free_run import FreeRun, ValidationRun, free_run, free_run_table, validation_table, with_noise_of
-from pinn_cli.report.published import fitness_of
 from pinn_cli.report.results import Results, RunDescription, record_folder, with_labels
 from pinn_cli.report.run_record import run_record, write_run_model
 from pinn_cli.runs.side_by_side import in_a_copy, side_by_side
@@ -238,7 +237,7 @@ class RunReport:
         paragraphs = [
             "" if results.run.simulated else text.sensors_text(self.residuals, results.run.baseline),
             text.parameters_text(parameter_table, self._warnings, theirs),
-            text.fitness_text(fitness, results.record.observed, fitness_of(self.labels)),
+            text.fitness_text(fitness, results.record.observed, published_fitness_of(self.labels)),
             text.free_run_text(*free, results.run.truth_label) if scored else text.free_run_line(*free),
             text.stories_text(estimate.stories),
             "" if posterior is None else text.diagnostics_text(posterior.diagnostics, posterior.verdict),
