@@ -17,18 +17,10 @@ from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.inspecting import inspected_record, modes_of_records
 from pinn_cli.cli.prepare import check_records, prepare_problem, prepare_windows
 from pinn_cli.cli.terminal import SILENCE, Terminal
+from pinn_cli.runs import resume
 from pinn_cli.runs.claim import current
 from pinn_cli.runs.identity import flattened
 from pinn_cli.runs.process import collect_rarely, is_borrowed
-from pinn_cli.runs.resume import (
-    CHECKPOINTS,
-    RESULT,
-    asked_to_resume,
-    check_sound,
-    is_finished,
-    is_tracked,
-    stored_score,
-)
 from pinn_cli.runs.stages import Stages, signs_of_life
 from pinn_cli.settings.override_syntax import quoted
 from pinn_cli.settings.yaml_file import SCHEME
@@ -74,7 +66,7 @@ class Job:
     def outdated(self) -> list[str]:
         """Files of an earlier run whose place this one takes: its result, and checkpoints that it does not use."""
         checkpoints = self.context.checkpoints
-        return [RESULT, *([] if checkpoints is None or checkpoints.taken_up else CHECKPOINTS)]
+        return [resume.RESULT, *([] if checkpoints is None or checkpoints.taken_up else resume.CHECKPOINTS)]
 
 
 class Start:
@@ -98,8 +90,8 @@ class Start:
 
     def finished(self) -> tuple[bool, bool]:
         """Whether it is to go on and has finished, and whether its tracker has it too."""
-        ended = self.resumes and is_finished(self.directory, self.composed, self.base)
-        return ended, ended and is_tracked(self.directory, self.composed)
+        ended = self.resumes and resume.is_finished(self.directory, self.composed, self.base)
+        return ended, ended and resume.is_tracked(self.directory, self.composed)
 
     def prepared(self, config: RunConfig) -> Job | WindowedRun:
         """Everything that may find fault with the input; nothing is written."""
@@ -159,7 +151,7 @@ class Start:
                 current().take(prepared.outdated)
                 carry_out(prepared, tracked.row)
             else:
-                current().take([RESULT])
+                current().take([resume.RESULT])
                 current().settle()
                 text = prepared.carry_out(self.stages, tracked.row)
             with self.stages("tracking"):
@@ -187,7 +179,7 @@ def run_job(start: Start, carry_out: Callable[[Job, Watch], None]) -> float | No
     if not is_borrowed():
         collect_rarely()
     with start.stages("config"):
-        start.resumes = asked_to_resume(composed, directory)
+        start.resumes = resume.asked_to_resume(composed, directory)
         ended, done = start.finished()
         config = None if done else RunConfig.read(composed, start.base, start.follows)
     if config is not None:
@@ -203,8 +195,8 @@ def run_job(start: Start, carry_out: Callable[[Job, Watch], None]) -> float | No
         start.terminal.say(text)
     start.terminal.conclude(directory)
     if composed.get("strict") is True:
-        check_sound(directory)
-    return stored_score(directory)
+        resume.check_sound(directory)
+    return resume.stored_score(directory)
 
 
 @contextmanager

@@ -16,17 +16,7 @@ import pandas as pd
 from pinn_cli.record.channels import channels
 from pinn_cli.record.record import Record, Truth
 from pinn_cli.record.response import MEASURED_QUANTITIES, Response
-from pinn_cli.report import parameters, text
-from pinn_cli.report.estimates import (
-    ModeEstimates,
-    dissipated_energy,
-    drift_table,
-    drifts,
-    energy_table,
-    mode_table,
-    restoring_curves,
-    restoring_table,
-)
+from pinn_cli.report import estimates, parameters, text
 from pinn_cli.report.export import Export
 from pinn_cli.report.fitness import FORMULAS, fitness_table, published_fitness_of, residual_table
 from pinn_cli.report.free_run import FreeRun, ValidationRun, free_run, free_run_table, validation_table, with_noise_of
@@ -104,16 +94,16 @@ class RecordReport:
         from pinn_cli.report.netcdf import response_dataset, write_dataset
 
         results, labels = self.results, self.results.run.labels_of(estimator="pinn")
-        stretched = drifts(results.prescribed, results.estimate, results.truth.response)
+        stretched = estimates.drifts(results.prescribed, results.estimate, results.truth.response)
         tables = {
             "free_run": with_labels(self.free_run[1], labels | {"estimator": "free_run"}),
-            "drift": with_labels(drift_table(stretched), labels),
-            "energy": with_labels(energy_table(dissipated_energy(results)), labels),
+            "drift": with_labels(estimates.drift_table(stretched), labels),
+            "energy": with_labels(estimates.energy_table(estimates.dissipated_energy(results)), labels),
             "fitness": below(*[fitness for fitness, _ in self.tables]),
             "residuals": below(*self.residuals),
         }
-        if curves := restoring_curves(results):
-            tables["restoring"] = with_labels(restoring_table(curves), labels)
+        if curves := estimates.restoring_curves(results):
+            tables["restoring"] = with_labels(estimates.restoring_table(curves), labels)
         for name, table in tables.items():
             write_table(table, self.directory / f"{name}.csv")
         dataset = response_dataset(results, self.free_run[0].response)
@@ -214,8 +204,8 @@ class RunReport:
     def _tried(self) -> Estimate:
         """What is tried on other data: of several records that from which it goes on, and the noise of all sensors."""
         assert self.results.validation is not None
-        estimates = [of_record.estimate for of_record in self.results.by_record]
-        return with_noise_of(estimates[self.results.validation.of], estimates)
+        found = [of_record.estimate for of_record in self.results.by_record]
+        return with_noise_of(found[self.results.validation.of], found)
 
     @cached_property
     def over_time(self) -> pd.DataFrame | None:
@@ -350,11 +340,11 @@ def _with_posterior(results: Results) -> Results:
     if results.posterior is None:
         return results
     samples = results.posterior.samples
-    estimates = parameters.parameter_estimates(samples, [p.parameter for p in results.estimate.parameters])
+    means = parameters.parameter_estimates(samples, [p.parameter for p in results.estimate.parameters])
     correlation = parameters.posterior_correlation(samples.pooled)
 
     def sampled(of_record: Results) -> Results:
-        return replace(of_record, estimate=replace(of_record.estimate, parameters=estimates, correlation=correlation))
+        return replace(of_record, estimate=replace(of_record.estimate, parameters=means, correlation=correlation))
 
     return replace(sampled(results), further=tuple(map(sampled, results.further)))
 
@@ -379,9 +369,9 @@ def write_tables(results: Results, parameter_table: pd.DataFrame, directory: Pat
     """Write the tables of a run that all its records have in common: parameters as they are given, modes, history."""
     estimate, labels = results.estimate, results.run.labels_of(estimator="pinn")
     files = {"parameters": parameter_table, "history": estimate.history}
-    modes = ModeEstimates.of(results.prescribed, estimate, results.true)
+    modes = estimates.ModeEstimates.of(results.prescribed, estimate, results.true)
     if modes is not None:
-        files["modes"] = with_labels(mode_table(modes), labels)
+        files["modes"] = with_labels(estimates.mode_table(modes), labels)
     if results.score is not None:
         files["score"] = results.score.table
     if any(p.unknown for p in estimate.parameters):
