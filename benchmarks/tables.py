@@ -25,7 +25,7 @@ from benchmarks.__main__ import counted
 from benchmarks.gallery import DOCS, performed
 from benchmarks.written import ROOT, markdown, write
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.report import published
+from pinn_cli.report.fitness import published
 
 SPARSE = (
     "sr_6dof_snr50", "sr_6dof_snr20", "sr_6dof_snr10", "sr_20dof_snr50", "sr_6dof_linear", "sr_6dof_perturbed",
@@ -75,7 +75,7 @@ def texts(values: np.ndarray, form: str = "{:.2f}") -> str:
 
 def published_fitness(case: str) -> str:
     """Of u, u', u'' over all DOFs, and of the force where there is a load cell, %."""
-    table = published.fitness().query("case == @case").set_index(["group", "quantity"])["fitness_percent"]
+    table = published("fitness").query("case == @case").set_index(["group", "quantity"])["fitness_percent"]
     loaded = [value for (_, quantity), value in table.items() if quantity == "force"]
     return texts(np.array([*table["all"].reindex(RESPONSE_QUANTITIES), *loaded[:1]]))
 
@@ -106,7 +106,7 @@ def state_parameter() -> str:
     """The paper's six cases with unknown springs."""
     rows = []
     for case in STATE_PARAMETER:
-        found, theirs = run(f"experiment=paper/{case}"), published.parameters().query("case == @case")
+        found, theirs = run(f"experiment=paper/{case}"), published("parameters").query("case == @case")
         ours = pd.read_csv(found.directory / "parameters.csv").set_index("parameter")["error_percent"]
         rows.append({
             "case": case, "published fitness": published_fitness(case), "ours": texts(found.fitness()),

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING
 LOADED = time.perf_counter()
 
 if TYPE_CHECKING:
-    from pinn_cli.api.look import inspect, modes
     from pinn_cli.api.results import Result, SweepResult, load
-    from pinn_cli.api.run import run
+    from pinn_cli.api.run import inspect, modes, run
     from pinn_cli.api.structure import Record, Structure
     from pinn_cli.inspection.mode_report import ModesReport
     from pinn_cli.inspection.report import InspectionReport
@@ -29,14 +28,12 @@ __all__ = [
 
 # Imported when they are asked for (PEP 562): the command and its every worker import this package.
 _WHERE = {
-    "run": "api.run",
-    "inspect": "api.look",
-    "modes": "api.look",
     "InspectionReport": "inspection.report",
     "ModesReport": "inspection.mode_report",
     "Record": "api.structure",
     "Structure": "api.structure",
     "WriteError": "runs.writing",
+    **dict.fromkeys(("inspect", "modes", "run"), "api.run"),
     **dict.fromkeys(("load", "Result", "SweepResult"), "api.results"),
     **dict.fromkeys(("DivergenceError", "InputError", "NotSoundError"), "settings.errors"),
 }

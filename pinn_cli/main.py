@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig
 
 from pinn_cli import LOADED
-from pinn_cli.cli.command_line import Terminal, execute
-from pinn_cli.cli.job import Job, find_modes, inspect, results_of, run_job, shown
+from pinn_cli.cli.command_line import execute
+from pinn_cli.cli.job import Job, Start, find_modes, inspect, results_of, run_job, shown
+from pinn_cli.cli.terminal import Terminal
 from pinn_cli.runs.claim import current
 from pinn_cli.runs.process import is_borrowed, keep_imported
 
@@ -51,8 +52,8 @@ def carry_out(job: Job, watch: Watch) -> None:
 def run(
     composed: DictConfig, began: float | None = None, terminal: Terminal | None = None, follows: bool = False
 ) -> float | None:
-    """Run one job, or go on with it; arguments and value as of :func:`pinn_cli.cli.job.run_job`."""
-    return run_job(composed, began, terminal, follows, carry_out)
+    """Run one job, or go on with it; arguments as of :class:`pinn_cli.cli.job.Start`, value as of `run_job`."""
+    return run_job(Start(composed, began, terminal, follows), carry_out)
 
 
 def main() -> None:

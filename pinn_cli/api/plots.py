@@ -20,7 +20,7 @@ from pinn_cli.cli.source import SIMULATED, chosen_model, read_structure
 from pinn_cli.record.channel import Channel
 from pinn_cli.record.record import Record, Truth
 from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, Response
-from pinn_cli.report.figures import record_drawings, run_drawings
+from pinn_cli.report.figures import record_figures, run_figures
 from pinn_cli.report.figures.posterior import posterior_pairs_figure
 from pinn_cli.report.figures.style import for_notebooks
 from pinn_cli.report.results import LABELS, Results, RunDescription, checked_times
@@ -86,8 +86,8 @@ class Plots:
         place = self._directory
         results = self._results if between is None else replace(self._results, shown=between)
         with undamaged("directory", place):
-            drawings = [*record_drawings(results, place), *run_drawings(results, place)]
-            builders: dict[str, Callable[[], Figure]] = {drawing.name: drawing.build for drawing in drawings}
+            drawn = record_figures(results) | run_figures(results)
+            builders: dict[str, Callable[[], Figure]] = {name: build for name, (_, build) in drawn.items()}
             if (place / "posterior.nc").is_file():
                 draws = read_histories(place / "posterior.nc", "posterior")
                 parameters = [estimate.parameter for estimate in results.estimate.parameters]

@@ -1,4 +1,7 @@
-"""`run`: what the command `pinn-run` does, in this process, with results as values and errors as exceptions."""
+"""`run`, `inspect` and `modes`: what the command does, in this process, with values for results and exceptions.
+
+What a run sets in its process (:mod:`pinn_cli.runs.process`) is afterwards as it was.
+"""
 
 from __future__ import annotations
 
@@ -8,22 +11,35 @@ import signal
 import tempfile
 import threading
 import weakref
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+from omegaconf import DictConfig
 
 from pinn_cli.api.data import settings_of
 from pinn_cli.api.results import Result, SweepResult, load
-from pinn_cli.cli.command_line import REPORTED, WITHOUT_LOGS, Jobs, Silence, Task, perform
+from pinn_cli.cli.command_line import REPORTED, WITHOUT_LOGS, Jobs, Task, perform
+from pinn_cli.cli.inspecting import inspected_record, modes_of_records
+from pinn_cli.cli.job import Report, leave, look
+from pinn_cli.cli.options import settings_of_files
+from pinn_cli.cli.terminal import SILENCE
 from pinn_cli.main import run as run_job
+from pinn_cli.runs.claim import current
 from pinn_cli.runs.interruption import watched
 from pinn_cli.runs.process import borrowed
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import quoted, setting_of
 
-# A run sets what belongs to the process (:mod:`pinn_cli.runs.process`): a second thread waits.
+if TYPE_CHECKING:
+    from pinn_cli.inspection.mode_report import ModesReport
+    from pinn_cli.inspection.proposal import Said
+    from pinn_cli.inspection.report import InspectionReport
+
+# A second thread waits.
 ONE_AT_A_TIME = threading.Lock()
 # The process has logs of its own, which Hydra would replace.
 _ELSEWHERE = {
@@ -114,7 +130,7 @@ def run(
                 arguments[1:1] = ["--config-dir", os.fspath(config_dir)]
             if place is not None:
                 arguments.append(f"hydra.{'sweep' if multirun else 'run'}.dir={quoted(str(place))}")
-            result = load(performed(partial(run_job, terminal=Silence()), arguments))
+            result = load(performed(partial(run_job, terminal=SILENCE), arguments))
         on_failure.pop_all()
     if temporary is not None:
         weakref.finalize(result, shutil.rmtree, temporary, ignore_errors=True)
@@ -145,7 +161,7 @@ def performed(task: Task, arguments: Sequence[str]) -> Path:
         task: Called with the composed configuration.
         arguments: As `sys.argv` has them.
     """
-    jobs = Jobs(task, Silence(), of_hydra=WITHOUT_LOGS)
+    jobs = Jobs(task, SILENCE, of_hydra=WITHOUT_LOGS)
     try:
         with borrowed(arguments):
             here = Path.cwd()
@@ -156,3 +172,108 @@ def performed(task: Task, arguments: Sequence[str]) -> Path:
         raise InputError.read(jobs.reasons[0])
     assert jobs.directory is not None
     return here / jobs.directory
+
+
+def inspect(
+    data: Any = None,
+    *overrides: str,
+    directory: str | os.PathLike[str] | None = None,
+    config_dir: str | os.PathLike[str] | None = None,
+) -> InspectionReport:
+    """Look at a record before anything is estimated, as ``pinn-run inspect`` does.
+
+    Args:
+        data: The path of a file, or a record in memory as :func:`pinn_cli.run` takes it: a pandas DataFrame, names to
+            arrays, a :class:`pinn_cli.Record`, or time series as SDyPy's SEP 5 has them. What columns are is guessed
+            by their names and units unless they or overrides say it. None: overrides say all.
+        *overrides: Settings as the command takes them: ``"data.acceleration={1: a1}"``, ``"data.start=2"``.
+        directory: Where tables and figures are written; None: nothing is.
+        config_dir: A folder of more configurations.
+
+    Returns:
+        ``channels``, ``peaks`` and ``spectra`` (pandas), ``notes``, ``settings`` to run with, and ``figure()``.
+
+    Raises:
+        InputError: There is no record that can be looked at; the message is the command's one line.
+        WriteError: The disk does not take what is written.
+
+    Example:
+        >>> from pinn_cli import inspect, run
+        >>> found = inspect("rig.csv")  # doctest: +SKIP
+        >>> found.channels  # doctest: +SKIP
+        >>> result = run(*found.settings)  # doctest: +SKIP
+    """
+    return _looked(inspected_record, "inspect", data, overrides, directory, config_dir)
+
+
+def modes(
+    data: Any = None,
+    *overrides: str,
+    directory: str | os.PathLike[str] | None = None,
+    config_dir: str | os.PathLike[str] | None = None,
+) -> ModesReport:
+    """Natural frequencies, damping ratios and shapes from records alone, as ``pinn-run modes`` finds them.
+
+    Args:
+        data: See :func:`inspect`; a list of frames is several records.
+        *overrides: Settings as the command takes them. With the parameters of a structure (``"system=linear"``,
+            ``"system.k=4e4"``, ...) its modes stand beside.
+        directory: Where tables and figures are written; None: nothing is.
+        config_dir: A folder of more configurations.
+
+    Returns:
+        ``modes``, ``mac`` and ``spectra`` (pandas), and ``figure()``.
+
+    Raises:
+        InputError: There is no record with a sensor of the motion; the message is the command's one line.
+        WriteError: The disk does not take what is written.
+    """
+    return _looked(modes_of_records, "modes", data, overrides, directory, config_dir)
+
+
+def _looked(
+    at: Callable[[DictConfig, Path, Said], Report],
+    word: str,
+    data: Any,
+    overrides: Sequence[str],
+    directory: str | os.PathLike[str] | None,
+    config_dir: str | os.PathLike[str] | None,
+) -> Report:
+    """What the command of this word finds."""
+    check_overrides(overrides, word)
+    kept: list[Report] = []
+
+    def task(composed: DictConfig) -> None:
+        kept.append(look(composed, at))
+        if directory is None:
+            current().untouched = True
+        else:
+            leave(kept[0], composed)
+
+    with (
+        tempfile.TemporaryDirectory(prefix="pinn-run-") as nowhere,
+        ONE_AT_A_TIME,
+        _settings(data, overrides) as of_data,
+    ):
+        place = Path(nowhere) / "look" if directory is None else Path(directory).expanduser().absolute()
+        options = [] if config_dir is None else ["--config-dir", os.fspath(config_dir)]
+        performed(task, ["pinn-run", *options, word, *of_data, *overrides, f"hydra.run.dir={quoted(str(place))}"])
+    return kept[0]
+
+
+@contextmanager
+def _settings(data: Any, overrides: Sequence[str]) -> Iterator[list[str]]:
+    """The settings that have a look read some data; what names do not say is guessed."""
+    from pinn_cli.record.record import Record
+
+    if isinstance(data, str | os.PathLike):
+        yield settings_of_files([os.fspath(Path(data).expanduser())], overrides)
+        return
+    if isinstance(data, list | tuple) and any(isinstance(item, str | os.PathLike) for item in data):
+        hint = "several records: 'data=csv', 'data.records=[{path: a.csv}, {path: b.csv}]'"
+        raise InputError("data", f"a list of {len(data)}", "the path of one file, or frames", hint)
+    # A structure that has the names of its DOFs may be unknown as yet: numbers are always good.
+    records = data if isinstance(data, list | tuple) else [data]
+    plain = [replace(record, dofs=()) if isinstance(record, Record) else record for record in records]
+    with settings_of(plain if isinstance(data, list | tuple) else plain[0], overrides, lambda names: None) as settings:
+        yield settings

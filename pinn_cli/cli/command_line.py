@@ -29,10 +29,9 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from pinn_cli.cli.as_json import json_of
-from pinn_cli.cli.help import help_text
+from pinn_cli.cli.help import explain, help_text
 from pinn_cli.cli.options import read_options
-from pinn_cli.cli.override_errors import explain
+from pinn_cli.cli.terminal import AS_JSON, QUIET, Terminal
 from pinn_cli.runs.claim import Claim, discard, entered
 from pinn_cli.runs.interruption import Interruption, stop_if_asked, watched
 from pinn_cli.runs.machine import is_out_of_memory, of_this_machine
@@ -59,60 +58,6 @@ WITHOUT_LOGS = ("hydra/job_logging=none", "hydra/hydra_logging=none")
 
 # Errors that a user can mend, or must know of: one line each.
 REPORTED = (InputError, DivergenceError, WriteError, NotSoundError)
-
-
-class Terminal:
-    """Standard output has results, standard error what a user must know."""
-
-    def say(self, text: str) -> None:
-        """Print results."""
-        print(printable(text))
-
-    def complain(self, text: str) -> None:
-        """Print one line on standard error."""
-        print(printable(f"pinn-run: {' '.join(text.split())}"), file=sys.stderr)
-
-    def conclude(self, directory: Path) -> None:
-        """Print where the results are: the last line."""
-        self.say(str(directory))
-
-    @property
-    def shows_progress(self) -> bool:
-        """Whether somebody looks at a bar."""
-        return sys.stderr.isatty()
-
-
-class Quiet(Terminal):
-    """`--quiet`: errors and the last line."""
-
-    @property
-    def shows_progress(self) -> bool:
-        """Nobody does."""
-        return False
-
-    def say(self, text: str) -> None:
-        """Print nothing."""
-
-    def conclude(self, directory: Path) -> None:
-        """See :class:`Terminal`."""
-        print(printable(str(directory)))
-
-
-class AsJson(Quiet):
-    """`--json`: errors, and one JSON object of the run."""
-
-    def conclude(self, directory: Path) -> None:
-        """Print what the run has found, instead of its directory."""
-        print(json_of(directory))
-
-
-class Silence(Terminal):
-    """Nobody listens, as where Python called: what there is to know comes as a value, or is raised."""
-
-    def say(self, text: str) -> None:
-        """Print nothing."""
-
-    complain = say
 
 
 class Jobs:
@@ -271,7 +216,7 @@ def perform(jobs: Jobs, watch: AbstractContextManager[None], tasks: dict[str, Ta
         if options.subcommand and tasks:
             jobs.task = tasks[options.subcommand]
         if options.quiet or options.json:
-            jobs.terminal, jobs.of_hydra = AsJson() if options.json else Quiet(), SILENT
+            jobs.terminal, jobs.of_hydra = AS_JSON if options.json else QUIET, SILENT
             jobs.task = partial(jobs.task, terminal=jobs.terminal)
             jobs.goes_on_by = "the same command" if options.subcommand == "follow" else ""
         with watch:

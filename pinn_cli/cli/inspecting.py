@@ -178,17 +178,14 @@ def _of_file(data: Mapping[str, Any], elsewhere: set[str]) -> dict[str, Any]:
     settings: dict[str, Any] = {}
     for name in (*QUANTITIES, "channels"):
         if isinstance(data.get(name), Mapping):
-            settings[name] = {
-                key: value for key, value in data[name].items() if _column_of(key, value) not in elsewhere
+            columns = {
+                key: (given.get("column") or key) if isinstance(given, Mapping) else given
+                for key, given in data[name].items()
             }
+            settings[name] = {key: data[name][key] for key, column in columns.items() if str(column) not in elsewhere}
     if data.get(GROUND) in elsewhere:
         settings[GROUND] = None
     return settings
-
-
-def _column_of(key: object, given: Any) -> str:
-    column = (given.get("column") or key) if isinstance(given, Mapping) else given
-    return str(column)
 
 
 def _files(data: Mapping[str, Any], base: Path) -> MeasuredFiles:

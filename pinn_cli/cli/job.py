@@ -13,22 +13,14 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from pinn_cli.cli.command_line import Silence, Terminal
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.inspecting import inspected_record, modes_of_records
 from pinn_cli.cli.prepare import check_records, prepare_problem, prepare_windows
+from pinn_cli.cli.terminal import SILENCE, Terminal
+from pinn_cli.runs import resume
 from pinn_cli.runs.claim import current
 from pinn_cli.runs.identity import flattened
 from pinn_cli.runs.process import collect_rarely, is_borrowed
-from pinn_cli.runs.resume import (
-    CHECKPOINTS,
-    RESULT,
-    asked_to_resume,
-    check_sound,
-    is_finished,
-    is_tracked,
-    stored_score,
-)
 from pinn_cli.runs.stages import Stages, signs_of_life
 from pinn_cli.settings.override_syntax import quoted
 from pinn_cli.settings.yaml_file import SCHEME
@@ -74,25 +66,106 @@ class Job:
     def outdated(self) -> list[str]:
         """Files of an earlier run whose place this one takes: its result, and checkpoints that it does not use."""
         checkpoints = self.context.checkpoints
-        return [RESULT, *([] if checkpoints is None or checkpoints.taken_up else CHECKPOINTS)]
+        return [resume.RESULT, *([] if checkpoints is None or checkpoints.taken_up else resume.CHECKPOINTS)]
 
 
-def run_job(
-    composed: DictConfig,
-    began: float | None,
-    terminal: Terminal | None,
-    follows: bool,
-    carry_out: Callable[[Job, Watch], None],
-) -> float | None:
-    """Run one job, or go on with it: what it leaves behind lies in Hydra's run directory, the last line printed.
-
-    Its input is checked before it takes the directory (:mod:`pinn_cli.runs.claim`); until then it writes nothing.
+class Start:
+    """A job as Hydra starts it, whose input is yet to be checked.
 
     Args:
         composed: Its configuration.
         began: When the process of a single run did, by `time.perf_counter`; None: it is counted from now.
         terminal: Where a single run tells what it has found; None: standard output.
         follows: Whether its record may still grow; it goes on with the windows that are there.
+    """
+
+    def __init__(self, composed: DictConfig, began: float | None, terminal: Terminal | None, follows: bool) -> None:
+        runtime = HydraConfig.get().runtime
+        self.composed, self.follows = composed, follows
+        self.directory, self.base = Path(runtime.output_dir), Path(runtime.cwd)
+        # Which shows its progress, and its tables at its end.
+        self.in_sweep = HydraConfig.get().mode == RunMode.MULTIRUN
+        self.terminal = SILENCE if self.in_sweep else terminal or Terminal()
+        self.stages, self.resumes = Stages(None if self.in_sweep else began), False
+
+    def finished(self) -> tuple[bool, bool]:
+        """Whether it is to go on and has finished, and whether its tracker has it too."""
+        ended = self.resumes and resume.is_finished(self.directory, self.composed, self.base)
+        return ended, ended and resume.is_tracked(self.directory, self.composed)
+
+    def prepared(self, config: RunConfig) -> Job | WindowedRun:
+        """Everything that may find fault with the input; nothing is written."""
+        stages, terminal = self.stages, self.terminal
+        with stages("imports"):
+            from pinn_cli.report.parameters import history
+            from pinn_cli.report.results import checked_times
+            from pinn_cli.runs.checkpoint import open_checkpoints
+            from pinn_cli.training.estimate import RunContext
+            from pinn_cli.validation.validation import Setup
+        directory, progress = self.directory, terminal.shows_progress and not self.in_sweep
+        context = RunContext(config.device, config.seed, directory, progress=progress)
+        draws = not self.in_sweep if config.figures is None else config.figures
+        if config.source.windows is not None:
+
+            def say(line: str) -> None:
+                terminal.say(line)
+                sys.stdout.flush()  # what follows may take long
+
+            return prepare_windows(
+                config, context, stages, say, goes_on=self.resumes, drawn=draws, follows=self.follows
+            )
+        if config.scheme.looks_for_changes and config.model is not None:
+            history(config.model)  # which goes on behind this run
+        prepared = prepare_problem(config, stages)
+        every_s = config.checkpoint_every_s
+        checkpoints = open_checkpoints(directory, config.identity, config.resume, every_s, config.device)
+        context = replace(context, checkpoints=checkpoints)
+        setup = Setup(prepared.prescribed, config.scheme, config.estimator, context)
+        for problem in prepared.problem:
+            for estimator in (config.estimator, *([config.baseline] if config.baseline else [])):
+                estimator.check(problem)
+            if prepared.problem.priors:
+                config.posterior.check(problem)
+        check_records(prepared.problem, config.estimator, config.baseline, config.validation)
+        config.validation.check(prepared.problem, setup)
+        if config.between is not None:
+            for problem in prepared.problem:
+                checked_times("report.between", config.between, problem.record.time)
+        return Job(config, prepared, context, setup, directory, stages, terminal, draws)
+
+    def tracked(
+        self, config: RunConfig, prepared: Job | WindowedRun | None, carry_out: Callable[[Job, Watch], None]
+    ) -> str:
+        """Make the run, or tell of one that had finished, under the eyes of its tracker; what is left to print."""
+        with self.stages("imports"):  # after the configuration has limited the threads, and not for --help
+            from pinn_cli.sweep.tracking.tracking import TrackedRun, follow
+        name, which = f"{config.case}/{self.directory.name}", config.identity.configuration
+        labels = config.description.labels_of("pinn")
+        run = TrackedRun(self.directory, name, flattened(self.composed), labels, which)
+        with follow(config.tracking, run, self.resumes) as tracked:
+            text = ""
+            if prepared is None:
+                current().take()
+                text = f"finished before; tracking={tracked.state.tracking} has it now"
+            elif isinstance(prepared, Job):
+                current().take(prepared.outdated)
+                carry_out(prepared, tracked.row)
+            else:
+                current().take([resume.RESULT])
+                current().settle()
+                text = prepared.carry_out(self.stages, tracked.row)
+            with self.stages("tracking"):
+                tracked.results()
+        return text
+
+
+def run_job(start: Start, carry_out: Callable[[Job, Watch], None]) -> float | None:
+    """Run one job, or go on with it: what it leaves behind lies in Hydra's run directory, the last line printed.
+
+    Its input is checked before it takes the directory (:mod:`pinn_cli.runs.claim`); until then it writes nothing.
+
+    Args:
+        start: Which.
         carry_out: From the prepared problem to the report.
 
     Returns:
@@ -102,115 +175,28 @@ def run_job(
         InputError: No run can use its settings.
         NotSoundError: Its verdict is not sound, with ``strict=true``.
     """
-    runtime = HydraConfig.get().runtime
-    in_sweep = HydraConfig.get().mode == RunMode.MULTIRUN  # which shows its progress, and its tables at its end
-    terminal = Silence() if in_sweep else terminal or Terminal()
-    directory, base, stages = Path(runtime.output_dir), Path(runtime.cwd), Stages(None if in_sweep else began)
+    composed, directory = start.composed, start.directory
     if not is_borrowed():
         collect_rarely()
-
-    def finished() -> bool:
-        return resuming and is_finished(directory, composed, base)
-
-    with stages("config"):
-        resuming = asked_to_resume(composed, directory)
-        ended = finished()
-        done = ended and is_tracked(directory, composed)
-        config = None if done else RunConfig.read(composed, base, follows)
+    with start.stages("config"):
+        start.resumes = resume.asked_to_resume(composed, directory)
+        ended, done = start.finished()
+        config = None if done else RunConfig.read(composed, start.base, start.follows)
     if config is not None:
         current().lock()
-        ended = finished()  # by the process that was in there
-        done = ended and is_tracked(directory, composed)
+        ended, done = start.finished()  # by the process that was in there
     if config is None or done:
         current().untouched = True
         text = "finished before, nothing to do"
     else:
-        with nullcontext() if in_sweep or follows else signs_of_life(stages):
-            prepared = None
-            if not ended:
-                prepared = _prepared(config, directory, stages, terminal, resuming, in_sweep, follows)
-            text = _tracked(config, composed, stages, resuming, prepared, carry_out)
+        with nullcontext() if start.in_sweep or start.follows else signs_of_life(start.stages):
+            text = start.tracked(config, None if ended else start.prepared(config), carry_out)
     if text:
-        terminal.say(text)
-    terminal.conclude(directory)
+        start.terminal.say(text)
+    start.terminal.conclude(directory)
     if composed.get("strict") is True:
-        check_sound(directory)
-    return stored_score(directory)
-
-
-def _prepared(
-    config: RunConfig,
-    directory: Path,
-    stages: Stages,
-    terminal: Terminal,
-    resuming: bool,
-    in_sweep: bool,
-    follows: bool,
-) -> Job | WindowedRun:
-    """Everything that may find fault with the input; nothing is written."""
-    with stages("imports"):
-        from pinn_cli.report.parameters import history
-        from pinn_cli.report.results import checked_times
-        from pinn_cli.runs.checkpoint import open_checkpoints
-        from pinn_cli.training.estimate import RunContext
-        from pinn_cli.validation.validation import Setup
-    context = RunContext(config.device, config.seed, directory, progress=terminal.shows_progress and not in_sweep)
-    draws = not in_sweep if config.figures is None else config.figures
-    if config.source.windows is not None:
-
-        def say(line: str) -> None:
-            terminal.say(line)
-            sys.stdout.flush()  # what follows may take long
-
-        return prepare_windows(config, context, stages, say, goes_on=resuming, drawn=draws, follows=follows)
-    if config.scheme.looks_for_changes and config.model is not None:
-        history(config.model)  # which goes on behind this run
-    prepared = prepare_problem(config, stages)
-    checkpoints = open_checkpoints(directory, config.identity, config.resume, config.checkpoint_every_s, config.device)
-    context = replace(context, checkpoints=checkpoints)
-    setup = Setup(prepared.prescribed, config.scheme, config.estimator, context)
-    for problem in prepared.problem:
-        for estimator in (config.estimator, *([config.baseline] if config.baseline else [])):
-            estimator.check(problem)
-        if prepared.problem.priors:
-            config.posterior.check(problem)
-    check_records(prepared.problem, config.estimator, config.baseline, config.validation)
-    config.validation.check(prepared.problem, setup)
-    if config.between is not None:
-        for problem in prepared.problem:
-            checked_times("report.between", config.between, problem.record.time)
-    return Job(config, prepared, context, setup, directory, stages, terminal, draws)
-
-
-def _tracked(
-    config: RunConfig,
-    composed: DictConfig,
-    stages: Stages,
-    resuming: bool,
-    prepared: Job | WindowedRun | None,
-    carry_out: Callable[[Job, Watch], None],
-) -> str:
-    """Make the run, or tell of one that had finished, under the eyes of its tracker; what is left to print."""
-    directory = Path(HydraConfig.get().runtime.output_dir)
-    with stages("imports"):  # after the configuration has limited the threads, and not for --help
-        from pinn_cli.sweep.tracking.tracking import TrackedRun, follow
-    name, which = f"{config.case}/{directory.name}", config.identity.configuration
-    tracked_run = TrackedRun(directory, name, flattened(composed), config.description.labels_of("pinn"), which)
-    with follow(config.tracking, tracked_run, resuming) as tracked:
-        text = ""
-        if prepared is None:
-            current().take()
-            text = f"finished before; tracking={tracked.state.tracking} has it now"
-        elif isinstance(prepared, Job):
-            current().take(prepared.outdated)
-            carry_out(prepared, tracked.row)
-        else:
-            current().take([RESULT])
-            current().settle()
-            text = prepared.carry_out(stages, tracked.row)
-        with stages("tracking"):
-            tracked.results()
-    return text
+        resume.check_sound(directory)
+    return resume.stored_score(directory)
 
 
 @contextmanager
@@ -219,7 +205,7 @@ def shown(text: Callable[[], str], stages: Stages, terminal: Terminal) -> Iterat
 
     A reader that has left is told of after the block, so that the block's files are written.
     """
-    if isinstance(terminal, Silence):
+    if terminal.last is None:
         yield
         return
     refused = None
@@ -270,18 +256,19 @@ def results_of(job: Job, problem: JointProblem, estimate: Estimate, **more: Any)
 
 def inspect(composed: DictConfig, terminal: Terminal | None = None) -> None:
     """Look at a record before anything is estimated: tables, a figure and a command to go on with."""
-    _tell(look(composed, inspected_record), composed, terminal or Terminal())
+    _look_and_tell(composed, inspected_record, terminal or Terminal())
 
 
 def find_modes(composed: DictConfig, terminal: Terminal | None = None) -> None:
     """Modes that records show by themselves: tables and a stabilisation diagram."""
-    _tell(look(composed, modes_of_records), composed, terminal or Terminal())
+    _look_and_tell(composed, modes_of_records, terminal or Terminal())
 
 
-def _tell(report: LookReport, composed: DictConfig, terminal: Terminal) -> None:
+def _look_and_tell(composed: DictConfig, at: Callable[[DictConfig, Path, Said], LookReport], to: Terminal) -> None:
+    report = look(composed, at)
     directory = leave(report, composed)
-    terminal.say(report.text())
-    terminal.conclude(directory)
+    to.say(report.text())
+    to.conclude(directory)
 
 
 def look(composed: DictConfig, at: Callable[[DictConfig, Path, Said], Report]) -> Report:

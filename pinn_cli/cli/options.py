@@ -1,6 +1,7 @@
 """The options of `pinn-run`, which begin with a dash, and its subcommands, `inspect`, `modes` and `follow`.
 
-They are read before Hydra reads them: a slip is told in one line.
+They are read before Hydra reads them: a slip is told in one line. `--config my.yaml` has the settings of one command in
+a file, as overrides before those that are typed.
 """
 
 from __future__ import annotations
@@ -8,14 +9,16 @@ from __future__ import annotations
 import re
 import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NoReturn
 
-from pinn_cli.cli.config_file import overrides_of, written
+from omegaconf import OmegaConf
+
 from pinn_cli.settings.errors import InputError, suggestion
-from pinn_cli.settings.override_syntax import setting_of, with_folder_quoted
+from pinn_cli.settings.override_syntax import setting_of, text_value, with_folder_quoted
+from pinn_cli.settings.yaml_file import read_yaml
 
 # Those of Hydra's, which has no public list of them: `pinn-run --hydra-help` prints them. Long name, short name,
 # and how argparse reads them; those without take no value. Left out are --experimental-rerun, which unpickles the file
@@ -111,21 +114,16 @@ def _take_out(options: Namespace, word: str) -> None:
         if setting_of(override) in left_out:
             raise InputError(setting_of(override), override.partition("=")[2], f"left out with {word}", hint)
     options.overrides.remove(word)
-    if word in ("inspect", "modes"):
-        options.overrides = _with_file(options.overrides)
+    files = [name for name in options.overrides if "=" not in name and not name.startswith("~")]
+    if word in ("inspect", "modes") and files:  # `inspect rig.csv` is `data=csv data.path=rig.csv`
+        others = [override for override in options.overrides if override not in files]
+        options.overrides = [*settings_of_files(files, others), *others]
     if word == "follow" and not any(setting_of(o) == setting_of(_FOLLOWS_IN) for o in options.overrides):
         options.overrides.append(_FOLLOWS_IN)
 
 
-def _with_file(overrides: list[str]) -> list[str]:
-    """`inspect rig.csv` as `data=csv data.path=rig.csv`; several files stand on one clock."""
-    files = [word for word in overrides if "=" not in word and not word.startswith("~")]
-    others = [override for override in overrides if override not in files]
-    return [*settings_of_files(files, others), *others] if files else overrides
-
-
 def settings_of_files(files: Sequence[str], others: Sequence[str]) -> list[str]:
-    """What has a record read from files, whose format is recognised unless one of the other overrides says it.
+    """What has a record read from files on one clock, whose format is recognised unless another override says it.
 
     Raises:
         InputError: A file is missing, or in no format that anybody here reads.
@@ -135,3 +133,58 @@ def settings_of_files(files: Sequence[str], others: Sequence[str]) -> list[str]:
     formats = [recognised(Path(file)) for file in files]
     kind = [] if any(setting_of(override) == "data" for override in others) else [f"data={formats[0].name}"]
     return [*kind, f"data.path={written(files[0] if len(files) == 1 else list(files))}"]
+
+
+def overrides_of(file: str, typed: Sequence[str]) -> list[str]:
+    """What a file says, but for settings that are typed, too.
+
+    ``system: linear`` chooses an option, ``system: {ndof: 3}`` and ``system.ndof: 3`` set one of its settings; a
+    list of ``defaults``, as an experiment has it, chooses options.
+
+    Raises:
+        InputError: There is no such file, or it holds something else than settings.
+    """
+    path = Path(file)
+    if not path.is_file():
+        raise InputError(
+            "--config", file or "''", "a file of settings (YAML) that exists", "--config-dir takes a folder"
+        )
+    plain: Any = OmegaConf.to_container(read_yaml(path), resolve=False)
+    given = {setting_of(override) for override in typed}
+    return [f"{name}={value}" for name, value in _settings(path, plain) if name not in given]
+
+
+def _settings(path: Path, plain: Mapping[Any, Any]) -> Iterator[tuple[str, str]]:
+    for name, value in plain.items():
+        if name == "defaults":
+            yield from _chosen(path, value)
+        elif isinstance(value, Mapping) and "." not in str(name):
+            yield from ((f"{name}.{part}", written(of_part)) for part, of_part in value.items())
+        else:
+            yield str(name), written(value)
+
+
+def _chosen(path: Path, defaults: Any) -> Iterator[tuple[str, str]]:
+    for entry in defaults if isinstance(defaults, list) else [defaults]:
+        if entry == "_self_":
+            continue
+        if not isinstance(entry, Mapping) or len(entry) != 1:
+            raise InputError(f"{path}, defaults", entry, "a list such as [{override /system: linear}, _self_]")
+        ((group, option),) = entry.items()
+        yield str(group).removeprefix("override").strip().lstrip("/"), written(option)
+
+
+def written(value: Any) -> str:
+    """A value as an override writes it."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return text_value(value)
+    if isinstance(value, Mapping):
+        keys = [re.sub(r"([\\()\[\]{}:=, \t])", r"\\\1", str(key)) for key in value]
+        return "{" + ", ".join(f"{k}: {written(part)}" for k, part in zip(keys, value.values(), strict=True)) + "}"
+    if isinstance(value, list):
+        return "[" + ",".join(map(written, value)) + "]"
+    return str(value)

@@ -161,8 +161,7 @@ def prepare_windows(
         InputError: No run can use the record, or the windows that are there are another run's.
     """
     from pinn_cli.report.parameters import history
-    from pinn_cli.sweep.windows.run import WindowedRun
-    from pinn_cli.sweep.windows.solving import WindowSolver
+    from pinn_cli.sweep.windows.run import WindowedRun, WindowSolver
     from pinn_cli.sweep.windows.store import WindowStore
     from pinn_cli.training.updating import UpdatedNetwork
 

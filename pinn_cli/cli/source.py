@@ -120,24 +120,18 @@ def read_structure(config: DictConfig, base: Path | None, model: Model | None = 
         return structure if simulated else model.structure
     if config.system.get("kind") == "matrices":
         return _finite_elements(config, base)
-    if config.system.get("kind") == MODAL:
-        return _modal(config)
-    from pinn_cli.system.building import build_chain, build_partial_chain
+    from pinn_cli.system.building import build_chain, build_modal, build_partial_chain
+    from pinn_cli.system.quantities import FORCE, MOTION
     from pinn_cli.system.topology import build_partial_structure, build_structure
+
+    if config.system.get("kind") == MODAL:  # of modes that the record has yet to tell, at the points that it names
+        if simulated:
+            raise InputError("system", MODAL, "another one with data=simulated", "a record tells the modes")
+        return construct(build_modal, config.system, "system", measured=_dofs(config, (FORCE, *MOTION)))
 
     named = config.system.get("kind") == "structure"
     whole, incomplete = (build_structure, build_partial_structure) if named else (build_chain, build_partial_chain)
     return construct(whole if simulated else incomplete, config.system, "system")
-
-
-def _modal(config: DictConfig) -> Structure:
-    """Of modes that the record has yet to tell, at the points that it names."""
-    from pinn_cli.system.building import build_modal
-    from pinn_cli.system.quantities import FORCE, MOTION
-
-    if _is_simulated(config):
-        raise InputError("system", MODAL, "another one with data=simulated", "a record tells the modes")
-    return construct(build_modal, config.system, "system", measured=_dofs(config, (FORCE, *MOTION)))
 
 
 def _finite_elements(config: DictConfig, base: Path | None) -> Structure:

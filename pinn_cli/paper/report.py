@@ -56,7 +56,13 @@ def write_report(runs: Sequence[FinishedRun], failures: Sequence[str], output: P
         smoother=SMOOTHER.name,
         reached=_reached(seeds),
         identifiable=_identifiable(tables),
-        without_smoother=_without_smoother(runs),
+        # The cases where the smoother was asked for and found nothing.
+        without_smoother=[
+            run.planned.case
+            for run in runs
+            if set(WITH_SMOOTHER) <= set(run.planned.overrides)
+            and SMOOTHER.name not in set(run.table("fitness")["variant"])
+        ],
         shortfalls=shortfalls(tables, seeds),
         versions=package_versions(),
     )
@@ -141,12 +147,6 @@ def _identifiable(tables: Sequence[PaperTable]) -> dict[Any, Any] | None:
 def _where(rows: pd.DataFrame, wanted: Mapping[str, str]) -> pd.DataFrame:
     """The rows with these values in these columns."""
     return rows[(rows[list(wanted)] == pd.Series(dict(wanted))).all(axis=1)]
-
-
-def _without_smoother(runs: Sequence[FinishedRun]) -> list[str]:
-    """The cases where the smoother was asked for and found nothing."""
-    asked = [run for run in runs if set(WITH_SMOOTHER) <= set(run.planned.overrides)]
-    return [run.planned.case for run in asked if SMOOTHER.name not in set(run.table("fitness")["variant"])]
 
 
 @dataclass(frozen=True)

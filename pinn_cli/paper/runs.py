@@ -19,14 +19,14 @@ import pandas as pd
 from omegaconf import OmegaConf
 
 from pinn_cli.cli.composing import compose_config
-from pinn_cli.report import published
+from pinn_cli.report.fitness import published
 from pinn_cli.report.run_record import package_versions
 from pinn_cli.runs.writing import write_json
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import quoted
 
 # Read what runs have left, and are no part of one: a better caption is no reason to run everything again.
-READERS = ("paper/", "report/published.py")
+READERS = ("paper/",)
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class CaseTable:
     @property
     def values(self) -> pd.DataFrame:
         """The published rows."""
-        values: pd.DataFrame = getattr(published, self.kind)()
+        values: pd.DataFrame = published(self.kind)
         return values[values["table"] == self.published]
 
     @property

@@ -23,8 +23,8 @@ from pinn_cli.paper.realisations import PINN, Realisation, ScoredRealisations
 from pinn_cli.paper.runs import SMOOTHER, TABLES, WITH_SMOOTHER, CaseTable
 from pinn_cli.paper.tables import case_title, fitness_groups, fitness_rows
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.report import published
 from pinn_cli.report.figures import style
+from pinn_cli.report.fitness import published
 from pinn_cli.report.sheet import Cell, Row, Sheet, block, mark
 from pinn_cli.runs.writing import write_table
 
@@ -94,12 +94,12 @@ class SeedScores:
         rows["range_error_percent"] = 100.0 - rows["range_fitness_percent"]
         summary = _spread(rows.dropna(subset=["error_percent"]), SEED_KEYS, ["error_percent", "range_error_percent"])
         summary["range_fitness_mean"] = 100.0 - summary["range_error_percent_mean"]
-        given = published.fitness().rename(columns={"fitness_percent": "published"})
+        given = published("fitness").rename(columns={"fitness_percent": "published"})
         cell = ["case", "group", "quantity"]
         summary = summary.merge(given[[*cell, "published"]], how="left", on=cell)
         if parameters.empty:
             return cls(scored, rows, parameters, summary, parameters)
-        given = published.parameters().rename(columns={"error_percent": "published_error_percent"})
+        given = published("parameters").rename(columns={"error_percent": "published_error_percent"})
         given = given[["case", "parameter", "published_error_percent"]]
         parameters = parameters.merge(given[["case", "parameter"]], on=["case", "parameter"])
         held = parameters["true"].between(parameters["lower_90"], parameters["upper_90"])

@@ -16,6 +16,7 @@ probability.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import resources
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -212,3 +213,22 @@ def exceeded(deviation: float, shares: int) -> float:
     from scipy.stats import kstwo  # not above: it takes longer to import than many a training
 
     return float(kstwo.sf(deviation, shares))
+
+
+def published(table: str) -> pd.DataFrame:
+    """The values that the paper published, as data.
+
+    ``fitness``: ``table, case, ndof, nonlinearity, model_error, snr_db, group, quantity, fitness_percent``. The last
+    column is called as in the paper; its numbers are of the formula 100 (1 - RMSE / range), so compare them with
+    ``range_fitness_percent``. ``parameters``: ``table, case, parameter, true, estimate, error_percent, std`` (if
+    given). ``perturbed_parameters``, of the sparse-recovery case with wrong values: ``table, case, parameter,
+    prescribed, true``.
+    """
+    with (resources.files("pinn_cli.report") / "published" / f"{table}.csv").open(encoding="utf-8") as file:
+        return pd.read_csv(file)
+
+
+def published_fitness_of(labels: Mapping[str, object]) -> pd.DataFrame:
+    """The published fitness of a run's case; none once a setting that makes it that case was changed."""
+    values, same = published("fitness"), ["case", "ndof", "nonlinearity", "model_error", "snr_db"]
+    return values[(values[same] == [labels[name] for name in same]).all(axis=1)]

@@ -17,14 +17,7 @@ from pinn_cli.posterior.posterior import PosteriorSamples
 from pinn_cli.posterior.result import PosteriorResult
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
-from pinn_cli.report.estimates import (
-    Histories,
-    connection_forces,
-    dof_histories,
-    drifts,
-    ground_history,
-    support_histories,
-)
+from pinn_cli.report import estimates
 from pinn_cli.report.results import Results
 from pinn_cli.runs.histories import HISTORIES
 from pinn_cli.runs.identity import package_version
@@ -59,9 +52,9 @@ def response_dataset(results: Results, free_run: Response | None = None) -> xr.D
         its derivatives, and the same of these, over ``time`` and ``support``. ``observed`` and ``unforced``: DOFs with
         a response sensor, and those known to carry no force. Attributes are the run's labels.
     """
-    run, record, truth, of_dofs = results.run, results.record, results.truth, dof_histories(results)
-    stretched = drifts(results.prescribed, results.estimate, truth.response)
-    forces = connection_forces(results.prescribed, results.estimate, truth)
+    run, record, truth, of_dofs = results.run, results.record, results.truth, estimates.dof_histories(results)
+    stretched = estimates.drifts(results.prescribed, results.estimate, truth.response)
+    forces = estimates.connection_forces(results.prescribed, results.estimate, truth)
     moved = {} if free_run is None else {name: getattr(free_run, name) for name in RESPONSE_QUANTITIES}
     variables: dict[str, tuple[Any, ...]] = {}
     for histories in of_dofs:
@@ -75,7 +68,7 @@ def response_dataset(results: Results, free_run: Response | None = None) -> xr.D
         for histories in of_dofs:
             sources = {"estimate": getattr(other.response, histories.name), "std": getattr(other.std, histories.name)}
             variables |= _variables(replace(histories, sources=sources), described)
-    for further in (ground_history(results), stretched, *support_histories(results), forces):
+    for further in (estimates.ground_history(results), stretched, *estimates.support_histories(results), forces):
         variables |= {} if further is None else _variables(further, SOURCES)
     fixed = {
         "Conventions": "CF-1.11",
@@ -87,7 +80,7 @@ def response_dataset(results: Results, free_run: Response | None = None) -> xr.D
     return xr.Dataset(variables, coords=_coordinates(record, stretched.places), attrs=attributes)
 
 
-def _variables(histories: Histories, sources: Mapping[str, tuple[str, str]]) -> dict[str, tuple[Any, ...]]:
+def _variables(histories: estimates.Histories, sources: Mapping[str, tuple[str, str]]) -> dict[str, tuple[Any, ...]]:
     """Dimensions, values and attributes of every source, which ``sources`` give a suffix and a description."""
     out = {}
     for source, values in histories.sources.items():

@@ -98,14 +98,16 @@ class Page:
 
 
 def run_page(
-    results: Results, verdict: Verdict | None, parameters: pd.DataFrame, fitness: pd.DataFrame,
+    results: Results, verdict: Verdict | None, tables: tuple[pd.DataFrame, pd.DataFrame],
     residuals: Sequence[Sequence[pd.DataFrame]], warnings: Sequence[str],
-    tried: tuple[ValidationRun, pd.DataFrame] | None = None,
+    tried: tuple[ValidationRun, pd.DataFrame] | None,
 ) -> Page:  # fmt: skip
-    """Of a run; tables are those of its files, ``residuals`` as :func:`pinn_cli.report.text.sensors_text` has them.
+    """Of a run; tables are those of its files, fitness and parameters.
 
-    ``tried`` is the identified system on other data, with its table.
+    ``residuals`` are as :func:`pinn_cli.report.text.sensors_text` has them; ``tried`` is the identified system on other
+    data, with its table.
     """
+    fitness, parameters = tables
     modes = ModeEstimates.of(results.prescribed, results.estimate, results.true)
     columns, sensors = text.sensors_table(residuals, results.run.baseline)
     sheets = [*parameter_sheets(parameters), *fitness_sheets(fitness)]

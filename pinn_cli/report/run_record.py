@@ -70,6 +70,11 @@ def run_facts(
 ) -> dict[str, Any]:
     """What is said of every run: its training's summary, the digest of what it observed, seconds by stage."""
     trained = {"dtype": "float64", "device": "cpu", **summary}  # fixed features are solved by the processor
+    device = trained["device"]
+    if device != "cpu":
+        import torch
+
+        device = f"{device} ({torch.cuda.get_device_name(device)})"
     return {
         **stamp(FORMAT),
         "case": run.case,
@@ -77,7 +82,7 @@ def run_facts(
         "training": {name: value for name, value in trained.items() if name != "device"},
         "peak_memory_mib": peak_memory_mib(),
         "seed": run.seed,
-        "device": device_name(trained["device"]),
+        "device": device,
         "threads": run.threads,
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
         "configuration": run.configuration,
@@ -154,15 +159,6 @@ def peak_memory_mib() -> dict[str, float | None]:
     return {"process": process, "cuda": cuda}
 
 
-def device_name(device: str) -> str:
-    """The device, with the name of the GPU."""
-    if device == "cpu":
-        return device
-    import torch
-
-    return f"{device} ({torch.cuda.get_device_name(device)})"
-
-
 @cache  # a sweep asks for every job
 def git_revision() -> str | None:
     """The commit that runs, `-dirty` if files differ from it; None for an installed package, whose version says it."""
@@ -191,12 +187,12 @@ def model_of(results: Results, verdict: Verdict | None) -> Model:
     parameters = [p.parameter for p in estimate.parameters]
     kept = np.array([i for i, p in enumerate(parameters) if p.kind not in CALIBRATION_UNITS], dtype=int)
     draws = None if results.posterior is None else results.posterior.samples.pooled
-    knowledge = _sampled(estimate, draws) if draws is not None else estimate.known or _of_intervals(estimate)
+    knowledge = estimate.known if draws is None else None
     reasons = verdict.reasons if verdict else ()
     return Model(
         estimated_structure(results.prescribed, estimate.parameters),
         tuple(parameters[i] for i in kept),
-        knowledge.of(kept),
+        (knowledge or _knowledge(estimate, draws)).of(kept),
         _levels(results),
         None if estimate.end is None else replace(estimate.end, with_parameters=estimate.end.with_parameters[:, kept]),
         verdict.word if verdict else "",
@@ -214,17 +210,13 @@ def write_run_model(results: Results, verdict: Verdict | None, directory: Path) 
         _log.warning("model.npz is not written: a law of the structure cannot be stored (%s)", error)
 
 
-def _sampled(estimate: Estimate, draws: np.ndarray) -> ParameterKnowledge:
-    """From draws of the posterior (D, p)."""
-    nothing, prior = np.zeros(draws.shape[1]), np.array([p.prior_std for p in estimate.parameters])
-    covariance = np.atleast_2d(np.cov(draws, rowvar=False))
-    return ParameterKnowledge(draws.mean(axis=0), covariance, nothing, nothing, prior)
-
-
-def _of_intervals(estimate: Estimate) -> ParameterKnowledge:
-    """From standard deviations and correlation; the covariance is NaN where a training gives none."""
+def _knowledge(estimate: Estimate, draws: np.ndarray | None) -> ParameterKnowledge:
+    """From draws of the posterior (D, p), or from deviations and correlation; NaN where a training gives none."""
     parameters, nothing = estimate.parameters, np.zeros(len(estimate.parameters))
     mean, std, prior = (np.array([getattr(p, name) for p in parameters]) for name in ("estimate", "std", "prior_std"))
+    if draws is not None:
+        covariance = np.atleast_2d(np.cov(draws, rowvar=False))
+        return ParameterKnowledge(draws.mean(axis=0), covariance, nothing, nothing, prior)
     correlation = estimate.correlation
     if correlation is None:
         correlation = np.where(np.eye(len(parameters)) > 0, 1.0, 0.0 if len(parameters) == 1 else np.nan)

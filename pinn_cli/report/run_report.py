@@ -16,13 +16,10 @@ import pandas as pd
 from pinn_cli.record.channels import channels
 from pinn_cli.record.record import Record, Truth
 from pinn_cli.record.response import MEASURED_QUANTITIES, Response
-from pinn_cli.report import parameters, text
-from pinn_cli.report.estimates import ModeEstimates, dissipated_energy, drift_table, drifts, energy_table, mode_table
+from pinn_cli.report import estimates, parameters, text
 from pinn_cli.report.export import Export
-from pinn_cli.report.fitness import FORMULAS, fitness_table, residual_table
+from pinn_cli.report.fitness import FORMULAS, fitness_table, published_fitness_of, residual_table
 from pinn_cli.report.free_run import FreeRun, ValidationRun, free_run, free_run_table, validation_table, with_noise_of
-from pinn_cli.report.published import fitness_of
-from pinn_cli.report.restoring import restoring_curves, restoring_table
 from pinn_cli.report.results import Results, RunDescription, record_folder, with_labels
 from pinn_cli.report.run_record import run_record, write_run_model
 from pinn_cli.runs.side_by_side import in_a_copy, side_by_side
@@ -36,8 +33,6 @@ from pinn_cli.verdict.parameter_findings import posterior_findings
 
 if TYPE_CHECKING:
     import xarray as xr
-
-    from pinn_cli.report.page import Page
 
 # Parts that the figures are drawn in, side by side.
 _SHARES = 2
@@ -99,16 +94,16 @@ class RecordReport:
         from pinn_cli.report.netcdf import response_dataset, write_dataset
 
         results, labels = self.results, self.results.run.labels_of(estimator="pinn")
-        stretched = drifts(results.prescribed, results.estimate, results.truth.response)
+        stretched = estimates.drifts(results.prescribed, results.estimate, results.truth.response)
         tables = {
             "free_run": with_labels(self.free_run[1], labels | {"estimator": "free_run"}),
-            "drift": with_labels(drift_table(stretched), labels),
-            "energy": with_labels(energy_table(dissipated_energy(results)), labels),
+            "drift": with_labels(estimates.drift_table(stretched), labels),
+            "energy": with_labels(estimates.energy_table(estimates.dissipated_energy(results)), labels),
             "fitness": below(*[fitness for fitness, _ in self.tables]),
             "residuals": below(*self.residuals),
         }
-        if curves := restoring_curves(results):
-            tables["restoring"] = with_labels(restoring_table(curves), labels)
+        if curves := estimates.restoring_curves(results):
+            tables["restoring"] = with_labels(estimates.restoring_table(curves), labels)
         for name, table in tables.items():
             write_table(table, self.directory / f"{name}.csv")
         dataset = response_dataset(results, self.free_run[0].response)
@@ -209,8 +204,8 @@ class RunReport:
     def _tried(self) -> Estimate:
         """What is tried on other data: of several records that from which it goes on, and the noise of all sensors."""
         assert self.results.validation is not None
-        estimates = [of_record.estimate for of_record in self.results.by_record]
-        return with_noise_of(estimates[self.results.validation.of], estimates)
+        found = [of_record.estimate for of_record in self.results.by_record]
+        return with_noise_of(found[self.results.validation.of], found)
 
     @cached_property
     def over_time(self) -> pd.DataFrame | None:
@@ -232,7 +227,7 @@ class RunReport:
         paragraphs = [
             "" if results.run.simulated else text.sensors_text(self.residuals, results.run.baseline),
             text.parameters_text(parameter_table, self._warnings, theirs),
-            text.fitness_text(fitness, results.record.observed, fitness_of(self.labels)),
+            text.fitness_text(fitness, results.record.observed, published_fitness_of(self.labels)),
             text.free_run_text(*free, results.run.truth_label) if scored else text.free_run_line(*free),
             text.stories_text(estimate.stories),
             "" if posterior is None else text.diagnostics_text(posterior.diagnostics, posterior.verdict),
@@ -274,8 +269,13 @@ class RunReport:
                 write_table(table, directory / name)
             if not results.estimate.peaks:
                 write_run_model(results, verdict, directory)
-        page = None if drawn is None else self._page()
+        page = None
         if drawn is not None:
+            # Not above: who draws nothing has no need of templates.
+            from pinn_cli.report.page import run_page
+
+            # All of it but the figures, which are still being drawn.
+            page = run_page(results, verdict, self.tables[0], self.residuals, self._warnings, self.validation)
             with self.stages("figures"):
                 self._draw_tables()
                 drawn()
@@ -289,14 +289,6 @@ class RunReport:
             with self.stages("page"):
                 page.write(directory)
         write_json(run_record(results, verdict, self.stages.seconds), directory / "run.json")
-
-    def _page(self) -> Page:
-        """All of ``report.html`` but the figures, which are still being drawn."""
-        # Not above: who draws nothing has no need of templates.
-        from pinn_cli.report.page import run_page
-
-        fitness, table = self.tables[0]
-        return run_page(self.results, self.verdict, table, fitness, self.residuals, self._warnings, self.validation)
 
     @property
     def _warnings(self) -> list[str]:
@@ -320,14 +312,13 @@ class RunReport:
 
     def _draw_tables(self) -> None:
         """Draw what is not drawn of the results alone."""
-        from pinn_cli.report.figures import validation_figure, write_over_time_figure
-        from pinn_cli.report.figures.style import save
+        from pinn_cli.report.figures import over_time_figure, save, validation_figure
 
         place = self.directory / "figures"
         if self.validation is not None and self.validation[0].response is not None:
             save(validation_figure(self.validation[0], self._tried), place, "validation")
         if self.over_time is not None:
-            write_over_time_figure(self.over_time, place)
+            save(over_time_figure(self.over_time), place, "parameters_over_time")
 
 
 def estimator_tables(
@@ -349,11 +340,11 @@ def _with_posterior(results: Results) -> Results:
     if results.posterior is None:
         return results
     samples = results.posterior.samples
-    estimates = parameters.parameter_estimates(samples, [p.parameter for p in results.estimate.parameters])
+    means = parameters.parameter_estimates(samples, [p.parameter for p in results.estimate.parameters])
     correlation = parameters.posterior_correlation(samples.pooled)
 
     def sampled(of_record: Results) -> Results:
-        return replace(of_record, estimate=replace(of_record.estimate, parameters=estimates, correlation=correlation))
+        return replace(of_record, estimate=replace(of_record.estimate, parameters=means, correlation=correlation))
 
     return replace(sampled(results), further=tuple(map(sampled, results.further)))
 
@@ -378,9 +369,9 @@ def write_tables(results: Results, parameter_table: pd.DataFrame, directory: Pat
     """Write the tables of a run that all its records have in common: parameters as they are given, modes, history."""
     estimate, labels = results.estimate, results.run.labels_of(estimator="pinn")
     files = {"parameters": parameter_table, "history": estimate.history}
-    modes = ModeEstimates.of(results.prescribed, estimate, results.true)
+    modes = estimates.ModeEstimates.of(results.prescribed, estimate, results.true)
     if modes is not None:
-        files["modes"] = with_labels(mode_table(modes), labels)
+        files["modes"] = with_labels(estimates.mode_table(modes), labels)
     if results.score is not None:
         files["score"] = results.score.table
     if any(p.unknown for p in estimate.parameters):

@@ -141,17 +141,14 @@ def render(name: str, package: str = TEMPLATES, **content: object) -> str:
 def _environment(package: str) -> Environment:
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(package), PackageLoader(TEMPLATES)]), trim_blocks=True, lstrip_blocks=True,
-        undefined=StrictUndefined, finalize=_printable,
+        undefined=StrictUndefined,
+        # Names of channels and of files may be anything.
+        finalize=lambda value: printable(value) if type(value) is str else value,
         autoescape=lambda name: bool(name and name.endswith(".html.j2")),
     )  # fmt: skip
     environment.filters |= {"symbols": written, "data_uri": _data_uri}
     environment.globals |= {"signs": ARROWS, "marks": LATEX_MARKS}
     return environment
-
-
-def _printable(value: object) -> object:
-    """Names of channels and of files may be anything."""
-    return printable(value) if type(value) is str else value
 
 
 def _data_uri(image: Path) -> str:

@@ -282,7 +282,7 @@ def fitness_text(table: pd.DataFrame, observed: np.ndarray | None = None, publis
     Args:
         table: From `pinn_cli.report.fitness.fitness_table`, of one run.
         observed: (dof,) bool; marks the rows of unobserved DOFs with an asterisk.
-        published: From `pinn_cli.report.published.fitness_of`; its rows are printed under their groups.
+        published: From `pinn_cli.report.fitness.published_fitness_of`; its rows are printed under their groups.
 
     Returns:
         Text, or "" if there is no number at all.

@@ -104,15 +104,14 @@ def read_groups(files: Sequence[Path], names: Sequence[str] | None = ("/",)) -> 
                 layout, arrays = next(answers)
             except UnreadableError as error:
                 raise DamagedError(file, str(error)) from None
-            following = iter(arrays)
-            yield {name: _group(group, following) for name, group in layout.items()}
-
-
-def _group(layout: Sequence[Any], following: Iterator[np.ndarray]) -> Group:
-    labelled, (arrays, attributes) = {}, layout
-    for name, (dims, texts) in arrays.items():
-        labelled[name] = Labelled(tuple(dims), next(following), _attributes(texts, following))
-    return Group(labelled, _attributes(attributes, following))
+            following, groups = iter(arrays), {}
+            for group, (of_group, attributes) in layout.items():
+                labelled = {
+                    name: Labelled(tuple(dims), next(following), _attributes(texts, following))
+                    for name, (dims, texts) in of_group.items()
+                }
+                groups[group] = Group(labelled, _attributes(attributes, following))
+            yield groups
 
 
 def _attributes(texts: Mapping[str, Any], following: Iterator[np.ndarray]) -> dict[str, Any]:

@@ -74,7 +74,10 @@ def locked(file: Path, waiting: str = "", every_s: float = 0.1) -> Iterator[None
             lock.acquire(blocking=False)
         except Timeout:
             if waiting:
-                log.warning("%s: %s", waiting, _owner(file))
+                owner = ""  # as it wrote it: for a person to read, and nothing depends on it
+                with suppress(OSError):  # it has left meanwhile
+                    owner = small_text(file)
+                log.warning("%s: %s", waiting, owner or "one that has just begun")
             while not lock.is_locked:
                 with suppress(FileNotFoundError):  # who was in there took the folder along: it is made anew
                     lock.acquire(poll_interval=every_s)
@@ -94,10 +97,3 @@ def locked(file: Path, waiting: str = "", every_s: float = 0.1) -> Iterator[None
             with suppress(OSError):  # while it is locked: whoever has opened it meanwhile finds out and opens a new one
                 file.unlink()
             lock.release()
-
-
-def _owner(file: Path) -> str:
-    """As the owner wrote it: for a person to read, and nothing depends on it."""
-    with suppress(OSError):  # it has left meanwhile
-        return small_text(file) or "one that has just begun"
-    return "one that has just begun"

@@ -332,13 +332,9 @@ def how_to_go_on(directory: Path, command: str = "") -> str:
 
     Args:
         directory: Of the run.
-        command: That goes on with it; "": :func:`resume_command`.
+        command: That goes on with it; "": `pinn-run resume=...`.
     """
-    kept = any((directory / name).exists() for name in KEPT)
-    return f"{'to go on' if kept else 'nothing is kept of it; to start over'}: {command or resume_command(directory)}"
-
-
-def resume_command(directory: Path) -> str:
-    """What a user types to go on."""
-    here = Path.cwd()
-    return shlex.join(["pinn-run", f"resume={directory.relative_to(here) if here in directory.parents else directory}"])
+    kept, here = any((directory / name).exists() for name in KEPT), Path.cwd()
+    place = directory.relative_to(here) if here in directory.parents else directory
+    said = "to go on" if kept else "nothing is kept of it; to start over"
+    return f"{said}: {command or shlex.join(['pinn-run', f'resume={place}'])}"

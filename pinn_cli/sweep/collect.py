@@ -24,7 +24,7 @@ from pinn_cli.sweep.jobs import FAILED, FINISHED, FITNESS, INPUT, REASON, STATUS
 if TYPE_CHECKING:
     import pandas
 
-    from pinn_cli.sweep.models import Comparison
+    from pinn_cli.sweep.summary import Comparison
 
 PARAMETERS, JOBS = "parameters.csv", "jobs.csv"
 # In these a job without results is a row as well.
@@ -68,8 +68,7 @@ class Collection:
         if not any(job.ended for job in jobs):
             return cls(jobs, None)
         # Two seconds of imports, not for --help.
-        from pinn_cli.sweep.models import compared, write_models
-        from pinn_cli.sweep.summary import write_summary
+        from pinn_cli.sweep.summary import compared, write_models, write_summary
 
         jobs = write_tables(sweep, jobs)
         swept = list(dict.fromkeys(setting for job in jobs for setting in sweep.columns(job)))
@@ -96,7 +95,7 @@ class Collection:
 
             lines += ["", summary_text(self.summary)]
         if self.models is not None:
-            from pinn_cli.sweep.models import models_text
+            from pinn_cli.sweep.summary import models_text
 
             lines += ["", models_text(self.models)]
         return "\n".join(lines)

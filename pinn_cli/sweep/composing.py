@@ -67,14 +67,10 @@ def combinations(overrides: Iterable[str], most: int = MOST_JOBS) -> list[list[s
     if counts and (counts[longest] > most or math.prod(counts.values()) > most):
         hint = f"there would be {math.prod(counts.values())}; hydra.sweeper.max_jobs=... allows more"
         raise InputError(longest, _typed(given[longest]), f"values that make at most {most} jobs", hint)
-    return [list(job) for job in itertools.product(*(_single(name, values) for name, values in given.items()))]
-
-
-def _single(name: str, override: Override) -> list[str]:
-    """The overrides that give a setting each of its values."""
-    if not override.is_sweep_override():
-        return [f"{name}={override.get_value_element_as_str()}"]
-    return [f"{name}={value}" for value in override.sweep_string_iterator()]
+    values = [
+        o.sweep_string_iterator() if o.is_sweep_override() else [o.get_value_element_as_str()] for o in given.values()
+    ]
+    return [[f"{name}={value}" for name, value in zip(given, job, strict=True)] for job in itertools.product(*values)]
 
 
 def _typed(override: Override) -> str:

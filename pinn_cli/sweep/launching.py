@@ -274,7 +274,8 @@ class JoblibLauncher(WorkLauncher):
             try:
                 returns = self._at_once(others)
             except BrokenProcessPool:
-                under_way = [job for job in others if _is_under_way(job, began)]
+                begun = [job for job in others if written_since(job.directory, began)]
+                under_way = [job for job in begun if Job.read(job.directory, job.overrides).status == UNFINISHED]
                 if not under_way:  # workers do not even start
                     raise
                 print(f"a worker was killed: {len(under_way)} jobs are put off, to run alone", file=sys.stderr)
@@ -292,11 +293,6 @@ class JoblibLauncher(WorkLauncher):
         with usable_settings(self.settings), environment(QUIET_END):
             returned = Parallel(n_jobs=self.processes, **{**self.settings, "backend": "loky"})(calls)
         return dict(zip((job.number for job in jobs), returned, strict=True))
-
-
-def _is_under_way(job: PendingJob, since: float) -> bool:
-    begun = written_since(job.directory, since)
-    return begun and Job.read(job.directory, job.overrides).status == UNFINISHED
 
 
 def _run_job(work: Work, overrides: Sequence[str], number: int, processes: int) -> JobReturn:

@@ -11,7 +11,7 @@ from omegaconf import OmegaConf, open_dict
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.help import option_names
 from pinn_cli.record.response import QUANTITIES
-from pinn_cli.report import published
+from pinn_cli.report.fitness import published
 from pinn_cli.settings.errors import InputError
 
 REFERENCE_SIGNALS = Path(__file__).parents[3] / "shared" / "data" / "reference_signals"
@@ -59,7 +59,7 @@ def test_experiments_of_a_list_lie_over_each_other(pinn_run: PinnRun) -> None:
 @pytest.mark.parametrize("case", PAPER)
 def test_paper_experiments(composed: Compose, case: str) -> None:
     config = RunConfig.read(composed(f"experiment=paper/{case}"))
-    rows = published.fitness().query("case == @case")
+    rows = published("fitness").query("case == @case")
     labels = config.description.labels_of("pinn")
     assert config.case == case
     for name in ("ndof", "nonlinearity", "model_error", "snr_db"):
@@ -70,12 +70,12 @@ def test_paper_experiments(composed: Compose, case: str) -> None:
 
 @pytest.mark.parametrize("table", ["sr-summary", "spe-summary"])
 def test_every_row_of_a_fitness_table_is_an_experiment(table: str) -> None:
-    assert set(published.fitness().query("table == @table")["case"]) <= set(PAPER)
+    assert set(published("fitness").query("table == @table")["case"]) <= set(PAPER)
 
 
 @pytest.mark.parametrize("table", ["spe-nonerr-duf", "spe-vdp-err", "mcmc-results"])
 def test_published_parameters_are_those_of_the_experiment(composed: Compose, table: str) -> None:
-    rows = published.parameters().query("table == @table")
+    rows = published("parameters").query("table == @table")
     for case, expected in rows.groupby("case"):
         config = RunConfig.read(composed(f"experiment=paper/{case}"))
         true, _ = config.model_error.structures(config.structure)
@@ -114,7 +114,7 @@ def test_the_perturbed_experiment_prescribes_the_nominal_chain(composed: Compose
     config = RunConfig.read(composed("experiment=paper/sr_6dof_perturbed"))
     true, prescribed = config.model_error.structures(config.structure)
     assert torch.all(prescribed.parameters["k"] == 15.0)
-    rows = published.perturbed_parameters().set_index("parameter")["true"]
+    rows = published("perturbed_parameters").set_index("parameter")["true"]
     for i in range(6):
         assert float(true.parameters["k"][i]) == pytest.approx(rows[f"k_{i + 1}"], abs=0.006)
 

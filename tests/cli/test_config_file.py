@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from calls import SMALL, PinnRun
 
-from pinn_cli.cli.config_file import overrides_of
+from pinn_cli.cli.options import overrides_of
 
 TEXT = """# @package _global_
 defaults:

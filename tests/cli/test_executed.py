@@ -28,6 +28,15 @@ def marker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return marker
 
 
+def own_file(marker: Path, name: str, text: str) -> None:
+    """A file of a user's own, `own/GROUP/mine.yaml`."""
+    (file := marker.parent / "own" / f"{name}.yaml").parent.mkdir(parents=True)
+    file.write_text(text)
+
+
+OWN = ("--config-dir", "own")
+
+
 def refused(outcome: Outcome, marker: Path, told: str) -> None:
     """Exit status 2, one line that says what, and nothing was executed or left behind."""
     assert outcome.status == 2, outcome.err
@@ -54,19 +63,15 @@ def test_a_target_within_a_node(pinn_run: PinnRun, marker: Path, name: str) -> N
 
 @pytest.mark.parametrize("group", ["network", "baseline", "tracking", "hydra/launcher", "hydra/sweeper"])
 def test_a_target_in_a_file_of_one_s_own(pinn_run: PinnRun, marker: Path, group: str) -> None:
-    folder = marker.parent / "own" / group
-    folder.mkdir(parents=True)
-    (folder / "mine.yaml").write_text(f"_target_: {IMPORTED}\n")
+    own_file(marker, f"{group}/mine", f"_target_: {IMPORTED}\n")
     sweep = ("--multirun", "seed=0,1") if group.startswith("hydra") else ()
-    outcome = pinn_run("--config-dir", "own", f"{group}=mine", *sweep)
+    outcome = pinn_run(*OWN, f"{group}=mine", *sweep)
     refused(outcome, marker, f"{group.replace('/', '.')}._target_={IMPORTED}")
 
 
 def test_a_target_in_a_job_of_a_sweep(pinn_run: PinnRun, marker: Path) -> None:
-    folder = marker.parent / "own" / "network"
-    folder.mkdir(parents=True)
-    (folder / "mine.yaml").write_text(f"_target_: {IMPORTED}\n")
-    outcome = pinn_run("--config-dir", "own", "--multirun", "network=spline,mine")
+    own_file(marker, "network/mine", f"_target_: {IMPORTED}\n")
+    outcome = pinn_run(*OWN, "--multirun", "network=spline,mine")
     assert outcome.status == 2
     assert f"network._target_={IMPORTED}" in outcome.err
     assert not marker.exists()
@@ -124,14 +129,12 @@ HYDRA_NODES = {
 
 @pytest.mark.parametrize(("content", "told"), HYDRA_NODES.values(), ids=HYDRA_NODES.keys())
 def test_the_hydra_node_of_an_experiment(pinn_run: PinnRun, marker: Path, content: str, told: str) -> None:
-    folder = marker.parent / "own" / "experiment"
-    folder.mkdir(parents=True)
-    (folder / "theirs.yaml").write_text(f"# @package _global_\nhydra:\n  {content}\n")
+    own_file(marker, "experiment/theirs", f"# @package _global_\nhydra:\n  {content}\n")
     victim = marker.parent / "victim"
     victim.write_text("mine")
     # A single run and a sweep are started in different ways, and showing a configuration sets up logs, too.
     more = (("--cfg", "job"), ("--multirun", "seed=0,1"), ())[len(content) % 3]
-    refused(pinn_run("--config-dir", "own", "experiment=theirs", *more), marker, told)
+    refused(pinn_run(*OWN, "experiment=theirs", *more), marker, told)
     assert victim.read_text() == "mine"
 
 
@@ -139,11 +142,9 @@ def test_a_search_path_that_is_imported(pinn_run: PinnRun, marker: Path) -> None
     folder = "pkg://acting_package"
     for plus, *more in (("",), ("+", "--multirun", "seed=0,1"), ("++", "--cfg", "job")):
         refused(pinn_run(f"{plus}hydra.searchpath=[{folder}]", *more), marker, f"hydra.searchpath={folder}")
-    own = marker.parent / "own" / "hydra" / "sweeper"
-    own.mkdir(parents=True)
     target = "hydra_plugins.pinn_run.sweepers.BasicSweeper"
-    (own / "mine.yaml").write_text(f"_target_: {target}\nparams: {{hydra.searchpath: '[{folder}]'}}\n")
-    outcome = pinn_run("--config-dir", "own", "hydra/sweeper=mine", "--multirun", "seed=0,1")
+    own_file(marker, "hydra/sweeper/mine", f"_target_: {target}\nparams: {{hydra.searchpath: '[{folder}]'}}\n")
+    outcome = pinn_run(*OWN, "hydra/sweeper=mine", "--multirun", "seed=0,1")
     assert outcome.status == 2
     assert not marker.exists()
 
@@ -163,23 +164,18 @@ SHELL = {
 
 @pytest.mark.parametrize(("content", "told"), SHELL.values(), ids=SHELL.keys())
 def test_what_reaches_a_shell_is_typed(pinn_run: PinnRun, marker: Path, content: str, told: str) -> None:
-    folder = marker.parent / "own" / "experiment"
-    folder.mkdir(parents=True)
     text = f"# @package _global_\nhydra:\n  launcher:\n    {content.format(marker=marker)}\n"
-    (folder / "theirs.yaml").write_text(text)
-    command = ("--config-dir", "own", "experiment=theirs", "hydra/launcher=slurm", "--multirun", "seed=0,1")
+    own_file(marker, "experiment/theirs", text)
+    command = (*OWN, "experiment=theirs", "hydra/launcher=slurm", "--multirun", "seed=0,1")
     refused(pinn_run(*command), marker, told)
     shown = pinn_run("hydra/launcher=slurm", "hydra.launcher.setup=[module load python]", "--cfg", "hydra")
     assert "module load python" in shown.out, shown.err
 
 
 def test_a_foreign_ray_is_typed(pinn_run: PinnRun, marker: Path) -> None:
-    folder = marker.parent / "own" / "experiment"
-    folder.mkdir(parents=True)
-    (folder / "theirs.yaml").write_text(
-        "# @package _global_\nhydra: {launcher: {ray: {init: {address: ray.example.org:6379}}}}\n"
-    )
-    command = ("--config-dir", "own", "experiment=theirs", "hydra/launcher=ray_cluster", "--multirun", "seed=0,1")
+    address = "{launcher: {ray: {init: {address: ray.example.org:6379}}}}"
+    own_file(marker, "experiment/theirs", f"# @package _global_\nhydra: {address}\n")
+    command = (*OWN, "experiment=theirs", "hydra/launcher=ray_cluster", "--multirun", "seed=0,1")
     refused(pinn_run(*command), marker, "hydra.launcher.ray.init.address=ray.example.org:6379")
 
 

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.config import RunConfig
-from pinn_cli.cli.override_errors import explain
+from pinn_cli.cli.help import explain
 from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.runs.checkpoint import FORMAT, LAST, PREVIOUS, Checkpoints, OtherRunError, sealed
 from pinn_cli.runs.identity import Identity

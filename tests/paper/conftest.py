@@ -12,7 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from pinn_cli.paper.__main__ import make_nonlinearity, make_paper, make_seeds
-from pinn_cli.report import published
+from pinn_cli.report.fitness import published
 from pinn_cli.runs.writing import write_json, write_table
 from pinn_cli.settings.errors import InputError
 
@@ -24,7 +24,7 @@ SECONDS = {"estimate": 2.0, "baseline": 1.0, "total": 4.0}
 SOLVED = {"record": 0.5, "estimate": 1.0, "baseline": 1.0, "total": 2.5}
 PICTURES = ("response", "error_map", "posterior_pairs")
 # Read once: a study asks for them hundreds of times.
-published_fitness, published_parameters = cache(published.fitness), cache(published.parameters)
+published_fitness, published_parameters = cache(lambda: published("fitness")), cache(lambda: published("parameters"))
 
 
 def _fitness(case: str, estimator: str, offset: float) -> pd.DataFrame:
@@ -40,7 +40,7 @@ def _parameters(case: str, estimator: str, error_percent: float) -> pd.DataFrame
     table = published_parameters()
     table = table.loc[table["case"] == case, ["parameter", "true"]]
     if case == "sr_6dof_perturbed":
-        table = published.perturbed_parameters()[["parameter", "true"]]
+        table = published("perturbed_parameters")[["parameter", "true"]]
     estimate, std = table["true"] * (1.0 + error_percent / 100.0), 0.01 * table["true"]
     return table.assign(
         estimator=estimator, estimate=estimate, error_percent=error_percent, std=std, lower_90=estimate - 2.0 * std,

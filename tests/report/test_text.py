@@ -9,8 +9,7 @@ from fake_posteriors import DUFFING, make_diagnostics, make_samples
 from small_estimates import parameter_estimate, results_of
 
 from pinn_cli.record.response import Response
-from pinn_cli.report import published
-from pinn_cli.report.fitness import fitness_table, residual_table
+from pinn_cli.report.fitness import fitness_table, published, published_fitness_of, residual_table
 from pinn_cli.report.free_run import FreeRun, free_run_table
 from pinn_cli.report.parameters import parameter_table
 from pinn_cli.report.results import with_labels
@@ -60,7 +59,7 @@ def test_the_text_compares_both(make_case, worse):
 @pytest.mark.parametrize("ndof", [1, 6, 20])
 def test_fitness_and_parameters_fit(ndof, make_case):
     case = make_case(ndof=ndof, observed=1)
-    text = fitness_text(tables(case)[0], case.record.observed, published.fitness())
+    text = fitness_text(tables(case)[0], case.record.observed, published("fitness"))
     assert fits(text)
     assert ("fitness.csv" in text) == (ndof > 10)
     text = parameters_text(tables(case)[1])
@@ -71,9 +70,9 @@ def test_fitness_and_parameters_fit(ndof, make_case):
 def test_published_rows_of_this_case_only(make_case):
     case = make_case()
     labels = case.labels | {"case": "sr_6dof_snr50"}
-    assert fitness_text(tables(case)[0], published=published.fitness_of(labels)).count("published") == 3
+    assert fitness_text(tables(case)[0], published=published_fitness_of(labels)).count("published") == 3
     for other in ({"case": "small"}, {"ndof": 7}, {"snr_db": 20.0}):
-        assert published.fitness_of(labels | other).empty
+        assert published_fitness_of(labels | other).empty
 
 
 def test_of_held_out_sensors_only_what_can_be_scored_is_printed(make_case):

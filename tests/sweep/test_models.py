@@ -14,7 +14,7 @@ from sweeps import made_sweep
 from pinn_cli import InputError, Structure, run
 from pinn_cli.sweep.collect import Collection
 from pinn_cli.sweep.jobs import Sweep
-from pinn_cli.sweep.models import compared, models_figure, models_text
+from pinn_cli.sweep.summary import compared, models_figure, models_text
 
 FITNESS = "estimator,group,quantity,fitness_percent,range_fitness_percent\npinn,all,force,,\n"
 

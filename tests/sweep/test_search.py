@@ -23,8 +23,7 @@ pytest.importorskip("optuna", reason="the extra optuna is not installed")
 
 import optuna
 
-from pinn_cli.sweep.search import read_space, within
-from pinn_cli.sweep.search_report import importance
+from pinn_cli.sweep.search import importance, read_space, within
 
 SPACE = ("network.knots_per_period=interval(2.0,8.0)", "network.degree=choice(3,4,6)")
 # A directory of its own for each job, whichever start of the search it belongs to.

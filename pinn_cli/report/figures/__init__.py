@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from matplotlib.figure import Figure
 
-from pinn_cli.report.estimates import ModeEstimates, connection_forces, drifts
+from pinn_cli.report.estimates import ModeEstimates, connection_forces, drifts, restoring_curves
 from pinn_cli.report.figures.connections import (
     Discrepancy,
     discrepancy_figure,
@@ -39,7 +37,6 @@ from pinn_cli.report.figures.sensors import (
 from pinn_cli.report.figures.structure import structure_figure
 from pinn_cli.report.figures.style import save
 from pinn_cli.report.parameters import worst_sampled
-from pinn_cli.report.restoring import restoring_curves
 from pinn_cli.report.results import Results, record_folder
 from pinn_cli.runs.side_by_side import shared_out
 from pinn_cli.training.estimated_structure import estimated_structure
@@ -48,20 +45,13 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "Drawing", "correlation_figure", "error_map_figure", "history_figure", "over_time_figure", "parameters_figure",
-    "record_drawings", "residuals_figure", "response_figure", "run_drawings", "save", "validation_figure",
-    "write_figures", "write_over_time_figure", "write_posterior_figures",
+    "correlation_figure", "error_map_figure", "history_figure", "over_time_figure", "parameters_figure",
+    "record_figures", "residuals_figure", "response_figure", "run_figures", "save", "validation_figure",
+    "write_figures", "write_posterior_figures",
 ]  # fmt: skip
 
-
-@dataclass(frozen=True)
-class Drawing:
-    """A figure that a run has something for: where its files lie, and how it is built of about so many panels."""
-
-    directory: Path
-    name: str
-    panels: int
-    build: Callable[[], Figure]
+# Figures that a run has something for, by name: of about how many panels, and how each is built.
+Builders = dict[str, tuple[int, Callable[[], Figure]]]
 
 
 def write_figures(results: Results, directory: Path | str, part: int = 0, of: int = 1) -> list[Path]:
@@ -69,19 +59,21 @@ def write_figures(results: Results, directory: Path | str, part: int = 0, of: in
 
     Of several records each has figures of its own. Parts are counted from 0.
     """
-    drawings: list[Drawing] = []
-    for number, of_record in enumerate(results.by_record, start=1):
-        drawings += record_drawings(of_record, Path(directory) / record_folder(number) / "figures")
-    drawings += run_drawings(results, Path(directory) / "figures")
-    share = [drawings[i] for i in shared_out([drawing.panels for drawing in drawings], of)[part]]
-    return [path for drawing in share for path in save(drawing.build(), drawing.directory, drawing.name)]
+    folders = [(record_folder(i), record_figures(of_record)) for i, of_record in enumerate(results.by_record, start=1)]
+    drawings = [
+        (Path(directory) / folder / "figures", name, panels, build)
+        for folder, builders in [*folders, (".", run_figures(results))]
+        for name, (panels, build) in builders.items()
+    ]
+    share = [drawings[i] for i in shared_out([panels for _, _, panels, _ in drawings], of)[part]]
+    return [path for place, name, _, build in share for path in save(build(), place, name)]
 
 
-def run_drawings(results: Results, directory: Path) -> list[Drawing]:
+def run_figures(results: Results) -> Builders:
     """Those that are about parameters and training, which several records have in common."""
     estimate, prescribed, true = results.estimate, results.prescribed, results.truth.parameters
     parameters, modes = estimate.parameters, ModeEstimates.of(prescribed, estimate, results.true)
-    builders: dict[str, tuple[int, Callable[[], Figure]]] = {}
+    builders: Builders = {}
     if modes is not None:
         builders["modes"] = modes.count, partial(modes_figure, modes, results.run.truth_label)
     if prescribed.labels.connections and not prescribed.is_modal:
@@ -92,14 +84,14 @@ def run_drawings(results: Results, directory: Path) -> list[Drawing]:
         builders["parameters"] = 4, partial(parameters_figure, parameters, true)
     if estimate.correlation is not None and len(parameters) > 1 and any(p.unknown for p in parameters):
         builders["correlation"] = 2, partial(correlation_figure, parameters, estimate.correlation)
-    return [Drawing(directory, name, *how) for name, how in builders.items()]
+    return builders
 
 
-def record_drawings(results: Results, directory: Path) -> list[Drawing]:
+def record_figures(results: Results) -> Builders:
     """Those that are about one record."""
     estimate, record, truth, prescribed = results.estimate, results.record, results.truth, results.prescribed
     rows, label = len(shown_dofs(record.ndof)), results.run.truth_label
-    builders: dict[str, tuple[int, Callable[[], Figure]]] = {
+    builders: Builders = {
         "response": (5 * rows, partial(response_figure, results)),
         "error_map": (8, partial(error_map_figure, estimate, record, truth.response)),
     }
@@ -118,12 +110,7 @@ def record_drawings(results: Results, directory: Path) -> list[Drawing]:
     if forces is not None and len(prescribed.memory):
         memory = np.searchsorted(prescribed.added, prescribed.memory)
         builders["hysteresis"] = rows, partial(hysteresis_figure, stretched, forces, memory, label)
-    return [Drawing(directory, name, *how) for name, how in builders.items()]
-
-
-def write_over_time_figure(table: pd.DataFrame, directory: Path, of: str = "Record") -> list[Path]:
-    """Draw and save ``parameters_over_time``; the files written."""
-    return save(over_time_figure(table, of), directory, "parameters_over_time")
+    return builders
 
 
 def write_posterior_figures(results: Results, groups: Mapping[str, xr.Dataset], directory: Path) -> list[Path]:

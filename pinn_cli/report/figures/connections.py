@@ -11,9 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from pinn_cli.record.spectrum import periodogram
-from pinn_cli.report.estimates import Histories
+from pinn_cli.report.estimates import Histories, RestoringCurve
 from pinn_cli.report.figures import histories, style
-from pinn_cli.report.restoring import RestoringCurve
 from pinn_cli.report.results import Results
 from pinn_cli.system.connection.nonlinearity import OVER
 from pinn_cli.system.modes import NaturalModes

@@ -79,7 +79,10 @@ def posterior_pairs_figure(
                     value = correlation[order[row], order[column]]
                     panel = figure.add_subplot(panels[0, 0].get_gridspec()[column, row])
                     panel.set(xticks=[], yticks=[], facecolor=colormaps["RdBu_r"](0.5 + 0.5 * value))
-                    write_correlation(panel, (0.5, 0.5), value, correlation_text(value), transform=panel.transAxes)
+                    # Two decimals; more, up to four, rather than a 1 that is none.
+                    decimals = next((n for n in (2, 3, 4) if abs(round(value, n)) < 1.0), 2)
+                    text = f"{round(value, decimals) + 0.0:.{decimals}f}"  # + 0.0: no minus before a 0
+                    write_correlation(panel, (0.5, 0.5), value, text, transform=panel.transAxes)
                 panels[row, column].label_outer()
         handles: list[Line2D | Patch] = [Patch(color=_BARS, linewidth=0, label="90 % interval")]
         if len(shown) > 1:
@@ -155,12 +158,6 @@ def _dress_axis(
     if power:
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value * 10.0**-power:g}"))
     axis.set_tick_params(labelsize=7 if few else 6)
-
-
-def correlation_text(value: float) -> str:
-    """Two decimals; more, up to four, rather than a 1 that is none."""
-    decimals = next((n for n in (2, 3, 4) if abs(round(value, n)) < 1.0), 2)
-    return f"{round(value, decimals) + 0.0:.{decimals}f}"  # + 0.0: no minus before a 0
 
 
 def most_correlated(correlation: np.ndarray, most: int) -> list[int]:

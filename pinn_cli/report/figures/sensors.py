@@ -149,7 +149,10 @@ def _draw_spectrum(axes: Axes, residual: np.ndarray, signal: np.ndarray, sigma: 
     """Mean squares: white noise of variance s^2 reads s^2 at every frequency."""
     tops = []
     for values, look in ((signal, _SIGNAL), (residual, _RESIDUAL)):
-        frequency, power = _binned(*periodogram(values, step))
+        # Without the mean; more than `BINS` frequencies are averaged in bins that grow with the frequency.
+        frequency, power = (x[1:] for x in periodogram(values, step))
+        edges = np.unique(np.geomspace(1, len(power) + 1, BINS).round().astype(int)) - 1
+        frequency, power = (np.add.reduceat(x, edges[:-1]) / np.diff(edges) for x in (frequency, power))
         axes.plot(frequency, np.where(power > 0.0, power, np.nan), **look)
         tops += [float(power.max())]
     if sigma > 0.0:
@@ -165,14 +168,6 @@ def _draw_spectrum(axes: Axes, residual: np.ndarray, signal: np.ndarray, sigma: 
     axes.set_ylim(max(bottom, min(top * 10.0**-DECADES, seen)), top)
     axes.yaxis.set_major_locator(LogLocator(numticks=5))
     axes.yaxis.set_minor_locator(NullLocator())
-
-
-def _binned(frequency: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Without the mean; more than `BINS` frequencies are averaged in bins that grow with the frequency."""
-    frequency, power = frequency[1:], power[1:]
-    edges = np.unique(np.geomspace(1, len(power) + 1, BINS).round().astype(int)) - 1
-    counts = np.diff(edges)
-    return np.add.reduceat(frequency, edges[:-1]) / counts, np.add.reduceat(power, edges[:-1]) / counts
 
 
 def _draw_correlation(axes: Axes, residual: np.ndarray) -> None:

@@ -86,8 +86,8 @@ class TensorboardTracker(Tracker):
         """See :meth:`Tracker.row`: the step is the iteration."""
         writer = self.writer or self.begin()
         for name, value in row.items():
-            if name != "iteration":
-                writer.add_scalar(_grouped(name), value, int(row["iteration"]))
+            if name != "iteration":  # `loss_physics` as `loss/physics`: a panel for all losses, one for all weights
+                writer.add_scalar(name.replace("_", "/", 1), value, int(row["iteration"]))
 
     def end(self, status: str, reason: str, outcome: Outcome | None) -> None:
         """See :meth:`Tracker.end`."""
@@ -142,9 +142,3 @@ def _leave_failures_to_calls() -> None:
             otherwise(raised)
 
     threading.excepthook = hook
-
-
-def _grouped(name: str) -> str:
-    """``loss_physics`` as ``loss/physics``: one panel for all losses, one for all weights."""
-    kind, _, rest = name.partition("_")
-    return f"{kind}/{rest}" if rest else name

@@ -12,7 +12,7 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, NamedTuple, TypedDict
 
 import h5netcdf
 import h5py
@@ -168,24 +168,16 @@ class WindowStore:
         (self.folder(number) / DONE).unlink()
 
 
-@dataclass(frozen=True)
-class Piece:
-    """A window's part of the whole record.
+class Piece(NamedTuple):
+    """A window's part of the whole record: its folder, and where the next one's begins.
 
-    Attributes:
-        folder: Of the window.
-        until: Time of the first sample that is the next window's, s; None of the last.
-        step: From sample to sample, s.
+    ``until`` is the time of the first sample that is the next window's, s, None of the last; samples are ``step`` s
+    apart.
     """
 
     folder: Path
     until: float | None
     step: float
-
-    @property
-    def response(self) -> Path:
-        """The file of its histories."""
-        return self.folder / RESPONSE
 
     def samples(self, time: np.ndarray) -> int:
         """How many of the window's samples, whose times these are, are its own."""
@@ -200,14 +192,15 @@ def join_responses(pieces: Sequence[Piece], target: Path) -> None:
     Raises:
         DamagedError: The file of a window cannot be read.
     """
-    files = [piece.response for piece in pieces]
+    files = [piece.folder / RESPONSE for piece in pieces]
     counts: list[int] = []
     sources: dict[str, Labelled] = {}  # of the last window that has it; of histories no sample
     last = Group({}, {})
     for piece, read in zip(pieces, read_groups(files), strict=True):
         last = read["/"]
         counts.append(piece.samples(last.arrays[TIME].values))
-        sources |= {name: _but_samples(array) for name, array in last.arrays.items()}
+        for name, array in last.arrays.items():
+            sources[name] = array._replace(values=array.values[:0].copy()) if _is_history(array) else array
     # Those of the last window come first, in its order.
     sources = {name: sources[name] for name in (*last.arrays, *(n for n in sources if n not in last.arrays))}
     width = sum(int(np.prod(array.values.shape[1:])) for array in sources.values() if _is_history(array))
@@ -235,10 +228,6 @@ def join_responses(pieces: Sequence[Piece], target: Path) -> None:
 
 def _is_history(array: Labelled) -> bool:
     return array.dims[:1] == (TIME,)
-
-
-def _but_samples(array: Labelled) -> Labelled:
-    return array._replace(values=array.values[:0].copy()) if _is_history(array) else array
 
 
 def joined_fitness(response: Path, labels: Mapping[str, object]) -> pd.DataFrame:
