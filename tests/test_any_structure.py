@@ -1,5 +1,7 @@
 """Every estimator on structures that are no chains: braces, weighted connections, several laws, any order."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from small_problems import measured
@@ -20,9 +22,15 @@ ESTIMATORS = {
 }
 
 
-@pytest.mark.parametrize("estimator", ESTIMATORS)
-@pytest.mark.parametrize("structure", [braced(), shuffled(4)], ids=["braced", "shuffled"])
-def test_the_motion_of_a_mass_without_a_sensor(structure, estimator):
+STRUCTURES = {"braced": braced(), "shuffled": shuffled(4)}
+LONG = {("braced", "mlp"): pytest.mark.slow}
+
+
+@pytest.mark.parametrize(
+    ("name", "estimator"), [pytest.param(*x, marks=LONG.get(x, ())) for x in product(STRUCTURES, ESTIMATORS)]
+)
+def test_the_motion_of_a_mass_without_a_sensor(name, estimator):
+    structure = STRUCTURES[name]
     measurements = measured(structure, "exact", snr_db=40.0, duration=12.0, samples=601)
     scheme = SparseRecovery(unobserved=[structure.ndof])
     problem = scheme.pose(structure, [scheme.observe(measurements.record)])

@@ -53,7 +53,7 @@ def test_a_hidden_force():
     assert np.all(energy.std < 0.1 * energy.true)
 
 
-@pytest.mark.parametrize("frame", ["absolute", "relative"])
+@pytest.mark.parametrize("frame", ["absolute", pytest.param("relative", marks=pytest.mark.slow)])
 def test_the_ground(frame):
     structure, time = small_chain("linear"), np.linspace(0.0, 12.0, 601)
     shake = lambda t: sum(np.sin((2.0 + 1.3 * i) * np.asarray(t) + i * i) for i in range(7))  # noqa: E731

@@ -18,17 +18,13 @@ def doubted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_report, "judge", lambda *_: DOUBT)
 
 
-def test_the_verdict_is_the_line_before_the_directory_and_in_run_json(pinn_run: PinnRun, doubted: None) -> None:
-    done = pinn_run(*QUICK)
-    assert done.status == 0
+def test_the_verdict_is_told_and_status_4_where_it_is_strict(pinn_run: PinnRun, doubted: None) -> None:
+    """In the line before the directory and in run.json."""
+    done = pinn_run(*QUICK, "strict=true")
+    assert done.status == 4
     assert done.out.splitlines()[-3:-1] == [f"- {DOUBT.reasons[0].text}", "verdict: questionable"]
     record = done.record
     assert (record["verdict"], record["reasons"]) == ("questionable", [DOUBT.reasons[0].text])
-
-
-def test_strict_turns_it_into_status_4(pinn_run: PinnRun, doubted: None) -> None:
-    done = pinn_run(*QUICK, "strict=true")
-    assert done.status == 4
     assert done.err.splitlines()[-1].startswith("pinn-run: the verdict is questionable, and strict=true: the accel")
     assert (done.directory / "fitness.csv").is_file()
     again = pinn_run(f"resume={done.directory}")

@@ -25,13 +25,14 @@ def written_chain(law: str, **parameters: float) -> list[str]:
     ]
 
 
+@pytest.mark.slow  # system/test_topology.py compares their parameters and connections
 @pytest.mark.parametrize(
     "settings",
     [
         ["scheme=sparse_recovery"],
-        pytest.param(["scheme=state_parameter", "scheme.unobserved=[2]"], marks=pytest.mark.slow),
-        pytest.param(["scheme=sparse_recovery", "model_error=perturbed"], marks=pytest.mark.slow),
-        pytest.param(["scheme=sparse_recovery", "model_error=linear"], marks=pytest.mark.slow),
+        ["scheme=state_parameter", "scheme.unobserved=[2]"],
+        ["scheme=sparse_recovery", "model_error=perturbed"],
+        ["scheme=sparse_recovery", "model_error=linear"],
     ],
     ids=["recovery", "state_parameter", "perturbed", "linear"],
 )

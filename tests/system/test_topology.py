@@ -8,6 +8,7 @@ from importlib.metadata import EntryPoint
 import numpy as np
 import pytest
 import torch
+from refusals import refusal
 
 from pinn_cli.settings import instantiation
 from pinn_cli.settings.errors import InputError
@@ -130,11 +131,9 @@ LINE = {"between": ["ground", "x1"], "law": "linear", "c": 0, "k": 1.0}
     ],
 )
 def test_unusable_structures_are_refused_in_one_line(setting, names, changes):
-    with pytest.raises(InputError) as error:
-        build_structure(**{**FRAME, **changes})
-    assert error.value.setting == setting
-    assert names in str(error.value)
-    assert "\n" not in str(error.value)
+    told = refusal(build_structure, **{**FRAME, **changes})
+    assert told.startswith(f"{setting}=")
+    assert names in told
 
 
 @pytest.mark.parametrize(
@@ -163,11 +162,9 @@ def test_unusable_structures_are_refused_in_one_line(setting, names, changes):
     ],
 )
 def test_unusable_connections_are_refused_in_one_line(setting, names, entry):
-    with pytest.raises(InputError) as error:
-        build_structure(**frame(one=entry))
-    assert error.value.setting == f"system.connections.one{setting}"
-    assert names in str(error.value)
-    assert "\n" not in str(error.value)
+    told = refusal(build_structure, **frame(one=entry))
+    assert told.startswith(f"system.connections.one{setting}=")
+    assert names in told
 
 
 class Rubber(Linear):

@@ -1,6 +1,7 @@
 """Every noise level by evidence, on records that another simulator made."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -77,16 +78,18 @@ def test_an_accelerometer_beside_a_poor_load_cell_has_the_noise_that_its_spectru
     assert np.mean(z) < 1.3, z
 
 
-def solved(made: IndependentRecord) -> tuple[Evidence, Trained]:
-    record = made.record
-    equations = NormalEquations(Spline().build(record), Problem(model(made), record))
+@cache
+def solved() -> tuple[Evidence, Trained, Trained]:
+    """Of ten seconds, as searched and with its levels settled."""
+    made = frame_record(rate=100.0, duration=10.0)
+    equations = NormalEquations(Spline().build(made.record), Problem(model(made), made.record))
     evidence, noise = evidence_of(equations), levels_of(starting_noise(equations))
-    return evidence, searched(evidence, noise, noise.discrepancy, lambda: None)
+    trained = searched(evidence, noise, noise.discrepancy, lambda: None)
+    return evidence, trained, settled(evidence, trained)
 
 
 def test_settled_levels_stay_where_they_are():
-    evidence, trained = solved(frame_record(rate=100.0, duration=10.0))
-    once = settled(evidence, trained)
+    evidence, trained, once = solved()
     again, (before,) = of_record(updated, evidence, once, of_record(floor, evidence, once)), once.noise.records
     np.testing.assert_allclose(again.response["acceleration"], before.response["acceleration"], rtol=0.03)
     assert again.force[2] == pytest.approx(before.force[2], rel=0.05)
@@ -95,8 +98,7 @@ def test_settled_levels_stay_where_they_are():
 
 def test_the_evidence_is_greatest_at_the_levels_that_are_found():
     """The derivative by every sensor's level is MacKay's: samples less those taken up, less the residuals."""
-    evidence, trained = solved(frame_record(rate=100.0, duration=10.0))
-    once = settled(evidence, trained)
+    evidence, _, once = solved()
     point, (own,), step = once.solution.point, once.noise.records, 0.02
     (equations,) = evidence.equations.by_record
 

@@ -1,6 +1,7 @@
 """Several records solved together, against one dense matrix of all their unknowns."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from pinn_cli.runs import side_by_side
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.covariance import ReadoutPosterior
-from pinn_cli.training.evidence import Evidence
+from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.history import History
 from pinn_cli.training.least_squares import joined_parameters
 from pinn_cli.training.noise_model import NoiseLevels
@@ -52,6 +53,12 @@ def together(uncertain: tuple[tuple[Parameter, ...], ...], here: bool = True) ->
 SHARED = ((*STIFFNESSES, DAMPER),) * 2
 # The first record alone lets the damper move, the second one alone the first spring.
 PARTLY = ((STIFFNESSES[1], DAMPER), STIFFNESSES)
+
+
+@cache
+def solved(uncertain: tuple[tuple[Parameter, ...], ...], here: bool = True) -> tuple[Evidence, NoiseLevels, Trained]:
+    evidence, noise = together(uncertain, here)
+    return evidence, noise, evidence.train(noise, evidence.equations.start())
 
 
 def dense(evidence: Evidence, point: Point, noise: NoiseLevels) -> tuple[np.ndarray, np.ndarray]:
@@ -110,8 +117,7 @@ def test_a_step_stops_at_a_bound_and_the_others_make_up_for_it(uncertain):
 @pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
 def test_the_log_evidence_is_that_of_the_dense_determinant(uncertain):
     """What records say of motion adds up; the Hessian's determinant and the prior are those of all unknowns."""
-    evidence, noise = together(uncertain)
-    trained = evidence.train(noise, evidence.equations.start())
+    evidence, noise, trained = solved(uncertain)
     assert trained.solution.converged
     point, believed = trained.solution.point, sum(not q.unknown for q in evidence.equations.uncertain)
     factor = evidence.equations.assemble(point, noise).factor()
@@ -134,8 +140,7 @@ def motion_std(evidence: RecordEvidence, solution: RecordSolution) -> np.ndarray
 @pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
 def test_the_states_of_each_record_are_as_uncertain_as_the_dense_inverse_says(uncertain):
     """The parameters' covariance of all records is in each one's standard deviations."""
-    evidence, noise = together(uncertain)
-    trained = evidence.train(noise, evidence.equations.start())
+    evidence, noise, trained = solved(uncertain)
     fresh = replace(trained, factor=evidence.equations.assemble(trained.solution.point, noise).factor())
     covariance = np.linalg.inv(dense(evidence, trained.solution.point, noise)[0])
     start = 0
@@ -161,8 +166,7 @@ def test_the_states_of_each_record_are_as_uncertain_as_the_dense_inverse_says(un
 def test_the_numbers_do_not_depend_on_where_they_are_computed():
     found = []
     for here in (True, False):
-        evidence, noise = together(SHARED, here)
-        trained = evidence.train(noise, evidence.equations.start())
+        evidence, _, trained = solved(SHARED, here)
         found.append((trained, evidence.each_record(motion_std, trained)))
     (one, one_std), (other, other_std) = found
     assert torch.equal(one.solution.point.parameters, other.solution.point.parameters)
@@ -194,8 +198,7 @@ def test_gain_and_delay_go_with_the_sensor_and_its_offset_with_the_record():
 
 @pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
 def test_the_estimate_has_all_parameters_and_every_record_its_own(uncertain):
-    evidence, noise = together(uncertain)
-    trained = evidence.train(noise, evidence.equations.start())
+    evidence, noise, trained = solved(uncertain)
     estimate = posterior_estimate(evidence, trained, History(progress=False))
     every = {found.name: found for found in estimate.parameters}
     assert set(every) == {"k_1", "k_2", "c_2"}
@@ -216,8 +219,7 @@ def test_the_estimate_has_all_parameters_and_every_record_its_own(uncertain):
 
 def test_pulls_of_all_records_balance_the_prior() -> None:
     """At the most probable parameters the slopes of all records' misfits and of the prior add up to none."""
-    evidence, noise = together(SHARED)
-    trained = evidence.train(noise, evidence.equations.start())
+    evidence, noise, trained = solved(SHARED)
     each = evidence.each_record(own_information, trained)
     at = trained.solution.point.parameters.numpy()
     prior = evidence.equations.precision(noise).numpy() * at

@@ -98,9 +98,8 @@ def test_the_loss_is_that_of_the_first_state(design):
 def test_a_multilayer_perceptron_begins_where_it_is_told():
     record = accelerations(measured(small_chain(), snr_db=20.0).record)
     problem = posed(record, "rest", ndof=3)
-    estimate = FunctionSpaceGaussNewton(iterations=4).solve(
-        JointProblem.of(problem), Mlp(activation="sine"), RunContext()
-    )
+    design = Mlp(1, 32, "sine", embedding="fourier")
+    estimate = FunctionSpaceGaussNewton(iterations=4).solve(JointProblem.of(problem), design, RunContext())
     deviation = problem.initial_deviation
     assert deviation is not None
     for motion, known in zip(("displacement", "velocity"), deviation, strict=True):
