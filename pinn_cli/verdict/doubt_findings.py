@@ -111,7 +111,7 @@ def _finding(doubt: Doubt, held: set[str]) -> Finding:
 def _said(doubt: Doubt) -> tuple[str, str]:
     """What was found, and what to do."""
     number = f"{doubt.value:.3g} +- {doubt.std:.2g} {doubt.unit}".rstrip()
-    changed = f"{doubt.value:+.3g} +- {doubt.std:.2g} {doubt.unit}"
+    changed = f"{doubt.value:+.3g} +- {doubt.std:.2g} {doubt.unit}".rstrip()
     if doubt.kind in LAWS:
         return f"the model of {doubt.of} lacks {LACKS[doubt.kind].format(number=number, shape=doubt.shape)}", (
             LAWS[doubt.kind].format(of=doubt.of)

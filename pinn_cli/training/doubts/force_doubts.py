@@ -197,6 +197,8 @@ class _Forces:
         values = self.equations.parameters(point)
         present = replace(structure, parameters={kind: values[kind] for kind in structure.parameters})
         mass = values[MASS].numpy()
+        if not (mass > 0.0).all():
+            return
         moving = {p.index for p in uncertain if p.kind == RATIO}
         rate = self.motion.rate[:, : dynamics.ndof].numpy()
         squares, shapes = undamped_modes(present)
