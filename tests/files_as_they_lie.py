@@ -162,6 +162,81 @@ def excel(path: Path) -> None:
     book.save(path)
 
 
+def logger_text(path: Path) -> None:
+    """LabVIEW's: two headers, units and the step in the second one, and a name of comments that no row has."""
+    told = "LabVIEW Measurement\nSeparator\tTab\nTime\t12:27:49.01\n***End_of_Header***\t\n\t\t\t\t\nChannels\t3\n"
+    told += "Samples\t600\t600\t600\t\nY_Unit_Label\tkN\tm/s^2\tm/s^2\t\nX0\t0.0E+0\t0.0E+0\t0.0E+0\t\n"
+    told += "Delta_X\t0.020000\t0.020000\t0.020000\t\n***End_of_Header***\t\t\t\t\n"
+    path.write_text(told + "X_Value\tF1\tA1\tA2\tComment\n" + _lines(_rows([""] * SAMPLES, unit=(1e3, 1.0)), "\t"))
+
+
+def catman(path: Path) -> None:
+    head = (
+        "catman AP\t5.4.1\nT0\t26.11.2026 12:27:49\nSampling rate\t50 Hz\n\nTime  1 - default sample rate\tF1\tA1\tA2\n"
+    )
+    head += "s\tkN\tm/s²\tm/s²\n50 Hz\tMX840 CH 1\tMX840 CH 2\tMX840 CH 3\n"
+    rows = _rows([time.replace(".", ",") for time in _seconds()], comma=True, unit=(1e3, 1.0))
+    path.write_text(head + _lines(rows, "\t"), encoding="cp1252")
+
+
+def table_oriented(path: Path) -> None:
+    """Campbell's: what the logger is, names, units, and how values were made; in quotes."""
+    head = '"TOA5","CR6","CR6","1234","Std.09","CPU:rig.CR6","4711","Fast"\n"TIMESTAMP","F1","Acc(1)","Acc(2)"\n'
+    head += '"TS","N","m/s^2","m/s^2"\n"","Smp","Smp","Smp"\n'
+    path.write_text(head + _lines(_rows([f'"{date}"' for date in _dates("%Y-%m-%d %H:%M:%S.")]), ","))
+
+
+def _grouped(path: Path, head: str, separator: str, turned: dict[int, str], quote: str) -> None:
+    """Digits by threes, in mN and um/s^2."""
+    t, f, a = rig()
+    rows = np.column_stack([t, 1e3 * f, 1e6 * a])
+    text = [[f"{quote}{x:,.2f}{quote}".translate(turned) for x in row] for row in rows]
+    path.write_text(head + _lines(text, separator), encoding="cp1252")
+
+
+def thousands(path: Path) -> None:
+    _grouped(path, "Time (s),F 1 (mN),A 1 (um/s^2),A 2 (um/s^2)\n", ",", {}, '"')
+
+
+def thousands_with_points(path: Path) -> None:
+    _grouped(path, "Zeit (s);F 1 (mN);A 1 (um/s^2);A 2 (um/s^2)\n", ";", str.maketrans(",.", ".,"), "")
+
+
+def day_numbers(path: Path) -> None:
+    rows = _rows([f"{45000.12345 + t / 86400.0:.10f}" for t in rig()[0]])
+    path.write_text("Time,f1,a1,a2\n" + _lines(rows, ","))
+
+
+def numbered_days(path: Path) -> None:
+    rows = _rows([f"{738960.12345 + t / 86400.0:.10f}" for t in rig()[0]])
+    path.write_text("Date,f1,a1,a2\n" + _lines(rows, ","))
+
+
+def rate_above(path: Path) -> None:
+    path.write_text(
+        "Rig 3\nSample rate [Hz];50\nf1;a1;a2\n" + _lines([row[1:] for row in _rows(_seconds(), True)], ";")
+    )
+
+
+def step_above(path: Path) -> None:
+    path.write_text("# 600 samples, dt=20 ms\nf1,a1,a2\n" + _lines([row[1:] for row in _rows(_seconds())], ","))
+
+
+def two_sheets(path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book, (t, f, a) = openpyxl.Workbook(), rig()
+    book.active.append(["Rig", 3])
+    book.active.append(["Rate", 50])
+    sheet = book.create_sheet("Data")
+    for row in (
+        ["Time", "f1", "a1", "a2"],
+        ["s", "kN", "g", "g"],
+        *np.column_stack([t, f / 1e3, a / GRAVITY]).tolist(),
+    ):
+        sheet.append(row)
+    book.save(path)
+
+
 Writer = Callable[[Path], None]
 # Names of files, and what writes them.
 FILES: dict[str, Writer] = {
@@ -169,4 +244,10 @@ FILES: dict[str, Writer] = {
     "brackets.csv": units_in_brackets, "units.tsv": unit_row, "rows.csv": two_header_rows,
     "wind.csv": gravities_and_millimetres, "semicolons.csv": semicolons, "tabs.dat": tabs, "wide.txt": utf_16,
     "struct.mat": mat_struct, "shaker.uff": universal, "labview.tdms": labview, "sheet.xlsx": excel,
+}  # fmt: skip
+# More of them, of which reading alone is tried.
+LOGGERS: dict[str, Writer] = {
+    "logger.lvm": logger_text, "catman.asc": catman, "toa5.dat": table_oriented, "thousands.csv": thousands,
+    "points.csv": thousands_with_points, "days.csv": day_numbers, "datenum.csv": numbered_days, "rate.csv": rate_above,
+    "step.csv": step_above, "two sheets.xlsx": two_sheets,
 }  # fmt: skip

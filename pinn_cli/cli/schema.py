@@ -158,7 +158,8 @@ def _of_type(hint: Any) -> Schema:
         return hint
     origin, arguments = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        return {"enum": list(hint.__metadata__[0])}
+        allowed = hint.__metadata__[0]
+        return allowed if isinstance(allowed, dict) else {"enum": list(allowed)}
     if origin is Literal:
         return {"enum": list(arguments)}
     if origin in (Union, types.UnionType):

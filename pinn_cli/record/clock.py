@@ -26,9 +26,11 @@ FORMATS: tuple[type[FileFormat], ...] = (
     CsvFormat, MatFormat, UffFormat, ParquetFormat, TdmsFormat, Hdf5Format, NetcdfFormat, ExcelFormat,
 )  # fmt: skip
 # Units of a column of times, and how many of them a second has.
-TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "min": 1.0 / 60.0, "h": 1.0 / 3600.0}
+TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "min": 1.0 / 60.0, "h": 1.0 / 3600.0, "d": 1.0 / 86400.0}
 # s from 1970 to 2100: a clock that counts more counts from 1970 in a smaller unit.
 UNTIL_2100 = 4.1e9
+# Days from 1970 to 2100 as Excel and MATLAB number them: read so where, as s, a clock of more Hz than this had them.
+DAY_NUMBERS, FASTEST_CLOCK = ((25569, 73051), (719529, 767011)), 5e4
 # Stands for the column of times, whatever it is called.
 BY_NAME = ""
 
@@ -68,7 +70,7 @@ class Clock:
             table: With that column.
             column: Of the times.
             unit: A key of `TIME_UNITS`; None: what the header says, if it is one of them, else s, or what of ms, us and
-                ns makes dates of numbers that are too large for s.
+                ns makes dates of numbers that are too large for s, or d of numbers of days.
 
         Raises:
             InputError: A time that is missing, or not later than the one before it.
@@ -79,6 +81,7 @@ class Clock:
         if unit not in TIME_UNITS:
             largest = float(np.max(readings, initial=0.0))
             unit = next((name for name in ("s", "ms", "us", "ns") if largest < UNTIL_2100 * TIME_UNITS[name]), "s")
+            unit = "d" if _are_days(readings) else unit
         table.refuse_gaps(column, readings)
         back = np.flatnonzero(np.diff(readings) <= 0)
         if len(back):
@@ -140,6 +143,13 @@ class Clock:
         hint = "rows are missing, or the file must be resampled to a uniform time axis"
         place = self.table.place(self.column or "its own times", first + row)
         raise InputError(place, time[row], allowed, hint)
+
+
+def _are_days(readings: np.ndarray) -> bool:
+    """Whether readings without a unit are days that Excel or MATLAB has numbered."""
+    if len(readings) < 2 or not any(first <= readings[0] <= readings[-1] < end for first, end in DAY_NUMBERS):
+        return False
+    return bool(np.median(np.diff(readings)) < 1.0 / FASTEST_CLOCK)
 
 
 def _last_digit(time: np.ndarray) -> float:

@@ -28,6 +28,11 @@ from pinn_cli.system.quantities import (
 SENSORS = (*MOTION, FORCE, GROUND, CONNECTION_FORCE)
 PLACES = ("dof", "between", "weights", "connection", "support")
 KEYS = ("sensor", "column", "unit", *PLACES, *CALIBRATION_UNITS)
+# What data.channels may say (`pinn-run --json-schema`): entries with these keys, or those of a class of the user's own.
+_SENSOR: dict[str, Any] = {"anyOf": [{"enum": [*SENSORS]}, {"type": "string", "pattern": r"\$\{"}]}
+_PARTS: dict[str, Any] = {**{key: {} for key in KEYS}, "sensor": _SENSOR}
+_ENTRY = {"anyOf": [{"required": ["_target_"]}, {"properties": _PARTS, "additionalProperties": False}]}
+CHANNELS: dict[str, Any] = {"type": "object", "additionalProperties": {"type": "object", **_ENTRY}}
 UNKNOWN = "unknown"
 # Of a channel before its samples are read.
 NOTHING = np.zeros(0)

@@ -16,7 +16,7 @@ from pinn_cli.record.between_samples import BETWEEN_SAMPLES, FIRST_ORDER_HOLD
 from pinn_cli.record.channel import Channel
 from pinn_cli.record.channels import channels
 from pinn_cli.record.clock import TIME_UNITS, Clock, MeasuredFiles
-from pinn_cli.record.data_channels import DataChannel, data_channels
+from pinn_cli.record.data_channels import CHANNELS, DataChannel, data_channels
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.file_format import FileFormat
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Measurements, Record, Truth, check_frame, dof_mask
@@ -94,7 +94,7 @@ class MeasuredData:
     format: FileFormat = field(default_factory=CsvFormat)
     sampling_rate: float | None = None
     time_unit: Annotated[str, tuple(TIME_UNITS)] | None = None
-    channels: Any = None
+    channels: Annotated[Any, CHANNELS] = None
     validation: Any = None
     responds: bool = True
     band: Any = None

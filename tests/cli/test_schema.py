@@ -67,6 +67,7 @@ def test_the_files_of_conf_pass(checked: Draft7Validator, name: str) -> None:
         "data.force.1: f", "noise.snr_db: null", "threads: ${oc.env:CORES}", "training.weights.physics: 10",
         "system: {connections: {brace: {between: [ground, a], law: linear, k: 1.0e5}}}", "report.between: [1, 2]",
         "hydra/launcher: joblib", "hydra: {sweeper: {params: {seed: 'range(3)'}}}", "figures: false",
+        "data: {channels: {a: {sensor: force, dof: 1, unit: kN, gain: unknown}, b: {_target_: mine.Strain, at: 3}}}",
         "defaults: [override /network: mlp, _self_]", "experiment: [paper/sr_6dof_snr50, paper_training]",
     ],
 )  # fmt: skip
@@ -81,6 +82,7 @@ def test_what_a_run_takes_passes(checked: Draft7Validator, text: str) -> None:
         "network: {degree: 5, width: 20}", "network: {continuity: exactly}", "network.activation: relu",
         "scheme.initial_motion: quiet", "training.dtype: float16", "data: {time_unit: hours}", "seed: 1.5",
         "noise: {snr: 20}", "report: {export: [zip]}", "strict: yes it is", "data: {format: {sheet: a, separator: b}}",
+        "data: {channels: {a: {sensor: accelerometer, dof: 1}}}", "data: {channels: {a: {sensor: force, dofs: 1}}}",
         "defaults: [override /network: mlpp]", "experiment: paper/no", "simulation: 5", "excitation: {phases: mine}",
     ],
 )  # fmt: skip

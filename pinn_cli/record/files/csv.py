@@ -7,7 +7,7 @@ import csv
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import StringIO
 from itertools import islice
 from pathlib import Path
@@ -18,7 +18,7 @@ import pandas as pd
 
 from pinn_cli.record.files.file_format import FileFormat
 from pinn_cli.record.files.on_disk import check_size, read_text
-from pinn_cli.record.files.table import Table, asked_for, is_called_times
+from pinn_cli.record.files.table import IN_BRACKETS, Table, asked_for, is_called_times, rate_of
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import whole_number
 
@@ -27,14 +27,17 @@ _SYMBOL = r"(?:[num\u00b5\u03bckM]?(?:m|s|g|N|V|A|Pa)|cm|in|ft|lbf?|[Gg]al|Hz|ra
 _SYMBOLS = rf"{_SYMBOL}(?:\s*[/*^\u00b7 ]?\s*(?:{_SYMBOL}|[-\u00b2]?\d|\u00b2))*"
 _UNIT = re.compile(rf".*(?:[\[(]\s*|\s/\s*|,\s*)({_SYMBOLS})\s*[\])]?\s*$")
 _ONLY_UNIT = re.compile(rf"[\[(]?\s*({_SYMBOLS})\s*[\])]?$")
+_UNITS_FOLLOW = re.compile(r"(?:^|_|\b)(?:units?|einheit(?:en)?)(?:_|\b)", re.IGNORECASE)
 # In the order in which they are tried; the last stands for any number of blanks.
 BLANKS = " "
 SEPARATORS = ("\t", ";", ",", "|", BLANKS)
 # Lines among which the names are looked for, and rows of numbers below them that are looked at.
 _SOUGHT, _LINES = 200, 20
-# Rows of names and units that may stand over each other.
-_MOST_ROWS = 3
-_CELL = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?$|[+-]?(nan|inf)$|$", re.IGNORECASE)
+# Rows that may stand over each other: two of names, one of units, and one that says how values were made.
+_MOST_ROWS = 4
+_CELL = re.compile(
+    r"[+-]?(\d+([.,]\d*)?|[.,]\d+|\d{1,3}([.,' ]\d{3})+[.,]\d*)([eEdD][+-]?\d+)?$|[+-]?(nan|inf)$|$", re.IGNORECASE
+)
 _DATE = re.compile(r"\d{1,4}[-./]\d\d?[-./]\d{1,4}|\d\d?:\d\d")
 _POINT = re.compile(r"[+-]?\d*\.\d+([eE][+-]?\d+)?\s*$")
 _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?\s*$")
@@ -113,6 +116,9 @@ class CsvFormat(FileFormat):
             wanted: See :meth:`read`.
         """
         heading = self._heading(lines)
+        if heading.width < 2 and heading.numbers and heading.numbers[0] and _is_words(heading.numbers[0]):
+            reason = f"one history whose numbers fill its lines? Write one number a line; {_NAMES_LINE}"
+            raise InputError("data.path", path, "a file with a line of names above columns of numbers", reason)
         separator = heading.separator
         decimal = self.decimal or _decimal(heading.numbers, separator)
         dialect: dict[str, Any] = {"sep": r"\s+" if separator == BLANKS else separator, "decimal": decimal}
@@ -120,6 +126,11 @@ class CsvFormat(FileFormat):
         head = "".join(lines[heading.line : heading.end]) if len(heading.names) < 2 else heading.joined()
         header = list(map(str, _frame(head, dialect, nrows=0).columns))
         _check_nameless(path, heading)
+        times = [name for name in header if is_called_times(name)]
+        empty = [name for name in times if not any(row[header.index(name) :][:1] > [""] for row in heading.numbers)]
+        rate = _rate_above(lines[: heading.line], decimal) if times == empty else None
+        if wanted is not None and rate is not None:
+            wanted = {setting: column for setting, column in wanted.items() if column}
         asked = asked_for(
             path, {f"column {name!r}": name for name in header} if wanted is None else wanted, header, _NAMES_LINE
         )
@@ -132,7 +143,11 @@ class CsvFormat(FileFormat):
         cells = {str(name): frame[name] for name in frame.columns}
         in_brackets = {name: match[1].strip() for name in cells if (match := _UNIT.match(name))}
         units = {name: unit.strip("[]() ") for name, unit in zip(header, heading.units, strict=False) if unit}
-        return Table.of_cells(path, cells, in_brackets | units, decimal, heading.first_line + 1)
+        table = Table.of_cells(path, cells, in_brackets | units, decimal, heading.first_line + 1)
+        if rate is None:
+            return table
+        timeless = {name: values for name, values in table.columns.items() if name not in empty}
+        return replace(table, columns=timeless, time=np.arange(len(frame)) / rate)
 
     def _heading(self, lines: Sequence[str]) -> Heading:
         """Where the names are: by ``names_line``, else above the first rows of numbers."""
@@ -188,13 +203,17 @@ class Heading:
             return None
         cells = [row for _, _, row in rows]
         first = next((i for i in range(1, len(rows)) if _begins_numbers(cells[i:], cells[i - 1])), len(rows))
-        top = 0 if names_line is not None else _top(cells[:first])
+        below = _row_of_units(cells[:first])
+        top = 0 if names_line is not None else _top(cells[:below])
+        below = min(below, top + 2)
         over, numbers = rows[top:first], cells[first : first + _LINES]
         if not over or not numbers or len(over) > _MOST_ROWS:
             return None
-        names, units = _names_and_units(cells[top:first])
+        names = cells[top:below]
+        units = cells[below] if below < first else _units_above(cells[:top])
         width = max(map(_filled, names))
-        if width < 2 or any(not _filled(row) <= width <= max(len(row), 1) for row in numbers[1:] or numbers):
+        spare = separator != BLANKS  # for comments, which no row has
+        if width < 2 or any(not _filled(row) <= width <= max(len(row) + spare, 1) for row in numbers[1:] or numbers):
             return None
         end = over[len(names) - 1][1]
         return cls(separator, over[0][0], end, rows[first][0], tuple(names), units, numbers)
@@ -250,11 +269,30 @@ def _begins_numbers(rows: Sequence[Sequence[str]], above: Sequence[str]) -> bool
     return below and _is_words(above) and _filled(above) == _filled(rows[0])
 
 
+def _row_of_units(rows: Sequence[Sequence[str]]) -> int:
+    """Of the rows above the numbers, that of the units; their number: there is none. What stands below it is no name.
+
+    Below names that are all there it holds units, whether we know them or not, if it has one of the times.
+    """
+    for i in reversed(range(max(len(rows) - 2, 1), len(rows))):
+        above, row = rows[i - 1], rows[i]
+        complete = "" not in above and len(set(above)) == len(above)
+        of_times = any(cell and is_called_times(name) for name, cell in zip(above, row, strict=False))
+        named = _is_words(above) and _filled(above) > 1
+        if all(map(_is_words, rows[i:])) and ((named and _is_units(row)) or (complete and of_times)):
+            return i
+    return len(rows)
+
+
+def _units_above(rows: Sequence[Sequence[str]]) -> Sequence[str]:
+    """Units that stand further above the names, in a row that says so: Y_Unit_Label, N, g; empty: there are none."""
+    units = [("", *row[1:]) for row in rows if row and _UNITS_FOLLOW.search(row[0])]
+    return units[-1] if units else ()
+
+
 def _top(rows: Sequence[Sequence[str]]) -> int:
-    """Of the rows above the numbers, the one where the names begin."""
+    """Of the rows above the numbers and their units, the one where the names begin."""
     last = len(rows) - 1
-    if last > 0 and _is_units(rows[last]) and _is_words(rows[last - 1]) and _filled(rows[last - 1]) > 1:
-        last -= 1
     if last <= 0 or not _is_words(rows[last - 1]):
         return max(last, 0)
     above, names = rows[last - 1], rows[last]
@@ -262,21 +300,6 @@ def _top(rows: Sequence[Sequence[str]]) -> int:
     timed, named = (any(map(is_called_times, row)) for row in (above, names))
     over = 1 < _filled(above) <= len(names) and (timed or 2 * sum(map(bool, above)) > len(names))
     return last - 1 if over and ((timed and not named) or (repeated and timed >= named)) else last
-
-
-def _names_and_units(rows: Sequence[list[str]]) -> tuple[list[list[str]], Sequence[str]]:
-    """The same rows apart: a row or two of names, and that of the units.
-
-    A row below names that are all there holds units, whether we know them or not, if it has one of the times.
-    """
-    *names, last = rows
-    if not names:
-        return list(rows), ()
-    complete = "" not in names[0] and len(set(names[0])) == len(names[0])
-    of_times = any(cell and is_called_times(name) for name, cell in zip(names[0], last, strict=False))
-    if len(names) > 1 or _is_units(last) or (complete and of_times):
-        return names, last
-    return list(rows), ()
 
 
 def _is_units(row: Sequence[str]) -> bool:
@@ -313,7 +336,7 @@ def _check_names(path: Path, heading: Heading, wanted: Mapping[str, str]) -> Non
             raise InputError(setting, repr(column), f"the name of one column of {path.name}", hint)
     filled = _filled(heading.numbers[0]) if heading.numbers else 0
     if filled > heading.width:
-        hint = f"a decimal comma, or a column without a name? Cells belong together by their place; or {_NAMES_LINE}"
+        hint = f"a decimal comma, or a column without a name? Write one sample a line; or {_NAMES_LINE}"
         place = f"{path.name}, first row of numbers"
         raise InputError(place, f"{filled} cells", f"as many as the header has names, {heading.width}", hint)
 
@@ -342,6 +365,19 @@ def rows_of(lines: Sequence[str], separator: str) -> list[list[str]]:
 def _filled(row: Sequence[str]) -> int:
     """Number of cells up to the last one that is filled."""
     return max((place for place, cell in enumerate(row, start=1) if cell), default=0)
+
+
+def _rate_above(lines: Sequence[str], decimal: str) -> float | None:
+    """Hz, as lines above the names tell it: ``Sample rate [Hz]: 50``, ``dt = 0.02 s``; None: they do not."""
+    number = rf"(?P<number>\d+(?:[{decimal}]\d+)?(?:[eE][+-]?\d+)?|[{decimal}]\d+)"
+    for found in re.finditer(rf"(?P<name>[^\d\n]*?){number}[ \t]*(?P<unit>[A-Za-z]*)", "".join(lines)):
+        name = found["name"].strip(" \t,;:=#%\"'")
+        match = IN_BRACKETS.fullmatch(name)
+        value = float(found["number"].replace(decimal, "."))
+        rate = rate_of(match["name"] if match else name, value, match["unit"] if match else found["unit"])
+        if rate is not None:
+            return rate
+    return None
 
 
 def _decimal(rows: Sequence[Sequence[str]], separator: str) -> str:

@@ -25,7 +25,7 @@ class ExcelFormat(ArrayFormat):
     """Columns by their names, as in text. Of a formula its last value is read, and nothing is evaluated.
 
     Attributes:
-        sheet: Its name; None: the first one that has numbers.
+        sheet: Its name; None: the one with most rows of numbers.
         names_line: Row of the columns' names, as of text.
     """
 
@@ -62,15 +62,18 @@ class ExcelFormat(ArrayFormat):
         if self.sheet is not None and self.sheet not in sheets:
             allowed = f"a sheet of {path.name}: {', '.join(sheets)}"
             raise InputError("data.format.sheet", self.sheet, allowed, suggestion(self.sheet, sheets))
+        most, chosen = int(self.sheet is None), None
         for title in sheets if self.sheet is None else [self.sheet]:
             text = StringIO()
             rows = csv.writer(text, delimiter="\t", lineterminator="\n")
             numbers = 0
             for row in sheets[title].iter_rows(values_only=True):
-                numbers += sum(isinstance(cell, int | float) for cell in row)
+                numbers += any(isinstance(cell, int | float) for cell in row)
                 rows.writerow(_written(row))
-            if numbers or self.sheet is not None:
-                return text.getvalue()
+            if numbers >= most:
+                most, chosen = numbers + 1, text.getvalue()
+        if chosen is not None:
+            return chosen
         raise InputError("data.path", path, "a file with a sheet of numbers", f"it has {', '.join(sheets)}")
 
 

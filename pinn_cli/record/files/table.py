@@ -5,6 +5,7 @@ Dates and times of day are read as ISO 8601 has them, and as people and loggers 
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,11 +23,27 @@ _NAMES_TOLD, _NAME_LENGTH = 20, 60
 TIME_COLUMN, _ALSO_TIMES = "t", (
     "time", "zeit", "timestamp", "zeitstempel", "datetime", "date/time", "date time", "date_time", "datum/zeit",
     "datum uhrzeit", "uhrzeit", "elapsed time", "relative time", "time stamp", "x_value", "seconds", "date", "datum",
+    "temps", "tiempo", "tempo", "tijd", "tid", "\u6642\u9593", "\u65f6\u95f4",
 )  # fmt: skip
 # A unit in brackets at the end of a column's name.
-IN_BRACKETS = re.compile(r"(?P<name>.*\S)\s*[\[(]\s*(?P<unit>[^\[\]()]+?)\s*[\])]\s*$")
+IN_BRACKETS = re.compile(r"(?P<name>.*\S)\s*[\[(]\s*(?P<unit>(?!\d+\s*[\])])[^\[\]()]+?)\s*[\])]\s*$")
 # A unit of times behind a name without brackets: time_ms, Zeit / s.
 _UNIT_BEHIND = re.compile(r"(?P<name>.*\w)\s*[\s_,/]\s*(?P<unit>s|ms|us|ns|min|h)\s*$", re.IGNORECASE)
+# What tells how often was sampled: in Hz, or the step in s; and units of both, as factors to these.
+_OFTEN = r"(?:sampl\w*?|scan|abtast|mess)[\W_]*"
+_TELLS_RATE = re.compile(rf"(?:{_OFTEN})?rate|{_OFTEN}freq\w*|f_?s(?:amp)?", re.IGNORECASE)
+_TELLS_STEP = re.compile(
+    rf"dt|ts|delta[\W_]*[tx]|(?:time[\W_]*|{_OFTEN})(?:interval\w*|step|period|schritt)", re.IGNORECASE
+)
+_OF_RATE, _OF_STEP = {"khz": 1e3, "mhz": 1e6}, {"ms": 1e-3, "msec": 1e-3, "us": 1e-6, "ns": 1e-9}
+# Cells that stand for no number, and numbers whose digits are grouped by threes, by the sign of their decimals: such as
+# 1,234.5 or 1,234,567, one of which a column must have, since 9,807 alone may be meant as 9.807.
+_NO_NUMBER = r"(?i:\s*(?:[-\u2013*_.?]+|nan|#[a-z/0]+[!?]?)\s*)"
+_GROUPED = {
+    decimal: rf"\s*[+-]?[1-9]\d{{0,2}}(?:[{sign}' \u00a0\u202f]\d{{3}})+(?:[{decimal}]\d*)?\s*"
+    for decimal, sign in ((".", ","), (",", "."))
+}
+_SURELY_GROUPED = r"\d[' \u00a0\u202f]\d|[.,].*[.,]"
 # Cells that are no numbers, and how to write them as such.
 _WRITTEN_AS = (
     (
@@ -35,6 +52,7 @@ _WRITTEN_AS = (
     ),
     (re.compile(r"[+-]?\d+,\d+([eE].*)?$"), "write decimals with a point"),
     (re.compile(r"(true|false|yes|no|on|off)$", re.IGNORECASE), "write 1 and 0 if these are numbers"),
+    (re.compile(r"[#%!]|[A-Za-z]+ "), "a comment or a note among the numbers? Take its line out"),
     (re.compile(r"=|[+-]?[A-Za-z]\w*\("), "it looks like a formula, and pinn-run evaluates none: save its value"),
 )
 # m/s² is m/s^2, and both letters that are written for micro are u.
@@ -214,15 +232,30 @@ def unit_of_times(column: str) -> str:
 
 def _rank(column: str) -> int | None:
     """How many better names of times there are than that of a column; None: it is none. Groups stand before it."""
-    name = bare(column)
+    name = bare(column).lstrip("#% ")  # as of a comment
     match = _UNIT_BEHIND.fullmatch(name.translate(_PLAIN_LETTERS))
     name = match["name"] if match else name
     for last in (name, re.split(r"[/.]", name)[-1].strip()):
         if last == TIME_COLUMN:
             return 0
-        if last.casefold() in _ALSO_TIMES:
-            return 1 + _ALSO_TIMES.index(last.casefold())
+        plain = re.split(r"\s+\d", last.casefold())[0]  # catman's are Time  1 - default sample rate
+        if plain in _ALSO_TIMES:
+            return 1 + _ALSO_TIMES.index(plain)
     return None
+
+
+def rate_of(name: str, value: float, unit: str = "") -> float | None:
+    """Hz, where a number by its name says how often was sampled; else None.
+
+    Args:
+        name: Such as ``fs``, ``Sampling rate``, ``dt``.
+        value: The number.
+        unit: Of it; one that is not known is Hz or s.
+    """
+    rate, step = (kind.fullmatch(name.strip()) for kind in (_TELLS_RATE, _TELLS_STEP))
+    if (rate is None and step is None) or not (math.isfinite(value) and value > 0.0):
+        return None
+    return value * _OF_RATE.get(unit.lower(), 1.0) if rate else 1.0 / (value * _OF_STEP.get(unit.lower(), 1.0))
 
 
 def column_of_times(names: Collection[str]) -> str:
@@ -311,6 +344,12 @@ def _numbers(cells: pd.Series, decimal: str) -> tuple[np.ndarray, dict[int, str]
     if kind not in "iuf":  # True and False are 1 and 0 to pandas
         is_odd |= np.fromiter((isinstance(cell, bool | np.bool_) for cell in cells), bool, len(cells))
     numbers[is_odd] = np.nan
+    texts = pd.Series(cells.to_numpy()[is_odd], np.flatnonzero(is_odd)).astype("str")
+    grouped = texts[texts.str.fullmatch(_GROUPED[decimal])]
+    if grouped.str.contains(_SURELY_GROUPED).any():
+        plain = grouped.str.replace(rf"[^\d{decimal}+-]", "", regex=True).str.replace(",", ".")
+        numbers[grouped.index], is_odd[grouped.index] = plain.astype(float), False
+    is_odd[texts.index[texts.str.fullmatch(_NO_NUMBER)]] = False
     return numbers, {int(row): str(cells.iloc[row]) for row in np.flatnonzero(is_odd)}
 
 

@@ -14,15 +14,20 @@ from pathlib import Path
 
 import numpy as np
 
-from pinn_cli.record.files.table import SensorHint, Table, check_names, column_of_times, is_called_times, same_length
+from pinn_cli.record.files.table import (
+    SensorHint,
+    Table,
+    check_names,
+    column_of_times,
+    is_called_times,
+    rate_of,
+    same_length,
+)
 from pinn_cli.settings.errors import InputError
 
 NO_HINT = SensorHint()
 # Times that differ by less than this part of the shortest step are the same.
 SAME_TIME = 0.01
-# Scalars that say how often was sampled: in Hz, or the step in s; in small letters.
-_RATES = ("fs", "f_s", "fsamp", "sampling_rate", "samplingrate", "sample_rate", "samplerate", "sampling_frequency")
-_STEPS = ("dt", "ts", "delta_t", "sampling_interval", "sample_interval", "time_step")
 _OTHERS = {"b": "true or false", "c": "complex numbers", "S": "text", "U": "text", "M": "dates", "m": "durations"}
 
 
@@ -134,11 +139,11 @@ def tables_of(path: Path, variables: Mapping[str, Variable], wanted: Mapping[str
 def _rate(variables: Mapping[str, Variable]) -> float | None:
     """Hz, as a scalar of the file says."""
     for name, variable in variables.items():
-        last = re.split(r"[./]", name)[-1].casefold()
-        if last in (*_RATES, *_STEPS) and not variable.content and math.prod(variable.shape) == 1:
-            value = float(np.asarray(variable.load()).ravel()[0])
-            if math.isfinite(value) and value > 0.0:
-                return value if last in _RATES else 1.0 / value
+        last = re.split(r"[./]", name)[-1]
+        if rate_of(last, 1.0) is not None and not variable.content and math.prod(variable.shape) == 1:
+            rate = rate_of(last, float(np.asarray(variable.load()).ravel()[0]))
+            if rate is not None:
+                return rate
     return None
 
 

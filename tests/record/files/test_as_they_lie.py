@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from files_as_they_lie import FILES, GRAVITY, RATE, SAMPLES, rig
+from files_as_they_lie import FILES, GRAVITY, LOGGERS, RATE, SAMPLES, rig
 from refusals import refusal
 
 from pinn_cli.record.clock import MeasuredFiles, recognised
@@ -25,22 +25,33 @@ COLUMNS = {
     "shaker.uff": {"force 1:+Z": "N", "acceleration 1:+Z": "m/s^2", "acceleration 2:+Z": "m/s^2"},
     "labview.tdms": {"Untitled/cDAQ1Mod1/ai0": "N", "Untitled/cDAQ1Mod2/ai0": "g", "Untitled/cDAQ1Mod2/ai1": "g"},
     "sheet.xlsx": {"Force 1 (kN)": "kN", "Acc 1 (g)": "g", "Acc 2 (g)": "g"},
+    "logger.lvm": {"F1": "kN", "A1": "m/s^2", "A2": "m/s^2"},
+    "catman.asc": {"F1": "kN", "A1": "m/s^2", "A2": "m/s^2"},
+    "toa5.dat": {"F1": "N", "Acc(1)": "m/s^2", "Acc(2)": "m/s^2"},
+    "thousands.csv": {"F 1 (mN)": "mN", "A 1 (um/s^2)": "um/s^2", "A 2 (um/s^2)": "um/s^2"},
+    "points.csv": {"F 1 (mN)": "mN", "A 1 (um/s^2)": "um/s^2", "A 2 (um/s^2)": "um/s^2"},
+    "days.csv": {"f1": "", "a1": "", "a2": ""},
+    "datenum.csv": {"f1": "", "a1": "", "a2": ""},
+    "rate.csv": {"f1": "", "a1": "", "a2": ""},
+    "step.csv": {"f1": "", "a1": "", "a2": ""},
+    "two sheets.xlsx": {"f1": "kN", "a1": "g", "a2": "g"},
 }
-FACTORS = {"kN": 1e3, "g": GRAVITY}
+FACTORS = {"kN": 1e3, "mN": 1e-3, "um/s^2": 1e-6, "g": GRAVITY}
 
 
 @pytest.mark.parametrize("name", COLUMNS)
 def test_a_file_is_read_without_a_word(tmp_path, name):
     path = tmp_path / name
-    FILES[name](path)
+    (FILES | LOGGERS)[name](path)
     clock = MeasuredFiles((path,), recognised(path)).read()
-    np.testing.assert_allclose(clock.time - clock.time[0], np.arange(SAMPLES) / RATE, atol=1e-9)
+    digit = 2e-5 if name in ("days.csv", "datenum.csv") else 1e-9  # of days, as double precision has them
+    np.testing.assert_allclose(clock.time - clock.time[0], np.arange(SAMPLES) / RATE, atol=digit)
     _, force, acceleration = rig()
     for (column, unit), values in zip(COLUMNS[name].items(), (force, *acceleration.T), strict=True):
         hint = clock.table.hints.get(column)
         assert (hint.unit if hint else "") == unit
         read = FACTORS.get(unit, 1.0) * clock.table.numbers(column)
-        np.testing.assert_allclose(read, values, rtol=1e-5, atol=1e-6 * np.abs(values).max())
+        np.testing.assert_allclose(read, values, rtol=1e-5, atol=2e-6 * np.abs(values).max())
 
 
 @pytest.mark.parametrize(
@@ -68,6 +79,40 @@ def test_units_behind_names(tmp_path):
     assert {name: hint.unit for name, hint in hints.items()} == {
         "Zeit / s": "s", "F / kN": "kN", "a1 / (mm/s²)": "mm/s^2", "a 2, g": "g",
     }  # fmt: skip
+
+
+def test_times_told_above_the_names_are_those_of_the_columns_that_are_asked_for(tmp_path):
+    LOGGERS["rate.csv"](tmp_path / "rig.csv")
+    clock = MeasuredFiles((tmp_path / "rig.csv",), CsvFormat()).read({"data.acceleration.2": "a2"})
+    assert list(clock.table.columns) == ["a2"]
+    np.testing.assert_allclose(clock.time, np.arange(SAMPLES) / RATE)
+
+
+@pytest.mark.parametrize("mark", ["---", "#N/A", "NAN", "-", "*****", "n/a", "#DIV/0!", ""])
+def test_marks_that_stand_for_no_number_are_gaps(tmp_path, mark):
+    (tmp_path / "rig.csv").write_text(f't,a\n0,1\n1,"{mark}"\n2,3\n')
+    table = CsvFormat().read(tmp_path / "rig.csv")
+    np.testing.assert_array_equal(table.numbers("a"), [1, np.nan, 3])
+
+
+def test_a_comma_that_may_be_one_of_decimals_groups_no_digits(tmp_path):
+    (tmp_path / "rig.csv").write_text("t;a\n" + "0.1;9,807\n0.2;9,806\n" * 3)
+    assert "write decimals with a point" in refusal(CsvFormat().read(tmp_path / "rig.csv").numbers, "a")
+    (tmp_path / "rig.csv").write_text("t;a\n" + "0.1;9,807\n0.2;1,009,806.5\n")
+    np.testing.assert_array_equal(CsvFormat().read(tmp_path / "rig.csv").numbers("a"), [9807, 1009806.5])
+
+
+def test_a_line_that_is_named_may_have_two_more_below(tmp_path):
+    (tmp_path / "rig.csv").write_text("rig\nTime,Ch1\n,Roof\nx,y\n0,1\n1,2\n")
+    assert list(CsvFormat(names_line=2).read(tmp_path / "rig.csv").columns) == ["Time", "Ch1 Roof"]
+
+
+def test_notes_among_the_numbers_and_numbers_that_fill_lines_are_named(tmp_path):
+    (tmp_path / "rig.csv").write_text("t,a\n" + "0,1\n1,2\n" * 20 + "# the door\n2,3\n")
+    table = CsvFormat().read(tmp_path / "rig.csv")
+    assert "a comment or a note among the numbers?" in refusal(table.numbers, "t")
+    (tmp_path / "roof.v2").write_text("Corrected\nStation 1\n600 points at .02 sec\n" + "  1.0 2.0 3.0 4.0\n" * 9)
+    assert "Write one number a line" in refusal(CsvFormat().read, tmp_path / "roof.v2")
 
 
 def test_lines_above_that_nobody_can_tell_apart_are_named(tmp_path):

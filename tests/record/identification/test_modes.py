@@ -138,9 +138,7 @@ def test_more_sensors_than_are_taken():
     ("make", "count"),
     [
         *[(make, 20) for make in (of_building, of_bridge, of_short_shaker, of_multisine, of_ground)],
-        pytest.param(
-            of_hammer, 40, marks=pytest.mark.xfail(strict=True, reason="after blows intervals hold 98 to 99 %")
-        ),
+        (of_hammer, 40),
     ],
 )
 def test_intervals_hold_the_true_modes(make, count):
