@@ -56,6 +56,7 @@ LOOKS = [line for line in EVERY if line.startswith("pinn-run inspect")]
 SHORT = {
     r"^(?!.*(figures|paper/))": ("figures=false",),  # docs/test_gallery.py draws them
     r"^(?!.*(data=|model=|experiment=examples))": ("simulation.duration=15", "simulation.samples=513"),
+    r"simulation\.duration": ("simulation.samples=1025",),
     r"data\.path=rig\.csv(?!.*(stop|until|model=|validation))": ("data.stop=5",),
     r"network=mlp(?!.*(adam|lbfgs))": ("training.iterations=5",),
     r"network=mlp.*(adam|lbfgs)": ("training.iterations=50",),

@@ -31,13 +31,14 @@ class Structure:
     def moved(self, force, time: np.ndarray) -> Response:
         """Motion from rest under a force on the roof, N, a function of time."""
         n = len(self.m)
+        stretch = np.eye(n) - np.eye(n, k=-1)
 
         def rate(t: float, y: np.ndarray) -> np.ndarray:
-            e, de = np.diff(y[:n], prepend=0.0), np.diff(y[n:], prepend=0.0)
-            carried = self.c * de + self.k * e + self.quadratic * e**2 + self.kappa * e**3
-            pull = np.append(carried[1:], 0.0) - carried
+            e, de = y.reshape(2, n) @ stretch.T
+            carried = self.c * de + e * (self.k + e * (self.quadratic + e * self.kappa))
+            pull = -carried @ stretch
             pull[-1] += force(t)
-            return np.append(y[n:], pull / self.m)
+            return np.concatenate((y[n:], pull / self.m))
 
         shortest = 0.2 / self.frequencies[-1]
         found = solve_ivp(

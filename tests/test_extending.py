@@ -2,7 +2,6 @@
 
 import importlib
 import importlib.metadata
-import json
 import re
 import runpy
 import shlex
@@ -66,13 +65,11 @@ def installed(tmp_path, monkeypatch):
 
 @pytest.fixture
 def example(installed, pinn_run):
-    """Run an example's only command; returns the run's directory."""
+    """Run an example's only command."""
 
     def call(heading):
         (command,) = EXAMPLES[heading][1]
-        arguments = shlex.split(command)[1:]
-        outcome = pinn_run("--config-dir", str(installed / "conf"), *arguments, "figures=false").done()
-        return outcome.directory
+        return pinn_run("--config-dir", str(installed / "conf"), *shlex.split(command)[1:], "figures=false").done()
 
     return call
 
@@ -94,9 +91,9 @@ def made(script, heading, monkeypatch, folder):
     runpy.run_path("script.py")
 
 
-def fitness(directory, estimator="pinn"):
+def fitness(outcome, estimator="pinn"):
     """Of the displacement of all DOFs, by the printed formula."""
-    rows = pd.read_csv(directory / "fitness.csv").set_index(["estimator", "group", "quantity"])
+    rows = pd.read_csv(outcome.directory / "fitness.csv").set_index(["estimator", "group", "quantity"])
     return rows.loc[(estimator, "all", "displacement"), "fitness_percent"]
 
 
@@ -128,8 +125,7 @@ def test_pip_registers_the_package(tmp_path):
 
 
 def test_a_law_of_a_connection(example):
-    directory = example("A law of a connection")
-    parameters = pd.read_csv(directory / "parameters.csv").set_index("parameter")
+    parameters = example("A law of a connection").parameters
     assert parameters.loc["strength_1", "estimate"] == pytest.approx(0.5, rel=0.05)
     assert parameters.loc["strength_2", "estimate"] == pytest.approx(0.5, rel=0.05)
 
@@ -140,7 +136,7 @@ def test_a_law_is_one_of_a_structure_s_connections_too(installed, pinn_run):
         "system=structure", "system.dofs=[x]", "system.mass=10", f"system.connections={connections}", "figures=false",
         "scheme.unobserved=[]", "simulation.duration=10", "simulation.samples=256", "excitation.band=[0.2,1]",
     ).done()  # fmt: skip
-    assert "strength_a" in set(pd.read_csv(outcome.directory / "parameters.csv")["parameter"])
+    assert "strength_a" in outcome.parameters.index
 
 
 def test_a_network(example):
@@ -149,18 +145,17 @@ def test_a_network(example):
 
 @pytest.mark.slow
 def test_a_file_format_of_records(example, rig):
-    directory = example("A file format of records")
-    parameters = pd.read_csv(directory / "parameters.csv").set_index("parameter")
+    parameters = example("A file format of records").parameters
     assert parameters.loc["k_1", "estimate"] == pytest.approx(40e3, rel=0.01)
 
 
 def test_a_kind_of_sensor(example, monkeypatch, tmp_path):
     made("make_tower.py", "A kind of sensor", monkeypatch, tmp_path)
-    directory = example("A kind of sensor")
-    parameters = pd.read_csv(directory / "parameters.csv").set_index("parameter")
+    outcome = example("A kind of sensor")
+    parameters = outcome.parameters
     assert parameters.loc["k_1", "estimate"] == pytest.approx(40e3, rel=0.01)
     assert parameters.loc["k_2", "estimate"] == pytest.approx(30e3, rel=0.01)
-    sensors = pd.read_csv(directory / "residuals.csv").set_index("channel")
+    sensors = pd.read_csv(outcome.directory / "residuals.csv").set_index("channel")
     assert sensors.loc["displacement of sensor tilt", "free_run_nmse_percent"] < 1.0
 
 
@@ -174,15 +169,13 @@ def test_a_sensor_of_one_s_own_says_by_itself_what_it_feels(installed, pinn_run,
 @pytest.mark.slow  # a file format as well
 def test_a_force_that_moves(example, monkeypatch, tmp_path):
     made("make_bridge.py", "A force that moves", monkeypatch, tmp_path)
-    directory = example("A force that moves")
-    parameters = pd.read_csv(directory / "parameters.csv").set_index("parameter")
-    assert parameters.loc["k_pier", "estimate"] == pytest.approx(2e6, rel=0.03)
-    assert json.loads((directory / "run.json").read_text())["verdict"] == "sound"
+    outcome = example("A force that moves")
+    assert outcome.parameters.loc["k_pier", "estimate"] == pytest.approx(2e6, rel=0.03)
+    assert outcome.record["verdict"] == "sound"
 
 
 def test_a_scheme(example):
-    directory = example("A scheme")
-    parameters = pd.read_csv(directory / "parameters.csv").set_index("parameter")
+    parameters = example("A scheme").parameters
     assert list(parameters.index) == ["k_1", "k_2", "k_3"]
     # The prescribed values are 5 to 10 % off.
     assert parameters["error_percent"].abs().max() < 2.0
@@ -193,7 +186,7 @@ def test_a_training(example):
 
 
 def test_an_estimator(example):
-    directory = example("An estimator")
-    assert json.loads((directory / "run.json").read_text())["baseline"]["stop_reason"] == "simulated"
+    outcome = example("An estimator")
+    assert outcome.record["baseline"]["stop_reason"] == "simulated"
     # The prescribed values are 5 to 10 % off, which the network finds out from the sensors.
-    assert fitness(directory, estimator="open_loop") < 95.0 < fitness(directory)
+    assert fitness(outcome, estimator="open_loop") < 95.0 < fitness(outcome)

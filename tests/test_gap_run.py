@@ -46,7 +46,7 @@ def test_stiffness_and_gap_of_a_contact_are_identified(pinn_run: PinnRun, tmp_pa
     joined = f"{{wall: {{between: [ground, a], law: linear}}, stop: {{between: [a, b], law: gap, sides: {sides}}}}}"
     path = written(tmp_path / "stop.csv", sides, gap)
     outcome = pinn_run(*SYSTEM, f"system.connections={joined}", f"data.path={path}", "hydra.run.dir=run").done()
-    table = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    table = outcome.parameters
     for name, true in (TRUE | {"gap_stop": gap}).items():
         estimate, std = table.loc[name, ["estimate", "std"]]
         assert abs(estimate - true) < 4.0 * std, name

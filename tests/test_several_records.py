@@ -24,10 +24,6 @@ def write(folder: Path, duration: float, snr_db: float, force_gain: float = 1.0)
         pd.DataFrame(columns).to_csv(folder / f"storey_{storey}.csv", index=False)
 
 
-def parameters(directory: Path) -> pd.DataFrame:
-    return pd.read_csv(directory / "parameters.csv").set_index("parameter")
-
-
 @pytest.mark.slow
 def test_three_records_make_one_report(pinn_run: PinnRun, tmp_path: Path) -> None:
     write(tmp_path, duration=6.0, snr_db=30.0)
@@ -40,7 +36,7 @@ def test_three_records_make_one_report(pinn_run: PinnRun, tmp_path: Path) -> Non
     settings = "data.force={3: f}", f"data.records=[{records}]", other, f"hydra.run.dir={tmp_path}/run"
     command = (*FRAME, *UNKNOWN, *settings)
     done = pinn_run(*command).done()
-    found = parameters(done.directory)
+    found = done.parameters
     assert list(found.index) == ["k_1", "k_2", "k_3"]
     assert np.all(np.abs(found["estimate"] / TRUTH - 1.0) < 0.02)
     summary = pd.read_csv(done.directory / "records.csv")
@@ -86,10 +82,10 @@ def test_a_roving_accelerometer_and_a_load_cell_of_unknown_gain(pinn_run: PinnRu
         done = pinn_run(
             *FRAME, *UNKNOWN, f"data.path={path.removeprefix('path: ')}", f"data.channels={channels}"
         ).done()
-        alone.append(parameters(done.directory)["estimate"][["k_1", "k_2", "k_3"]].to_numpy())
+        alone.append(done.parameters["estimate"][["k_1", "k_2", "k_3"]].to_numpy())
     records = ",".join(f"{{{entry(storey)}}}" for storey in (1, 2, 3))
     done = pinn_run(*FRAME, *UNKNOWN, f"data.records=[{records}]").done()
-    found = parameters(done.directory)["estimate"]
+    found = done.parameters["estimate"]
     assert list(found.index) == ["k_1", "k_2", "k_3", "gain_f"]
     assert np.all(np.abs(found[["k_1", "k_2", "k_3"]].to_numpy() / TRUTH - 1.0) < 0.01)
     # They did not agree while a load cell of unknown gain kept its noise in a free run.

@@ -76,7 +76,7 @@ def test_an_earthquake_whose_ground_record_is_missing(
         f"data.acceleration={{{', '.join(f'{dof}: a{dof}' for dof in sensors)}}}", "system=linear", "system.ndof=3",
         f"system.m={m.tolist()}", "scheme=state_parameter", "scheme.unknown=[k_*, c_*]", "figures=false",
     )  # fmt: skip
-    found = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    found = outcome.parameters
     assert found.loc[["k_2", "k_3"], "estimate"].to_numpy() == pytest.approx(k[1:], rel=0.01)
     off = found["estimate"] - pd.Series(
         {f"{kind}_{i + 1}": x for i, x in enumerate(k) for kind, x in (("k", x), ("c", 3e-3 * x))}

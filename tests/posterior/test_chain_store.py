@@ -25,8 +25,15 @@ def run(directory, likelihood=LIKELIHOOD, priors=PRIORS, count=4, settings=SETTI
 
 
 @pytest.fixture(scope="module")
-def undisturbed():
-    return run(None)
+def finished(tmp_path_factory):
+    """The directory of a run whose four chains are there, and its samples."""
+    directory = tmp_path_factory.mktemp("finished")
+    return directory, run(directory)
+
+
+@pytest.fixture
+def undisturbed(finished):
+    return finished[1]
 
 
 @pytest.fixture
@@ -67,9 +74,10 @@ def test_a_killed_run_goes_on_after_its_last_finished_chain(tmp_path, monkeypatc
     assert again == [3, 4]
 
 
-def test_a_finished_run_samples_nothing_and_more_chains_only_those(tmp_path, sampled, undisturbed, caplog):
-    run(tmp_path, count=3)
-    sampled.clear()
+def test_a_finished_run_samples_nothing_and_more_chains_only_those(tmp_path, sampled, finished, caplog):
+    directory, undisturbed = finished
+    shutil.copytree(directory, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "chains" / "chain_4.npz").unlink()
     with caplog.at_level(logging.INFO, "pinn_cli"):
         assert_same(run(tmp_path), undisturbed)
     assert sampled == [4]
@@ -89,10 +97,10 @@ def swap(place) -> None:
 
 
 @pytest.mark.parametrize("harm", [truncate, empty, swap])
-def test_a_file_that_is_not_what_it_should_be_is_sampled_again(harm, tmp_path, sampled, undisturbed, caplog):
-    run(tmp_path)
+def test_a_file_that_is_not_what_it_should_be_is_sampled_again(harm, tmp_path, sampled, finished, caplog):
+    directory, undisturbed = finished
+    shutil.copytree(directory, tmp_path, dirs_exist_ok=True)
     harm(tmp_path / "chains" / "chain_2.npz")
-    sampled.clear()
     with caplog.at_level(logging.WARNING, "pinn_cli"):
         assert_same(run(tmp_path), undisturbed)
     assert sampled == [2]
@@ -116,9 +124,8 @@ def test_a_file_that_is_not_what_it_should_be_is_sampled_again(harm, tmp_path, s
     ],
     ids=["seed", "warmup", "prior", "peak", "names", "noise"],
 )
-def test_chains_of_another_posterior_are_not_taken_over(other, tmp_path, sampled):
-    run(tmp_path, count=1)
-    sampled.clear()
+def test_chains_of_another_posterior_are_not_taken_over(other, tmp_path, sampled, finished):
+    shutil.copytree(finished[0], tmp_path, dirs_exist_ok=True)
     run(tmp_path, count=1, **other)
     assert sampled == [1]
 

@@ -173,14 +173,10 @@ def test_two_changes_are_sized_together():
 
 
 def test_released_opens_the_changed_parameter_alone():
-    given, rng = case(), np.random.default_rng(7)
-    change = np.zeros(P)
-    change[2] = 40.0
-    problem, known, _ = solved(given, rng, change)
+    problem, known, _ = with_the_third_changed(seed=7)
     changes = found_changes(problem, known)
     assert [found.parameter.index for found in changes.found] == [2]
-    again = released(problem, changes)
-    opened = prior_covariance(again) - given.C
+    opened = prior_covariance(released(problem, changes)) - case().C
     assert opened[2, 2] >= problem.uncertain[2].prescribed ** 2
     opened[2, 2] = 0.0
     np.testing.assert_allclose(opened, 0.0, atol=1e-9)
