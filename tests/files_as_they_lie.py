@@ -107,7 +107,7 @@ def semicolons(path: Path) -> None:
 
 
 def tabs(path: Path) -> None:
-    path.write_text("Tempo\tF1\tA1\tA2\n" + _lines(_rows(_seconds()), "\t"))
+    path.write_text("Chronos\tF1\tA1\tA2\n" + _lines(_rows(_seconds()), "\t"))
 
 
 def utf_16(path: Path) -> None:

@@ -130,7 +130,12 @@ def test_a_command_waits_for_the_one_in_its_directory(other, pinn_run, tmp_path,
     place = tmp_path / "place"
     first = other(place, name)
     monkeypatch.setattr(run_lock, "EVERY_S", 0.02)
-    monkeypatch.setattr(run_lock, "_owner", lambda file: first.terminate())  # asked for once, when it has to wait
+
+    def left(file: Path) -> str:
+        first.terminate()
+        return ""
+
+    monkeypatch.setattr(run_lock, "small_text", left)  # who is in there is asked once, when it has to wait
     seen: list[bool] = []
     done = pinn_run(*given, task=lambda config: seen.append((place / name).is_file()))
     assert (done.status, first.wait()) == (0, -signal.SIGTERM), done.err

@@ -134,7 +134,7 @@ def test_a_file_is_known_by_what_is_in_it(pinn_run, tmp_path):
     for name in ("record.bin", "record"):
         outcome = pinn_run("inspect", name, "figures=false")
         assert outcome.out.startswith(f"{SAMPLES} samples"), outcome.err
-    assert "data.time=Tempo" in proposed(outcome.out)
+    assert "data.time=Chronos" in proposed(outcome.out)
 
 
 def test_a_rate_is_enough_beside_a_column_of_dates(pinn_run, tmp_path):

@@ -132,11 +132,11 @@ def test_a_softening_spring_is_found_where_it_may_be_one():
     assert kappa.upper_90 < 0.0
 
 
-def test_a_softening_spring_that_may_be_none_is_held_at_zero_inside_its_interval():
+def test_a_softening_spring_that_may_be_none_is_held_at_zero_where_its_interval_begins():
     estimate = identified(softening_example(), softening_chain(), initial={"kappa": 123.4})
     k, kappa = unknowns(estimate).values()
     assert kappa.held
-    assert 0.0 <= kappa.lower_90 < kappa.estimate < kappa.upper_90
+    assert kappa.lower_90 == kappa.estimate == 0.0 < kappa.upper_90
     assert k.lower_90 < k.estimate < k.upper_90
     assert np.isfinite([kappa.std, kappa.upper_90]).all()
 
