@@ -6,15 +6,20 @@ from sphinx.application import Sphinx
 from sphinx.writers.html5 import HTML5Translator
 
 
+def as_mathml(text: str, as_block: bool) -> str:
+    """Dots stand above letters: as accents Chromium draws them into these."""
+    return str(tex2mathml(text, as_block=as_block)).replace('<mover accent="true">', '<mover accent="false">')
+
+
 def inline(translator: HTML5Translator, node: nodes.math) -> None:
     """An equation within a line."""
-    translator.body.append(tex2mathml(node.astext(), as_block=False))
+    translator.body.append(as_mathml(node.astext(), as_block=False))
     raise nodes.SkipNode
 
 
 def block(translator: HTML5Translator, node: nodes.math_block) -> None:
     """An equation on lines of its own."""
-    translator.body.append(f'<div class="math">{tex2mathml(node.astext(), as_block=True)}</div>')
+    translator.body.append(f'<div class="math">{as_mathml(node.astext(), as_block=True)}</div>')
     raise nodes.SkipNode
 
 

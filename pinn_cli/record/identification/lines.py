@@ -10,6 +10,8 @@ from pinn_cli.system.priors import HALF_WIDTH_90
 
 # A band reaches so many half widths of its mode to either side, and this part of its frequency at most.
 HALF_WIDTHS, WIDEST = 10.0, 0.3
+# Groups of lines that tell how uncertain a mode is.
+GROUPS = 30
 # What is added to the factor on a variance where a half-power width has one line: measured, see `widened`.
 FEW_LINES = 2.0
 
@@ -143,6 +145,17 @@ def widened(covariance: np.ndarray, pole: Pole, duration: float, factors: tuple[
     lines = 2.0 * pole.damping * pole.frequency * duration
     factor = np.sqrt(np.array(factors) + FEW_LINES / max(lines, 0.5))
     return np.asarray(covariance * np.outer(factor, factor))
+
+
+def scatter(scores: np.ndarray) -> np.ndarray:
+    """(P, P), covariance of the sum of scores (L, P), one for each line.
+
+    Adjacent lines are a group, whose errors go together (Liang and Zeger, Biometrika 73, 1986). What each of several
+    blows sets off is off by a factor of its own, and from line to line that moves a pole to and fro; where power has an
+    edge in the band, one side of it moves the pole as a whole.
+    """
+    of_groups = np.add.reduceat(scores, np.arange(0, len(scores), max(1, len(scores) // GROUPS)), axis=0)
+    return np.asarray(of_groups.T @ of_groups)
 
 
 def normalised(shape: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

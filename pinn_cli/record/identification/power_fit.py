@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pinn_cli.record.identification.lines import Lines, Pole, RecordMode, normalised, widened
+from pinn_cli.record.identification.lines import Lines, Pole, RecordMode, normalised, scatter, widened
 
 # Lines of a band at least; the sensors' other motion is taken to be even in this part; lines that tell of it.
 FEWEST_IN_BAND_FIT, SHRUNK, FEWEST_OUTSIDE = 40, 0.05, 4
@@ -161,7 +161,7 @@ class PowerFit:
         residual = (self.power - expected) / expected
         leverage = np.minimum(np.einsum("la,ab,lb->l", jacobian, inverse, jacobian), 0.7)
         scores = jacobian * (residual / (1.0 - leverage))[:, None]
-        grouped = inverse @ (scores.T @ scores) @ inverse / np.outer(norm, norm)
+        grouped = inverse @ scatter(scores) @ inverse / np.outer(norm, norm)
         even = inverse / np.outer(norm, norm)
         covariance = (even if np.trace(even[:2, :2]) > np.trace(grouped[:2, :2]) else grouped)[:2, :2]
         covariance = widened(covariance, poles[0], self.band.duration, WIDENED_POWER)

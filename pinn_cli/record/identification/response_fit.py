@@ -15,13 +15,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pinn_cli.record.identification.lines import Lines, Pole, RecordMode, normalised, widened
+from pinn_cli.record.identification.lines import Lines, Pole, RecordMode, normalised, scatter, widened
 
 # Degree of the polynomials; lines for every column; and inputs have so many more lines of power than columns.
 DEGREE, LINES_OF_COLUMN, MORE_LINES = 3, 3.0, 3.0
 FIT_STEPS, LARGEST_LEVERAGE = 30, 0.7
-# Groups of lines, of which the scatter of a mode is told.
-GROUPS = 30
 # What the variances of a frequency and a damping ratio are of those to first order: measured, see `widened`.
 WIDENED_RESPONSE = 1.1, 1.1
 
@@ -148,14 +146,11 @@ class ResponseFit:
             inverse = np.linalg.inv(normal)
         except np.linalg.LinAlgError:
             return None
-        # Adjacent lines are a group, whose errors go together and are as large as they are (Liang and Zeger, Biometrika
-        # 73, 1986): what each of several blows sets off is off by a factor of its own, and from line to line that
-        # moves the pole to and fro. What the fit has taken of a line is put back (MacKinnon and White's HC3).
+        # Errors are as large as they are; what the fit has taken of a line is put back (MacKinnon and White's HC3).
         of_poles = np.einsum("lsa,ab,lsb->l", w.conj(), inverse, w).real / max(len(weights), 1)
         leverage = np.minimum(np.sum(np.abs(directions) ** 2, axis=1) + of_poles, LARGEST_LEVERAGE)
         scores = np.einsum("lsa,ls->la", w.conj(), residual * weights).real / (1.0 - leverage)[:, None]
-        scores = np.add.reduceat(scores, np.arange(0, lines, max(1, lines // GROUPS)), axis=0)
-        grouped = inverse @ (scores.T @ scores) @ inverse
+        grouped = inverse @ scatter(scores) @ inverse
         errors = residual * weights
         together = errors.conj().T @ errors / (lines - columns)
         even = inverse @ np.einsum("lsa,st,ltb->ab", w.conj(), 0.5 * together.T, w).real @ inverse

@@ -19,7 +19,7 @@ from vibrating_records import (
     of_short_shaker,
 )
 
-from pinn_cli.record.identification.lines import Lines, Pole, deviations
+from pinn_cli.record.identification.lines import Lines, Pole, deviations, scatter
 from pinn_cli.record.identification.modes import Identified, identify
 from pinn_cli.record.identification.power_fit import PowerFit
 from pinn_cli.record.identification.subspace import assurance, stabilisation
@@ -183,6 +183,12 @@ def test_power_of_a_mode_is_the_sum_over_lags():
     both = 2.0 * correlation * np.cos(omega * lag) * np.where(lag == 0, 0.5, 1.0)
     expected = both.sum(axis=0) * abs(pole.at.real * 0.02)
     np.testing.assert_allclose(fit._shown(pole), np.stack((expected.real, -expected.imag), axis=1), atol=1e-9)
+
+
+def test_adjacent_lines_of_a_wide_band_count_together():
+    assert scatter(np.ones((90, 1))) == pytest.approx(270.0)  # thirty groups of three
+    assert scatter(np.ones((40, 1))) == pytest.approx(40.0)  # each line alone
+    assert scatter((-1.0) ** np.arange(120)[:, None]) == pytest.approx(0.0)
 
 
 def test_slopes_of_a_pole():
