@@ -108,13 +108,11 @@ class NaturalModes:
     @classmethod
     def of(cls, structure: Structure) -> NaturalModes | None:
         """Of a structure; None where a parameter of it is unknown, or a mass is not positive."""
-        m = structure.parameters_like(np.empty(0))[MASS]
-        k, c = at_rest(structure)
-        if not np.isfinite(np.concatenate((m, k, c))).all() or (m <= 0).any():
+        matrices = _by_masses(structure)
+        if matrices is None:
             return None
-        stretch, n = structure.incidence.matrix.toarray() / np.sqrt(m), len(m)
-        K, C = stretch.T @ (k[:, None] * stretch), stretch.T @ (c[:, None] * stretch)
-        squares, still = np.linalg.eigh(K)
+        m, K, C = matrices
+        n, (squares, still) = len(m), np.linalg.eigh(K)
         rigid = RIGID * np.abs(squares).max()
         squares[np.abs(squares) <= rigid] = 0.0
         poles, vectors = np.linalg.eig(np.block([[np.zeros((n, n)), np.eye(n)], [-K, -C]]))
@@ -229,12 +227,26 @@ def _by_kind(structure: Structure, kind: str) -> np.ndarray:
     return (above - below)[:, connections] / (2.0 * step.numpy()[which])
 
 
-def undamped_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) omega^2, (rad/s)^2, ascending, and (n, n) shapes v of the coordinates with v' M v = 1, one a column."""
+def undamped_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray] | None:
+    """(n,) omega^2, (rad/s)^2, ascending, and (n, n) shapes v of the coordinates with v' M v = 1, one a column.
+
+    None where a parameter is unknown, or a mass is not positive.
+    """
+    matrices = _by_masses(structure)
+    if matrices is None:
+        return None
+    squares, shapes = np.linalg.eigh(matrices[1])
+    return squares, shapes / np.sqrt(matrices[0])[:, None]
+
+
+def _by_masses(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """M (n,), and M^-1/2 K M^-1/2 and M^-1/2 C M^-1/2 (n, n) at rest; None: see :func:`undamped_modes`."""
     m = structure.parameters_like(np.empty(0))[MASS]
+    k, c = at_rest(structure)
+    if not np.isfinite(np.concatenate((m, k, c))).all() or (m <= 0).any():
+        return None
     stretch = structure.incidence.matrix.toarray() / np.sqrt(m)
-    squares, shapes = np.linalg.eigh(stretch.T @ (at_rest(structure)[0][:, None] * stretch))
-    return squares, shapes / np.sqrt(m)[:, None]
+    return m, stretch.T @ (k[:, None] * stretch), stretch.T @ (c[:, None] * stretch)
 
 
 def frequency_with_oscillator(structure: Structure, place: np.ndarray, mass: float, alone: float) -> float:

@@ -22,7 +22,7 @@ from pinn_cli.system.functions import Jet
 from pinn_cli.system.left_out import MODE
 from pinn_cli.system.modes import frequency_with_oscillator
 from pinn_cli.system.priors import HALF_WIDTH_90
-from pinn_cli.training.doubts.force_doubts import ForceTerm, connection_force, force_border, force_terms
+from pinn_cli.training.doubts.force_doubts import ForceTerm, connection_force, force_border, force_terms, structure_at
 from pinn_cli.training.doubts.left_spectra import WHOLE_RECORD, Fit, LeftSpectra, left_spectra
 from pinn_cli.training.doubts.sensor_doubts import (
     DELAY,
@@ -104,7 +104,7 @@ def _chosen(
         if not gain > max([DECISIVE_DOUBT, *(FURTHER_SHARE * first for first in gains[:1])]):
             break
         if solution.gain_in_other_half([*chosen, best]) > HELD_TRUE * gain:
-            chosen, gains, replaced = solution.needed([*chosen, best])
+            chosen, gains, replaced = solution.asked([*chosen, best]).needed()
         else:
             replaced = [best]
         refuted |= {(term.term.kind, term.term.of) for term in replaced}
@@ -113,7 +113,7 @@ def _chosen(
         best, of_best = _best(solution, rest, candidates, refuted)
         far = of_best > gain + DECISIVE_DOUBT and len(rest) < len(chosen)
         if far and solution.gain_in_other_half([*rest, best]) > HELD_TRUE * of_best:
-            chosen, gains, _ = solution.needed([*rest, best])
+            chosen, gains, _ = solution.asked([*rest, best]).needed()
     return chosen, gains
 
 
@@ -218,30 +218,13 @@ class _Solution:
             gain += other.spectra.minus_log_after(without.step) - other.spectra.minus_log_after(whole.step)
         return gain
 
-    def needed(
-        self, terms: Sequence[ForceTerm | SensorTerm]
-    ) -> tuple[list[ForceTerm | SensorTerm], list[float], list[ForceTerm | SensorTerm]]:
-        """Those with which the record is far more probable than with the others alone, by how much, and the rest.
-
-        The most probable one is first. What was the best guess alone may stand in for what was found after it.
-        """
-        gains = self.asked(terms).gains_beside_others()
-        ranked = sorted(zip(gains, terms, strict=True), key=lambda pair: -pair[0])
-        kept, least = [term for _, term in ranked], ranked[-1][0]
-        if least > DECISIVE_DOUBT or len(kept) == 1:
-            return kept, [gain for gain, _ in ranked], []
-        needed, gains, rest = self.needed(kept[:-1])
-        return needed, gains, [*rest, kept[-1]]
-
     def at_its_mode(self, doubt: Doubt, term: ForceTerm | SensorTerm, step: np.ndarray) -> Doubt:
         """Of an attached oscillator with the frequency of the whole, in place of its own while its DOF is held."""
         if doubt.kind != MODE or not isinstance(term, ForceTerm):
             return doubt
         by = torch.as_tensor(step[: len(self.point.parameters)]).to(self.point.parameters)
-        values = self.equations.parameters(Point(self.point.unknowns, self.point.parameters + by))
-        structure = self.equations.dynamics.structure
-        present = replace(structure, parameters={kind: values[kind] for kind in structure.parameters})
-        whole = frequency_with_oscillator(present, term.distribution[: structure.coordinates], doubt.value, doubt.shape)
+        present = structure_at(self.equations, Point(self.point.unknowns, self.point.parameters + by))
+        whole = frequency_with_oscillator(present, term.distribution[: present.coordinates], doubt.value, doubt.shape)
         return replace(doubt, shape=whole)
 
     def moved_most(self, asked: _Asked, by: np.ndarray, before: Fit, std: Response) -> tuple[float, str]:
@@ -285,15 +268,21 @@ class _Asked:
             fits.append(self.spectra.fit([*self.free, *self.places[:count]], fits[-1].energy))
         return fits
 
-    def gains_beside_others(self) -> list[float]:
-        """Of each term, the logarithm of how many times as probable the record is with it beside all others."""
-        whole = self.fits(len(self.terms))[-1]
-        return [
-            self.spectra.fit([*self.free, *(other for other in self.places if other != place)], whole.energy).minus_log
-            - whole.minus_log
-            - 0.5 * float(np.log(max(whole.information[place], 1.0)))
-            for place in self.places
-        ]
+    def needed(self) -> tuple[list[ForceTerm | SensorTerm], list[float], list[ForceTerm | SensorTerm]]:
+        """Terms with which the record is far more probable than with the others alone, by how much, and the rest.
+
+        The most probable one is first. What was the best guess alone may stand in for what was found after it.
+        """
+        kept, whole = dict(zip(self.places, self.terms, strict=True)), self.fits(len(self.terms))[-1]
+        rest: list[ForceTerm | SensorTerm] = []
+        while True:
+            others = {place: [*self.free, *(other for other in kept if other != place)] for place in kept}
+            gains = {place: whole.gain(self.spectra.fit(others[place], whole.energy), place) for place in kept}
+            ranked = sorted(kept, key=lambda place: -gains[place])
+            if gains[ranked[-1]] > DECISIVE_DOUBT or len(ranked) == 1:
+                return [kept[place] for place in ranked], [gains[place] for place in ranked], rest
+            rest.append(kept.pop(ranked[-1]))
+            whole = self.spectra.fit([*self.free, *kept], whole.energy)
 
     def best(self, chosen: int) -> tuple[ForceTerm | SensorTerm, float]:
         """The term that makes the record most probable beside the first ones, and its gain."""
@@ -321,7 +310,7 @@ class _Asked:
         # Equations of which nothing is left hold for any motion: without a measured force, a mass that goes to zero
         # with all that is unknown explains everything.
         wrong = not term.least < term.scale * (x - HALF_WIDTH_90 / information**0.5) or term.scale * x > term.most
-        gain = before.minus_log - fit.minus_log - 0.5 * np.log(information)
+        gain = fit.gain(before, place)
         # What explains something else at the price of where the structure moves stands in for what is not asked.
         moving = self.spectra.moving
         wrong |= fit.energy[moving].sum() > before.energy[moving].sum()

@@ -34,6 +34,7 @@ from pinn_cli.system.left_out import (
 from pinn_cli.system.modes import undamped_modes
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE, MOTION
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.doubts.other_damping import USUAL
 from pinn_cli.training.doubts.sensor_doubts import DELAY, Term, delays
 from pinn_cli.training.factors.channel_at_point import sparse_rows
@@ -192,16 +193,13 @@ class _Forces:
 
     def of_modes(self, point: Point) -> Iterator[ForceTerm]:
         """More or less damping of a mode, but where its ratio is a parameter that may move."""
-        dynamics, uncertain = self.equations.dynamics, self.equations.uncertain
-        structure = dynamics.structure
-        values = self.equations.parameters(point)
-        present = replace(structure, parameters={kind: values[kind] for kind in structure.parameters})
-        mass = values[MASS].numpy()
-        if not (mass > 0.0).all():
+        modes = undamped_modes(structure_at(self.equations, point))
+        if modes is None:
             return
-        moving = {p.index for p in uncertain if p.kind == RATIO}
-        rate = self.motion.rate[:, : dynamics.ndof].numpy()
-        squares, shapes = undamped_modes(present)
+        moving = {p.index for p in self.equations.uncertain if p.kind == RATIO}
+        rate = self.motion.rate[:, : self.equations.dynamics.ndof].numpy()
+        mass = self.equations.parameters(point)[MASS].numpy()
+        squares, shapes = modes
         for mode, (square, shape) in enumerate(zip(squares, shapes.T, strict=True)):
             omega, pull = max(square, 0.0) ** 0.5, mass * shape
             if 0.0 < omega < 2.0 * np.pi * self.highest and mode not in moving:
@@ -260,6 +258,12 @@ def force_terms(equations: NormalEquations, point: Point) -> list[ForceTerm]:
     loads = () if equations.problem.inputs.loads else made.of_loads()  # or they are channels, see `sensor_terms`
     carried = (*made.of_modes(point), *made.of_masses(), *made.of_sliding_masses(), *made.of_oscillators())
     return [*made.of_connections(point), *carried, *loads]
+
+
+def structure_at(equations: NormalEquations, point: Point) -> Structure:
+    """With the parameters of a point."""
+    structure, values = equations.dynamics.structure, equations.parameters(point)
+    return replace(structure, parameters={kind: values[kind] for kind in structure.parameters})
 
 
 def connection_force(equations: NormalEquations, point: Point, motion: Jet) -> tuple[np.ndarray, ...]:

@@ -62,6 +62,10 @@ class Fit:
     minus_log: float
     information: np.ndarray
 
+    def gain(self, before: Fit, place: int) -> float:
+        """Logarithm of how many times as probable the record is as with one column less, less what its prior costs."""
+        return before.minus_log - self.minus_log - 0.5 * float(np.log(max(self.information[place], 1.0)))
+
 
 @dataclass(frozen=True, eq=False)
 class LeftSpectra:

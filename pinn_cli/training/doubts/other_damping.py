@@ -1,23 +1,22 @@
 """Another model of damping than a problem's, beside the solution: a ratio for each mode, or dampers of the connections.
 
-Its parameters stand at zero in the equations of the solution. One Gauss-Newton step there says what they would be and
-by how much the record would be more probable, a score (Rao's) test; what they cost is how far it narrows their priors.
+Its parameters begin at zero. The spectra under forces that nobody measured say what they would be, and by how much the
+record would be more probable; what they cost is how far that narrows their priors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pinn_cli.record.channels import record_band
-from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.building import damped
 from pinn_cli.system.damping import RATIO
 from pinn_cli.system.modes import NaturalModes
-from pinn_cli.system.parameters import MASS, Parameter
+from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
 
 # Prior standard deviation of a damping ratio that nobody has thought of, and of a damper as a part of its critical one.
@@ -46,7 +45,7 @@ class DampingDoubt:
     other_ratios: np.ndarray
 
 
-def with_other_damping(problem: JointProblem, values: Mapping[str, np.ndarray]) -> JointProblem | None:
+def with_other_damping(problem: Problem, values: Mapping[str, np.ndarray]) -> Problem | None:
     """The problem with the damping that its model lacks, unknown and at zero; None where that is not asked.
 
     Args:
@@ -54,8 +53,8 @@ def with_other_damping(problem: JointProblem, values: Mapping[str, np.ndarray]) 
         values: Every parameter by kind at its solution.
     """
     structure = problem.structure
-    plain = not structure.is_modal and structure.nonlinearity_name == "linear" and not problem.is_informed
-    if not plain or structure.coordinates > MOST_COORDINATES or problem.first.initial_state is not None:
+    plain = not structure.is_modal and structure.nonlinearity_name == "linear" and problem.prior is None
+    if not plain or structure.coordinates > MOST_COORDINATES or problem.initial_state is not None:
         return None
     if RATIO in structure.parameters:
         new = [structure.parameter("c", i) for i in range(len(values["c"]))]
@@ -64,30 +63,19 @@ def with_other_damping(problem: JointProblem, values: Mapping[str, np.ndarray]) 
     else:
         structure = damped(structure, {"ratio": [0.0] * structure.coordinates}).present(values)
         added = [replace(structure.parameter(RATIO, i), prior_std=USUAL) for i in range(structure.coordinates)]
-    added = [replace(p, unknown=True) for p in added if p not in problem.first.uncertain]
-    if not added:
-        return None
-
-    def extended(record_problem: Problem) -> Problem:
-        return replace(record_problem, structure=structure, uncertain=(*record_problem.uncertain, *added))
-
-    return JointProblem.of(*map(extended, problem))
+    added = [replace(p, unknown=True) for p in added if p not in problem.uncertain]
+    return replace(problem, structure=structure, uncertain=(*problem.uncertain, *added)) if added else None
 
 
 def damping_doubt(
-    problem: JointProblem,
-    extended: JointProblem,
-    uncertain: Sequence[Parameter],
-    distances: tuple[np.ndarray, np.ndarray],
-    log_odds: float,
+    problem: Problem, extended: Problem, distances: tuple[np.ndarray, np.ndarray], log_odds: float
 ) -> DampingDoubt | None:
     """What a step says of the damping ratios in the record's band; None where it leaves no structure.
 
     Args:
         problem: Without the other damping.
         extended: With it, see :func:`with_other_damping`.
-        uncertain: p parameters.
-        distances: From where they are prescribed, in their own units, (p,) before and after the step.
+        distances: Of its p uncertain parameters from where they are prescribed, in their own units, before and after.
         log_odds: Of the extended problem over the other, as a natural logarithm.
     """
     structure = extended.structure
@@ -96,7 +84,7 @@ def damping_doubt(
             structure.with_values(
                 {
                     p: p.prescribed + x
-                    for p, x in zip(uncertain, distance.tolist(), strict=True)
+                    for p, x in zip(extended.uncertain, distance.tolist(), strict=True)
                     if p.kind not in OUTSIDE_THE_EQUATIONS
                 }
             )
@@ -105,7 +93,7 @@ def damping_doubt(
     ]
     if modes[0] is None or modes[1] is None or len(modes[0].squares) != len(modes[1].squares):
         return None
-    seen = modes[0].frequencies < max(record_band(record_problem.record) for record_problem in extended)
+    seen = modes[0].frequencies < record_band(extended.record)
     # A step may go beyond no damping at all.
     other_ratios = np.maximum(modes[1].damping_ratios[modes[0].partners(modes[1])], 0.0)
     return DampingDoubt(

@@ -314,10 +314,10 @@ def _scored_damping(whittle: Whittle, x: np.ndarray, spreads: np.ndarray) -> Dam
     model = whittle.model
     p, problem = len(model.spread), model.problem
     values = model.vector.values(torch.as_tensor(x[:p] * model.spread))
-    extended = with_other_damping(JointProblem.of(problem), {kind: value.numpy() for kind, value in values.items()})
+    extended = with_other_damping(problem, {kind: value.numpy() for kind, value in values.items()})
     if extended is None:
         return None
-    more = Whittle(SpectralModel(extended.alone, model.spectrum), whittle.learn_spread)
+    more = Whittle(SpectralModel(extended, model.spectrum), whittle.learn_spread)
     new = len(more.model.spread) - p
     start = np.concatenate((x[:p], np.zeros(new), x[p:]))
     more.leaked = whittle.leaked
@@ -330,7 +330,7 @@ def _scored_damping(whittle: Whittle, x: np.ndarray, spreads: np.ndarray) -> Dam
     log_odds = without.value - scored.value + 0.5 * float(volume)
     unit = more.model.spread
     distances = start[: p + new] * unit, moved[: p + new] * unit
-    return damping_doubt(JointProblem.of(problem), extended, extended.alone.uncertain, distances, log_odds)
+    return damping_doubt(problem, extended, distances, log_odds)
 
 
 def _step(scored: Scored, damping: float, held: np.ndarray) -> np.ndarray:
