@@ -30,6 +30,7 @@ DOFS_SHOWN = 10  # beyond these the rows of single DOFs are left to fitness.csv
 PEAKS_OF, MOST_PEAKS, PARAMETERS_OF_A_STORY = ("drift", "connection_force"), 20, 8
 SAID = {
     "force": "a force that the model leaves out acts on every coordinate",
+    "smooth force": "that force is smooth",
     "free run": "the structure runs free, and what it misses is left in the sensors",
 }
 SCORE_UNITS = {

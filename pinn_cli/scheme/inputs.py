@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import qr
 
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
+from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.functions import FLAT, Inputs
 from pinn_cli.system.quantities import FORCE
@@ -61,6 +64,24 @@ def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIA
         filters=filters,
         supports=tuple(record.supports),
     )
+
+
+def with_every_force(problem: Problem) -> Problem:
+    """The same problem with a force that nobody measured on every coordinate, beside those that were.
+
+    Where these are modes, on as many DOFs, which they move in the most different ways.
+    """
+    band, shapes = record_band(problem.record), problem.structure.shapes.matrix
+    dofs = np.sort(qr(shapes.T, mode="r", pivoting=True)[1][: shapes.shape[1]])
+    forces = tuple(int(dof) for dof in dofs)
+    inputs = replace(
+        problem.inputs,
+        forces=forces,
+        correlation_time=FIRST_CORRELATION / band,
+        rate=math.pi * band,
+        edge=2.0 * math.pi * band,
+    )
+    return replace(problem, inputs=inputs)
 
 
 def _check_modal(shapes: Shapes, record: Record, unknown_force: str) -> None:

@@ -104,17 +104,21 @@ class Story:
     """A way in which a record came about that the model does not quite explain, and how well it predicts the record.
 
     Attributes:
-        name: Where the error is: a ``force`` that the model leaves out, or in the response of a ``free run``.
+        name: Where the error is: a ``force`` that the model leaves out, white or a ``smooth force``, or in the response
+            of a ``free run``.
         parameters: What they are then.
         free_run: NMSE, %, of a simulation from the estimated state at the first sample, mean over the response sensors;
             infinite where there is none.
         segments: The same of many short ones, each from the estimated state at its own first sample.
+        force_std, correlation_time: Of a smooth force on a DOF, N, and s; NaN of others.
     """
 
     name: str
     parameters: tuple[ParameterEstimate, ...]
     free_run: float
     segments: float
+    force_std: float = math.nan
+    correlation_time: float = math.nan
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from pinn_cli.training.steps.first_solution import first_solution, identify_by_s
 from pinn_cli.training.steps.free_running import fit_free_run
 from pinn_cli.training.steps.marginal_peak import move_to_marginal_peak
 from pinn_cli.training.steps.rivals import choose_equivalent_structure
+from pinn_cli.training.steps.smooth_force import fit_smooth_force
 from pinn_cli.training.steps.unknown_forces import fit_force_spectrum, set_force_level, widen_force_band
 from pinn_cli.training.steps.updated_problem import loosen_at_turning_points, refine_features, update_modes
 from pinn_cli.training.steps.windows_discrepancy import combine_windows, count_independent_values
@@ -51,6 +52,7 @@ STEPS: tuple[tuple[Step, int], ...] = (
     (set_force_level, 2),
     (move_to_marginal_peak, 5),
     (fit_free_run, 1),
+    (fit_smooth_force, 1),
 )
 # Where a finished run says where the solution is, steps from there converge at once: then this ends them.
 NEAR_TOLERANCE = 3e-5

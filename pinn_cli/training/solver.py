@@ -103,6 +103,7 @@ class Inference:
             finer; of all the most.
         at_marginal_peak: Whether the parameters are the most probable ones with the motion integrated out.
         free: Where the model does not quite hold, solutions whose structure runs free.
+        smooth: There, too, the solution in which the force that it leaves out is smooth; None: it was not found.
     """
 
     evidence: Evidence
@@ -113,6 +114,7 @@ class Inference:
     narrowed: float = 1.0
     at_marginal_peak: bool = False
     free: Sequence[FreeRunning] = ()
+    smooth: Inference | None = None
 
     @property
     def problem(self) -> JointProblem:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+import torch
 
+from pinn_cli.model.knowledge import ParameterKnowledge
 from pinn_cli.record.channels import channels
 from pinn_cli.record.free_run import NoFreeRunError, free_run_of
 from pinn_cli.record.record import Record
@@ -22,10 +26,10 @@ from pinn_cli.training.evidence import Trained
 from pinn_cli.training.point import Point
 from pinn_cli.training.reported.misfit_history import misfit_history
 from pinn_cli.training.reported.parameter_posterior import parameter_posterior
-from pinn_cli.training.reported.posterior_estimate import with_parameters
+from pinn_cli.training.reported.posterior_estimate import posterior_estimate, with_parameters
 from pinn_cli.training.solver import FreeRunning, Inference
 
-OF_FORCE, OF_RESPONSE = "force", "free run"
+OF_FORCE, OF_SMOOTH_FORCE, OF_RESPONSE = "force", "smooth force", "free run"
 # Parts of a record that are simulated each from the estimated state at its beginning.
 SEGMENTS = 10
 # A story that leaves as much of every sensor as there is predicts nothing.
@@ -35,73 +39,120 @@ PREDICTS_NOTHING = 100.0
 def with_stories(inference: Inference, estimate: Estimate) -> Estimate:
     """The estimate with the parameters of the story that predicts the record best, and what each of them says.
 
-    What the model lacks is asked of that story: what no force has taken up is left where it shows.
+    The motion is that of the more probable force: a smooth one leaves the sensors what is theirs. What the model lacks
+    is asked of the best story without one: what a force has taken up shows nowhere.
 
     Args:
         inference: Its solutions.
-        estimate: Of the story in which a force acts that the model leaves out; its motion is that in any case.
+        estimate: Of the story in which a force as white as the features are acts that the model leaves out.
     """
-    problems = inference.evidence.problem.by_record
-    best = _Candidate(OF_FORCE, problems, estimate, inference.trained)
-    stories: tuple[Story, ...] = ()
-    if inference.free:
-        free = min(
-            (
-                _Candidate(OF_RESPONSE, problems, of_free_running(inference, free, estimate), free.trained)
-                for free in inference.free
-            ),
-            key=lambda candidate: candidate.rank,
-        )
-        best, other = sorted((best, free), key=lambda candidate: candidate.rank)
-        stories = best.story, other.story
-    lacking = inference.evidence.each_record(
-        doubts, best.trained, [record_estimate.std for record_estimate in estimate.by_record]
-    )
+    problems, forced, moved = inference.evidence.problem.by_record, [estimate], estimate
+    candidates = []
+    if inference.smooth is not None:
+        smooth = inference.smooth.trained
+        found = posterior_estimate(inference.smooth.evidence, smooth, inference.solver.history)
+        assert found.correlation is not None
+        assert found.known is not None
+        if smooth.log_evidence > inference.trained.log_evidence:
+            moved = _with_motion(estimate, found)
+        said = found.parameters, found.correlation, found.known
+        of_smooth = with_story(inference, moved, smooth.solution.point.parameters, said)
+        candidates, forced = [_Candidate(OF_SMOOTH_FORCE, problems, of_smooth, None, found.summary)], [estimate, found]
+    candidates.append(_Candidate(OF_FORCE, problems, moved, inference.trained))
+    free = [
+        _Candidate(OF_RESPONSE, problems, of_free_running(inference, free, moved, forced), free.trained)
+        for free in inference.free
+    ]
+    candidates += sorted(free, key=lambda candidate: candidate.rank)[:1]
+    best, *others = sorted(candidates, key=lambda candidate: candidate.rank)
+    asked = next(candidate.trained for candidate in (best, *others) if candidate.trained is not None)
+    std = [record_estimate.std for record_estimate in moved.by_record]
+    lacking = inference.evidence.each_record(doubts, asked, std)
     records = zip(best.estimate.records, lacking, strict=False)
     of_records = tuple(replace(record_estimate, doubts=record_doubts) for record_estimate, record_doubts in records)
+    stories = tuple(candidate.story for candidate in (best, *others)) if others else ()
     return replace(best.estimate, stories=stories, doubts=lacking[0], records=of_records)
 
 
-def of_free_running(inference: Inference, free: FreeRunning, estimate: Estimate) -> Estimate:
+def _with_motion(estimate: Estimate, found: Estimate) -> Estimate:
+    """The same with another motion of it, and with sensors as noisy as they are about that one.
+
+    What acts is still what load cells and what the model leaves out say together.
+    """
+
+    def moved(before: Estimate, after: Estimate) -> Estimate:
+        return replace(
+            before,
+            response=replace(after.response, force=before.response.force),
+            std=replace(after.std, force=before.std.force),
+            connections=after.connections,
+            left=after.left,
+            noise=replace(after.noise, discrepancy=before.noise.discrepancy),
+            of_motion=tuple(after.parameters),
+        )
+
+    pairs = zip(estimate.records, found.records, strict=True)
+    return replace(moved(estimate, found), records=tuple(moved(before, after) for before, after in pairs))
+
+
+def of_free_running(
+    inference: Inference, free: FreeRunning, estimate: Estimate, forced: Sequence[Estimate]
+) -> Estimate:
     """The same motion, with the parameters of the structure that runs free, and the force that it then takes.
 
-    No record averages out how the parameters vary, nor what the other story says of them.
+    No record averages out how the parameters vary, nor what the other stories, ``forced``, say of them.
     """
-    equations, varying = inference.evidence.equations, np.hypot(free.varying, story_distance(inference, free, estimate))
+    equations, varying = inference.evidence.equations, np.hypot(free.varying, story_distance(inference, free, forced))
     misfit = varying, np.ones(len(varying))
     parameters, correlation, known = parameter_posterior(equations, free.trained, misfit, free.covariance)
     # Means that a bound moves are no longer what makes the structure run.
-    modes = np.maximum(free.trained.solution.point.parameters.numpy(), equations.lower) * equations.scale
+    at = free.trained.solution.point.parameters
+    modes = np.maximum(at.numpy(), equations.lower) * equations.scale
     parameters = [_at_mode(p, p.parameter.value(float(x))) for p, x in zip(parameters, modes, strict=False)]
-    point = Point(inference.trained.solution.point.unknowns, free.trained.solution.point.parameters)
-    moved = replace(inference.trained, solution=replace(inference.trained.solution, point=point))
+    return with_story(inference, estimate, at, (parameters, correlation, known))
+
+
+def with_story(
+    inference: Inference,
+    estimate: Estimate,
+    at: torch.Tensor,
+    posterior: tuple[list[ParameterEstimate], np.ndarray, ParameterKnowledge],
+) -> Estimate:
+    """The same motion, with the parameters of another story, and the force that it then takes.
+
+    Args:
+        inference: Whose motion it is.
+        estimate: Of that.
+        at: (p,), those parameters, in prior standard deviations from the prescribed ones.
+        posterior: What is said of them, see :func:`parameter_posterior`.
+    """
+    trained = inference.trained
+    moved = replace(trained, solution=replace(trained.solution, point=Point(trained.solution.point.unknowns, at)))
     pairs = zip(estimate.by_record, inference.evidence.each_record(misfit_history, moved), strict=True)
     changed_estimate = with_parameters(
-        inference.evidence,
-        [replace(record_estimate, misfit=misfit) for record_estimate, misfit in pairs],
-        (parameters, correlation, known),
+        inference.evidence, [replace(record_estimate, misfit=misfit) for record_estimate, misfit in pairs], posterior
     )
     changed = {name: getattr(changed_estimate, name) for name in ("parameters", "correlation", "known", "misfit")}
-    first, *_ = motions = [tuple(record_estimate.parameters) for record_estimate in estimate.by_record]
-    records = zip(changed_estimate.records, motions, strict=False)
+    before = [tuple(record_estimate.of_motion or record_estimate.parameters) for record_estimate in estimate.by_record]
+    records = zip(changed_estimate.records, before, strict=False)
     of_records = tuple(replace(record_estimate, of_motion=motion) for record_estimate, motion in records)
-    return replace(estimate, **changed, records=of_records, of_motion=first)
+    return replace(estimate, **changed, records=of_records, of_motion=before[0])
 
 
-def story_distance(inference: Inference, free: FreeRunning, estimate: Estimate) -> np.ndarray:
-    """(p,), how far the story of a force is from that of a free run, in prior deviations, beyond what both allow for.
+def story_distance(inference: Inference, free: FreeRunning, forced: Sequence[Estimate]) -> np.ndarray:
+    """(p,), how far the stories of a force are from that of a free run, in prior deviations; of them the furthest.
 
-    A spring that changes with time moves the one by a small part of what it moves the other: both cannot be right.
+    Beyond what both allow for. A spring that changes with time moves the one by a small part of what it moves the
+    other: both cannot be right.
     """
     at, scale = free.trained.solution.point.parameters.numpy(), inference.evidence.equations.scale
-    # A first state is no parameter, and comes last.
-    kept = slice(len(estimate.parameters))
-    estimates = np.array([(p.estimate - p.parameter.prescribed, p.std) for p in estimate.parameters]).T / scale[kept]
-    beyond = np.zeros(len(at))
-    beyond[kept] = (
-        (at[kept] - estimates[0]) ** 2 - estimates[1] ** 2 - (np.diag(free.covariance) + free.varying**2)[kept]
-    )
-    return np.sqrt(np.maximum(beyond, 0.0))
+    own, beyond = np.diag(free.covariance) + free.varying**2, np.zeros(len(at))
+    for estimate in forced:
+        # A first state is no parameter, and comes last.
+        kept = slice(len(estimate.parameters))
+        values = np.array([(p.estimate - p.parameter.prescribed, p.std) for p in estimate.parameters]).T / scale[kept]
+        beyond[kept] = np.maximum(beyond[kept], (at[kept] - values[0]) ** 2 - values[1] ** 2 - own[kept])
+    return np.sqrt(beyond)
 
 
 def _at_mode(parameter: ParameterEstimate, mode: float) -> ParameterEstimate:
@@ -111,12 +162,21 @@ def _at_mode(parameter: ParameterEstimate, mode: float) -> ParameterEstimate:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """A story, and what it misses of the response's sensors of all records: a mean NMSE, %."""
+    """A story, and what it misses of the response's sensors of all records: a mean NMSE, %.
+
+    Attributes:
+        name: Of the story.
+        problems: Of every record.
+        estimate: With its parameters.
+        trained: Its solution, where no force is free in it.
+        summary: Of one in which a force is.
+    """
 
     name: str
     problems: Sequence[Problem]
     estimate: Estimate
-    trained: Trained
+    trained: Trained | None
+    summary: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
     def free_run(self) -> float:
@@ -133,7 +193,8 @@ class _Candidate:
 
     @property
     def story(self) -> Story:
-        return Story(self.name, tuple(self.estimate.parameters), self.free_run, self.segments)
+        force = (self.summary.get(name, math.nan) for name in ("std_unknown_force", "correlation_time_unknown_force"))
+        return Story(self.name, tuple(self.estimate.parameters), self.free_run, self.segments, *force)
 
     def _missed(self, parts: int) -> float:
         records = zip(self.problems, self.estimate.by_record, strict=True)

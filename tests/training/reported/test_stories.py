@@ -1,4 +1,4 @@
-"""What each of two stories allows for of the other one."""
+"""What a story allows for of others."""
 
 from types import SimpleNamespace
 
@@ -22,4 +22,7 @@ def test_what_the_other_story_says_counts_beyond_what_both_allow_for():
     # Of three unknowns the last is a first state, which is no parameter.
     forced = SimpleNamespace(parameters=[parameter_estimate(f"k_{i}", 10.0, 10.0, 0.2, 9.7, 10.3) for i in (1, 2)])
     expected = [(1.5**2 - 0.01 - 0.1**2) ** 0.5, 0.0, 0.0]
-    assert story_distance(found, free, forced) == pytest.approx(expected, rel=1e-6)
+    assert story_distance(found, free, [forced]) == pytest.approx(expected, rel=1e-6)
+    further = SimpleNamespace(parameters=[parameter_estimate(f"k_{i}", 10.0, 12.0, 0.2, 11.7, 12.3) for i in (1, 2)])
+    expected = [expected[0], (0.8**2 - 0.1**2 - 0.03 - 0.1**2) ** 0.5, 0.0]
+    assert story_distance(found, free, [forced, further]) == pytest.approx(expected, rel=1e-6)

@@ -1,0 +1,79 @@
+"""The story in which what the model leaves out is a smooth force.
+
+A discrepancy is white: as rich as the features, so that a motion with one follows its sensors wherever they go. What a
+model leaves out is mostly a force of the structure's own frequencies. So there is another story of the same record: on
+every coordinate acts a force that nobody measured, a Gaussian process whose level and colour are the record's most
+probable ones, and hardly any discrepancy. It is solved as such forces are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pinn_cli.scheme.inputs import with_every_force
+from pinn_cli.scheme.joint_problem import JointProblem
+from pinn_cli.settings.errors import InputError
+from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.point import Point
+from pinn_cli.training.solver import Inference
+from pinn_cli.training.steps.unknown_forces import CORRELATION_ROUNDS, fit_force_spectrum, set_force_level
+
+# Part of the discrepancy that is left beside the force at first: hardly any, and its level follows the record.
+LEFT_BESIDE = 1e-3
+# Spectra at most, one after the other.
+SPECTRA = 3
+
+
+def fit_smooth_force(inference: Inference) -> Inference | None:
+    """The same beside the story of a smooth force; None: the model holds, or this machine cannot hold the story."""
+    smooth = _with_force(inference) if inference.free else None
+    if smooth is None:
+        return None
+    for step in (*[fit_force_spectrum] * SPECTRA, set_force_level):
+        smooth = step(smooth) or smooth
+    return replace(inference, smooth=smooth)
+
+
+def _with_force(inference: Inference) -> Inference | None:
+    """The same motion under a force as white as the discrepancy was, then under its own level."""
+    solver, before = inference.solver, inference.evidence.equations.by_record
+    problem = JointProblem.of(*map(with_every_force, inference.problem))
+    try:
+        evidence = solver.evidence(problem, [equations.network for equations in before])
+    except InputError:  # twice the functions need more memory
+        return None
+    pairs = list(zip(inference.by_record, evidence.equations.by_record, strict=True))
+    points = [_beside_forces(point, plain, forced) for (plain, point), forced in pairs]
+    levels = [
+        _driven(noise, forced)
+        for noise, forced in zip(inference.trained.noise.records, evidence.equations.by_record, strict=True)
+    ]
+    noise = replace(inference.trained.noise, records=tuple(levels))
+    trained = evidence.train(noise, evidence.equations.joined(points))
+    if trained is None or not trained.solution.converged:
+        return None
+    trained = solver.settled(evidence, trained, CORRELATION_ROUNDS)
+    return replace(inference, evidence=evidence, trained=trained) if trained.solution.converged else None
+
+
+def _beside_forces(point: Point, plain: NormalEquations, forced: NormalEquations) -> Point:
+    """The same motion, with forces that are nothing yet."""
+    at = forced.dynamics.forces
+    weights = forced.target.force.new_zeros(len(plain.layout.weights(point.unknowns)), forced.dynamics.size)
+    weights[:, np.delete(np.arange(forced.dynamics.size), at)] = plain.layout.weights(point.unknowns)
+    return Point(forced.layout.unknowns(weights), point.parameters)
+
+
+def _driven(noise: NoiseModel, forced: NormalEquations) -> NoiseModel:
+    """The same noise, with forces as large as the discrepancy was."""
+    at = forced.dynamics.forces
+    of_force, innovation = (
+        np.insert(levels, at.start, np.full(at.stop - at.start, np.nan))
+        for levels in (noise.force, np.full(len(noise.force), np.nan) if noise.innovation is None else noise.innovation)
+    )
+    # A force on a DOF is in every coordinate's equation by how far the DOF moves with it.
+    driven = replace(noise, force=of_force, innovation=innovation, discrepancy=LEFT_BESIDE * noise.discrepancy)
+    return driven.driven_by(noise.discrepancy / forced.problem.structure.shapes.scale, at)
