@@ -8,12 +8,13 @@ level of what drives an input down, and make bands too narrow.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
 from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, white_level
+from pinn_cli.scheme.inputs import with_every_force
 from pinn_cli.system.functions import FLAT, Inputs
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 
@@ -84,13 +85,38 @@ def spectrum_in_band(evidence: RecordEvidence, solution: RecordSolution) -> Driv
 
     Flat up to the band's edge, or falling off from a corner below it.
     """
-    seen = _of_forces(evidence, solution)
+    seen, inputs = _of_forces(evidence, solution), evidence.equations.problem.inputs
     if seen is None or not seen.is_enough:
         return None
-    inputs = evidence.equations.problem.inputs
+    present = _gain(inputs.correlation_time, inputs.damping_ratio, seen.frequency)
+    (now, _), (likelihood, best) = _fitted(seen, inputs, present)
+    return best if likelihood > now + DECISIVE_SPECTRUM else None
+
+
+def spectrum_of_discrepancy(evidence: RecordEvidence, solution: RecordSolution) -> Drive | None:
+    """What would drive forces in the place of the discrepancy, which is as it is; None where it cannot be read."""
+    equations, noise = evidence.equations, solution.noise
+    of_motion = slice(0, equations.dynamics.ndof)
+    levels = replace(noise, innovation=np.sqrt(noise.physics_variance))
+    inputs = with_every_force(equations.problem).inputs
+    seen = drive_below(evidence, replace(solution, noise=levels), of_motion, inputs.edge / (2.0 * np.pi))
+    if seen is None or not seen.is_enough:
+        return None
+    return _fitted(seen, inputs, np.ones_like(seen.frequency))[1][1]
+
+
+def _fitted(
+    seen: DriveSpectrum, inputs: Inputs, present: np.ndarray
+) -> tuple[tuple[float, Drive], tuple[float, Drive]]:
+    """How probable the present spectrum is, and the most probable one, with what drives the process then.
+
+    Args:
+        seen: What drives the forces now.
+        inputs: Theirs.
+        present: (F,), gain from a force to that.
+    """
     edges = np.geomspace(max(seen.frequency[0], 1e-3 * seen.frequency[-1]), seen.frequency[-1], PARTS + 1)
     part = np.clip(np.searchsorted(edges, seen.frequency, side="right") - 1, 0, PARTS - 1)
-    present = _gain(inputs.correlation_time, inputs.damping_ratio, seen.frequency)
 
     def fit(correlation_time: float, damping_ratio: float) -> tuple[float, Drive]:
         """Whittle's likelihood of the parts, and what drives the process at its most probable level."""
@@ -101,9 +127,8 @@ def spectrum_in_band(evidence: RecordEvidence, solution: RecordSolution) -> Driv
         likelihood = float((shape - values * np.log(level) - power / level).sum())
         return likelihood, Drive(math.sqrt(level), correlation_time, damping_ratio)
 
-    now, _ = fit(inputs.correlation_time, inputs.damping_ratio)
-    likelihood, best = max((fit(*process) for process in _processes(inputs)), key=lambda fitted: fitted[0])
-    return best if likelihood > now + DECISIVE_SPECTRUM else None
+    best = max((fit(*process) for process in _processes(inputs)), key=lambda fitted: fitted[0])
+    return fit(inputs.correlation_time, inputs.damping_ratio), best
 
 
 def _processes(inputs: Inputs) -> list[tuple[float, float]]:

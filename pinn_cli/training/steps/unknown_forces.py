@@ -42,7 +42,7 @@ def fit_force_spectrum(inference: Inference) -> Inference | None:
     if not any(drives):
         return None
     pairs = zip(inference.problem, drives, strict=True)
-    problem = JointProblem.of(*(_of_spectrum(record_problem, drive) for record_problem, drive in pairs))
+    problem = JointProblem.of(*(of_spectrum(record_problem, drive) for record_problem, drive in pairs))
     evidence = inference.solver.evidence(
         problem, [equations.network for equations in inference.evidence.equations.by_record]
     )
@@ -55,7 +55,8 @@ def fit_force_spectrum(inference: Inference) -> Inference | None:
     return replace(inference, evidence=evidence, trained=inference.solver.settled(evidence, again, CORRELATION_ROUNDS))
 
 
-def _of_spectrum(problem: Problem, drive: Drive | None) -> Problem:
+def of_spectrum(problem: Problem, drive: Drive | None) -> Problem:
+    """The same problem with unknown forces of such a spectrum; None: of their own."""
     if drive is None:
         return problem
     inputs = replace(problem.inputs, correlation_time=drive.correlation_time, damping_ratio=drive.damping_ratio)
