@@ -30,7 +30,7 @@ DOFS_SHOWN = 10  # beyond these the rows of single DOFs are left to fitness.csv
 PEAKS_OF, MOST_PEAKS, PARAMETERS_OF_A_STORY = ("drift", "connection_force"), 20, 8
 SAID = {
     "force": "a force that the model leaves out acts on every coordinate",
-    "smooth force": "that force is smooth",
+    "smooth force": "a smooth force that the model leaves out acts on every coordinate",
     "free run": "the structure runs free, and what it misses is left in the sensors",
 }
 SCORE_UNITS = {
@@ -393,15 +393,20 @@ def stories_text(stories: Sequence[Story]) -> str:
         return ""
     reported, *others = stories
     lines = [f"The model does not quite hold. The parameters are those of a story in which {SAID[reported.name]}."]
-    lines += [
-        f"{story.name}: NMSE of a free run {story.free_run:.3g} %, of short ones {story.segments:.3g} %."
-        for story in stories
-    ]
+    lines += map(_scores_of, stories)
     for story in others:
         unknown = [p for p in story.parameters if p.unknown][:PARAMETERS_OF_A_STORY]
         values = ", ".join(f"{p.name} {number(p.estimate)} +- {number(p.std, digits=2)}" for p in unknown)
         lines.append(f"If {SAID[story.name]}: {values} (stories.csv).")
     return "\n".join(textwrap.fill(line, WIDTH, break_on_hyphens=False) for line in lines)
+
+
+def _scores_of(story: Story) -> str:
+    """How well it predicts the record; how large a smooth force is, and for how long it stays the same."""
+    scores = f"{story.name}: NMSE of a free run {story.free_run:.3g} %, of short ones {story.segments:.3g} %"
+    if not np.isfinite(story.force_std):
+        return f"{scores}."
+    return f"{scores}; {story.force_std:.3g} N on a DOF, with a correlation time of {story.correlation_time:.3g} s."
 
 
 def changes_text(changes: Changes | None) -> str:

@@ -24,9 +24,10 @@ from pinn_cli.report.text import (
     free_run_line,
     parameters_text,
     sensors_text,
+    stories_text,
     table_lines,
 )
-from pinn_cli.training.estimate import ParameterEstimate
+from pinn_cli.training.estimate import ParameterEstimate, Story
 from pinn_cli.training.found_noise import FoundNoise
 
 MANY = [f"{symbol}_{i}" for symbol in ("c", "k", "kappa") for i in range(1, 11)]
@@ -182,3 +183,10 @@ def test_what_is_printed_of_the_sampling():
     text = diagnostics_text(pd.DataFrame(diagnostics.assign(**unknown)))
     assert text.splitlines()[2].split()[-4:] == ["-"] * 4
     assert "passed" not in text
+
+
+def test_a_story_of_a_smooth_force_says_how_large_it_is():
+    stories = Story("free run", (), 0.5, 0.25), Story("smooth force", (), 1.5, 0.75, 12.0, 0.3)
+    told = stories_text(stories).replace("\n", " ")
+    assert "free run: NMSE of a free run 0.5 %, of short ones 0.25 %. smooth force" in told
+    assert "of short ones 0.75 %; 12 N on a DOF, with a correlation time of 0.3 s." in told
