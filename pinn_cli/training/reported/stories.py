@@ -91,11 +91,8 @@ def _candidates(
         assert inference.smooth is not None
         assert found.correlation is not None
         assert found.known is not None
-        at, said = (
-            inference.smooth.trained.solution.point.parameters,
-            (found.parameters, found.correlation, found.known),
-        )
-        of_smooth = with_story(inference, estimate, motion, at, said)
+        said = found.parameters, found.correlation, found.known
+        of_smooth = with_story(inference, estimate, motion, inference.smooth.trained.solution.point.parameters, said)
         forced, smooth = [estimate, found], _Candidate(OF_SMOOTH_FORCE, problems, of_smooth, None, found.summary)
         candidates.append(smooth)
     running = ((of_free_running(inference, free, estimate, motion, forced), free.trained) for free in inference.free)

@@ -31,8 +31,12 @@ SPECTRA = 3
 
 
 def fit_smooth_force(inference: Inference) -> Inference | None:
-    """The same beside the story of a smooth force; None: the model holds, or this machine cannot hold the story."""
-    smooth = _with_force(inference) if inference.free else None
+    """The same beside the story of a smooth force; None: the model holds, or the story cannot be told.
+
+    A process needs features that are local; and it takes twice the functions, of which this machine may not hold all.
+    """
+    is_local = all(equations.averages is not None for equations in inference.evidence.equations.by_record)
+    smooth = _with_force(inference) if inference.free and is_local else None
     if smooth is None:
         return None
     for _ in range(SPECTRA):
@@ -51,7 +55,7 @@ def _with_force(inference: Inference) -> Inference | None:
     problem = JointProblem.of(*(of_spectrum(with_every_force(one), drive) for one, drive, _ in records))
     try:
         evidence = solver.evidence(problem, [equations.network for equations in before])
-    except InputError:  # twice the functions need more memory
+    except InputError:  # memory
         return None
     pairs = list(zip(inference.by_record, evidence.equations.by_record, strict=True))
     points = [_beside_forces(point, plain, forced) for (plain, point), forced in pairs]
