@@ -150,7 +150,7 @@ class InspectionReport(LookReport):
         sampling = self.sampling
         start, end = sampling.time[0], sampling.time[-1]
         lines = [
-            f"{len(sampling.time)} samples from {start:.6g} to {end:.6g} s, at {sampling.rate:.6g} Hz",
+            f"{len(sampling.time)} samples from {start:.12g} to {end:.12g} s, at {sampling.rate:.6g} Hz",
             "",
             *_channel_lines(self.channels),
             "",
