@@ -148,7 +148,8 @@ class InspectionReport(LookReport):
     def text(self) -> str:
         """Sampling, channels, peaks, what is odd, and the command that is proposed."""
         sampling = self.sampling
-        start, end = sampling.time[0], sampling.time[-1]
+        digits = 2 - int(np.floor(np.log10(sampling.step)))
+        start, end = (round(float(sampling.time[i]), digits) for i in (0, -1))
         lines = [
             f"{len(sampling.time)} samples from {start:.12g} to {end:.12g} s, at {sampling.rate:.6g} Hz",
             "",

@@ -116,8 +116,9 @@ class CsvFormat(FileFormat):
             wanted: See :meth:`read`.
         """
         heading = self._heading(lines)
-        if heading.width < 2 and heading.numbers and heading.numbers[0] and _is_words(heading.numbers[0]):
+        if heading.width < 2 and heading.numbers and not all(map(_is_number, heading.numbers[0])):
             reason = f"one history whose numbers fill its lines? Write one number a line; {_NAMES_LINE}"
+            reason += "; an earthquake to simulate is read as it is by excitation.path"
             raise InputError("data.path", path, "a file with a line of names above columns of numbers", reason)
         separator = heading.separator
         decimal = self.decimal or _decimal(heading.numbers, separator)
@@ -129,7 +130,7 @@ class CsvFormat(FileFormat):
         _check_nameless(path, heading)
         times = [name for name in header if is_called_times(name)]
         empty = [name for name in times if not any(row[header.index(name) :][:1] > [""] for row in heading.numbers)]
-        rate = _rate_above(lines[: heading.line], decimal) if times == empty else None
+        rate = rate_above(lines[: heading.line], decimal) if times == empty else None
         if wanted is not None and rate is not None:
             wanted = {setting: column for setting, column in wanted.items() if column}
         asked = asked_for(
@@ -369,8 +370,13 @@ def _filled(row: Sequence[str]) -> int:
     return max((place for place, cell in enumerate(row, start=1) if cell), default=0)
 
 
-def _rate_above(lines: Sequence[str], decimal: str) -> float | None:
-    """Hz, as lines above the names tell it: ``Sample rate [Hz]: 50``, ``dt = 0.02 s``; None: they do not."""
+def rate_above(lines: Sequence[str], decimal: str) -> float | None:
+    """Hz, as lines above the names tell it: ``Sample rate [Hz]: 50``, ``dt = 0.02 s``; None: they do not.
+
+    Args:
+        lines: Those lines.
+        decimal: Of their numbers.
+    """
     number = rf"(?P<number>\d+(?:[{decimal}]\d+)?(?:[eE][+-]?\d+)?|[{decimal}]\d+)"
     for found in re.finditer(rf"(?P<name>[^\d\n]*?){number}[ \t]*(?P<unit>[A-Za-z]*)", "".join(lines)):
         name = found["name"].strip(" \t,;:=#%\"'")

@@ -163,6 +163,12 @@ def test_notes_among_the_numbers_and_numbers_that_fill_lines_are_named(tmp_path)
     assert "a comment or a note among the numbers?" in refusal(table.numbers, "t")
     (tmp_path / "roof.v2").write_text("Corrected\nStation 1\n600 points at .02 sec\n" + "  1.0 2.0 3.0 4.0\n" * 9)
     assert "Write one number a line" in refusal(CsvFormat().read, tmp_path / "roof.v2")
+    (tmp_path / "quake.at2").write_text(
+        "PEER\nA quake, 5/19/1940, 180\nIN G\nNPTS= 45, DT= .01 SEC\n" + "1. 2. 3.\n" * 9
+    )
+    assert "an earthquake to simulate is read as it is by excitation.path" in refusal(
+        CsvFormat().read, tmp_path / "quake.at2"
+    )
 
 
 def test_lines_above_that_nobody_can_tell_apart_are_named(tmp_path):
