@@ -14,7 +14,7 @@ from pinn_cli.cli.records import data_of_records, numbered, of_record
 from pinn_cli.cli.source import read_structure
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build, check_classes
-from pinn_cli.settings.legal_values import entries, finite_number, located
+from pinn_cli.settings.legal_values import entries, finite_number, located, whole_number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -197,18 +197,20 @@ def _files(data: Mapping[str, Any], base: Path) -> MeasuredFiles:
         raise InputError("data.path", data["path"], hint)
     return MeasuredFiles(
         tuple(located(path, base) for path in paths), data["format"], data.get("time"), data.get("sampling_rate"),
-        data.get("time_unit"),
+        data.get("time_unit"), data.get("missing"),
     )  # fmt: skip
 
 
 def _columns(data: Mapping[str, Any], base: Path) -> tuple[list[Signal], np.ndarray, str]:
-    """The columns that the settings name, else all that have numbers; within the window.
+    """The columns that the settings name, else all that have numbers; of the window, as it is to be thinned.
 
     And their times, and the column that has these where nobody has said so.
     """
     import numpy as np
 
     from pinn_cli.record.files.table import SensorHint, is_called_times
+    from pinn_cli.record.sampled import reached, with_fewer
+    from pinn_cli.record.spectrum import BandPass, checked_band
 
     files = _files(data, base)
     said = {channel.column: channel for channel in _channels(data)}
@@ -220,26 +222,36 @@ def _columns(data: Mapping[str, Any], base: Path) -> tuple[list[Signal], np.ndar
         clock = replace(files, time=unsaid or files.time).clock(read)
     else:
         clock = files.read(wanted)
-    table, time = clock.table, clock.time
+    table = clock.table
     first, last = (
         None if data.get(name) is None else finite_number(f"data.{name}", data[name]) for name in ("start", "stop")
     )
-    within = slice(
-        0 if first is None else int(np.searchsorted(time, first, side="left")),
-        len(time) if last is None else int(np.searchsorted(time, last, side="right")),
+    window = (
+        0 if first is None else int(np.searchsorted(clock.time, first, side="left")),
+        len(clock.time) if last is None else int(np.searchsorted(clock.time, last, side="right")),
     )
-    signals = []
+    thinned: int | BandPass = whole_number("data.decimate", data.get("decimate") or 1, least=1)
+    if band := checked_band(data.get("band")):
+        thinned = BandPass.of(band, len(clock.time), clock.step(*window))
+        window = reached(thinned, window, len(clock.time))
+    columns = {}
     for column in table.columns:
         idle = not said and (is_called_times(column) or not np.isfinite(table.columns[column]).any())
         if column != clock.column and not idle:
-            unit = table.hints.get(column, SensorHint()).unit
-            values = table.numbers(column, within.start, within.stop)
-            signals.append(_signal(column, values, unit, said.get(column)))
-    if not signals:
+            columns[column] = table.numbers(column, *window)
+    if not columns:
         for column in (name for name in table.columns if name != clock.column):
             table.numbers(column)  # which says what its cells are, where they are no numbers
         raise InputError("data.path", data["path"], "a file with columns of numbers beside the times")
-    return signals, time[within], unsaid or ""
+    time = clock.time[slice(*window)]
+    if thinned != 1:
+        time, even = clock.regular(*window)
+        whole = even and all(np.isfinite(values).all() for values in columns.values())
+        time, thin = with_fewer(thinned, time, list(columns.values()), whole)
+        columns = dict(zip(columns, thin, strict=True))
+    units = {column: table.hints.get(column, SensorHint()).unit for column in columns}
+    signals = [_signal(column, values, units[column], said.get(column)) for column, values in columns.items()]
+    return signals, time, unsaid or ""
 
 
 def _channels(data: Mapping[str, Any]) -> list[DataChannel]:

@@ -13,6 +13,7 @@ from pinn_cli.inspection.proposal import Look, Said, proposed_settings
 from pinn_cli.inspection.report import InspectionReport
 from pinn_cli.record.channels import clipped_percent, constant_percent, hum
 from pinn_cli.record.cross_spectra import CrossSpectra
+from pinn_cli.record.files.table import mark
 from pinn_cli.record.identification.lines import RecordMode
 from pinn_cli.record.signal import Sampling, Signal, guessed, number_of, spectra_of
 from pinn_cli.record.spectrum import noise_level, signal_edges, visible_floor
@@ -147,7 +148,13 @@ def inspect_record(
         channels = channels.assign(channel=[s.name for s in signals], dof=[s.place for s in signals])
         notes = [*notes, note]
     notes += [note for _, note in converted if note]
-    notes += [*_of_sampling(sampling), *_of_channels(channels), *_offsets(alive, sampling), *_of_one_dof(spectra)]
+    notes += [
+        *_of_sampling(sampling),
+        *_of_channels(channels),
+        *_marks(alive),
+        *_offsets(alive, sampling),
+        *_of_one_dof(spectra),
+    ]
     notes += [*_machines(modal.identified.machines), *_hums(alive, sampling)]
     notes += [*_opposed(spectra, peaks), *_against_the_ground(spectra, peaks)]
     look = Look(
@@ -203,6 +210,14 @@ def _of_channels(channels: pd.DataFrame) -> Iterator[str]:
         if row["snr_db"] < QUIET_DB:
             doubt = "" if row["noise_is_visible"] else ", if its flat spectrum is noise, and not what white forces do"
             yield f"{name} is hardly above its noise: {row['snr_db']:.1f} dB{doubt}"
+
+
+def _marks(signals: Sequence[Signal]) -> Iterator[str]:
+    for signal in (signal for signal in signals if not signal.is_input):  # what acts may well be in pulses
+        value = mark(signal.values)
+        if value is not None:
+            count, missing = int(np.sum(signal.values == value)), "name it in data.missing, as the file has it"
+            yield f"{signal.name} is {value:.6g} in {count} samples, far from all others: if it marks gaps, {missing}"
 
 
 def _has_offset(signal: Signal) -> bool:

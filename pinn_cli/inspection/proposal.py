@@ -58,6 +58,12 @@ class Said:
         """Whether an option of a group was typed, or is that of a file."""
         return self.names(group) or self.chosen.get(group, _DEFAULTS[group]) != _DEFAULTS[group]
 
+    @property
+    def thins(self) -> bool:
+        """Whether fewer samples were asked for."""
+        data = self.settings.get("data") or {}
+        return self.names("data.decimate") or data.get("decimate", 1) != 1 or data.get("band") is not None
+
     def has(self, group: str, *names: str) -> bool:
         """Whether one of some settings of a group has a value."""
         values = self.settings.get(group) or {}
@@ -118,7 +124,7 @@ def proposed_settings(said: Said, look: Look) -> tuple[list[str], list[str]]:
     structure, remarks, ndof = ([], [], 0) if look.has_structure else _structure(said, look)
     if not look.has_structure and not _is_driven(said, look):
         added.append("data.force={" + ", ".join(f"{dof}: null" for dof in range(1, ndof + 1)) + "}")
-    added += [] if said.names("data.decimate") else _decimation(look)
+    added += [] if said.thins else _decimation(look)
     added += structure
     replaced = {setting_of(text) for text in added}
     kept = [override for override in said.overrides if setting_of(override) not in replaced]

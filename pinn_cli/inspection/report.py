@@ -148,9 +148,10 @@ class InspectionReport(LookReport):
     def text(self) -> str:
         """Sampling, channels, peaks, what is odd, and the command that is proposed."""
         sampling = self.sampling
-        start, end = sampling.time[0], sampling.time[-1]
+        digits = 2 - int(np.floor(np.log10(sampling.step)))
+        start, end = (round(float(sampling.time[i]), digits) for i in (0, -1))
         lines = [
-            f"{len(sampling.time)} samples from {start:.6g} to {end:.6g} s, at {sampling.rate:.6g} Hz",
+            f"{len(sampling.time)} samples from {start:.12g} to {end:.12g} s, at {sampling.rate:.6g} Hz",
             "",
             *_channel_lines(self.channels),
             "",

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pinn_cli.record.clock import Clock, MeasuredFiles, format_of
+from pinn_cli.record.clock import LATEST_BEGIN, Clock, MeasuredFiles, format_of
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.file_format import FileFormat
 from pinn_cli.record.files.table import Table
@@ -139,8 +139,9 @@ class Arriving:
         self.table = Table(self.path, {name: np.zeros(0) for name in set(wanted.values())})
         self.time = np.zeros(0)
         self.samples = 0
-        # Seconds from a file's clock to the record's; on that its first time, the last of all, and how many.
-        self._shift, self._first, self._last, self._count = 0.0, np.nan, -np.inf, 0
+        # The date at which the clock began, s. Seconds from a file's clock to the record's; on that its first time,
+        # the last of all, and how many.
+        self._begin, self._shift, self._first, self._last, self._count = 0.0, 0.0, np.nan, -np.inf, 0
 
     def read(self) -> bool:
         """Take up what has come; whether there was anything.
@@ -199,7 +200,11 @@ class Arriving:
             self._first, self._count = np.nan, 0
 
     def _append(self, table: Table) -> None:
+        table = table.with_gaps(self.files.missing, self.files.column_in(table))
         times = self._file_times(table)
+        if self.samples == 0 and times[0] > LATEST_BEGIN:
+            self._begin = times[0]
+        times = times - self._begin
         if self._count == 0:
             self._shift = 0.0 if times[0] > self._last else self._shift - times[0]
             self._first = times[0] + self._shift

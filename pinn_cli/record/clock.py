@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import logging
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +23,9 @@ from pinn_cli.record.files.tdms import TdmsFormat
 from pinn_cli.record.files.uff import UffFormat
 from pinn_cli.record.files.variables import joined
 from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import finite_number
+
+log = logging.getLogger(__name__)
 
 FORMATS: tuple[type[FileFormat], ...] = (
     CsvFormat, MatFormat, UffFormat, ParquetFormat, TdmsFormat, Hdf5Format, NetcdfFormat, ExcelFormat,
@@ -31,6 +36,8 @@ TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "min": 1.0 / 60.0, "h":
 UNTIL_2100 = 4.1e9
 # Days from 1970 to 2100 as Excel and MATLAB number them: read so where, as s, a clock of more Hz than this had them.
 DAY_NUMBERS, FASTEST_CLOCK = ((25569, 73051), (719529, 767011)), 5e4
+# A clock that begins later, s, began at a date such as 1970: no record takes 20 years.
+LATEST_BEGIN = 6.3e8
 # Stands for the column of times, whatever it is called.
 BY_NAME = ""
 
@@ -96,6 +103,15 @@ class Clock:
     def time(self) -> np.ndarray:
         """(N,), s."""
         return self.readings / TIME_UNITS[self.unit]
+
+    @property
+    def dates(self) -> bool:
+        """Whether the readings count from a date such as 1970, and not from the record's beginning."""
+        return len(self.readings) > 0 and bool(self.time[0] > LATEST_BEGIN)
+
+    def from_beginning(self) -> Clock:
+        """The same with dates counted from the first."""
+        return replace(self, readings=self.readings - self.readings[0]) if self.dates else self
 
     def regular(self, first: int, last: int) -> tuple[np.ndarray, bool]:
         """Times of rows first..last (``last`` excluded), s, and whether they are even.
@@ -171,6 +187,10 @@ class MeasuredFiles:
             the format tells times of its own.
         sampling_rate: Hz, in place of a column of times; the first sample is then at 0 s.
         time_unit: Of that column, see :meth:`Clock.by_column`.
+        missing: Numbers that mark missing values, or one; None: see :meth:`Table.with_gaps`.
+
+    Raises:
+        InputError: Such a mark is none.
     """
 
     paths: tuple[Path, ...]
@@ -178,6 +198,13 @@ class MeasuredFiles:
     time: str | None = None
     sampling_rate: float | None = None
     time_unit: str | None = None
+    missing: Any = None
+
+    def __post_init__(self) -> None:
+        if self.missing is not None:
+            several = isinstance(self.missing, Sequence) and not isinstance(self.missing, str)
+            given = self.missing if several else [self.missing]
+            object.__setattr__(self, "missing", [finite_number("data.missing", number) for number in given])
 
     def read(self, wanted: Mapping[str, str] | None = None) -> Clock:
         """The columns that are asked for, and when they were sampled.
@@ -195,7 +222,7 @@ class MeasuredFiles:
         tables = [self.table(path, None) for path in self.paths]
         dates = tables[0].dates(self.column_in(tables[0]) or "")
         clocks = [self.clock(table, dates[0] if dates else None) for table in tables]
-        begin = min(clock.time[0] for clock in clocks) if dates else 0.0
+        begin = min(clock.time[0] for clock in clocks) if dates or all(clock.dates for clock in clocks) else 0.0
         times = {clock.column for clock in clocks}
         if wanted is not None:
             names = [name for clock in clocks for name in clock.table.columns if name not in times]
@@ -225,14 +252,24 @@ class MeasuredFiles:
         time = self.time_column(path)
         if wanted is not None and time is not None:
             wanted = {"data.time": time, **wanted}
-        return format_of(path, self.format).read(path, wanted)
+        read = format_of(path, self.format).read(path, wanted)
+        table = read.with_gaps(self.missing, self.column_in(read))
+        for note in table.notes:
+            log.warning(note)
+        return table
 
     def clock(self, table: Table, first_date: str | None = None) -> Clock:
         """When the samples of one of the files were taken; see :meth:`Table.with_dates`.
 
+        Dates of the only file count from the first.
+
         Raises:
             InputError: Nothing tells it, or a column of times cannot be used.
         """
+        clock = self._clock(table, first_date)
+        return clock if len(self.paths) > 1 else clock.from_beginning()
+
+    def _clock(self, table: Table, first_date: str | None) -> Clock:
         if self.sampling_rate is not None:
             return Clock(table, "", np.arange(len(table)) / self.sampling_rate)
         column = self.column_in(table)

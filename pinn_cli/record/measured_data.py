@@ -70,6 +70,7 @@ class MeasuredData:
         validation: Another record, or a segment of the same, that the identified system is tried on: see
             :class:`pinn_cli.record.validation_data.ValidationData`.
         responds: Whether a response was measured; of a prediction only what acts is, and columns that are held out.
+        missing: A number that marks missing values, or a list of some; None: see :meth:`Table.with_gaps`.
         format: How numbers lie in the file; where its suffix is that of another format, that one's settings by default.
 
     Raises:
@@ -98,6 +99,7 @@ class MeasuredData:
     validation: Any = None
     responds: bool = True
     band: Any = None
+    missing: Any = None
 
     def __post_init__(self) -> None:
         paths = [self.path] if isinstance(self.path, str) else entries(self.path)
@@ -227,7 +229,7 @@ class MeasuredData:
     @property
     def _files(self) -> MeasuredFiles:
         paths = tuple(located(path, self.base or Path.cwd()) for path in self._paths)
-        return MeasuredFiles(paths, self.format, self.time, self.sampling_rate, self.time_unit)
+        return MeasuredFiles(paths, self.format, self.time, self.sampling_rate, self.time_unit, self.missing)
 
     @property
     def _paths(self) -> tuple[str, ...]:

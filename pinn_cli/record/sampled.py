@@ -69,7 +69,7 @@ def sampled(
         InputError: A cell that is no number, a channel with too few, a sensor that shows one value throughout; gaps
             where samples are to be filtered.
     """
-    window = window if isinstance(thinned, int) else _reached(thinned, window, len(clock.time))
+    window = window if isinstance(thinned, int) else reached(thinned, window, len(clock.time))
     first, last = window
     hints = clock.table.hints
     channels = [c.in_unit(hints[c.column].unit if c.column in hints else "") for c in channels]
@@ -81,15 +81,19 @@ def sampled(
     lines = _on_lines(channels, values, intersample, whole)
     values = [held_by_lines(column) if held else column for held, column in zip(lines, values, strict=True)]
     if thinned != 1:
-        time, values = _thinned(thinned, time, values, all(whole))
+        time, values = with_fewer(thinned, time, values, all(whole))
     placed = _placed(channels, time, values, even, connections)
     held: Intersample = "zero_order_hold" if intersample == "zero_order_hold" else "band_limited"
     assumed = intersample is None and not any(lines)
     return Sampled(*placed, held, assumed, thinned if isinstance(thinned, BandPass) else None)
 
 
-def _reached(band: BandPass, window: tuple[int, int], rows: int) -> tuple[int, int]:
-    """Rows that a filter takes for those of a window, as far as the file has them."""
+def reached(band: BandPass, window: tuple[int, int], rows: int) -> tuple[int, int]:
+    """Rows that a filter takes for those of a window, as far as the file has them.
+
+    Raises:
+        InputError: They are too few.
+    """
     first, last = max(0, window[0] - band.half), min(rows, window[1] + band.half)
     samples = -(-(last - first - 2 * band.half) // band.factor)
     if samples < MINIMUM_SAMPLES:
@@ -99,10 +103,20 @@ def _reached(band: BandPass, window: tuple[int, int], rows: int) -> tuple[int, i
     return first, last
 
 
-def _thinned(
+def with_fewer(
     by: int | BandPass, time: np.ndarray, values: Sequence[np.ndarray], whole: bool
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Times and channels with fewer samples."""
+    """Times and channels with fewer samples.
+
+    Args:
+        by: Every so manieth is kept, after an anti-alias filter; or what leaves a band alone.
+        time: (N,), s.
+        values: Of every channel, (N,).
+        whole: Whether no sample is missing, and all stand at even times.
+
+    Raises:
+        InputError: They are not.
+    """
     setting, given = ("data.decimate", by) if isinstance(by, int) else ("data.band", "a band")
     if not whole:
         allowed = f"{1 if isinstance(by, int) else 'null'} where samples are missing or uneven"

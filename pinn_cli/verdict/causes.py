@@ -158,8 +158,10 @@ class _Fits:
 
     @cached_property
     def guesses(self) -> list[dict[str, np.ndarray]]:
-        """``m`` and ``k`` where the fits start."""
-        return [{kind: _sizes(linear_parts(structure, ())[kind]) for kind in (MASS, "k")} for structure in self.begun]
+        """``m`` and ``k`` where the fits start: as given, and, of several, all alike, which no fault has put askew."""
+        given = [{kind: _sizes(linear_parts(structure, ())[kind]) for kind in (MASS, "k")} for structure in self.begun]
+        alike = {kind: np.full_like(sizes, np.exp(np.log(sizes).mean())) for kind, sizes in given[0].items()}
+        return [*given, alike] if len(given) > 1 else given
 
     def fitted(self, cause: Cause, survivors: Sequence[int] = CAUSE_SURVIVORS) -> tuple[Candidate, float]:
         """The structure that comes nearest to the record, and minus the logarithm of the record's probability."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from pinn_cli.record.channel import Channel
 from pinn_cli.record.channels import channels, equal_runs, hum
+from pinn_cli.record.files.table import mark
 from pinn_cli.record.response import MEASURED_QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import mean_deviation
 from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
@@ -38,7 +39,7 @@ BEGINNING, FAR_OFF, ABOVE_REST = 0.02, 0.5, 5.0
 
 def record_faults(record: Record) -> list[Finding]:
     """The faults of all channels, at most one of each."""
-    tests = (_still, _copied, _clipped, _dropped_out, _off_zero, _hums)
+    tests = (_still, _copied, _marked, _clipped, _dropped_out, _off_zero, _hums)
     return [
         first_fault
         for channel in channels(record, (*RESPONSE_QUANTITIES, GROUND, *SUPPORT))
@@ -63,6 +64,16 @@ def _copied(channel: Channel, record: Record) -> Finding | None:
             text = f"the {channel.name} is a copy of the {other.name}: all of its samples are the same"
             return Finding("copy", channel.name, f"{text}; look for its own column, or leave it out")
     return None
+
+
+def _marked(channel: Channel, record: Record) -> Finding | None:
+    """A constant far from everything else that was measured."""
+    value = mark(channel.measured)
+    if value is None:
+        return None
+    count, missing = int(np.sum(channel.measured == value)), "name it in data.missing, as the file has it"
+    text = f"the {channel.name} is {value:.6g} in {count} samples, far from all others: if this marks missing values"
+    return Finding("mark", channel.name, f"{text}, {missing}")
 
 
 def _clipped(channel: Channel, record: Record) -> Finding | None:

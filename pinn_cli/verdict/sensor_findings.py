@@ -22,6 +22,8 @@ from pinn_cli.verdict.finding import Finding, failed_if
 from pinn_cli.verdict.prediction import Comparison, comparisons, predicted
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from pinn_cli.record.record import Record
     from pinn_cli.scheme.problem import Problem
     from pinn_cli.system.structure import Structure
@@ -46,6 +48,8 @@ BANDS, COLOURED, COLOURED_SHARE = 24, 5.0, 0.005
 # Effective parameters over samples of all channels: from here on they are copied rather than estimated.
 COPIED = 0.9
 NOT_CONVERGED = "iteration limit"
+# A loss that falls by this part in an eighth of a stage of training has some way to go.
+STILL_FALLS = 0.05
 
 
 def sensor_findings(problem: Problem, estimate: Estimate, prediction: Prediction | None) -> list[Finding]:
@@ -240,8 +244,24 @@ def _copied(record: Record, estimate: Estimate) -> list[Finding]:
 
 
 def _unfinished(estimate: Estimate) -> list[Finding]:
-    """Trainings by gradients always end at their limit, and have no standard deviations."""
-    if estimate.summary.get("stop_reason") != NOT_CONVERGED or np.isnan(estimate.std.displacement).all():
+    """Trainings by gradients, which have no standard deviations, all end at their limit: some while the loss falls."""
+    if estimate.summary.get("stop_reason") != NOT_CONVERGED:
         return []
-    text = "the training stopped at its iteration limit; raise training.iterations"
-    return [Finding("not_converged", "training", text)]
+    text = "the training stopped at its iteration limit"
+    if np.isnan(estimate.std.displacement).all():
+        fall = _fall(estimate.history)
+        if fall < STILL_FALLS:
+            return []
+        text += f" while its loss was falling, by {fall:.0%} in its last eighth"
+    return [Finding("not_converged", "training", f"{text}; raise training.iterations")]
+
+
+def _fall(history: pd.DataFrame) -> float:
+    """By which part a loss fell between the last two eighths of the rows that have its last weights; 0 of few rows."""
+    losses = (str(name).removeprefix("loss_") for name in history)
+    names = [name for name in losses if f"weight_{name}" in history]
+    terms, weights = (history[[f"{kind}_{name}" for name in names]].to_numpy() for kind in ("loss", "weight"))
+    loss = np.nansum(terms * weights, axis=1)[(weights == weights[-1:]).all(axis=1)]
+    eighth = -(-len(loss) // 8)
+    before, after = loss[-2 * eighth : -eighth], loss[-eighth:]
+    return 1.0 - float(np.median(after) / np.median(before)) if len(before) and np.all(before > 0.0) else 0.0

@@ -237,6 +237,26 @@ def test_nothing_to_look_at(samples, expected):
         inspect_record(still, np.arange(samples) / RATE, Said(), None)
 
 
+def test_a_constant_far_from_all_others_is_told(record):
+    _, f, _, a = record
+    marked = np.where(np.arange(len(f)) % 500 == 3, -7999.0, a[:, 0])
+    text = "acceleration of DOF 1 is -7999 in 6 samples, far from all others: if it marks gaps, name it in data.missing"
+    assert text in notes(record, a1=Signal("a1", marked, "acceleration", "1"))
+
+
+def test_fewer_samples_are_looked_at_where_the_run_would_have_them(record, pinn_run, tmp_path):
+    time, f, _, a = record
+    pd.DataFrame({"t": time, "f5": f, "a1": a[:, 0], "a5": a[:, 4]}).to_csv(tmp_path / "rig.csv", index=False)
+    look = pinn_run("inspect", "rig.csv", "data.decimate=2", "data.start=0.98", "figures=false")
+    assert look.err == ""
+    assert "1476 samples from 0.98 to 59.98 s, at 25 Hz" in look.out
+    assert look.out.count("data.decimate") == 1
+    assert (tmp_path / "rig.csv").write_text("t,f5,a1\n" + "0,1,2\n1,,3\n2,3,4\n" * 1)
+    assert (
+        "data.decimate=2: must be 1 where samples are missing" in pinn_run("inspect", "rig.csv", "data.decimate=2").err
+    )
+
+
 def test_the_command_inspect(record, pinn_run, tmp_path):
     time, f, _, a = record
     pd.DataFrame({"t": time, "f5": f, "a1": a[:, 0], "a5": a[:, 4]}).to_csv(tmp_path / "rig.csv", index=False)

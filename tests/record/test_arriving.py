@@ -74,6 +74,16 @@ def test_what_is_forgotten_leaves_the_rest_as_it_was(tmp_path):
         came.table.numbers("a")
 
 
+def test_dates_count_from_the_first_and_marks_are_gaps(tmp_path):
+    came, path = arriving(tmp_path / "a.csv", missing=-5), tmp_path / "a.csv"
+    append(path, "t,a\n" + "".join(f"170000000{i}.5,{i}.5\n" for i in range(6)))
+    came.read()
+    append(path, "1700000006.5,-5\n1700000007.5,7.5\n")
+    came.read()
+    np.testing.assert_array_equal(came.clock.time, np.arange(8.0))
+    assert np.flatnonzero(np.isnan(came.table.columns["a"])).tolist() == [6]
+
+
 def test_a_column_that_there_is_not_is_told_at_once(tmp_path):
     append(tmp_path / "a.csv", "t,b,note\n" + rows(0, 6))
     with pytest.raises(InputError, match=r"data.acceleration.1='a'"):

@@ -54,7 +54,7 @@ def test_times_since_1970_tell_their_unit(tmp_path, per_second):
     frame.to_csv(tmp_path / "rig.csv", index=False)
     record = read(tmp_path)
     assert record.sampling_rate == pytest.approx(100.0, rel=1e-4)
-    assert record.time[0] == pytest.approx(1_773_359_990)
+    assert record.time[[0, -1]] == pytest.approx([0.0, 0.59], abs=1e-6)  # dates count from the first
 
 
 def test_times_of_too_few_digits_are_not_needed(tmp_path):

@@ -89,20 +89,29 @@ def files(tmp_path) -> Path:
     np.savetxt(tmp_path / "two.csv", np.column_stack((time, a)), delimiter=",", header="t (s),a (m/s^2)", fmt="%.10g")
     np.savetxt(tmp_path / "one.txt", a / 9.81, header="g", fmt="%.12g")
     five = np.append(a, np.zeros(4)).reshape(-1, 5)
-    head = "PEER NGA STRONG MOTION\nA quake, 1940, 180\nACCELERATION IN UNITS OF M/S2\nNPTS= 401, DT= .1 SEC\n"
+    head = "PEER NGA STRONG MOTION\nA quake, 5/19/1940, 180\nACCELERATION IN UNITS OF M/S2\nNPTS= 401, DT= .1 SEC\n"
     lines = "\n".join("  ".join(f"{value:.9E}" for value in row) for row in five)
     (tmp_path / "quake.at2").write_text(head + lines + "\n")
     return tmp_path
 
 
 @pytest.mark.parametrize(
-    ("name", "settings"), [("two.csv", {}), ("one.txt", {"step": 0.1, "scale": 9.81}), ("quake.at2", {"step": 0.1})]
+    ("name", "settings"),
+    [("two.csv", {}), ("one.txt", {"step": 0.1, "scale": 9.81}), ("quake.at2", {"step": 0.1}), ("quake.at2", {})],
 )
 def test_a_recorded_motion_is_known_between_its_samples(files, name, settings):
     motion = GroundMotion(**SPAN, path=name, base=files, **settings)
     np.testing.assert_allclose(motion.ground(TIME), sinusoids(TIME), atol=2e-7)
     scaled = GroundMotion(**SPAN, path=str(files / name), peak=5.0, **settings).ground(TIME)
     assert np.max(np.abs(scaled)) == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(("settings", "told"), [({}, True), ({"scale": 9.81}, False), ({"peak": 3.0}, False)])
+def test_a_header_that_says_g_is_told(files, caplog, settings, told):
+    text = (files / "quake.at2").read_text().replace("M/S2", "G")
+    (files / "g.at2").write_text(text)
+    GroundMotion(**SPAN, path=str(files / "g.at2"), **settings)
+    assert ("g.at2 says that it is in g: excitation.scale=9.80665" in caplog.text) == told
 
 
 def test_the_ground_is_at_rest_outside_its_motion():

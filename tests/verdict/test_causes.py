@@ -83,6 +83,14 @@ def test_exchanged_sensors_that_led_the_estimate_astray(from_afar):
     assert (cause.kind, cause.suspect) == ("swap", "acceleration of DOFs 1 and 3")
 
 
+def test_a_sign_that_led_the_search_and_its_start_astray(from_afar):
+    k = from_afar.structure.parameters["k"]
+    astray = from_afar.structure.with_parameters(k=5.0 * k * k.new_tensor([50.0, 0.05, 0.02]))
+    spoilt = replace(from_afar, structure=astray, record=altered(from_afar.record, 1, RUINED["sign"]))
+    (cause,) = found(spoilt)
+    assert (cause.kind, cause.suspect) == ("sign", "acceleration of DOF 1")
+
+
 @pytest.mark.parametrize(("dof", "factor"), [(1, 5.0), (2, 0.5)])
 def test_a_wrong_mass(problem, dof, factor):
     m = problem.structure.parameters["m"].clone()

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from frame_records import altered, measure
 from small_estimates import other_estimate
@@ -103,7 +104,16 @@ def test_a_training_that_did_not_converge(right_estimate):
     stopped = with_summary(estimate, stop_reason="iteration limit")
     assert kinds(noise_findings(problem, stopped)) == [("not_converged", "training")]
     without = replace(stopped, std=replace(estimate.std, displacement=np.nan * estimate.std.displacement))
-    assert noise_findings(problem, without) == []
+    for shares, still in (
+        ((1.0,) * 16, False),
+        (0.9 ** np.arange(16), True),
+        (1.0 + 0.2 * (np.arange(16) % 2), False),
+    ):
+        rows = {"loss_observation": 0.1 * np.asarray(shares), "loss_physics": 1e-3, "weight_observation": 1.0}
+        history = pd.DataFrame(rows | {"weight_physics": np.repeat([1.0, 10.0], 8)})
+        found = noise_findings(problem, replace(without, history=history))
+        assert kinds(found) == ([("not_converged", "training")] if still else [])
+        assert all("its loss was falling" in finding.text for finding in found)
 
 
 @pytest.mark.parametrize(("start", "word"), [(0.2, "questionable"), (1.5e7, "failed")])

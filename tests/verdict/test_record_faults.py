@@ -24,6 +24,7 @@ def zeros(x):
         ("clip", lambda x: np.clip(x, -1.5 * x.std(), 1.5 * x.std())),
         ("clip", lambda x: np.minimum(x, 1.5 * x.std())),
         ("dropout", zeros),
+        ("mark", lambda x: np.where(np.arange(len(x)) % 900 == 7, -70.0 * x.std(), x)),
         ("offset", lambda x: x + 0.3 * x.std()),
         ("still", lambda x: 0.0 * x),
     ],

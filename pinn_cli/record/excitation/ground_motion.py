@@ -106,6 +106,8 @@ class GroundMotion(Excitation):
                 raise InputError("excitation.path", path, "null or a text file")
             motion = RecordedMotion.read(located(path, base), step)
             self._tell_differences(motion, path)
+            if motion.in_g and scale == 1.0 and peak is None and rms is None:
+                log.warning("%s says that it is in g: excitation.scale=9.80665 makes m/s^2 of it", Path(path).name)
             unscaled, strength = None, float(np.sqrt(np.mean(motion.samples**2)))
         self._motion = motion
         self.factor = self._factor(scale, unscaled if peak is None else peak, rms, strength)
@@ -268,10 +270,11 @@ class RecordedMotion:
     Args:
         step: From sample to sample, s.
         samples: (N,), m/s^2, the first one at time 0.
+        in_g: Whether the file says that they are in g.
     """
 
-    def __init__(self, step: float, samples: np.ndarray) -> None:
-        self.step, self.samples = step, samples
+    def __init__(self, step: float, samples: np.ndarray, in_g: bool = False) -> None:
+        self.step, self.samples, self.in_g = step, samples, in_g
         padded = np.concatenate((np.zeros(ZEROS), samples, np.zeros(ZEROS)))
         # Not above: it takes a second to import, and every run reads this module.
         from scipy.interpolate import make_interp_spline
@@ -300,14 +303,18 @@ class RecordedMotion:
 
     @classmethod
     def read(cls, path: Path, step: float | None) -> RecordedMotion:
-        """From a text file: lines of time (s) and acceleration; or, with ``step``, accelerations one after the other.
+        """From a text file: lines of time (s) and acceleration; or accelerations one after the other, with their step.
 
-        Lines before the first number are a header. Columns are separated by commas, semicolons, blanks or tabs.
+        The step is ``step``, or what a line of the header says, such as DT= .01 SEC. Lines before the first number are
+        a header. Columns are separated by commas, semicolons, blanks or tabs.
 
         Raises:
             InputError: Naming ``excitation.path`` or ``excitation.step``; tells the line.
         """
-        rows, first = _rows(path)
+        from pinn_cli.record.files.csv import rate_above  # not above: pandas takes a while
+
+        header, rows = _rows(path)
+        rate = rate_above(header, ".")
         widths = {len(row) for row in rows}
         columns = np.array(rows) if widths == {2} else None
         has_times = columns is not None and bool(np.all(np.diff(columns[:, 0]) > 0))
@@ -315,22 +322,24 @@ class RecordedMotion:
             if has_times:
                 raise InputError("excitation.step", step, "null", f"{path.name} has times of its own")
             values, step = np.concatenate([np.array(row) for row in rows]), positive_number("excitation.step", step)
-        elif columns is None or not has_times:
+        elif columns is not None and has_times:
+            values, step = columns[:, 1], _uniform_step(path, columns[:, 0], len(header) + 1)
+        elif rate is not None:  # PEER's: NPTS= 4000, DT= .0100 SEC
+            values, step = np.concatenate([np.array(row) for row in rows]), 1.0 / rate
+        else:
             allowed = "given, the time between two values in s"
             hint = f"{path.name} has no two columns, growing time and acceleration"
             raise InputError("excitation.step", None, allowed, hint)
-        else:
-            values, step = columns[:, 1], _uniform_step(path, columns[:, 0], first)
         if len(values) < MINIMUM_SAMPLES or not values.any():
             content = f"{len(values)} values" + ("" if values.any() else ", all of them 0")
             raise InputError(MOTION_SETTING, path, f"a motion of {MINIMUM_SAMPLES} values or more", content)
         if (largest := float(np.abs(values).max())) > LARGEST:
             raise InputError(MOTION_SETTING, path, f"a motion below {LARGEST:g}", f"it reaches {largest:g}")
-        return cls(step, values)
+        return cls(step, values, in_g=re.search(r"units? (?:of|in) g\b", " ".join(header), re.IGNORECASE) is not None)
 
 
-def _rows(path: Path) -> tuple[list[list[float]], int]:
-    """The numbers of every line after the header, and the number of the first such line."""
+def _rows(path: Path) -> tuple[list[str], list[list[float]]]:
+    """The lines of the header, and the numbers of every line after it."""
     lines = read_text(path, MOTION_SETTING).splitlines()
     rows: list[list[float]] = []
     first = 0
@@ -350,7 +359,7 @@ def _rows(path: Path) -> tuple[list[list[float]], int]:
             rows.append(row)
     if not rows:
         raise InputError(MOTION_SETTING, path, "a file of numbers", f"{path.name} has none")
-    return rows, first
+    return lines[: first - 1], rows
 
 
 def _uniform_step(path: Path, time: np.ndarray, first: int) -> float:

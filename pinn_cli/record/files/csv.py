@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from io import StringIO
-from itertools import islice
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ import pandas as pd
 
 from pinn_cli.record.files.file_format import FileFormat
 from pinn_cli.record.files.on_disk import check_size, read_text
-from pinn_cli.record.files.table import IN_BRACKETS, Table, asked_for, is_called_times, rate_of
+from pinn_cli.record.files.table import IN_BRACKETS, Table, asked_for, commas_group, is_called_times, may_group, rate_of
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import whole_number
 
@@ -116,11 +116,13 @@ class CsvFormat(FileFormat):
             wanted: See :meth:`read`.
         """
         heading = self._heading(lines)
-        if heading.width < 2 and heading.numbers and heading.numbers[0] and _is_words(heading.numbers[0]):
+        if heading.width < 2 and heading.numbers and not all(map(_is_number, heading.numbers[0])):
             reason = f"one history whose numbers fill its lines? Write one number a line; {_NAMES_LINE}"
+            reason += "; an earthquake to simulate is read as it is by excitation.path"
             raise InputError("data.path", path, "a file with a line of names above columns of numbers", reason)
         separator = heading.separator
         decimal = self.decimal or _decimal(heading.numbers, separator)
+        notes = [] if self.decimal else _doubtful_commas(path, heading.numbers, decimal)
         dialect: dict[str, Any] = {"sep": r"\s+" if separator == BLANKS else separator, "decimal": decimal}
         below = text[sum(map(len, lines[: heading.first_line])) :]
         head = "".join(lines[heading.line : heading.end]) if len(heading.names) < 2 else heading.joined()
@@ -128,7 +130,7 @@ class CsvFormat(FileFormat):
         _check_nameless(path, heading)
         times = [name for name in header if is_called_times(name)]
         empty = [name for name in times if not any(row[header.index(name) :][:1] > [""] for row in heading.numbers)]
-        rate = _rate_above(lines[: heading.line], decimal) if times == empty else None
+        rate = rate_above(lines[: heading.line], decimal) if times == empty else None
         if wanted is not None and rate is not None:
             wanted = {setting: column for setting, column in wanted.items() if column}
         asked = asked_for(
@@ -144,6 +146,7 @@ class CsvFormat(FileFormat):
         in_brackets = {name: match[1].strip() for name in cells if (match := _UNIT.match(name))}
         units = {name: unit.strip("[]() ") for name, unit in zip(header, heading.units, strict=False) if unit}
         table = Table.of_cells(path, cells, in_brackets | units, decimal, heading.first_line + 1)
+        table = replace(table, notes=notes)
         if rate is None:
             return table
         timeless = {name: values for name, values in table.columns.items() if name not in empty}
@@ -367,8 +370,13 @@ def _filled(row: Sequence[str]) -> int:
     return max((place for place, cell in enumerate(row, start=1) if cell), default=0)
 
 
-def _rate_above(lines: Sequence[str], decimal: str) -> float | None:
-    """Hz, as lines above the names tell it: ``Sample rate [Hz]: 50``, ``dt = 0.02 s``; None: they do not."""
+def rate_above(lines: Sequence[str], decimal: str) -> float | None:
+    """Hz, as lines above the names tell it: ``Sample rate [Hz]: 50``, ``dt = 0.02 s``; None: they do not.
+
+    Args:
+        lines: Those lines.
+        decimal: Of their numbers.
+    """
     number = rf"(?P<number>\d+(?:[{decimal}]\d+)?(?:[eE][+-]?\d+)?|[{decimal}]\d+)"
     for found in re.finditer(rf"(?P<name>[^\d\n]*?){number}[ \t]*(?P<unit>[A-Za-z]*)", "".join(lines)):
         name = found["name"].strip(" \t,;:=#%\"'")
@@ -381,7 +389,20 @@ def _rate_above(lines: Sequence[str], decimal: str) -> float | None:
 
 
 def _decimal(rows: Sequence[Sequence[str]], separator: str) -> str:
-    """The comma, where cells have decimals with commas and none with points."""
+    """The comma, where cells have decimals with commas and none with points; unless it groups digits."""
     cells = [cell for row in rows for cell in row]
-    commas = separator != "," and any(map(_COMMA.match, cells)) and not any(map(_POINT.match, cells))
-    return "," if commas else "."
+    with_comma = [cell for cell in cells if _COMMA.match(cell)]
+    if separator == "," or not with_comma or any(map(_POINT.match, cells)):
+        return "."
+    columns = ([cell for cell in column if cell] for column in zip_longest(*rows, fillvalue=""))
+    grouped = all(map(may_group, with_comma)) and any(map(commas_group, columns))
+    return "." if grouped else ","
+
+
+def _doubtful_commas(path: Path, rows: Sequence[Sequence[str]], decimal: str) -> list[str]:
+    """What is to be said where every comma that was taken for that of decimals may group digits."""
+    with_comma = [cell for row in rows for cell in row if _COMMA.match(cell)]
+    if decimal == "." or not all(map(may_group, with_comma)):
+        return []
+    shown = f"{with_comma[0]} is read as {with_comma[0].replace(',', '.')}"
+    return [f"{path.name}: {shown}; data.format.decimal=. takes its comma for a sign between groups of digits"]

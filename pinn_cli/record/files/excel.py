@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date, datetime, time, timedelta
 from io import StringIO
 from pathlib import Path
@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.file_format import ArrayFormat
-from pinn_cli.record.files.table import Table
+from pinn_cli.record.files.table import Table, listed, shortened
 from pinn_cli.record.files.variables import Variable
+from pinn_cli.record.record import MINIMUM_SAMPLES
 from pinn_cli.settings.errors import InputError, suggestion
 
 if TYPE_CHECKING:
@@ -51,18 +52,20 @@ class ExcelFormat(ArrayFormat):
         """See :class:`ArrayFormat`."""
         from openpyxl import load_workbook
 
-        text = self._text(load_workbook(path, read_only=True, data_only=True), path)
-        return [self._text_format().table(path, text, wanted)]
+        text, notes = self._text(load_workbook(path, read_only=True, data_only=True), path)
+        table = self._text_format().table(path, text, wanted)
+        return [replace(table, notes=[*table.notes, *notes])]
 
     def _text_format(self) -> CsvFormat:
         return CsvFormat(separator="\t", decimal=".", names_line=self.names_line)
 
-    def _text(self, book: Workbook, path: Path) -> str:
+    def _text(self, book: Workbook, path: Path) -> tuple[str, list[str]]:
+        """A sheet as text, and what is to be said of the others."""
         sheets = {sheet.title: sheet for sheet in book.worksheets}
         if self.sheet is not None and self.sheet not in sheets:
             allowed = f"a sheet of {path.name}: {', '.join(sheets)}"
             raise InputError("data.format.sheet", self.sheet, allowed, suggestion(self.sheet, sheets))
-        most, chosen = int(self.sheet is None), None
+        most, chosen, filled = int(self.sheet is None), "", []
         for title in sheets if self.sheet is None else [self.sheet]:
             text = StringIO()
             rows = csv.writer(text, delimiter="\t", lineterminator="\n")
@@ -70,11 +73,14 @@ class ExcelFormat(ArrayFormat):
             for row in sheets[title].iter_rows(values_only=True):
                 numbers += any(isinstance(cell, int | float) for cell in row)
                 rows.writerow(_written(row))
+            filled += [title] if numbers >= MINIMUM_SAMPLES else []
             if numbers >= most:
-                most, chosen = numbers + 1, text.getvalue()
-        if chosen is not None:
-            return chosen
-        raise InputError("data.path", path, "a file with a sheet of numbers", f"it has {', '.join(sheets)}")
+                most, chosen, chosen_text = numbers + 1, title, text.getvalue()
+        if not chosen:
+            raise InputError("data.path", path, "a file with a sheet of numbers", f"it has {', '.join(sheets)}")
+        others = [title for title in filled if title != chosen]
+        text_of = f"{path.name}: the sheet {shortened(chosen)} is read; data.format.sheet=... takes {listed(others)}"
+        return chosen_text, [text_of] if others else []
 
 
 def _written(row: tuple[Any, ...]) -> Iterator[str]:

@@ -146,11 +146,11 @@ def tables_apart(file_format: ArrayFormat, path: Path, wanted: Mapping[str, str]
     except UnreadableError as error:
         raise damaged(path, file_format.expected, str(error)) from None
     arrays, tables = iter(values), []
-    for names, hints, timed, odd, first_line in layout:
+    for names, hints, timed, odd, first_line, notes in layout:
         columns = {name: next(arrays) for name in names}
         sensor_hints = {name: SensorHint(*texts) for name, texts in hints.items()}
         cells = {name: {int(row): text for row, text in of_column.items()} for name, of_column in odd.items()}
-        tables.append(Table(path, columns, cells, sensor_hints, next(arrays) if timed else None, first_line))
+        tables.append(Table(path, columns, cells, sensor_hints, next(arrays) if timed else None, first_line, notes))
     return tables
 
 
@@ -168,6 +168,7 @@ def answered(
             t.time is not None,
             t.odd_cells,
             t.first_line,
+            list(t.notes),
         )
         for t in tables
     ]

@@ -37,13 +37,16 @@ _TELLS_STEP = re.compile(
 )
 _OF_RATE, _OF_STEP = {"khz": 1e3, "mhz": 1e6}, {"ms": 1e-3, "msec": 1e-3, "us": 1e-6, "ns": 1e-9}
 # Cells that stand for no number, and numbers whose digits are grouped by threes, by the sign of their decimals: such as
-# 1,234.5 or 1,234,567, one of which a column must have, since 9,807 alone may be meant as 9.807.
+# 1,234.5 or 1,234,567, one of which a column must have, since 9,807 alone may be meant as 9.807; or what has no sign
+# between its digits is whole and too small for one.
 _NO_NUMBER = r"(?i:\s*(?:[-\u2013*_.?]+|nan|#[a-z/0]+[!?]?)\s*)"
 _GROUPED = {
     decimal: rf"\s*[+-]?[1-9]\d{{0,2}}(?:[{sign}' \u00a0\u202f]\d{{3}})+(?:[{decimal}]\d*)?\s*"
     for decimal, sign in ((".", ","), (",", "."))
 }
-_SURELY_GROUPED = r"\d[' \u00a0\u202f]\d|[.,].*[.,]"
+_SURELY_GROUPED, _TOO_SMALL = r"\d[' \u00a0\u202f]\d|[.,].*[.,]", r"\s*[+-]?\d{1,3}\s*"
+# How loggers write that a value is missing: -9999, 99999, -999.25, 9999.9.
+_OF_NINES = re.compile(r"-?9{3,}(?:\.25|\.9+)?")
 # Cells that are no numbers, and how to write them as such.
 _WRITTEN_AS = (
     (
@@ -100,6 +103,7 @@ class Table:
         hints: Name to what the header says of the column.
         time: Of the samples, (N,), s, where the header tells it; None: a column has the times, or nothing has.
         first_line: Line of the first row in a text file; None where rows are no lines: an error then counts samples.
+        notes: What the reader has decided that may be wrong, sentences.
         sources: Where columns of several tables are joined, name to the table that one comes from, and the row there of
             each row here, -1 where it has none; (N,).
     """
@@ -110,6 +114,7 @@ class Table:
     hints: Mapping[str, SensorHint] = field(default_factory=dict)
     time: np.ndarray | None = None
     first_line: int | None = None
+    notes: Sequence[str] = ()
     sources: Mapping[str, tuple[Table, np.ndarray]] = field(default_factory=dict)
 
     @classmethod
@@ -162,6 +167,26 @@ class Table:
             raise InputError(self.place(column, first + largest), shown, USABLE, hint)
         return values
 
+    def with_gaps(self, marks: Sequence[float] | None, times: str | None) -> Table:
+        """The same with gaps where a number stands for a missing value.
+
+        Args:
+            marks: Such numbers; None: -9999 and the like, where they lie far outside of all others, which a note tells.
+            times: The column that has no such marks; None: all may.
+        """
+        columns, notes = dict(self.columns), list(self.notes)
+        for name, values in ((name, values) for name, values in self.columns.items() if name != times):
+            is_mark = _missing(values) if marks is None else np.isclose(values[:, None], marks, rtol=1e-6).any(axis=1)
+            if not is_mark.any():
+                continue
+            columns[name] = np.where(is_mark, np.nan, values)
+            if marks is None:
+                shown = " and ".join(f"{mark:.7g}" for mark in np.unique(values[is_mark]))
+                told = f"{is_mark.sum()} samples are {shown}, far from all others, and are taken for missing"
+                where = f"{self.path.name}, column {shortened(name)}"
+                notes.append(f"{where}: {told}; data.missing=[] takes them for numbers")
+        return replace(self, columns=columns, notes=notes)
+
     def dates(self, column: str) -> list[str]:
         """The cells of a column none of which is a number: dates, if anything."""
         texts = self.odd_cells.get(column, {})
@@ -211,6 +236,31 @@ class Table:
         if rows[row] >= 0 or self.time is None:
             return table.place(column, int(rows[row]))
         return f"{table.path.name}, column {column!r}, at {self.time[row]:.9g} s"
+
+
+def mark(values: np.ndarray) -> float | None:
+    """Of numbers (N,) one that several are, farther from all others than these are apart; None: there is none."""
+    there = values[np.isfinite(values)]
+    for end in (there.min(initial=np.inf), there.max(initial=-np.inf)):
+        others = there[there != end]
+        if len(there) - len(others) > 1 and _far_off(np.array([end]), others).all():
+            return float(end)
+    return None
+
+
+def _missing(values: np.ndarray) -> np.ndarray:
+    """(N,), which numbers mark missing values by nines."""
+    different = np.unique(values[np.abs(values) >= 999.0])
+    nines = np.array([value for value in different if _OF_NINES.fullmatch(f"{value:.7g}")])
+    others = values[np.isfinite(values) & ~np.isin(values, nines)]
+    return np.isin(values, nines[_far_off(nines, others)])
+
+
+def _far_off(marks: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """(J,), which marks are farther from numbers (N,), which vary, than these are apart."""
+    if len(others) == 0 or np.ptp(others) == 0.0:
+        return np.zeros(len(marks), dtype=bool)
+    return np.asarray(np.maximum(others.min() - marks, marks - others.max()) > np.ptp(others))
 
 
 def bare(column: str) -> str:
@@ -346,11 +396,26 @@ def _numbers(cells: pd.Series, decimal: str) -> tuple[np.ndarray, dict[int, str]
     numbers[is_odd] = np.nan
     texts = pd.Series(cells.to_numpy()[is_odd], np.flatnonzero(is_odd)).astype("str")
     grouped = texts[texts.str.fullmatch(_GROUPED[decimal])]
-    if grouped.str.contains(_SURELY_GROUPED).any():
+    others = numbers[np.isfinite(numbers)]
+    small = decimal == "." and len(others) > 0 and bool(np.all((others % 1.0 == 0.0) & (np.abs(others) < 1000.0)))
+    if small or grouped.str.contains(_SURELY_GROUPED).any():
         plain = grouped.str.replace(rf"[^\d{decimal}+-]", "", regex=True).str.replace(",", ".")
         numbers[grouped.index], is_odd[grouped.index] = plain.astype(float), False
     is_odd[texts.index[texts.str.fullmatch(_NO_NUMBER)]] = False
     return numbers, {int(row): str(cells.iloc[row]) for row in np.flatnonzero(is_odd)}
+
+
+def may_group(text: str) -> bool:
+    """Whether the comma of a number may stand between groups of digits: in 9,807, but not in 0,807 or 9,81."""
+    return re.fullmatch(_GROUPED["."], text) is not None
+
+
+def commas_group(texts: Sequence[str]) -> bool:
+    """Whether commas group the digits of a column: all may, and what has none is whole and below 1000."""
+    with_comma = [text for text in texts if "," in text]
+    others = [text for text in texts if "," not in text]
+    whole = all(re.fullmatch(_TOO_SMALL, text) for text in others)
+    return bool(with_comma and others) and whole and all(map(may_group, with_comma))
 
 
 def seconds_of(texts: Sequence[str]) -> np.ndarray | None:

@@ -8,7 +8,7 @@ from refusals import refusal
 from pinn_cli.record.clock import MeasuredFiles, recognised
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.excel import ExcelFormat
-from pinn_cli.record.files.table import first_other, seconds_of
+from pinn_cli.record.files.table import first_other, mark, seconds_of
 
 # Names and units of force and accelerations.
 COLUMNS = {
@@ -95,6 +95,56 @@ def test_marks_that_stand_for_no_number_are_gaps(tmp_path, mark):
     np.testing.assert_array_equal(table.numbers("a"), [1, np.nan, 3])
 
 
+@pytest.mark.parametrize(
+    ("mark", "missing", "gaps"),
+    [
+        (-9999, None, True), (-999.25, None, True), (9999.9, None, True), (-9999, [], False), (-7999, None, False),
+        (-7999, -7999, True), (-7999, [1e6, -7999], True), (2, [2], True), (-999, [1], False),
+    ],
+)  # fmt: skip
+def test_numbers_that_mark_missing_values(tmp_path, caplog, mark, missing, gaps):
+    (tmp_path / "rig.csv").write_text("t,a,f\n" + f"0,1.5,-999\n1,{mark},400\n2,{mark},-400\n3,2,500\n4,2.5,-500\n")
+    table = MeasuredFiles((tmp_path / "rig.csv",), CsvFormat(), missing=missing).read().table
+    seen = np.nan if gaps else mark
+    np.testing.assert_array_equal(table.numbers("a"), [1.5, seen, seen, np.nan if mark == 2 else 2, 2.5])
+    np.testing.assert_array_equal(table.numbers("f"), [-999, 400, -400, 500, -500])  # near the others
+    told = f"rig.csv, column 'a': 2 samples are {mark}, far from all others, and are taken for missing; data.missing=[]"
+    assert (told in caplog.text) == (gaps and missing is None)
+
+
+def test_marks_that_are_none(tmp_path):
+    (tmp_path / "rig.csv").write_text("t,a\n0,1\n")
+    assert "data.missing=gap: must be a finite number" in refusal(MeasuredFiles, (), CsvFormat(), missing="gap")
+    assert "data.missing=None" in refusal(MeasuredFiles, (), CsvFormat(), missing=[-999, None])
+
+
+def test_a_constant_far_from_all_others():
+    values = np.random.default_rng(0).normal(size=100)
+    assert mark(values) is None
+    values[[3, 50]] = -80.0
+    assert mark(values) == -80.0
+    assert mark(np.append(values, 200.0)) is None  # which tells no more of them
+    assert mark(np.repeat([0.0, 5.0], 50)) is None
+    assert mark(np.full(5, np.nan)) is None
+
+
+@pytest.mark.parametrize(
+    ("cells", "read", "told"),
+    [
+        (["1,234", "-512", "2,033"], [1234, -512, 2033], False),
+        (["9,807", "9,806", "9,811"], [9.807, 9.806, 9.811], True),
+        (["9,807", "0,012", "9,811"], [9.807, 0.012, 9.811], False),
+        (["9,807", "9,81", "10"], [9.807, 9.81, 10], False),
+    ],
+)
+def test_what_a_comma_is_the_other_numbers_tell(tmp_path, caplog, cells, read, told):
+    rows = [f"{i};{cell}\n" for i, cell in enumerate(cells * 4)]
+    (tmp_path / "rig.csv").write_text("t;a\n" + "".join(rows))
+    table = MeasuredFiles((tmp_path / "rig.csv",), CsvFormat()).read().table
+    np.testing.assert_allclose(table.numbers("a"), read * 4)
+    assert ("data.format.decimal=." in caplog.text) == told
+
+
 def test_a_comma_that_may_be_one_of_decimals_groups_no_digits(tmp_path):
     (tmp_path / "rig.csv").write_text("t;a\n" + "0.1;9,807\n0.2;9,806\n" * 3)
     assert "write decimals with a point" in refusal(CsvFormat().read(tmp_path / "rig.csv").numbers, "a")
@@ -113,6 +163,12 @@ def test_notes_among_the_numbers_and_numbers_that_fill_lines_are_named(tmp_path)
     assert "a comment or a note among the numbers?" in refusal(table.numbers, "t")
     (tmp_path / "roof.v2").write_text("Corrected\nStation 1\n600 points at .02 sec\n" + "  1.0 2.0 3.0 4.0\n" * 9)
     assert "Write one number a line" in refusal(CsvFormat().read, tmp_path / "roof.v2")
+    (tmp_path / "quake.at2").write_text(
+        "PEER\nA quake, 5/19/1940, 180\nIN G\nNPTS= 45, DT= .01 SEC\n" + "1. 2. 3.\n" * 9
+    )
+    assert "an earthquake to simulate is read as it is by excitation.path" in refusal(
+        CsvFormat().read, tmp_path / "quake.at2"
+    )
 
 
 def test_lines_above_that_nobody_can_tell_apart_are_named(tmp_path):
@@ -154,7 +210,7 @@ def test_the_first_that_is_no_date():
     assert first_other(["soon", "1.2.2026"]) is None
 
 
-def test_excel_has_sheets_and_evaluates_nothing(tmp_path):
+def test_excel_has_sheets_and_evaluates_nothing(tmp_path, caplog):
     openpyxl = pytest.importorskip("openpyxl")
     book = openpyxl.Workbook()
     book.active.append(["t", "a"])
@@ -167,5 +223,11 @@ def test_excel_has_sheets_and_evaluates_nothing(tmp_path):
     np.testing.assert_array_equal(table.columns["a"], [np.nan, 2.5])  # openpyxl itself has worked out nothing
     assert ExcelFormat(sheet="second").read(tmp_path / "rig.xlsx").columns["b"].tolist() == [7.0]
     assert "data.format.sheet=secnd" in refusal(ExcelFormat(sheet="secnd").read, tmp_path / "rig.xlsx")
+    for row in range(20):
+        book["second"].append([row + 1, row % 7])
+        book.active.append([row + 2, row % 5])
+    book.save(tmp_path / "both.xlsx")
+    MeasuredFiles((tmp_path / "both.xlsx",), ExcelFormat()).read()
+    assert "both.xlsx: the sheet 'Sheet' is read; data.format.sheet=... takes 'second'" in caplog.text
     (tmp_path / "broken.xlsx").write_bytes((tmp_path / "rig.xlsx").read_bytes()[:500])
     assert "damaged or cut off?" in refusal(ExcelFormat().read, tmp_path / "broken.xlsx")
