@@ -15,7 +15,7 @@ levels have an evidence (:mod:`pinn_cli.training.evidence`; MacKay 1992), by whi
    its own modes, contacts apart from where they turn, features fine enough. The solution is carried over each time.
 4. **What the levels do not say:** which of several structures is meant, which discrepancy all windows agree on, how
    many independent values a coloured discrepancy has, which parameters are most probable with the motion integrated
-   out, and what they would be if the structure ran free.
+   out, and what they would be if the structure ran free, or if the force that the model leaves out were smooth.
 
 What is reported of the solution is :mod:`pinn_cli.training.reported`, what the model may lack
 :mod:`pinn_cli.training.doubts`.
