@@ -13,7 +13,7 @@ from pinn_cli.inspection.proposal import Look, Said, proposed_settings
 from pinn_cli.inspection.report import InspectionReport
 from pinn_cli.record.channels import clipped_percent, constant_percent, hum
 from pinn_cli.record.cross_spectra import CrossSpectra
-from pinn_cli.record.files.table import mark
+from pinn_cli.record.files.table import told_mark
 from pinn_cli.record.identification.lines import RecordMode
 from pinn_cli.record.signal import Sampling, Signal, guessed, number_of, spectra_of
 from pinn_cli.record.spectrum import noise_level, signal_edges, visible_floor
@@ -214,10 +214,8 @@ def _of_channels(channels: pd.DataFrame) -> Iterator[str]:
 
 def _marks(signals: Sequence[Signal]) -> Iterator[str]:
     for signal in (signal for signal in signals if not signal.is_input):  # what acts may well be in pulses
-        value = mark(signal.values)
-        if value is not None:
-            count, missing = int(np.sum(signal.values == value)), "name it in data.missing, as the file has it"
-            yield f"{signal.name} is {value:.6g} in {count} samples, far from all others: if it marks gaps, {missing}"
+        if told := told_mark(signal.values):
+            yield f"{signal.name} {told}"
 
 
 def _has_offset(signal: Signal) -> bool:

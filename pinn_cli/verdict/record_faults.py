@@ -9,7 +9,7 @@ import numpy as np
 
 from pinn_cli.record.channel import Channel
 from pinn_cli.record.channels import channels, equal_runs, hum
-from pinn_cli.record.files.table import mark
+from pinn_cli.record.files.table import told_mark
 from pinn_cli.record.response import MEASURED_QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import mean_deviation
 from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
@@ -68,12 +68,8 @@ def _copied(channel: Channel, record: Record) -> Finding | None:
 
 def _marked(channel: Channel, record: Record) -> Finding | None:
     """A constant far from everything else that was measured."""
-    value = mark(channel.measured)
-    if value is None:
-        return None
-    count, missing = int(np.sum(channel.measured == value)), "name it in data.missing, as the file has it"
-    text = f"the {channel.name} is {value:.6g} in {count} samples, far from all others: if this marks missing values"
-    return Finding("mark", channel.name, f"{text}, {missing}")
+    told = told_mark(channel.measured)
+    return None if told is None else Finding("mark", channel.name, f"the {channel.name} {told}")
 
 
 def _clipped(channel: Channel, record: Record) -> Finding | None:

@@ -45,8 +45,12 @@ _GROUPED = {
     for decimal, sign in ((".", ","), (",", "."))
 }
 _SURELY_GROUPED, _TOO_SMALL = r"\d[' \u00a0\u202f]\d|[.,].*[.,]", r"\s*[+-]?\d{1,3}\s*"
-# How loggers write that a value is missing: -9999, 99999, -999.25, 9999.9.
-_OF_NINES = re.compile(r"-?9{3,}(?:\.25|\.9+)?")
+# How loggers write that a value is missing: -9999, 99999, -999.25, 9999.9; sizes, as seven digits tell them.
+_OF_NINES = np.array([
+    999, 999.25, 999.9, 999.99, 999.999, 999.9999, 9999, 9999.25, 9999.9, 9999.99, 9999.999, 99999, 99999.25, 99999.9,
+    99999.99, 999999, 999999.9, 9999999,
+])  # fmt: skip
+_SEVENTH_DIGIT = 5e-8
 # Cells that are no numbers, and how to write them as such.
 _WRITTEN_AS = (
     (
@@ -248,10 +252,22 @@ def mark(values: np.ndarray) -> float | None:
     return None
 
 
+def told_mark(values: np.ndarray) -> str | None:
+    """What is to be said of such a number, behind a name; None: there is none."""
+    value = mark(values)
+    if value is None:
+        return None
+    count, missing = int(np.sum(values == value)), "name it in data.missing, as the file has it"
+    return f"is {value:.6g} in {count} samples, far from all others: if it marks gaps, {missing}"
+
+
 def _missing(values: np.ndarray) -> np.ndarray:
     """(N,), which numbers mark missing values by nines."""
-    different = np.unique(values[np.abs(values) >= 999.0])
-    nines = np.array([value for value in different if _OF_NINES.fullmatch(f"{value:.7g}")])
+    sizes = np.abs(values)
+    place = np.searchsorted(_OF_NINES, sizes * (1.0 - _SEVENTH_DIGIT)).clip(max=len(_OF_NINES) - 1)
+    nines = np.unique(values[np.abs(sizes - _OF_NINES[place]) <= _SEVENTH_DIGIT * _OF_NINES[place]])
+    if not len(nines):
+        return np.zeros(len(values), dtype=bool)
     others = values[np.isfinite(values) & ~np.isin(values, nines)]
     return np.isin(values, nines[_far_off(nines, others)])
 

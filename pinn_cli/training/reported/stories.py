@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from pinn_cli.model.knowledge import Misfit, ParameterKnowledge
+from pinn_cli.model.knowledge import ParameterKnowledge
 from pinn_cli.record.channels import channels
 from pinn_cli.record.free_run import NoFreeRunError, free_run_of
 from pinn_cli.record.record import Record
@@ -52,51 +52,48 @@ def with_stories(inference: Inference, estimate: Estimate) -> Estimate:
         inference: Its solutions.
         estimate: Of the story in which a force as white as the features are acts that the model leaves out.
     """
-    smooth, moved, found = inference.smooth, estimate, None
-    if smooth is not None:
-        found = posterior_estimate(smooth.evidence, smooth.trained, smooth.solver.history)
-    candidates = _candidates(inference, estimate, inference.trained.solution.point.unknowns, found)
+    smooth, motion = inference.smooth, inference.trained.solution.point.unknowns
+    found = None if smooth is None else posterior_estimate(smooth.evidence, smooth.trained, smooth.solver.history)
+    candidates = _candidates(inference, estimate, found)
     if found is not None and smooth is not None and smooth.trained.log_evidence > inference.trained.log_evidence:
         smoother = _with_motion(estimate, found)
-        same_stories = _candidates(inference, smoother, of_smooth_motion(inference), found)
+        same_stories = [replace(one, moved=smoother) for one in candidates]
         best, same = min(zip(candidates, same_stories, strict=True), key=lambda pair: pair[0].rank)
         if same.rank < STILL_PREDICTS * best.rank:
-            moved, candidates = smoother, same_stories
+            candidates, motion = same_stories, of_smooth_motion(inference)
     free = sorted((one for one in candidates if one.name == OF_RESPONSE), key=lambda one: one.rank)
     forced = [one for one in candidates if one.name != OF_RESPONSE]
     best, *others = sorted([*forced, *free[:1]], key=lambda one: one.rank) if free else forced
     asked = next(one.trained for one in (best, *others) if one.trained is not None)
-    std = [record_estimate.std for record_estimate in moved.by_record]
+    reported = best.estimate if best.said is None else _with_force_left(inference, best, motion)
+    std = [record_estimate.std for record_estimate in reported.by_record]
     lacking = inference.evidence.each_record(doubts, asked, std)
-    records = zip(best.estimate.records, lacking, strict=False)
+    records = zip(reported.records, lacking, strict=False)
     of_records = tuple(replace(record_estimate, doubts=record_doubts) for record_estimate, record_doubts in records)
     stories = tuple(one.story for one in (best, *others)) if others else ()
-    return replace(best.estimate, stories=stories, doubts=lacking[0], records=of_records)
+    return replace(reported, stories=stories, doubts=lacking[0], records=of_records)
 
 
-def _candidates(
-    inference: Inference, estimate: Estimate, motion: torch.Tensor, found: Estimate | None
-) -> list[_Candidate]:
-    """All stories with one motion; of the free run one for each solution.
+def _candidates(inference: Inference, estimate: Estimate, found: Estimate | None) -> list[_Candidate]:
+    """All stories, that of a white force first; of the free run one for each solution.
 
     Args:
         inference: The solutions.
-        estimate: Of that motion, with the parameters of a white force.
-        motion: Its unknowns.
-        found: Of the story of a smooth force; None: there is none.
+        estimate: Of the white force.
+        found: Of the smooth one; None: there is none.
     """
-    problems = inference.evidence.problem.by_record
-    forced, candidates = [estimate], [_Candidate(OF_FORCE, problems, estimate, inference.trained)]
+    forced, candidates = [estimate], [_Candidate(OF_FORCE, inference, estimate, inference.trained)]
     if found is not None:
         assert inference.smooth is not None
         assert found.correlation is not None
         assert found.known is not None
-        said = found.parameters, found.correlation, found.known
-        of_smooth = with_story(inference, estimate, motion, inference.smooth.trained.solution.point.parameters, said)
-        forced, smooth = [estimate, found], _Candidate(OF_SMOOTH_FORCE, problems, of_smooth, None, found.summary)
-        candidates.append(smooth)
-    running = ((of_free_running(inference, free, estimate, motion, forced), free.trained) for free in inference.free)
-    return candidates + [_Candidate(OF_RESPONSE, problems, *one) for one in running]
+        said = Said(inference.smooth.trained.solution.point, found.parameters, found.correlation, found.known)
+        forced.append(found)
+        candidates.append(_Candidate(OF_SMOOTH_FORCE, inference, estimate, None, said, found.summary))
+    for free in inference.free:
+        said = of_free_running(inference, free, forced)
+        candidates.append(_Candidate(OF_RESPONSE, inference, estimate, free.trained, said))
+    return candidates
 
 
 def _with_motion(estimate: Estimate, found: Estimate) -> Estimate:
@@ -120,55 +117,42 @@ def _with_motion(estimate: Estimate, found: Estimate) -> Estimate:
     return replace(moved(estimate, found), records=tuple(moved(before, after) for before, after in pairs))
 
 
-def of_free_running(
-    inference: Inference, free: FreeRunning, estimate: Estimate, motion: torch.Tensor, forced: Sequence[Estimate]
-) -> Estimate:
-    """The same motion, with the parameters of the structure that runs free, and the force that it then takes.
+def of_free_running(inference: Inference, free: FreeRunning, forced: Sequence[Estimate]) -> Said:
+    """The parameters of the structure that runs free.
 
-    No record averages out how the parameters vary, nor what the other stories, ``forced``, say of them.
+    No record averages out how they vary, nor what the other stories, ``forced``, say of them.
     """
     equations, varying = inference.evidence.equations, np.hypot(free.varying, story_distance(inference, free, forced))
     misfit = varying, np.ones(len(varying))
     parameters, correlation, known = parameter_posterior(equations, free.trained, misfit, free.covariance)
     # Means that a bound moves are no longer what makes the structure run.
-    at = free.trained.solution.point.parameters
-    modes = np.maximum(at.numpy(), equations.lower) * equations.scale
+    point = free.trained.solution.point
+    modes = np.maximum(point.parameters.numpy(), equations.lower) * equations.scale
     parameters = [_at_mode(p, p.parameter.value(float(x))) for p, x in zip(parameters, modes, strict=False)]
-    return with_story(inference, estimate, motion, at, (parameters, correlation, known))
+    return Said(point, parameters, correlation, known)
 
 
-def with_story(
-    inference: Inference,
-    estimate: Estimate,
-    motion: torch.Tensor,
-    at: torch.Tensor,
-    posterior: tuple[list[ParameterEstimate], np.ndarray, ParameterKnowledge],
-) -> Estimate:
-    """The same motion, with the parameters of another story, and the force that it then takes.
-
-    Args:
-        inference: Whose story it is.
-        estimate: Of a motion.
-        motion: Its unknowns.
-        at: (p,), those parameters, in prior standard deviations from the prescribed ones.
-        posterior: What is said of them, see :func:`parameter_posterior`.
-    """
-    pairs = zip(estimate.by_record, _left_out(inference, motion, at), strict=True)
-    changed_estimate = with_parameters(
-        inference.evidence, [replace(record_estimate, misfit=misfit) for record_estimate, misfit in pairs], posterior
-    )
-    changed = {name: getattr(changed_estimate, name) for name in ("parameters", "correlation", "known", "misfit")}
+def _with_story(inference: Inference, estimate: Estimate, said: Said) -> Estimate:
+    """The same motion, with the parameters of another story."""
+    posterior = said.parameters, said.correlation, said.known
+    changed_estimate = with_parameters(inference.evidence, estimate.by_record, posterior)
+    changed = {name: getattr(changed_estimate, name) for name in ("parameters", "correlation", "known")}
     before = [tuple(record_estimate.of_motion or record_estimate.parameters) for record_estimate in estimate.by_record]
     records = zip(changed_estimate.records, before, strict=False)
     of_records = tuple(replace(record_estimate, of_motion=motion) for record_estimate, motion in records)
     return replace(estimate, **changed, records=of_records, of_motion=before[0])
 
 
-def _left_out(inference: Inference, motion: torch.Tensor, at: torch.Tensor) -> list[Misfit]:
-    """The force that a motion takes with some parameters, of every record."""
-    trained = inference.trained
-    moved = replace(trained, solution=replace(trained.solution, point=Point(motion, at)))
-    return inference.evidence.each_record(misfit_history, moved)
+def _with_force_left(inference: Inference, story: _Candidate, motion: torch.Tensor) -> Estimate:
+    """The estimate of a story with the force that its motion, of these unknowns, takes with its parameters."""
+    trained, estimate = inference.trained, story.estimate
+    assert story.said is not None
+    point = Point(motion, story.said.point.parameters)
+    moved = replace(trained, solution=replace(trained.solution, point=point))
+    left_out = inference.evidence.each_record(misfit_history, moved)
+    records = zip(estimate.records, left_out, strict=False)
+    of_records = tuple(replace(record_estimate, misfit=misfit) for record_estimate, misfit in records)
+    return replace(estimate, misfit=left_out[0], records=of_records)
 
 
 def story_distance(inference: Inference, free: FreeRunning, forced: Sequence[Estimate]) -> np.ndarray:
@@ -193,22 +177,44 @@ def _at_mode(parameter: ParameterEstimate, mode: float) -> ParameterEstimate:
 
 
 @dataclass(frozen=True, eq=False)
+class Said:
+    """What a story says of the parameters.
+
+    Attributes:
+        point: Of its solution.
+        parameters, correlation, known: See :class:`Estimate`.
+    """
+
+    point: Point
+    parameters: list[ParameterEstimate]
+    correlation: np.ndarray
+    known: ParameterKnowledge
+
+
+@dataclass(frozen=True, eq=False)
 class _Candidate:
     """A story, and what it misses of the response's sensors of all records: a mean NMSE, %.
 
     Attributes:
         name: Of the story.
-        problems: Of every record.
-        estimate: With its parameters.
-        trained: Its solution, where no force is free in it.
-        summary: Of one in which a force is.
+        inference: The solutions.
+        moved: Of a motion, with the parameters of a white force.
+        trained: Its solution, where no smooth force is in it.
+        said: Its parameters; None: those of a white force.
+        summary: Of a smooth force.
     """
 
     name: str
-    problems: Sequence[Problem]
-    estimate: Estimate
+    inference: Inference
+    moved: Estimate
     trained: Trained | None
+    said: Said | None = None
     summary: Mapping[str, Any] = field(default_factory=dict)
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        """The motion with these parameters; the force that is left out is still that of a white one."""
+        return self.moved if self.said is None else _with_story(self.inference, self.moved, self.said)
 
     @cached_property
     def free_run(self) -> float:
@@ -229,7 +235,7 @@ class _Candidate:
         return Story(self.name, tuple(self.estimate.parameters), self.free_run, self.segments, *force)
 
     def _missed(self, parts: int) -> float:
-        records = zip(self.problems, self.estimate.by_record, strict=True)
+        records = zip(self.inference.evidence.problem.by_record, self.estimate.by_record, strict=True)
         return float(np.mean([_missed_of(problem, estimate, parts) for problem, estimate in records]))
 
 
