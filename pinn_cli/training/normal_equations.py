@@ -12,6 +12,7 @@ What separate outputs of displacement and velocity leave between them, d(displac
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -33,6 +34,7 @@ from pinn_cli.training.factors.known_state import states_known
 from pinn_cli.training.factors.ridge import Ridge
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_matrix.bordered import BorderedSystem
+from pinn_cli.training.normal_matrix.diagonals import Diagonals
 from pinn_cli.training.normal_matrix.dissection import FrontTree
 from pinn_cli.training.normal_matrix.row_sums import RowSums
 from pinn_cli.training.point import Point
@@ -193,16 +195,24 @@ class NormalEquations(Frame):
 
     def assemble(self, point: Point, noise: NoiseModel, prior: np.ndarray | None = None) -> BorderedSystem:
         """Normal matrix and gradient at a point; arguments as of :meth:`losses`."""
-        alive, pick = self.physics.feature.shape[1], self.vector.column
-        sums = RowSums(self.network.channels, alive, self.physics.count, self.dynamics.coupling, self.pattern.count)
-        for factor in self.factors:
-            factor.add_to(sums, point, noise)
+        sums, pick = self._sums(self.factors, point, noise), self.vector.column
         border, corner, slope = sums.border(pick), sums.corner[np.ix_(pick, pick)], sums.slope[pick]
         if prior is not None:
             corner = corner + prior
             slope = slope + (torch.as_tensor(prior).to(self.scale) @ point.parameters).cpu().numpy()
         slope = slope if self.pull is None else slope - self.pull
         return BorderedSystem(sums.band, border, corner, sums.gradient, slope, self._order_of_elimination(border))
+
+    def readout_matrix(self, factor: Factor, point: Point, noise: NoiseModel) -> Diagonals:
+        """What a factor adds to the normal matrix of the readout weights."""
+        return self._sums([factor], point, noise).band
+
+    def _sums(self, factors: Sequence[Factor], point: Point, noise: NoiseModel) -> RowSums:
+        alive = self.physics.feature.shape[1]
+        sums = RowSums(self.network.channels, alive, self.physics.count, self.dynamics.coupling, self.pattern.count)
+        for factor in factors:
+            factor.add_to(sums, point, noise)
+        return sums
 
     def _order_of_elimination(self, border: csr_matrix) -> FrontTree:
         """See :class:`BorderedSystem`; worked out once for all systems whose parameters touch the same weights."""

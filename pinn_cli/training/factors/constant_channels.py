@@ -6,11 +6,10 @@ Rows that never change: of what feels functions of time, or derivatives of them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import cached_property
 
 import numpy as np
 import torch
-from scipy.sparse import csr_matrix, diags
+from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
@@ -22,6 +21,7 @@ from pinn_cli.training.factors.feels import weighted
 from pinn_cli.training.factors.frame import EVERY, Frame
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_matrix.row_sums import RowSums
+from pinn_cli.training.normal_matrix.separable_rows import FeatureWindows, LocalFeatures, SeparableRows
 from pinn_cli.training.point import Point
 from pinn_cli.training.sensor_samples import SensorSamples
 
@@ -36,15 +36,14 @@ class ConstantRows:
     """
 
     def __init__(self, segments: Segments, terms: Sequence[tuple[Tensor, csr_matrix]]) -> None:
-        self.segments, self.terms = segments, [(features, csr_matrix(weights)) for features, weights in terms]
+        self.weights = np.stack([weights.toarray() for _, weights in terms])
 
-    @cached_property
-    def _grams(self) -> list[list[np.ndarray]]:
-        """(I, B, B), products of the features."""
-        features = [phi for phi, _ in self.terms]
-        return [[(left.mT @ right).cpu().numpy() for right in features] for left in features]
+        def features(part: slice) -> LocalFeatures:
+            return LocalFeatures(segments.feature[part], torch.stack([phi[part] for phi, _ in terms], 2))
 
-    def add_to(self, sums: RowSums, residual: Tensor, weight: Tensor, part: slice = slice(None)) -> None:
+        self._features, self._named = FeatureWindows(features), np.ones((self.weights.shape[1], 1), dtype=bool)
+
+    def add_to(self, sums: RowSums, residual: Tensor, weight: Tensor, part: slice = EVERY) -> None:
         """Add their weighted products.
 
         Args:
@@ -53,13 +52,8 @@ class ConstantRows:
             weight: (channels,), 0 where there is none.
             part: Which groups the residual is of.
         """
-        feature, by_channel = self.segments.feature[part], diags(weight.cpu().numpy())
-        for (features, weights), grams in zip(self.terms, self._grams, strict=True):
-            pulled = weights.T @ by_channel
-            moment = (features[part].mT @ residual).cpu().numpy()  # (I, B, channels)
-            sums.add_moment(feature, (moment.reshape(-1, moment.shape[-1]) @ pulled.T).reshape(*moment.shape[:2], -1))
-            for (_, other_weights), gram in zip(self.terms, grams, strict=True):
-                sums.add_constant(feature, gram[part], pulled @ other_weights)
+        by = residual[..., None].cpu().numpy()
+        sums.add_separable(SeparableRows(self._features(part), self.weights, weight.cpu().numpy(), by, self._named))
 
 
 class ConstantChannels(Channels):

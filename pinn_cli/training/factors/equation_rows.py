@@ -16,6 +16,7 @@ from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.normal_matrix.row_pattern import RowPattern
 from pinn_cli.training.normal_matrix.row_sums import FullRows, Rows, RowSums, Touched
+from pinn_cli.training.normal_matrix.separable_rows import LocalFeatures, SeparableRows
 from pinn_cli.training.subdomains import Subdomains
 
 # Numbers of rows, or of their products, that are held at once: a whole spline of a small chain, little enough for the
@@ -94,6 +95,23 @@ class EquationRows:
         else:
             for rows in self._by_function(segments, residual, root, averages):
                 sums.add(rows)
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether the derivatives by the motion do not change with time: nowhere is the structure nonlinear."""
+        return all(bool((x == x[:1, :1]).all()) for x in (self.stiffness, self.damping))
+
+    def separable(
+        self, features: LocalFeatures, residual: Tensor, weight: Tensor, averages: Subdomains
+    ) -> SeparableRows:
+        """Averages whose derivatives by the motion are constant; arguments as of :meth:`add_to`."""
+        pattern, mass = self.pattern, self.mass
+        by_motion = [pattern.full(x[0, 0].cpu().numpy()) for x in (self.stiffness, self.damping)]
+        by_motion += [] if mass is None else [np.diag(mass.cpu().numpy())]
+        parameter = pattern.every_parameter(averages(self.parameter.flatten(2)).unflatten(2, self.parameter.shape[2:]))
+        by = torch.cat((parameter, residual[..., None]), -1)
+        weights = weight if weight.ndim == 1 else weight[:, 0]
+        return SeparableRows(features, np.stack(by_motion), weights.cpu().numpy(), by.cpu().numpy(), pattern.named)
 
     def _by_group(
         self, segments: Segments, residual: Tensor, root: Tensor, averages: Subdomains | None

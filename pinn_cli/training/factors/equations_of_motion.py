@@ -18,6 +18,7 @@ from pinn_cli.training.factors.factor import Residuals
 from pinn_cli.training.factors.frame import EVERY, Frame
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_matrix.row_sums import RowSums
+from pinn_cli.training.normal_matrix.separable_rows import FeatureWindows, LocalFeatures
 from pinn_cli.training.point import Point
 
 
@@ -39,6 +40,7 @@ class EquationsOfMotion(Residuals):
         self.acting, self._enforced = self.segments.gather(target.force), target.equation
         self._between = None if target.force_between is None else self.segments.gather(target.force_between)
         self._kept: tuple[Point | None, Tensor] = None, target.force
+        self._features = FeatureWindows(self._averaged)
 
     def force(self, point: Point, part: slice = EVERY) -> Tensor:
         """(I, S, n), N, at the collocation points."""
@@ -78,7 +80,18 @@ class EquationsOfMotion(Residuals):
         for part, residual in self.residuals(point):
             averages = None if self.averages is None else self.averages.part(part)
             rows, weighed = self.rows(self.segments, point, part), weight if weight.ndim == 1 else weight[part]
-            rows.add_to(sums, self.segments.part(part), residual, weighed, averages)
+            if averages is not None and rows.pattern.is_full and rows.is_constant:
+                separable = rows.separable(self._features(part), residual, weighed, averages)
+                sums.add_separable(separable, rows.pattern.reached)
+            else:
+                rows.add_to(sums, self.segments.part(part), residual, weighed, averages)
+
+    def _averaged(self, part: slice) -> LocalFeatures:
+        """Features of some averages, of every derivative."""
+        assert self.averages is not None
+        of, share = self.segments, self.averages.weight[part, :, None]
+        features = [(phi[part] * share).sum(1) for phi in (of.displacement, of.velocity, of.acceleration)]
+        return LocalFeatures(of.feature[part], torch.stack(features, 1)[:, None])
 
     def moved(self, point: Point, steps: Sequence[Point]) -> Iterator[tuple[slice, list[Tensor]]]:
         """Window by window which groups, and how the residual changes with small steps.

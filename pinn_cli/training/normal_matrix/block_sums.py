@@ -58,9 +58,9 @@ class BlockSums:
             products = across[: count - shift, :, :shared] @ below[shift:, shift * per_group :]
             self._block(shift)[first : first + count - shift] += products
 
-    def add_products(self, first: int, shift: int, products: np.ndarray, coupling: np.ndarray) -> None:
-        """Add those of features (F,), the first and following ones with later ones, times those of functions (n, n)."""
-        self._block(shift)[first : first + len(products)] += products[:, None, None] * coupling
+    def add_products(self, first: int, shift: int, products: np.ndarray) -> None:
+        """Add (F, n, n), of the functions of the first and following features with those of later ones."""
+        self._block(shift)[first : first + len(products)] += products
 
     def _add_group(self, first: int, rows: np.ndarray, by: np.ndarray) -> None:
         """Of one group (R, B, n) by itself."""
@@ -83,21 +83,3 @@ class BlockSums:
         start = self._later[:, :, offset:]
         shape, strides = self._later.shape[:2], (by_feature, by_function + entry)
         return np.lib.stride_tricks.as_strided(start, shape, strides, writeable=False).reshape(-1)
-
-
-def by_shift(gram: np.ndarray, stride: int) -> list[np.ndarray]:
-    """Sums of products of features (I, B, B), lower half, of I groups, each a stride further on.
-
-    For every shift from 0 to B - 1 those of the features (F,), from the first group's first one on, with later ones.
-    """
-    groups, features = gram.shape[:2]
-    last = (groups - 1) * stride + 1
-    out = [np.zeros(last - 1 + features - shift) for shift in range(features)]
-    for shift, total in enumerate(out):
-        if groups < features:
-            for group, products in enumerate(gram):
-                total[group * stride : group * stride + features - shift] += np.diagonal(products, -shift)
-        else:
-            for b in range(features - shift):
-                total[b : b + last : stride] += gram[:, b + shift, b]
-    return out

@@ -5,7 +5,6 @@ Bordered systems of several records that share their parameters: each record's b
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter, itemgetter
@@ -59,10 +58,10 @@ class BorderedSystem:
         readout = self._readout_alone()
         return None if readout is None else -readout.solved(readout.half_solved(self.gradient)[0], np.zeros(0))
 
-    def readout_log_determinant(self) -> float:
-        """Logarithm of the determinant of A; NaN if it is not positive definite."""
+    def readout_inverse(self) -> Diagonals | None:
+        """A^-1, where two weights may be in one row of a residual; None if A is not positive definite."""
         readout = self._readout_alone()
-        return math.nan if readout is None else readout.log_determinant
+        return None if readout is None else readout.inverse()
 
     def _readout_alone(self) -> Elimination | None:
         """A, factored without the border."""

@@ -67,6 +67,17 @@ class Diagonals:
         line[self.offsets] = np.arange(len(self.offsets))
         return line
 
+    def trace_of_product(self, other: Diagonals) -> float:
+        """The trace of its product with another, which keeps no diagonal that this one does not."""
+        lines = self.values[self.lines(other.offsets)]
+        by_line = np.einsum("ij,ij->i", lines, other.values)
+        return float(2.0 * by_line.sum() - by_line[0])
+
+    def __sub__(self, other: Diagonals) -> Diagonals:
+        """The difference of two that keep the same diagonals."""
+        assert np.array_equal(self.offsets, other.offsets), "two matrices of the same rows"
+        return Diagonals(self.offsets, self.values - other.values)
+
     def dense(self) -> np.ndarray:
         """(size, size), for few unknowns."""
         lower = np.zeros((self.size, self.size))

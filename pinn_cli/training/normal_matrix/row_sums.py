@@ -13,12 +13,13 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_matrix, spmatrix
+from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from pinn_cli.system.coupling import Coupling
-from pinn_cli.training.normal_matrix.block_sums import BlockSums, by_shift
+from pinn_cli.training.normal_matrix.block_sums import BlockSums
 from pinn_cli.training.normal_matrix.diagonals import Diagonals
+from pinn_cli.training.normal_matrix.separable_rows import SeparableRows
 
 
 class Touched(NamedTuple):
@@ -88,9 +89,6 @@ class RowSums:
         coupling: The functions' order, and how far those of one row stand apart.
         places: Of parameters.
 
-    Attributes:
-        corner: (places, places), of the parameters against each other.
-        slope: (places,), gradient of the parameters.
     """
 
     def __init__(self, stride: int, features: int, count: int, coupling: Coupling, places: int) -> None:
@@ -105,8 +103,9 @@ class RowSums:
         self._gradient = np.zeros((1, self._length))
         # Of every parameter of rows: which place it has by the functions (lines, n), and its lines.
         self._border: dict[tuple[bytes, int, int, int], tuple[np.ndarray, np.ndarray]] = {}
-        self.corner, self.slope = np.zeros((places, places)), np.zeros(places)
+        self._corner, self._slope = np.zeros((places, places)), np.zeros(places)
         self._full: BlockSums | None = None  # of rows that touch most functions
+        self._waiting: list[tuple[SeparableRows, np.ndarray | None]] = []  # what is not yet beside the band
 
     @property
     def main(self) -> np.ndarray:
@@ -134,8 +133,21 @@ class RowSums:
         return Diagonals(np.array(offsets), values)
 
     @property
+    def corner(self) -> np.ndarray:
+        """(places, places), of the parameters against each other."""
+        self._add_waiting()
+        return self._corner
+
+    @property
+    def slope(self) -> np.ndarray:
+        """(places,), gradient of the parameters."""
+        self._add_waiting()
+        return self._slope
+
+    @property
     def gradient(self) -> np.ndarray:
         """(size,), of the readout weights."""
+        self._add_waiting()
         total: np.ndarray = self._gradient[:, self._inside].sum(axis=0)
         return total if self._full is None else total + self._full.border[..., -1].reshape(-1)
 
@@ -144,7 +156,8 @@ class RowSums:
 
         It keeps entries that happen to be zero, so that its pattern stays.
         """
-        column = np.full(len(self.slope) + 1, -1)
+        self._add_waiting()
+        column = np.full(len(self._slope) + 1, -1)
         column[pick] = np.arange(len(pick))
         first = np.arange(0, self.size, self.n)[:, None]
         entries: list[tuple[np.ndarray, ...]] = [(np.zeros(0), *np.zeros((2, 0), dtype=np.int64))]
@@ -177,8 +190,8 @@ class RowSums:
         full.reached |= rows.reached
         by = rows.by.reshape(-1, rows.by.shape[-1])
         products = by[:, :-1].T @ by
-        self.corner += products[:, :-1]
-        self.slope += products[:, -1]
+        self._corner += products[:, :-1]
+        self._slope += products[:, -1]
         if bool((rows.feature[:, 0] == rows.feature[0, 0]).all()):
             together = rows.by_weight.reshape(1, -1, *rows.by_weight.shape[2:])
             full.add(int(rows.feature[0, 0]), self._stride, together, by[None])
@@ -191,41 +204,49 @@ class RowSums:
         self._blocks[self.reach, 0, self._inside] += weight
         self._gradient[0, self._inside] += weight * unknowns
 
-    def add_constant(self, feature: Tensor, gram: np.ndarray, coupling: spmatrix) -> None:
-        """Add products that are those of features times those of functions.
+    def add_separable(self, rows: SeparableRows, reached: np.ndarray | None = None) -> None:
+        """Add the products of rows that are features times coefficients with themselves.
+
+        What stands beside the band waits until it is asked for.
 
         Args:
-            feature: (I, B), the features alive in each group.
-            gram: (I, B, B), row: feature of the function that is the row of ``coupling``.
-            coupling: (functions, functions), as they come.
+            rows: Of which.
+            reached: See :class:`FullRows`; None: they are by no parameter.
         """
-        entries = coupling.tocoo()
-        row, column = self.rank[entries.row], self.rank[entries.col]
-        is_full = 2 * entries.nnz > self.n**2
-        weights = np.zeros((self.n, self.n))
-        np.add.at(weights, (column, row), entries.data)
-        lines = [] if is_full else [(d, np.diagonal(weights, d)) for d in np.unique(row - column).tolist()]
-        for part, first in self._runs(feature):
-            for shift, products in enumerate(by_shift(gram[part], self._stride)):
+        for first, by_shift, coupling in rows.products():
+            placed = np.empty_like(coupling)
+            placed[:, self.rank[:, None], self.rank] = coupling
+            column, row = np.nonzero(np.any(placed, axis=0))
+            is_full = 2 * len(row) > self.n**2
+            lines = [] if is_full else [(d, np.diagonal(placed, d, 1, 2)) for d in np.unique(row - column).tolist()]
+            for shift, products in enumerate(by_shift):
                 if is_full:
-                    self._of_all.add_products(first, shift, products, weights)
+                    block = (products @ placed.reshape(len(placed), -1)).reshape(-1, self.n, self.n)
+                    self._of_all.add_products(first, shift, block)
                 for distance, line in lines:
-                    self._add_line(products[:, None] * line, distance, shift, first)
+                    self._add_line(products @ line, distance, shift, first)
+        self._waiting.append((rows, reached))
 
-    def add_moment(self, feature: Tensor, moment: np.ndarray) -> None:
-        """Add features against residuals (I, B, functions) of all functions, as they come, to the gradient."""
-        placed = np.empty_like(moment)
-        placed[..., self.rank] = moment
-        for part, first in self._runs(feature):
-            for b in range(self.features):
-                cells = self._view(self._gradient, (first + 1 + b) * self.n, placed[part, b].shape, (self._step, 1))
-                cells += placed[part, b]
+    def _add_waiting(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        for rows, reached in waiting:
+            for first, function, place, entries in rows.beside():
+                if reached is None:
+                    inside = self._gradient[0, self._inside].reshape(-1, self.n)
+                    inside[first : first + len(entries), self.rank[function]] += entries
+                else:
+                    self._of_all.border[first : first + len(entries), self.rank[function], place] += entries
+            if reached is not None:
+                self._of_all.reached |= reached
+                products = rows.of_parameters()
+                self._corner += products[:, :-1]
+                self._slope += products[:, -1]
 
     @property
     def _of_all(self) -> BlockSums:
         """Of rows that touch most functions, made when the first ones come."""
         if self._full is None:
-            self._full = BlockSums(self.features, self.size // self.n, self.n, len(self.slope))
+            self._full = BlockSums(self.features, self.size // self.n, self.n, len(self._slope))
         return self._full
 
     def _runs(self, feature: Tensor) -> Iterator[tuple[slice, int]]:
@@ -240,10 +261,10 @@ class RowSums:
         products = by[:, :-1] @ by.transpose(0, 2, 1)  # (rows, p, p + 1)
         places = rows.places.T
         used = places >= 0
-        np.add.at(self.slope, places[used], products[..., -1][used])
+        np.add.at(self._slope, places[used], products[..., -1][used])
         pairs = used[:, :, None] & used[:, None]
         row, column = (np.broadcast_to(x, pairs.shape)[pairs] for x in (places[:, :, None], places[:, None]))
-        np.add.at(self.corner, (row, column), products[..., :-1][pairs])
+        np.add.at(self._corner, (row, column), products[..., :-1][pairs])
 
     def _add_block(self, one: Touched, other: Touched, part: slice, place: int) -> None:
         """Products of the features of some functions, later ones, with those of others."""

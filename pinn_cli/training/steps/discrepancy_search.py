@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.least_squares import LeastSquares
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
@@ -31,11 +32,52 @@ FINEST_OF_DRIVE = 3e-4
 # A model error above this part of the force is either a model that is far off or a search that went astray: it is worth
 # a second search from another start.
 SUSPICIOUS_DISCREPANCY = 0.01
+# Solutions under the same discrepancy are one if no parameter differs by more of its deviation: they are in the same
+# valley, and what they still differ by is what each start believes.
+SAME_SOLUTION = 0.1
 # Gain in log evidence below which another solution is not worth it.
 NEGLIGIBLE_GAIN = 0.5
 
 
-def searched(evidence: Evidence, noise: NoiseLevels, force: float, second_start: Callable[[], Point | None]) -> Trained:
+class AlreadySearched(Exception):  # noqa: N818 - it is no error
+    """A search has come to where an earlier one of the same problem was."""
+
+
+class Path:
+    """Solutions on the way from soft physics to stiff, from one start of the parameters.
+
+    Args:
+        earlier: Those from other starts.
+    """
+
+    def __init__(self, earlier: Sequence[Path]) -> None:
+        self._earlier, self._found = earlier, dict[float, tuple[np.ndarray, np.ndarray]]()
+
+    def follow(self, equations: LeastSquares, trained: Trained) -> None:
+        """Note a solution.
+
+        Raises:
+            AlreadySearched: An earlier path had it: what follows is known.
+        """
+        if not trained.solution.converged:
+            return
+        scale, prescribed = equations.scale, np.array([p.prescribed for p in equations.uncertain])
+        values = prescribed + scale * trained.solution.point.parameters.numpy()
+        std = scale * np.sqrt(np.diag(trained.factor.corner_covariance))
+        discrepancy = trained.noise.discrepancy
+        self._found[discrepancy] = values, std
+        for path in self._earlier:
+            if discrepancy in path._found and np.all(abs(path._found[discrepancy][0] - values) < SAME_SOLUTION * std):
+                raise AlreadySearched
+
+
+def searched(
+    evidence: Evidence,
+    noise: NoiseLevels,
+    force: float,
+    second_start: Callable[[], Point | None],
+    path: Path | None = None,
+) -> Trained:
     """The most probable discrepancy of a scan, from rest and, where that finds no good model, from another start.
 
     Where a structure is strongly nonlinear, the motion that soft physics finds may lie in the wrong valley.
@@ -45,11 +87,13 @@ def searched(evidence: Evidence, noise: NoiseLevels, force: float, second_start:
         noise: Sensor noise; its discrepancy is ignored.
         force: That acts, N.
         second_start: Another motion to begin with; None: there is none.
+        path: Of the scan from rest.
 
     Raises:
+        AlreadySearched: The scan from rest comes to where one from another start was.
         DivergenceError: Even the softest physics cannot be solved.
     """
-    first = scanned(evidence, noise, force, evidence.equations.start())
+    first = scanned(evidence, noise, force, evidence.equations.start(), path)
     if holds(first, force):
         return first
     start = second_start()
@@ -67,7 +111,7 @@ def holds(trained: Trained, force: float) -> bool:
     return trained.solution.converged and trained.noise.discrepancy < SUSPICIOUS_DISCREPANCY * force
 
 
-def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point) -> Trained:
+def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point, path: Path | None = None) -> Trained:
     """The most probable discrepancy of a scan from soft physics to stiff, with the spread of the parameters there.
 
     Every solution starts at the last. Soft physics is nearly linear and forgives a start at rest; each stiffer
@@ -79,8 +123,10 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
         noise: Sensor noise; its discrepancy is ignored.
         largest: Where to begin, N: with a start at rest the force that acts.
         start: The motion to begin with.
+        path: Of the solutions, where there are other starts.
 
     Raises:
+        AlreadySearched: It comes to where one from another start was.
         DivergenceError: The first problem cannot be solved.
     """
     point, discrepancy, idle, stride = start, largest, 0, SCAN_FACTOR
@@ -96,6 +142,8 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
             continue
         if trained is None or failed:
             break  # stiffer than these steps or these numbers can follow
+        if path is not None:
+            path.follow(evidence.equations, trained)
         stride = SCAN_FACTOR**2 if best is not None and _is_easy(best, trained) else SCAN_FACTOR
         point, noise = trained.solution.point, replace(noise, spread=evidence.learned_spread(trained))
         idle = 0 if best is None or trained.log_evidence > best.log_evidence else idle + 1

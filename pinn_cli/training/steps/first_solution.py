@@ -23,7 +23,7 @@ from pinn_cli.training.noise_model import FeatureProjection, NoiseLevels, NoiseM
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
 from pinn_cli.training.solver import Inference, Solver
-from pinn_cli.training.steps.discrepancy_search import holds, searched
+from pinn_cli.training.steps.discrepancy_search import AlreadySearched, Path, holds, searched
 from pinn_cli.training.steps.known_levels import solve_under_known_levels
 from pinn_cli.training.steps.part_of_record import part_of_record, whole_from
 from pinn_cli.training.whittle.whittle_estimate import known_parameters
@@ -133,17 +133,24 @@ def _from_every_start(
 def _solutions(
     starts: Sequence[JointProblem], solver: Solver, networks: Sequence[LinearReadout] | None
 ) -> tuple[list[tuple[Inference, float]], DivergenceError | None]:
-    """Those that there are, each with the force that acts, N; and why the last one failed that did."""
+    """Those that there are, each with the force that acts, N; and why the last one failed that did.
+
+    Starts that come to where an earlier one was are not followed to the end.
+    """
     solutions: list[tuple[Inference, float]] = []
+    paths: list[Path] = []
     failure: DivergenceError | None = None
     for start in starts:
-        evidence = solver.evidence(start, networks)
+        evidence, path = solver.evidence(start, networks), Path(paths)
         noise = solver.starting_noise(evidence)
         try:
-            trained = solve_under_known_levels(evidence, noise) or soft_to_stiff(evidence, noise)
+            trained = solve_under_known_levels(evidence, noise) or soft_to_stiff(evidence, noise, path)
+        except AlreadySearched:
+            continue
         except DivergenceError as error:
             failure = error
             continue
+        paths.append(path)
         solutions.append((Inference(evidence, trained, solver), noise.discrepancy))
     return solutions, failure
 
@@ -156,14 +163,15 @@ def _log_evidence(solution: tuple[Inference, float]) -> float:
     return solution[0].trained.log_evidence
 
 
-def soft_to_stiff(evidence: Evidence, noise: NoiseLevels) -> Trained:
+def soft_to_stiff(evidence: Evidence, noise: NoiseLevels, path: Path) -> Trained:
     """The most probable discrepancy, under noisier sensors too where the model explains nothing under these.
 
     Raises:
+        AlreadySearched: See :func:`searched`.
         DivergenceError: Even the softest physics cannot be solved.
     """
     second = partial(_simulated_start, evidence)
-    best = searched(evidence, noise, noise.discrepancy, second)
+    best = searched(evidence, noise, noise.discrepancy, second, path)
     for factor in NOISIER:
         if best.solution.converged and best.noise.discrepancy < NOTHING_EXPLAINED * noise.discrepancy:
             break

@@ -14,6 +14,9 @@ from dataclasses import replace
 import numpy as np
 
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
+from pinn_cli.training.factors.factor import Factor
+from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_matrix.diagonals import Diagonals
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.reported.model_evidence import of_motion
 from pinn_cli.training.solver import Inference
@@ -49,30 +52,37 @@ def move_to_marginal_peak(inference: Inference) -> Inference | None:
 def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray | None, np.ndarray, float]:
     """What pulls, (p,) slope of the logarithm of that factor by each parameter, and how far the change moves any.
 
-    By a step of one deviation of each parameter of the equations that is looked for; 0 of the others. Equations alone
-    hardly hold a motion, and their determinant is rounded to some hundredths: by a tenth of a step the slope was off by
-    its own size. In prior standard deviations, the change in the parameter's own; NaN where nothing tells it.
+    tr(P^-1 dP - H^-1 dH) / 2 for each parameter of the equations that is looked for; 0 of the others. Parameters are in
+    the equations, which weigh the same in both. Derivatives are differences over two deviations: exact where equations
+    are linear in a parameter, however large, and large beside rounding. In prior standard deviations, the change in the
+    parameter's own; NaN where nothing tells it.
     """
     equations, point, noise = evidence.equations, solution.point, solution.noise
     std = np.sqrt(np.diag(solution.factor.corner_covariance))[: len(equations.uncertain)]
-    before = np.zeros(len(std)) if equations.pull is None else equations.pull
-    alone = of_motion(evidence, noise)
-
-    def factor(shift: np.ndarray) -> float:
-        moved = replace(point, parameters=point.parameters + point.parameters.new_tensor(shift))
-        of_equations, of_all = (
-            equations.assemble(moved, levels).readout_log_determinant() for levels in (alone, noise)
-        )
-        return 0.5 * (of_equations - of_all)
-
+    before, pull = np.zeros(len(std)) if equations.pull is None else equations.pull, np.zeros(len(std))
     # Under forces that nobody measured, what is believed of a parameter does not hold it.
     anyhow = bool(equations.dynamics.inputs.forces)
     wanted = [(p.unknown or anyhow) and p.kind not in OUTSIDE_THE_EQUATIONS for p in equations.uncertain]
-    unshifted, pull = factor(np.zeros(len(std))) if any(wanted) else 0.0, np.zeros(len(std))
+    if any(wanted):
+        alone = of_motion(evidence, noise)
+        of_equations, of_all = (equations.assemble(point, levels).readout_inverse() for levels in (alone, noise))
+        if of_equations is None or of_all is None:
+            return equations.pull, pull, np.nan
+        through: list[tuple[Factor, NoiseModel, Diagonals, float]] = [
+            (equations.motion, noise, of_equations - of_all, 0.5)
+        ]
+        if equations.observer is not None:  # accelerometers through the equations
+            through += [(equations.observer, alone, of_equations, 0.5), (equations.observer, noise, of_all, -0.5)]
     for i in np.flatnonzero(wanted):
+        shift = point.parameters.new_tensor(std * (np.arange(len(std)) == i))
+        ends = [replace(point, parameters=point.parameters + side * shift) for side in (1.0, -1.0)]
+        slope = 0.0
+        for factor, levels, inverse, share in through:
+            above, below = (equations.readout_matrix(factor, end, levels) for end in ends)
+            slope += share * inverse.trace_of_product(above - below) / (2.0 * std[i])
         # A discrepancy in a part of the band has as much fewer values: it was widened for these.
-        slope = noise.occupied * (factor(std * (np.arange(len(std)) == i)) - unshifted) / std[i]
-        pull[i] = np.clip(slope, before[i] - LARGEST_MOVE / std[i], before[i] + LARGEST_MOVE / std[i])
+        most = LARGEST_MOVE / std[i]
+        pull[i] = np.clip(noise.occupied * slope, before[i] - most, before[i] + most)
     # The record may be computed in another process, which alone knows what pulls at it.
     return equations.pull, pull, float(np.max(np.abs(pull - before) * std, initial=0.0))
 

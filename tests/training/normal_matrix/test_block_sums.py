@@ -5,8 +5,9 @@ from scipy.sparse import csr_matrix
 
 from pinn_cli.system.coupling import Coupling
 from pinn_cli.training.normal_matrix.row_sums import FullRows, RowSums
+from pinn_cli.training.normal_matrix.separable_rows import LocalFeatures, SeparableRows
 
-FUNCTIONS, PLACES, COUNT = 3, 2, 14
+FUNCTIONS, PLACES, COUNT, ORDERS = 3, 2, 14, 2
 
 
 def coupling() -> Coupling:
@@ -15,6 +16,7 @@ def coupling() -> Coupling:
     return Coupling(rows, rows)
 
 
+@pytest.mark.parametrize("changing", [False, True], ids=["constant weights", "weights that change"])
 @pytest.mark.parametrize(
     ("stride", "features", "first"),
     [
@@ -25,34 +27,39 @@ def coupling() -> Coupling:
         pytest.param(1, 14, np.zeros(5, dtype=np.int64), id="features of the whole record"),
     ],
 )
-def test_sums_are_those_of_a_dense_matrix(stride, features, first):
+def test_sums_are_those_of_a_dense_matrix(stride, features, first, changing):
     random = np.random.default_rng(0)
     rows, by = random.normal(size=(len(first), 4, features, FUNCTIONS)), random.normal(size=(len(first), 4, PLACES + 1))
-    gram, constant = random.normal(size=(len(first), features, features)), random.normal(size=(FUNCTIONS, FUNCTIONS))
-    gram, constant = gram + gram.swapaxes(1, 2), constant + constant.T
-    feature = torch.as_tensor(first[:, None] + np.arange(features))
+    feature, every = torch.as_tensor(first[:, None] + np.arange(features)), np.ones((FUNCTIONS, PLACES), dtype=bool)
     sums = RowSums(stride, features, COUNT, coupling(), PLACES)
     half = len(first) // 2
     for part in (slice(0, half), slice(half, None)):
-        sums.add_full(FullRows(feature[part], rows[part], by[part], np.ones((FUNCTIONS, PLACES), dtype=bool)))
-    sums.add_constant(feature, gram, csr_matrix(constant))
+        sums.add_full(FullRows(feature[part], rows[part], by[part], every))
+
+    values = random.normal(size=(len(first), 2, ORDERS, features))
+    by_motion, more = random.normal(size=(ORDERS, FUNCTIONS, FUNCTIONS)), random.normal(size=(len(first), 2, 3, 3))
+    weight = random.uniform(1.0, 2.0, FUNCTIONS)
+    if changing:
+        weight = np.stack([weight] * len(first))
+        weight[:, 1] = random.uniform(1.0, 2.0, len(first))
+    named = np.array([[True, False, True], [True, True, True], [False, True, True]])
+    local = LocalFeatures(feature, torch.as_tensor(values))
+    sums.add_separable(SeparableRows(local, by_motion, weight, more * named, named), every)
     sums.add_diagonal(0.5, np.ones(COUNT * FUNCTIONS))
 
     order = np.argsort(sums.rank)
-    jacobian = np.zeros((len(first), 4, COUNT, FUNCTIONS))
-    expected = 0.5 * np.eye(COUNT * FUNCTIONS)
+    root = np.sqrt(weight)[..., None] if not changing else np.sqrt(weight)[:, None, :, None]
+    separable = np.einsum("isob,okj->iskbj", values, by_motion[..., order]) * root[..., None]
+    flat = [np.zeros((len(first), n, COUNT, FUNCTIONS)) for n in (4, 2 * FUNCTIONS)]
     for group, at in enumerate(feature.numpy()):
-        jacobian[group][:, at] = rows[group]
-        placed = np.zeros((COUNT, FUNCTIONS, COUNT, FUNCTIONS))
-        placed[np.ix_(at, range(FUNCTIONS), at, range(FUNCTIONS))] = np.einsum(
-            "ab,ij->aibj", gram[group], constant[np.ix_(order, order)]
-        )
-        expected += placed.reshape(expected.shape)
-    flat, beside = jacobian.reshape(-1, COUNT * FUNCTIONS), by.reshape(-1, PLACES + 1)
-    expected += flat.T @ flat
+        flat[0][group][:, at] = rows[group]
+        flat[1][group][:, at] = separable[group].reshape(2 * FUNCTIONS, features, FUNCTIONS)
+    jacobian = np.concatenate([x.reshape(-1, COUNT * FUNCTIONS) for x in flat])
+    beside = np.concatenate((by.reshape(-1, PLACES + 1), (more * named * root).reshape(-1, PLACES + 1)))
+    expected = jacobian.T @ jacobian + 0.5 * np.eye(COUNT * FUNCTIONS)
     np.testing.assert_allclose(sums.band.dense(), expected, atol=1e-12)
     np.testing.assert_allclose(sums.main, np.diag(expected), atol=1e-12)
-    np.testing.assert_allclose(sums.border(np.arange(PLACES)).toarray(), flat.T @ beside[:, :-1], atol=1e-12)
-    np.testing.assert_allclose(sums.gradient, flat.T @ beside[:, -1] + 0.5, atol=1e-12)
+    np.testing.assert_allclose(sums.border(np.arange(PLACES)).toarray(), jacobian.T @ beside[:, :-1], atol=1e-12)
+    np.testing.assert_allclose(sums.gradient, jacobian.T @ beside[:, -1] + 0.5, atol=1e-12)
     np.testing.assert_allclose(sums.corner, beside[:, :-1].T @ beside[:, :-1], atol=1e-12)
     np.testing.assert_allclose(sums.slope, beside[:, :-1].T @ beside[:, -1], atol=1e-12)

@@ -10,6 +10,7 @@ from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.history import History
 from pinn_cli.training.solver import Inference, Solver
 from pinn_cli.training.steps import first_solution as module
@@ -55,10 +56,10 @@ def test_a_start_that_cannot_be_solved_costs_none_of_the_others(problem, monkeyp
     broken = JointProblem.of(replace(problem, record=problem.record.until(60)))
     searched = module.soft_to_stiff
 
-    def refused(evidence, noise):
+    def refused(evidence, noise, path):
         if evidence.problem.alone.record is broken.alone.record:
             raise DivergenceError("singular")
-        return searched(evidence, noise)
+        return searched(evidence, noise, path)
 
     monkeypatch.setattr(module, "soft_to_stiff", refused)
     found = solved(replace(broken, other_starts=(JointProblem.of(problem),)))
@@ -67,3 +68,28 @@ def test_a_start_that_cannot_be_solved_costs_none_of_the_others(problem, monkeyp
     assert solved(replace(wrong, elsewhere=lambda: (broken,))).problem.alone is wrong.alone
     with pytest.raises(DivergenceError, match="singular"):
         solved(broken)
+
+
+def test_a_start_that_comes_to_the_solution_of_another_is_not_followed_to_the_end(problem, monkeypatch):
+    asked: list[JointProblem] = []
+    train = Evidence.train
+
+    def counted(evidence, *given, **settings):
+        asked.append(evidence.problem)
+        return train(evidence, *given, **settings)
+
+    monkeypatch.setattr(Evidence, "train", counted)
+    first = JointProblem.of(problem)
+    other, structure = replace(UNKNOWN, prescribed=13.0), problem.structure.with_values({UNKNOWN: 13.0})
+    like = JointProblem.of(replace(problem, structure=structure, uncertain=(other,)))
+    alone = solved(first)
+    once = len(asked)
+    asked.clear()
+    found = solved(replace(first, other_starts=(like,)))
+    assert found.problem.alone is problem
+    assert found.trained.log_evidence == alone.trained.log_evidence
+    assert len(asked) == once + 1
+    # Where the other one is another solution, both are followed.
+    asked.clear()
+    solved(replace(first, other_starts=(JointProblem.of(heavier(problem)),)))
+    assert len(asked) > once + 1

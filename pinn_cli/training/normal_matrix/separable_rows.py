@@ -1,0 +1,164 @@
+"""Rows that are features of time times coefficients which do not change: of sensors, and of linear equations.
+
+A sum over products of such rows is one over products of features, the same for all functions and whatever the
+parameters are, times matrices of the functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from torch import Tensor
+
+# Windows of time whose sums over features are kept: all of a record of ten thousand intervals, and of a longer one no
+# more memory than that.
+WINDOWS_KEPT = 8
+
+
+class LocalFeatures:
+    """Features of I groups of S times, those of every derivative, and sums over them.
+
+    Args:
+        feature: (I, B) long, the features alive in each group.
+        values: (I, S, orders, B).
+    """
+
+    def __init__(self, feature: Tensor, values: Tensor) -> None:
+        self.values, first = values.cpu().numpy(), feature[:, 0].cpu().numpy()
+        # Runs of groups each of which begins as many features on, those of one output of a function.
+        steps = np.diff(first)
+        self._stride = int(min(steps[steps > 0], default=1))
+        breaks = np.flatnonzero(steps != self._stride) + 1
+        self._runs = [(slice(a, b), int(first[a])) for a, b in pairwise([0, *breaks.tolist(), len(first)])]
+
+    @cached_property
+    def _products(self) -> np.ndarray:
+        """(B, B, orders, orders, I), summed over the times of a group."""
+        groups, times, orders, features = self.values.shape
+        flat = self.values.reshape(groups, times, -1)
+        gram = (flat.swapaxes(1, 2) @ flat).reshape(groups, orders, features, orders, features)
+        return np.ascontiguousarray(gram.transpose(2, 4, 1, 3, 0))
+
+    @cached_property
+    def _constant(self) -> list[tuple[int, list[np.ndarray]]]:
+        return list(self._summed(self._products))
+
+    def products(self, weight: np.ndarray | None) -> list[tuple[int, list[np.ndarray]]]:
+        """Products of features summed over groups that follow one another, for every such run.
+
+        Args:
+            weight: (I,), of the groups; None: all count alike.
+
+        Returns:
+            The first feature F_0 of a run, and for every shift from 0 to B - 1 (F, orders squared): those of the
+            features from F_0 on with the ones so much later.
+        """
+        return self._constant if weight is None else list(self._summed(self._products * weight))
+
+    def _summed(self, products: np.ndarray) -> Iterator[tuple[int, list[np.ndarray]]]:
+        features = len(products)
+        products = products.reshape(features, features, -1, products.shape[-1])
+        for part, first in self._runs:
+            run = products[..., part]
+            groups = run.shape[-1]
+            last = (groups - 1) * self._stride + 1
+            out = [np.zeros((run.shape[2], last - 1 + features - shift)) for shift in range(features)]
+            for shift, total in enumerate(out):
+                if groups < features:
+                    for group in range(groups):
+                        at = group * self._stride
+                        total[:, at : at + features - shift] += np.diagonal(run[..., group], shift)
+                else:
+                    for b in range(features - shift):
+                        total[:, b : b + last : self._stride] += run[b, b + shift]
+            yield first, [np.ascontiguousarray(total.T) for total in out]
+
+    def against(self, histories: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        """Features times histories (I, S, orders, C), summed; for every run its first feature, and (F, C)."""
+        groups, times, orders, features = self.values.shape
+        flat = self.values.reshape(groups, times * orders, features).swapaxes(1, 2)
+        flat = flat @ histories.reshape(groups, times * orders, -1)
+        for part, first in self._runs:
+            last = (part.stop - part.start - 1) * self._stride + 1
+            total = np.zeros((last - 1 + features, flat.shape[-1]))
+            for b in range(features):
+                total[b : b + last : self._stride] += flat[part, b]
+            yield first, total
+
+
+class FeatureWindows:
+    """Features of the windows of a record; those that were asked for last are kept.
+
+    Args:
+        make: From a window of groups to its features.
+    """
+
+    def __init__(self, make: Callable[[slice], LocalFeatures]) -> None:
+        self._make, self._kept = make, dict[tuple[int | None, int | None], LocalFeatures]()
+
+    def __call__(self, part: slice) -> LocalFeatures:
+        """Of some groups."""
+        key = part.start, part.stop
+        if key not in self._kept:
+            if len(self._kept) >= WINDOWS_KEPT:
+                self._kept.clear()
+            self._kept[key] = self._make(part)
+        return self._kept[key]
+
+
+@dataclass(frozen=True, eq=False)
+class SeparableRows:
+    """Linearised residuals that are features times coefficients, K at each time, in I groups of S times.
+
+    Attributes:
+        features: Of time.
+        by_motion: (orders, K, functions), coefficients; the functions as they come.
+        weight: (K,), or (I, K).
+        by: (I, S, K, p + 1), what they are by the parameters at all places; at last the residuals.
+        named: (K, p + 1) bool, those that stand in a row.
+    """
+
+    features: LocalFeatures
+    by_motion: np.ndarray
+    weight: np.ndarray
+    by: np.ndarray
+    named: np.ndarray
+
+    def products(self) -> Iterator[tuple[int, list[np.ndarray], np.ndarray]]:
+        """Features' products, as :meth:`LocalFeatures.products` has them, and what they are multiplied by.
+
+        The latter are (orders squared, functions, functions), of the earlier feature's function and the later one's.
+        Rows whose weight does not change are summed together, and each of the others alone.
+        """
+        weight = np.atleast_2d(self.weight)
+        changes = (weight != weight[0]).any(0)
+        terms: list[tuple[np.ndarray | None, np.ndarray]] = [(None, np.where(changes, 0.0, weight[0]))]
+        terms += [(weight[:, row], np.arange(len(changes)) == row) for row in np.flatnonzero(changes)]
+        for over_groups, over_rows in terms[int(changes.all()) :]:
+            coupling = self.by_motion.swapaxes(1, 2)[:, None] @ (over_rows[:, None] * self.by_motion)
+            for first, by_shift in self.features.products(over_groups):
+                yield first, by_shift, coupling.reshape(-1, *coupling.shape[2:])
+
+    def beside(self) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+        """Of every run the first feature, and what stands beside its band: functions, places, entries (F, those)."""
+        row, at = np.nonzero(self.named)
+        groups, times, orders = self.features.values.shape[:3]
+        reaches = np.any(self.by_motion, axis=0)
+        function, place = np.nonzero(reaches.T.astype(int) @ self.named)
+        into = self.by_motion[:, row][:, :, function] * (at[:, None] == place)  # (orders, named, entries)
+        weight = self.weight[..., row] if self.weight.ndim == 1 else self.weight[:, None, row]
+        weighed = self.by[..., row, at] * weight
+        pulled = weighed @ into.swapaxes(0, 1).reshape(len(row), orders * len(place))
+        pulled = pulled.reshape(groups, times, orders, len(place))
+        for first, total in self.features.against(pulled):
+            yield first, function, place, total
+
+    def of_parameters(self) -> np.ndarray:
+        """(p, p + 1), of the parameters against each other and the residuals."""
+        weight = self.weight if self.weight.ndim == 1 else self.weight[:, None]
+        weighed = self.by[..., :-1] * weight[..., None]
+        return np.tensordot(weighed, self.by, axes=((0, 1, 2), (0, 1, 2)))
