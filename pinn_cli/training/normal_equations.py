@@ -35,7 +35,7 @@ from pinn_cli.training.factors.ridge import Ridge
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_matrix.bordered import BorderedSystem
 from pinn_cli.training.normal_matrix.diagonals import Diagonals
-from pinn_cli.training.normal_matrix.dissection import FrontTree
+from pinn_cli.training.normal_matrix.dissection import FrontTree, order_of_elimination
 from pinn_cli.training.normal_matrix.row_sums import RowSums
 from pinn_cli.training.point import Point
 from pinn_cli.training.whittle.whittle_estimate import KnownParameters
@@ -217,8 +217,7 @@ class NormalEquations(Frame):
     def _order_of_elimination(self, border: csr_matrix) -> FrontTree:
         """See :class:`BorderedSystem`; worked out once for all systems whose parameters touch the same weights."""
         if self._tree is None or not self._tree.suits(border):
-            dissection = self.layout.dissection
-            self._tree = FrontTree(dissection.grid, dissection.tree(), border)
+            self._tree = order_of_elimination(self.layout.dissection, border)
         return self._tree
 
     @property

@@ -283,7 +283,8 @@ def force_border(equations: NormalEquations, point: Point, noise: NoiseModel, te
     for part, function, rows, _ in equation_columns(equations, point):
         by, weighed = np.flatnonzero(distribution[function]), weight if weight.ndim == 1 else weight[part]
         pulled = histories[part][..., by] * weighed[..., function, None]  # (I, S or 1, terms that it feels)
-        border[:, by] += (rows.T @ pulled.flatten(0, 1).numpy()) * distribution[function, by]
+        alive = slice(int(rows.indices.min()), int(rows.indices.max()) + 1)  # of this window
+        border[alive, by] += (rows[:, alive].T @ pulled.flatten(0, 1).numpy()) * distribution[function, by]
     return border
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -30,7 +31,8 @@ class EquationRows:
 
     Attributes:
         pattern: Where the slots stand.
-        stiffness, damping: Derivative by the displacements and velocities in the slots, each (I, S, n, D).
+        stiffness, damping: Derivative by the displacements and velocities in the slots, each (I, S, n, D), or
+            (1, 1, n, D) where it does not change with time: nowhere is the structure nonlinear.
         mass: (n,), derivative by the acceleration of the row's own DOF; None without the inertia force.
         parameter: (I, S, n, kinds, F), derivative by the parameters in the slots, per prior standard deviation.
     """
@@ -60,14 +62,21 @@ class EquationRows:
             spread: Kind of every uncertain parameter to the prior standard deviations of all its members, 0 of those
                 that are held fixed.
         """
-        stiffness, damping = pattern.by_coordinate(slope.stiffness), pattern.by_coordinate(slope.damping)
+        slopes = [slope.stiffness, slope.damping]
+        if all(bool((x == x[:1, :1]).all()) for x in slopes):
+            slopes = [x[:1, :1] for x in slopes]
+        stiffness, damping = (pattern.by_coordinate(x) for x in slopes)
         parameter = pattern.by_parameter(own_by_parameter(pattern.dynamics.structure, slope, acceleration, spread))
         return cls(pattern, stiffness, damping, mass, parameter)
 
     def applied(self, displacement: Tensor, velocity: Tensor, acceleration: Tensor) -> Tensor:
         """(I, S, n), the rows times a motion (I, S, n), parameters held."""
-        neighbours = self.pattern.neighbours
-        out = (self.stiffness * neighbours(displacement) + self.damping * neighbours(velocity)).sum(-1)
+        if self.is_constant:
+            stiffness, damping = (torch.as_tensor(x).to(displacement) for x in self.by_motion[:2])
+            out = displacement @ stiffness.T + velocity @ damping.T
+        else:
+            neighbours = self.pattern.neighbours
+            out = (self.stiffness * neighbours(displacement) + self.damping * neighbours(velocity)).sum(-1)
         return out if self.mass is None else out + self.mass * acceleration
 
     def add_to(
@@ -98,20 +107,30 @@ class EquationRows:
 
     @property
     def is_constant(self) -> bool:
-        """Whether the derivatives by the motion do not change with time: nowhere is the structure nonlinear."""
-        return all(bool((x == x[:1, :1]).all()) for x in (self.stiffness, self.damping))
+        """Whether the derivatives by the motion do not change with time."""
+        return self.stiffness.shape[:2] == (1, 1)
+
+    @cached_property
+    def by_motion(self) -> np.ndarray:
+        """(orders, n, n), those derivatives; the functions as they come."""
+        by_motion = [self.pattern.full(x[0, 0].cpu().numpy()) for x in (self.stiffness, self.damping)]
+        return np.stack(by_motion if self.mass is None else [*by_motion, np.diag(self.mass.cpu().numpy())])
+
+    @property
+    def _at_every_time(self) -> tuple[Tensor, Tensor]:
+        """Stiffness and damping, (I, S, n, D)."""
+        times = self.parameter.shape[:2]
+        return self.stiffness.expand(*times, -1, -1), self.damping.expand(*times, -1, -1)
 
     def separable(
         self, features: LocalFeatures, residual: Tensor, weight: Tensor, averages: Subdomains
     ) -> SeparableRows:
         """Averages whose derivatives by the motion are constant; arguments as of :meth:`add_to`."""
-        pattern, mass = self.pattern, self.mass
-        by_motion = [pattern.full(x[0, 0].cpu().numpy()) for x in (self.stiffness, self.damping)]
-        by_motion += [] if mass is None else [np.diag(mass.cpu().numpy())]
+        pattern = self.pattern
         parameter = pattern.every_parameter(averages(self.parameter.flatten(2)).unflatten(2, self.parameter.shape[2:]))
         by = torch.cat((parameter, residual[..., None]), -1)
         weights = weight if weight.ndim == 1 else weight[:, 0]
-        return SeparableRows(features, np.stack(by_motion), weights.cpu().numpy(), by.cpu().numpy(), pattern.named)
+        return SeparableRows(features, self.by_motion, weights.cpu().numpy(), by.cpu().numpy(), pattern.named)
 
     def _by_group(
         self, segments: Segments, residual: Tensor, root: Tensor, averages: Subdomains | None
@@ -130,7 +149,7 @@ class EquationRows:
     def _by_every_function(self, segments: Segments, averages: Subdomains | None, part: slice) -> tuple[Tensor, Tensor]:
         """Rows of some groups (I, S, n, B, n), or averages (I, 1, n, B, n); by the parameters (I, S, n, places)."""
         pattern, n = self.pattern, len(self.pattern.coupled)
-        stiffness, damping = (pattern.every_function(x[part]) for x in (self.stiffness, self.damping))
+        stiffness, damping = (pattern.every_function(x[part]) for x in self._at_every_time)
         parameter = pattern.every_parameter(self.parameter[part])
         value, rate, curvature = (
             getattr(segments, name)[part] for name in ("displacement", "velocity", "acceleration")
@@ -195,8 +214,9 @@ class EquationRows:
     def averaged_jacobian(self, segments: Segments, averages: Subdomains) -> Tensor:
         """The averages of all rows by the features of the DOFs in their slots, (I, B, n, D)."""
         share, slots = averages.weight[..., None], (len(self.pattern.coupled), len(self.pattern.offsets))
-        out = (segments.displacement * share).mT @ self.stiffness.flatten(2)
-        out += (segments.velocity * share).mT @ self.damping.flatten(2)
+        stiffness, damping = self._at_every_time
+        out = (segments.displacement * share).mT @ stiffness.flatten(2)
+        out += (segments.velocity * share).mT @ damping.flatten(2)
         out = out.unflatten(-1, slots)
         if self.mass is not None:
             out[..., self.pattern.own_slot] += (segments.acceleration * share).sum(1)[..., None] * self.mass

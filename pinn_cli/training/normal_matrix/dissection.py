@@ -15,6 +15,7 @@ Parameters are touched by the weights of their own neighbourhood alone, and are 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
@@ -188,6 +189,17 @@ class FrontTree:
                 weights[beyond] += np.searchsorted(front.boundary, child.boundary[beyond])
                 parameters = k + len(front.boundary) + np.searchsorted(front.parameters, child.parameters)
                 child.runs = _runs(np.concatenate((weights, parameters)), k)
+
+
+# The last one that was worked out: problems that are posed anew, from other starts or with other modes, have the same.
+_LAST: deque[FrontTree] = deque(maxlen=1)
+
+
+def order_of_elimination(dissection: Dissection, border: csr_matrix) -> FrontTree:
+    """Of the weights of a grid and the parameters that a border (size, p) has them touch."""
+    if not (_LAST and _LAST[0].grid == dissection.grid and _LAST[0].suits(border)):
+        _LAST.append(FrontTree(dissection.grid, dissection.tree(), border))
+    return _LAST[0]
 
 
 def _after_their_children(root: Separated) -> list[tuple[Separated, list[int]]]:
