@@ -32,9 +32,10 @@ class EquationRows:
     Attributes:
         pattern: Where the slots stand.
         stiffness, damping: Derivative by the displacements and velocities in the slots, each (I, S, n, D), or
-            (1, 1, n, D) where it does not change with time: nowhere is the structure nonlinear.
+            (1, 1, n, D) where none changes with time.
         mass: (n,), derivative by the acceleration of the row's own DOF; None without the inertia force.
         parameter: (I, S, n, kinds, F), derivative by the parameters in the slots, per prior standard deviation.
+        changing: (n,) bool, the rows whose derivatives by the motion change with time: of what is nonlinear.
     """
 
     pattern: RowPattern
@@ -42,6 +43,7 @@ class EquationRows:
     damping: Tensor
     mass: Tensor | None
     parameter: Tensor
+    changing: np.ndarray
 
     @classmethod
     def of(
@@ -63,15 +65,15 @@ class EquationRows:
                 that are held fixed.
         """
         slopes = [slope.stiffness, slope.damping]
-        if all(bool((x == x[:1, :1]).all()) for x in slopes):
-            slopes = [x[:1, :1] for x in slopes]
-        stiffness, damping = (pattern.by_coordinate(x) for x in slopes)
+        terms = np.any([(x != x[:1, :1]).flatten(0, 1).any(0).cpu().numpy() for x in slopes], axis=0)
+        changing = pattern.entered(terms)
+        stiffness, damping = (pattern.by_coordinate(x if terms.any() else x[:1, :1]) for x in slopes)
         parameter = pattern.by_parameter(own_by_parameter(pattern.dynamics.structure, slope, acceleration, spread))
-        return cls(pattern, stiffness, damping, mass, parameter)
+        return cls(pattern, stiffness, damping, mass, parameter, changing)
 
     def applied(self, displacement: Tensor, velocity: Tensor, acceleration: Tensor) -> Tensor:
         """(I, S, n), the rows times a motion (I, S, n), parameters held."""
-        if self.is_constant:
+        if not self.changing.any():
             stiffness, damping = (torch.as_tensor(x).to(displacement) for x in self.by_motion[:2])
             out = displacement @ stiffness.T + velocity @ damping.T
         else:
@@ -86,6 +88,7 @@ class EquationRows:
         residual: Tensor,
         weight: Tensor,
         averages: Subdomains | None = None,
+        features: LocalFeatures | None = None,
     ) -> None:
         """Add the rows by readout weights and parameters, times the roots of their weights.
 
@@ -95,24 +98,25 @@ class EquationRows:
             residual: (I, S, n), or (I, 1, n) of averages.
             weight: (n,), or as large as the residual.
             averages: Of the rows, where the residual is averaged.
+            features: Averaged likewise, for rows that are these times constants.
         """
         root = weight.broadcast_to(residual.shape).sqrt()
         root = root if averages is not None else root * segments.mask[..., None]
         if self.pattern.is_full:
-            for full in self._by_group(segments, residual, root, averages):
+            rest = np.arange(len(self.changing))
+            if averages is not None and features is not None:
+                constant, rest = np.flatnonzero(~self.changing), np.flatnonzero(self.changing)
+                separable = self._separable(features, residual, weight, averages, constant)
+                sums.add_separable(separable, self.pattern.reached)
+            for full in self._by_group(segments, residual, root, averages, rest) if len(rest) else ():
                 sums.add_full(full)
         else:
             for rows in self._by_function(segments, residual, root, averages):
                 sums.add(rows)
 
-    @property
-    def is_constant(self) -> bool:
-        """Whether the derivatives by the motion do not change with time."""
-        return self.stiffness.shape[:2] == (1, 1)
-
     @cached_property
     def by_motion(self) -> np.ndarray:
-        """(orders, n, n), those derivatives; the functions as they come."""
+        """(orders, n, n), derivatives by the motion of rows that do not change; the functions as they come."""
         by_motion = [self.pattern.full(x[0, 0].cpu().numpy()) for x in (self.stiffness, self.damping)]
         return np.stack(by_motion if self.mass is None else [*by_motion, np.diag(self.mass.cpu().numpy())])
 
@@ -122,35 +126,38 @@ class EquationRows:
         times = self.parameter.shape[:2]
         return self.stiffness.expand(*times, -1, -1), self.damping.expand(*times, -1, -1)
 
-    def separable(
-        self, features: LocalFeatures, residual: Tensor, weight: Tensor, averages: Subdomains
+    def _separable(
+        self, features: LocalFeatures, residual: Tensor, weight: Tensor, averages: Subdomains, rows: np.ndarray
     ) -> SeparableRows:
-        """Averages whose derivatives by the motion are constant; arguments as of :meth:`add_to`."""
-        pattern = self.pattern
-        parameter = pattern.every_parameter(averages(self.parameter.flatten(2)).unflatten(2, self.parameter.shape[2:]))
-        by = torch.cat((parameter, residual[..., None]), -1)
-        weights = weight if weight.ndim == 1 else weight[:, 0]
-        return SeparableRows(features, self.by_motion, weights.cpu().numpy(), by.cpu().numpy(), pattern.named)
+        """Averages of some rows whose derivatives by the motion are constant; arguments as of :meth:`add_to`."""
+        slots = self.parameter[:, :, rows]
+        parameter = self.pattern.every_parameter(averages(slots.flatten(2)).unflatten(2, slots.shape[2:]), rows)
+        by = torch.cat((parameter, residual[..., rows, None]), -1).cpu().numpy()
+        weights = (weight if weight.ndim == 1 else weight[:, 0])[..., rows].cpu().numpy()
+        return SeparableRows(features, self.by_motion[:, rows], weights, by, self.pattern.named[rows])
 
     def _by_group(
-        self, segments: Segments, residual: Tensor, root: Tensor, averages: Subdomains | None
+        self, segments: Segments, residual: Tensor, root: Tensor, averages: Subdomains | None, rows: np.ndarray
     ) -> Iterator[FullRows]:
-        """Every row by all functions: those of all functions at once are as many rows of a group."""
+        """Some rows by all functions: those of all functions at once are as many rows of a group."""
         groups, features = segments.feature.shape
+        residual, root = residual[..., rows], root[..., rows]
         numbers = residual[0].numel() * (features * len(self.pattern.coupled) + self.pattern.count + 1)
         chunk = max(1, ROW_NUMBERS_AT_ONCE // (features * numbers))
         for start in range(0, groups, chunk):
             part = slice(start, start + chunk)
-            jacobian, parameter = self._by_every_function(segments, averages, part)
+            jacobian, parameter = self._by_every_function(segments, averages, part, rows)
             by_weight = (jacobian * root[part, ..., None, None]).flatten(1, 2)
             by = (torch.cat((parameter, residual[part, ..., None]), -1) * root[part, ..., None]).flatten(1, 2)
             yield FullRows(segments.feature[part], by_weight.numpy(), by.numpy(), self.pattern.reached)
 
-    def _by_every_function(self, segments: Segments, averages: Subdomains | None, part: slice) -> tuple[Tensor, Tensor]:
-        """Rows of some groups (I, S, n, B, n), or averages (I, 1, n, B, n); by the parameters (I, S, n, places)."""
-        pattern, n = self.pattern, len(self.pattern.coupled)
-        stiffness, damping = (pattern.every_function(x[part]) for x in self._at_every_time)
-        parameter = pattern.every_parameter(self.parameter[part])
+    def _by_every_function(
+        self, segments: Segments, averages: Subdomains | None, part: slice, rows: np.ndarray
+    ) -> tuple[Tensor, Tensor]:
+        """Some rows of some groups (I, S, r, B, n), or averages (I, 1, r, B, n); by parameters (I, S, r, places)."""
+        pattern, count = self.pattern, len(rows)
+        stiffness, damping = (pattern.every_function(x[part][:, :, rows], rows) for x in self._at_every_time)
+        parameter = pattern.every_parameter(self.parameter[part][:, :, rows], rows)
         value, rate, curvature = (
             getattr(segments, name)[part] for name in ("displacement", "velocity", "acceleration")
         )
@@ -160,12 +167,12 @@ class EquationRows:
         else:
             share = averages.weight[part, :, None]
             jacobian = (value * share).mT @ stiffness.flatten(2) + (rate * share).mT @ damping.flatten(2)
-            jacobian = jacobian.unflatten(-1, (n, n)).movedim(1, 2)[:, None]
+            jacobian = jacobian.unflatten(-1, (count, -1)).movedim(1, 2)[:, None]
             curvature = (curvature * share).sum(1, keepdim=True)
             parameter = (share[..., None] * parameter).sum(1, keepdim=True)
         if self.mass is not None:
-            rank = torch.as_tensor(pattern.rank, device=jacobian.device)
-            jacobian[:, :, torch.arange(n), :, rank] += (curvature[..., None] * self.mass).movedim(-1, 0)
+            rank = torch.as_tensor(pattern.rank[rows], device=jacobian.device)
+            jacobian[:, :, torch.arange(count), :, rank] += (curvature[..., None] * self.mass[rows]).movedim(-1, 0)
         return jacobian, parameter
 
     def _by_function(

@@ -80,11 +80,8 @@ class EquationsOfMotion(Residuals):
         for part, residual in self.residuals(point):
             averages = None if self.averages is None else self.averages.part(part)
             rows, weighed = self.rows(self.segments, point, part), weight if weight.ndim == 1 else weight[part]
-            if averages is not None and rows.pattern.is_full and rows.is_constant:
-                separable = rows.separable(self._features(part), residual, weighed, averages)
-                sums.add_separable(separable, rows.pattern.reached)
-            else:
-                rows.add_to(sums, self.segments.part(part), residual, weighed, averages)
+            features = self._features(part) if averages is not None and rows.pattern.is_full else None
+            rows.add_to(sums, self.segments.part(part), residual, weighed, averages, features)
 
     def _averaged(self, part: slice) -> LocalFeatures:
         """Features of some averages, of every derivative."""

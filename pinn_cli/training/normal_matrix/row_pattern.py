@@ -219,17 +219,22 @@ class RowPattern:
             runs.append((slice(start, stop), int(rows[0]), int(rows[-1]) + 1))
         return runs
 
-    def every_function(self, slots: Tensor) -> Tensor:
-        """(..., n, n), derivatives by every function in the band's order, from those in the slots (..., n, D)."""
+    def entered(self, terms: np.ndarray) -> np.ndarray:
+        """(n,) bool, the rows that some of the terms (T,) bool of the coupling enter."""
+        entered: np.ndarray = abs(self.dynamics.coupling.into).T @ terms.astype(float) > 0.0
+        return entered
+
+    def every_function(self, slots: Tensor, rows: np.ndarray) -> Tensor:
+        """Derivatives of rows by all functions in the band's order (..., r, n), by those in the slots (..., r, D)."""
         out = slots.new_zeros((*slots.shape[:-1], len(self.coupled) + 1))
-        out.scatter_(-1, self._neighbours.expand(slots.shape), slots)
+        out.scatter_(-1, self._neighbours[rows].expand(slots.shape), slots)
         return self.in_order(out[..., :-1])
 
-    def every_parameter(self, slots: Tensor) -> Tensor:
-        """(..., n, places), derivatives by all members, from those in the slots (..., n, kinds, F)."""
+    def every_parameter(self, slots: Tensor, rows: np.ndarray) -> Tensor:
+        """(..., r, places), derivatives of rows by all members, from those in the slots (..., r, kinds, F)."""
         flat = slots.flatten(-2)
         out = slots.new_zeros((*flat.shape[:-1], self.count + 1))
-        return out.scatter_add_(-1, self._member.flatten(-2).expand(flat.shape), flat)[..., :-1]
+        return out.scatter_add_(-1, self._member[rows].flatten(-2).expand(flat.shape), flat)[..., :-1]
 
     def of_parameters(self, values: Tensor) -> Tensor:
         """(n, kinds, F), values of all members (count,) in the slots; 0 where unused."""
