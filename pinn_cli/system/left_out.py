@@ -87,18 +87,31 @@ def sliding(acceleration: np.ndarray, step: float, at: float) -> np.ndarray:
     return out
 
 
-def resonance(acceleration: np.ndarray, step: float, frequency: float, damping: float) -> np.ndarray:
-    """Force, N, that takes an oscillator of one kg along with a DOF which moves so, at rest at first.
+class Carried:
+    """What DOFs carry along, from how these move.
 
     Args:
-        acceleration: (N,) or (N, n), of the DOF, m/s^2.
+        acceleration: (N, n), of the DOFs, m/s^2.
         step: Between samples, s.
-        frequency: Of the oscillator where the DOF is held, Hz.
-        damping: Its ratio.
     """
-    length = 2 * len(acceleration)
-    ratio = np.fft.rfftfreq(length, step) / frequency
-    gain = (1.0 + 2j * damping * ratio) / (1.0 - ratio**2 + 2j * damping * ratio)
-    gain = gain.reshape(-1, *[1] * (acceleration.ndim - 1))
-    driven = np.fft.irfft(gain * np.fft.rfft(acceleration, length, axis=0), length, axis=0)
-    return driven[: len(acceleration)]
+
+    def __init__(self, acceleration: np.ndarray, step: float) -> None:
+        from scipy.fft import next_fast_len
+
+        self._samples = len(acceleration)
+        self._length = next_fast_len(2 * self._samples, real=True)
+        self._frequency = np.fft.rfftfreq(self._length, step)
+        self._spectrum = np.fft.rfft(acceleration, self._length, axis=0).T.copy()
+
+    def oscillator(self, dof: int, frequency: float, damping: float) -> np.ndarray:
+        """(N,), force, N, that takes an oscillator of one kg along with a DOF, at rest at first.
+
+        Args:
+            dof: Which.
+            frequency: Of the oscillator where the DOF is held, Hz.
+            damping: Its ratio.
+        """
+        ratio = self._frequency / frequency
+        gain = (1.0 + 2j * damping * ratio) / (1.0 - ratio**2 + 2j * damping * ratio)
+        driven: np.ndarray = np.fft.irfft(gain * self._spectrum[dof], self._length)[: self._samples]
+        return driven

@@ -26,8 +26,8 @@ from pinn_cli.system.left_out import (
     SLIDES_AT,
     SLIDING,
     SPRING,
+    Carried,
     LeftOut,
-    resonance,
     rms,
     sliding,
 )
@@ -232,13 +232,18 @@ class _Forces:
         """One of them, of frequencies that are tried in a ratio."""
         moved, record = self.acceleration[:, dof], self.equations.problem.record
         mode = Term(MODE, f"DOF {record.dof_name(dof)}", "kg", 1.0, frequency)
-        driven = resonance(moved, self.step, frequency, damping)
+        driven = self.carried.oscillator(dof, frequency, damping)
         plain = self.term(mode, self.place[dof], driven, self.mass[dof] * rms(moved))
 
         def again(finer: float) -> Iterator[ForceTerm]:
             yield from (self.of_oscillator(finer, dof, ratio, at) for at in DAMPED)
 
         return replace(plain, reshaped=again, ratio=ratio, below=self.highest / ratio**0.5)
+
+    @cached_property
+    def carried(self) -> Carried:
+        """By the DOFs."""
+        return Carried(self.acceleration, self.step)
 
     @cached_property
     def highest(self) -> float:
