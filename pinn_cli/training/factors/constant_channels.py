@@ -53,7 +53,10 @@ class ConstantRows:
             part: Which groups the residual is of.
         """
         by = residual[..., None].cpu().numpy()
-        sums.add_separable(SeparableRows(self._features(part), self.weights, weight.cpu().numpy(), by, self._named))
+        touching = np.any(self.weights, axis=0)
+        sums.add_separable(
+            SeparableRows(self._features(part), self.weights, touching, weight.cpu().numpy(), by, self._named)
+        )
 
 
 class ConstantChannels(Channels):

@@ -102,13 +102,16 @@ class EquationRows:
         """
         root = weight.broadcast_to(residual.shape).sqrt()
         root = root if averages is not None else root * segments.mask[..., None]
-        if self.pattern.is_full:
+        if averages is None or features is None or not (self.pattern.is_full or not self.changing.any()):
             rest = np.arange(len(self.changing))
-            if averages is not None and features is not None:
-                constant, rest = np.flatnonzero(~self.changing), np.flatnonzero(self.changing)
-                separable = self._separable(features, residual, weight, averages, constant)
-                sums.add_separable(separable, self.pattern.reached)
-            for full in self._by_group(segments, residual, root, averages, rest) if len(rest) else ():
+        else:
+            constant, rest = np.flatnonzero(~self.changing), np.flatnonzero(self.changing)
+            if len(constant):
+                sums.add_separable(self._separable(features, residual, weight, averages, constant))
+        if not len(rest):
+            return
+        if self.pattern.is_full:
+            for full in self._by_group(segments, residual, root, averages, rest):
                 sums.add_full(full)
         else:
             for rows in self._by_function(segments, residual, root, averages):
@@ -134,7 +137,8 @@ class EquationRows:
         parameter = self.pattern.every_parameter(averages(slots.flatten(2)).unflatten(2, slots.shape[2:]), rows)
         by = torch.cat((parameter, residual[..., rows, None]), -1).cpu().numpy()
         weights = (weight if weight.ndim == 1 else weight[:, 0])[..., rows].cpu().numpy()
-        return SeparableRows(features, self.by_motion[:, rows], weights, by, self.pattern.named[rows])
+        by_motion, pattern = self.by_motion[:, rows], self.pattern
+        return SeparableRows(features, by_motion, pattern.touching[rows], weights, by, pattern.named[rows])
 
     def _by_group(
         self, segments: Segments, residual: Tensor, root: Tensor, averages: Subdomains | None, rows: np.ndarray

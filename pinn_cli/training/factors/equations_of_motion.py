@@ -80,7 +80,7 @@ class EquationsOfMotion(Residuals):
         for part, residual in self.residuals(point):
             averages = None if self.averages is None else self.averages.part(part)
             rows, weighed = self.rows(self.segments, point, part), weight if weight.ndim == 1 else weight[part]
-            features = self._features(part) if averages is not None and rows.pattern.is_full else None
+            features = None if averages is None else self._features(part)
             rows.add_to(sums, self.segments.part(part), residual, weighed, averages, features)
 
     def _averaged(self, part: slice) -> LocalFeatures:

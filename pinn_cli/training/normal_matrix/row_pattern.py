@@ -182,8 +182,14 @@ class RowPattern:
     @cached_property
     def reached(self) -> np.ndarray:
         """(n, places) bool, which parameters stand in a row of which function, in the band's order."""
-        reached: np.ndarray = self.full(self.coupled.astype(float)).T @ self.named[:, :-1] > 0.0
+        reached: np.ndarray = self.touching.T.astype(float) @ self.named[:, :-1] > 0.0
         return reached[self.order]
+
+    @cached_property
+    def touching(self) -> np.ndarray:
+        """(n, n) bool, which functions stand in a row, as they come."""
+        touching: np.ndarray = self.full(self.coupled.astype(float)) > 0.0
+        return touching
 
     @cached_property
     def named(self) -> np.ndarray:

@@ -105,7 +105,9 @@ class RowSums:
         self._border: dict[tuple[bytes, int, int, int], tuple[np.ndarray, np.ndarray]] = {}
         self._corner, self._slope = np.zeros((places, places)), np.zeros(places)
         self._full: BlockSums | None = None  # of rows that touch most functions
-        self._waiting: list[tuple[SeparableRows, np.ndarray | None]] = []  # what is not yet beside the band
+        # What stands beside the band where functions and places meet, and rows of which that is still to be worked out.
+        self._beside: dict[tuple[bytes, bytes], tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+        self._waiting: list[SeparableRows] = []
 
     @property
     def main(self) -> np.ndarray:
@@ -149,6 +151,9 @@ class RowSums:
         """(size,), of the readout weights."""
         self._add_waiting()
         total: np.ndarray = self._gradient[:, self._inside].sum(axis=0)
+        for function, place, values in self._beside.values():
+            last = place == len(self._slope)
+            total.reshape(-1, self.n)[:, function[last]] += values[:, last]
         return total if self._full is None else total + self._full.border[..., -1].reshape(-1)
 
     def border(self, pick: np.ndarray) -> csr_matrix:
@@ -166,6 +171,10 @@ class RowSums:
                 at = np.flatnonzero(of_function >= 0)
                 values = line[self._inside].reshape(-1, self.n)[:, at]
                 entries.append((values, first + at, np.broadcast_to(of_function[at], values.shape)))
+        for function, place, values in self._beside.values():
+            inside = column[place] >= 0
+            to = np.broadcast_to(column[place[inside]], (len(values), int(inside.sum())))
+            entries.append((values[:, inside], first + function[inside], to))
         if self._full is not None:
             function, place = np.nonzero(self._full.reached & (column[:-1] >= 0))
             values = self._full.border[:, function, place]
@@ -204,43 +213,40 @@ class RowSums:
         self._blocks[self.reach, 0, self._inside] += weight
         self._gradient[0, self._inside] += weight * unknowns
 
-    def add_separable(self, rows: SeparableRows, reached: np.ndarray | None = None) -> None:
+    def add_separable(self, rows: SeparableRows) -> None:
         """Add the products of rows that are features times coefficients with themselves.
 
-        What stands beside the band waits until it is asked for.
-
-        Args:
-            rows: Of which.
-            reached: See :class:`FullRows`; None: they are by no parameter.
+        What stands beside the band waits until it is asked for. Of no parameters, ``p`` may be 0.
         """
+        earlier, later = np.nonzero(rows.pairs)
+        is_full, distances = 2 * len(earlier) > self.n**2, np.unique(self.rank[later] - self.rank[earlier])
         for first, by_shift, coupling in rows.products():
             placed = np.empty_like(coupling)
             placed[:, self.rank[:, None], self.rank] = coupling
-            column, row = np.nonzero(np.any(placed, axis=0))
-            is_full = 2 * len(row) > self.n**2
-            lines = [] if is_full else [(d, np.diagonal(placed, d, 1, 2)) for d in np.unique(row - column).tolist()]
+            lines = [] if is_full else [(d, np.diagonal(placed, d, 1, 2)) for d in distances.tolist()]
             for shift, products in enumerate(by_shift):
                 if is_full:
                     block = (products @ placed.reshape(len(placed), -1)).reshape(-1, self.n, self.n)
                     self._of_all.add_products(first, shift, block)
                 for distance, line in lines:
                     self._add_line(products @ line, distance, shift, first)
-        self._waiting.append((rows, reached))
+        self._waiting.append(rows)
 
     def _add_waiting(self) -> None:
         waiting, self._waiting = self._waiting, []
-        for rows, reached in waiting:
-            for first, function, place, entries in rows.beside():
-                if reached is None:
-                    inside = self._gradient[0, self._inside].reshape(-1, self.n)
-                    inside[first : first + len(entries), self.rank[function]] += entries
-                else:
-                    self._of_all.border[first : first + len(entries), self.rank[function], place] += entries
-            if reached is not None:
-                self._of_all.reached |= reached
+        for rows in waiting:
+            function, place = rows.meetings
+            if rows.named.shape[1] == 1:  # of no parameters, the residuals alone
+                place = np.full_like(place, len(self._slope))
+            else:
                 products = rows.of_parameters()
                 self._corner += products[:, :-1]
                 self._slope += products[:, -1]
+            key = function.tobytes(), place.tobytes()
+            if key not in self._beside:
+                self._beside[key] = self.rank[function], place, np.zeros((self.size // self.n, len(place)))
+            for first, entries in rows.beside():
+                self._beside[key][2][first : first + len(entries)] += entries
 
     @property
     def _of_all(self) -> BlockSums:

@@ -12,6 +12,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from scipy.sparse import csr_matrix
 from torch import Tensor
 
 # Windows of time whose sums over features are kept: all of a record of ten thousand intervals, and of a longer one no
@@ -117,6 +118,7 @@ class SeparableRows:
     Attributes:
         features: Of time.
         by_motion: (orders, K, functions), coefficients; the functions as they come.
+        touching: (K, functions) bool, those that may be other than 0.
         weight: (K,), or (I, K).
         by: (I, S, K, p + 1), what they are by the parameters at all places; at last the residuals.
         named: (K, p + 1) bool, those that stand in a row.
@@ -124,9 +126,16 @@ class SeparableRows:
 
     features: LocalFeatures
     by_motion: np.ndarray
+    touching: np.ndarray
     weight: np.ndarray
     by: np.ndarray
     named: np.ndarray
+
+    @property
+    def pairs(self) -> np.ndarray:
+        """(functions, functions) bool, those of one row."""
+        meet: np.ndarray = self.touching.T.astype(float) @ self.touching > 0.0
+        return meet
 
     def products(self) -> Iterator[tuple[int, list[np.ndarray], np.ndarray]]:
         """Features' products, as :meth:`LocalFeatures.products` has them, and what they are multiplied by.
@@ -143,19 +152,28 @@ class SeparableRows:
             for first, by_shift in self.features.products(over_groups):
                 yield first, by_shift, coupling.reshape(-1, *coupling.shape[2:])
 
-    def beside(self) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
-        """Of every run the first feature, and what stands beside its band: functions, places, entries (F, those)."""
+    @property
+    def meetings(self) -> tuple[np.ndarray, np.ndarray]:
+        """Functions and places that stand in one row, R each."""
+        function, place = np.nonzero(self.touching.T.astype(float) @ self.named)
+        return function, place
+
+    def beside(self) -> Iterator[tuple[int, np.ndarray]]:
+        """Of every run the first feature, and what stands beside its band: (F, R), of the :attr:`meetings`."""
+        (orders, _, functions), (function, place) = self.by_motion.shape, self.meetings
+        number = np.zeros((functions, self.named.shape[1]), dtype=np.int64)
+        number[function, place] = np.arange(len(function))
         row, at = np.nonzero(self.named)
-        groups, times, orders = self.features.values.shape[:3]
-        reaches = np.any(self.by_motion, axis=0)
-        function, place = np.nonzero(reaches.T.astype(int) @ self.named)
-        into = self.by_motion[:, row][:, :, function] * (at[:, None] == place)  # (orders, named, entries)
-        weight = self.weight[..., row] if self.weight.ndim == 1 else self.weight[:, None, row]
+        entry, by = np.nonzero(self.touching[row])
+        target = np.arange(orders)[:, None] * len(function) + number[by, at[entry]]
+        values, source = self.by_motion[:, row[entry], by], np.broadcast_to(entry, target.shape)
+        indices = target.reshape(-1), source.reshape(-1)
+        into = csr_matrix((values.reshape(-1), indices), shape=(orders * len(function), len(row)))
+        weight = self.weight[row] if self.weight.ndim == 1 else self.weight[:, None, row]
         weighed = self.by[..., row, at] * weight
-        pulled = weighed @ into.swapaxes(0, 1).reshape(len(row), orders * len(place))
-        pulled = pulled.reshape(groups, times, orders, len(place))
-        for first, total in self.features.against(pulled):
-            yield first, function, place, total
+        pulled = into @ np.ascontiguousarray(weighed.reshape(-1, len(row)).T)
+        pulled = pulled.reshape(orders, len(function), *weighed.shape[:2]).transpose(2, 3, 0, 1)
+        yield from self.features.against(pulled)
 
     def of_parameters(self) -> np.ndarray:
         """(p, p + 1), of the parameters against each other and the residuals."""

@@ -44,7 +44,8 @@ def test_sums_are_those_of_a_dense_matrix(stride, features, first, changing):
         weight[:, 1] = random.uniform(1.0, 2.0, len(first))
     named = np.array([[True, False, True], [True, True, True], [False, True, True]])
     local = LocalFeatures(feature, torch.as_tensor(values))
-    sums.add_separable(SeparableRows(local, by_motion, weight, more * named, named), every)
+    touching = np.any(by_motion, axis=0)
+    sums.add_separable(SeparableRows(local, by_motion, touching, weight, more * named, named))
     sums.add_diagonal(0.5, np.ones(COUNT * FUNCTIONS))
 
     order = np.argsort(sums.rank)
