@@ -41,7 +41,7 @@ class ConstantRows:
         def features(part: slice) -> LocalFeatures:
             return LocalFeatures(segments.feature[part], torch.stack([phi[part] for phi, _ in terms], 2))
 
-        self._features, self._named = FeatureWindows(features), np.ones((self.weights.shape[1], 1), dtype=bool)
+        self._features = FeatureWindows(features)
 
     def add_to(self, sums: RowSums, residual: Tensor, weight: Tensor, part: slice = EVERY) -> None:
         """Add their weighted products.
@@ -53,10 +53,9 @@ class ConstantRows:
             part: Which groups the residual is of.
         """
         by = residual[..., None].cpu().numpy()
-        touching = np.any(self.weights, axis=0)
-        sums.add_separable(
-            SeparableRows(self._features(part), self.weights, touching, weight.cpu().numpy(), by, self._named)
-        )
+        touching, places = np.any(self.weights, axis=0), np.full((by.shape[2], 1), sums.places)
+        features, weights = self._features(part), weight.cpu().numpy()
+        sums.add_separable(SeparableRows(features, self.weights, touching, weights, by, places, sums.places))
 
 
 class ConstantChannels(Channels):

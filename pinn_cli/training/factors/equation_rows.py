@@ -133,12 +133,13 @@ class EquationRows:
         self, features: LocalFeatures, residual: Tensor, weight: Tensor, averages: Subdomains, rows: np.ndarray
     ) -> SeparableRows:
         """Averages of some rows whose derivatives by the motion are constant; arguments as of :meth:`add_to`."""
-        slots = self.parameter[:, :, rows]
-        parameter = self.pattern.every_parameter(averages(slots.flatten(2)).unflatten(2, slots.shape[2:]), rows)
+        pattern, by_motion = self.pattern, self.by_motion[:, rows]
+        parameter = averages(self.parameter[:, :, rows].flatten(2)).unflatten(2, (len(rows), -1))
         by = torch.cat((parameter, residual[..., rows, None]), -1).cpu().numpy()
+        places = pattern.places[rows].reshape(len(rows), -1)
+        places = np.column_stack((places, np.full(len(rows), pattern.count)))
         weights = (weight if weight.ndim == 1 else weight[:, 0])[..., rows].cpu().numpy()
-        by_motion, pattern = self.by_motion[:, rows], self.pattern
-        return SeparableRows(features, by_motion, pattern.touching[rows], weights, by, pattern.named[rows])
+        return SeparableRows(features, by_motion, pattern.touching[rows], weights, by, places, pattern.count)
 
     def _by_group(
         self, segments: Segments, residual: Tensor, root: Tensor, averages: Subdomains | None, rows: np.ndarray

@@ -182,7 +182,10 @@ class RowPattern:
     @cached_property
     def reached(self) -> np.ndarray:
         """(n, places) bool, which parameters stand in a row of which function, in the band's order."""
-        reached: np.ndarray = self.touching.T.astype(float) @ self.named[:, :-1] > 0.0
+        named = np.zeros((len(self.coupled), self.count + 1), dtype=bool)
+        flat = self.places.reshape(len(self.coupled), -1)
+        named[np.arange(len(flat))[:, None], flat] = True
+        reached: np.ndarray = self.touching.T.astype(float) @ named[:, :-1] > 0.0
         return reached[self.order]
 
     @cached_property
@@ -190,15 +193,6 @@ class RowPattern:
         """(n, n) bool, which functions stand in a row, as they come."""
         touching: np.ndarray = self.full(self.coupled.astype(float)) > 0.0
         return touching
-
-    @cached_property
-    def named(self) -> np.ndarray:
-        """(n, places + 1) bool, which parameters stand in a row, and at last the residual, as in each."""
-        named = np.zeros((len(self.coupled), self.count + 1), dtype=bool)
-        flat = self.places.reshape(len(self.coupled), -1)
-        named[np.arange(len(flat))[:, None], flat] = True
-        named[:, -1] = True
-        return named
 
     def standing(self, first: int, stop: int) -> slice | np.ndarray:
         """The functions at some places of the band; a slice takes no copies."""

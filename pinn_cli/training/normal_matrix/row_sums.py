@@ -89,10 +89,13 @@ class RowSums:
         coupling: The functions' order, and how far those of one row stand apart.
         places: Of parameters.
 
+    Attributes:
+        places: See above.
     """
 
     def __init__(self, stride: int, features: int, count: int, coupling: Coupling, places: int) -> None:
         self.n, self.features, self.reach, self.rank = coupling.size, features, coupling.reach, coupling.rank
+        self.places = places
         self.size, self._stride, self._step = count * self.n, stride, stride * self.n
         # Entries more in front and behind: rows at the structure's ends add zeros there.
         self._length = self.size + 2 * self.n
@@ -152,7 +155,7 @@ class RowSums:
         self._add_waiting()
         total: np.ndarray = self._gradient[:, self._inside].sum(axis=0)
         for function, place, values in self._beside.values():
-            last = place == len(self._slope)
+            last = place == self.places
             total.reshape(-1, self.n)[:, function[last]] += values[:, last]
         return total if self._full is None else total + self._full.border[..., -1].reshape(-1)
 
@@ -162,7 +165,7 @@ class RowSums:
         It keeps entries that happen to be zero, so that its pattern stays.
         """
         self._add_waiting()
-        column = np.full(len(self._slope) + 1, -1)
+        column = np.full(self.places + 1, -1)
         column[pick] = np.arange(len(pick))
         first = np.arange(0, self.size, self.n)[:, None]
         entries: list[tuple[np.ndarray, ...]] = [(np.zeros(0), *np.zeros((2, 0), dtype=np.int64))]
@@ -216,7 +219,7 @@ class RowSums:
     def add_separable(self, rows: SeparableRows) -> None:
         """Add the products of rows that are features times coefficients with themselves.
 
-        What stands beside the band waits until it is asked for. Of no parameters, ``p`` may be 0.
+        What stands beside the band waits until it is asked for.
         """
         earlier, later = np.nonzero(rows.pairs)
         is_full, distances = 2 * len(earlier) > self.n**2, np.unique(self.rank[later] - self.rank[earlier])
@@ -236,12 +239,9 @@ class RowSums:
         waiting, self._waiting = self._waiting, []
         for rows in waiting:
             function, place = rows.meetings
-            if rows.named.shape[1] == 1:  # of no parameters, the residuals alone
-                place = np.full_like(place, len(self._slope))
-            else:
-                products = rows.of_parameters()
-                self._corner += products[:, :-1]
-                self._slope += products[:, -1]
+            products = rows.of_parameters()
+            self._corner += products[:, :-1]
+            self._slope += products[:, -1]
             key = function.tobytes(), place.tobytes()
             if key not in self._beside:
                 self._beside[key] = self.rank[function], place, np.zeros((self.size // self.n, len(place)))
@@ -252,7 +252,7 @@ class RowSums:
     def _of_all(self) -> BlockSums:
         """Of rows that touch most functions, made when the first ones come."""
         if self._full is None:
-            self._full = BlockSums(self.features, self.size // self.n, self.n, len(self._slope))
+            self._full = BlockSums(self.features, self.size // self.n, self.n, self.places)
         return self._full
 
     def _runs(self, feature: Tensor) -> Iterator[tuple[slice, int]]:

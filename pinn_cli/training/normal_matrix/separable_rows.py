@@ -120,8 +120,9 @@ class SeparableRows:
         by_motion: (orders, K, functions), coefficients; the functions as they come.
         touching: (K, functions) bool, those that may be other than 0.
         weight: (K,), or (I, K).
-        by: (I, S, K, p + 1), what they are by the parameters at all places; at last the residuals.
-        named: (K, p + 1) bool, those that stand in a row.
+        by: (I, S, K, F), what they are by parameters, and the residuals.
+        places: (K, F), of those parameters; p, their number, of the residuals, and -1 where there is nothing.
+        count: p.
     """
 
     features: LocalFeatures
@@ -129,7 +130,8 @@ class SeparableRows:
     touching: np.ndarray
     weight: np.ndarray
     by: np.ndarray
-    named: np.ndarray
+    places: np.ndarray
+    count: int
 
     @property
     def pairs(self) -> np.ndarray:
@@ -155,28 +157,36 @@ class SeparableRows:
     @property
     def meetings(self) -> tuple[np.ndarray, np.ndarray]:
         """Functions and places that stand in one row, R each."""
-        function, place = np.nonzero(self.touching.T.astype(float) @ self.named)
+        row, slot = np.nonzero(self.places >= 0)
+        named = np.zeros((len(self.places), self.count + 1))
+        named[row, self.places[row, slot]] = 1.0
+        function, place = np.nonzero(self.touching.T @ named)
         return function, place
 
     def beside(self) -> Iterator[tuple[int, np.ndarray]]:
         """Of every run the first feature, and what stands beside its band: (F, R), of the :attr:`meetings`."""
         (orders, _, functions), (function, place) = self.by_motion.shape, self.meetings
-        number = np.zeros((functions, self.named.shape[1]), dtype=np.int64)
+        number = np.zeros((functions, self.count + 1), dtype=np.int64)
         number[function, place] = np.arange(len(function))
-        row, at = np.nonzero(self.named)
+        row, slot = np.nonzero(self.places >= 0)
         entry, by = np.nonzero(self.touching[row])
-        target = np.arange(orders)[:, None] * len(function) + number[by, at[entry]]
+        target = np.arange(orders)[:, None] * len(function) + number[by, self.places[row, slot][entry]]
         values, source = self.by_motion[:, row[entry], by], np.broadcast_to(entry, target.shape)
         indices = target.reshape(-1), source.reshape(-1)
         into = csr_matrix((values.reshape(-1), indices), shape=(orders * len(function), len(row)))
         weight = self.weight[row] if self.weight.ndim == 1 else self.weight[:, None, row]
-        weighed = self.by[..., row, at] * weight
+        weighed = self.by[..., row, slot] * weight
         pulled = into @ np.ascontiguousarray(weighed.reshape(-1, len(row)).T)
         pulled = pulled.reshape(orders, len(function), *weighed.shape[:2]).transpose(2, 3, 0, 1)
         yield from self.features.against(pulled)
 
     def of_parameters(self) -> np.ndarray:
         """(p, p + 1), of the parameters against each other and the residuals."""
-        weight = self.weight if self.weight.ndim == 1 else self.weight[:, None]
-        weighed = self.by[..., :-1] * weight[..., None]
-        return np.tensordot(weighed, self.by, axes=((0, 1, 2), (0, 1, 2)))
+        out = np.zeros((self.count + 1, self.count + 1))
+        for row, places in enumerate(self.places):
+            used = np.flatnonzero(places >= 0)
+            columns = self.by[:, :, row, used]
+            weight = self.weight[row] if self.weight.ndim == 1 else self.weight[:, row, None, None]
+            weighed = (columns * weight).reshape(-1, len(used))
+            np.add.at(out, np.ix_(places[used], places[used]), weighed.T @ columns.reshape(-1, len(used)))
+        return out[:-1]

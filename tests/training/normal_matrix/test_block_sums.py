@@ -45,7 +45,8 @@ def test_sums_are_those_of_a_dense_matrix(stride, features, first, changing):
     named = np.array([[True, False, True], [True, True, True], [False, True, True]])
     local = LocalFeatures(feature, torch.as_tensor(values))
     touching = np.any(by_motion, axis=0)
-    sums.add_separable(SeparableRows(local, by_motion, touching, weight, more * named, named))
+    places = np.where(named, np.arange(PLACES + 1), -1)
+    sums.add_separable(SeparableRows(local, by_motion, touching, weight, more * named, places, PLACES))
     sums.add_diagonal(0.5, np.ones(COUNT * FUNCTIONS))
 
     order = np.argsort(sums.rank)
