@@ -35,12 +35,15 @@ SUSPICIOUS_DISCREPANCY = 0.01
 # Solutions under the same discrepancy are one if no parameter differs by more of its deviation: they are in the same
 # valley, and what they still differ by is what each start believes.
 SAME_SOLUTION = 0.1
+# A start that is behind another one by so much log evidence, and by more at the next smaller discrepancy, is given up:
+# what is a wrong valley is so the more, the less the discrepancy explains.
+OUTDONE = 200.0
 # Gain in log evidence below which another solution is not worth it.
 NEGLIGIBLE_GAIN = 0.5
 
 
-class AlreadySearched(Exception):  # noqa: N818 - it is no error
-    """A search has come to where an earlier one of the same problem was."""
+class NothingNew(Exception):  # noqa: N818 - it is no error
+    """A search comes to where an earlier one of the same problem was, or falls further and further behind it."""
 
 
 class Path:
@@ -52,23 +55,31 @@ class Path:
 
     def __init__(self, earlier: Sequence[Path]) -> None:
         self._earlier, self._found = earlier, dict[float, tuple[np.ndarray, np.ndarray]]()
+        self._evidence = dict[float, float]()
+        self._behind = 0.0
 
     def follow(self, equations: LeastSquares, trained: Trained) -> None:
         """Note a solution.
 
         Raises:
-            AlreadySearched: An earlier path had it: what follows is known.
+            NothingNew: An earlier path had it, or others that are far more probable, here and a step before.
         """
+        discrepancy = trained.noise.discrepancy
+        self._evidence[discrepancy] = trained.log_evidence
+        others = [path._evidence[discrepancy] for path in self._earlier if discrepancy in path._evidence]
+        behind = max(others, default=-np.inf) - trained.log_evidence
+        if behind > self._behind > OUTDONE:
+            raise NothingNew
+        self._behind = behind
         if not trained.solution.converged:
             return
         scale, prescribed = equations.scale, np.array([p.prescribed for p in equations.uncertain])
         values = prescribed + scale * trained.solution.point.parameters.numpy()
         std = scale * np.sqrt(np.diag(trained.factor.corner_covariance))
-        discrepancy = trained.noise.discrepancy
         self._found[discrepancy] = values, std
         for path in self._earlier:
             if discrepancy in path._found and np.all(abs(path._found[discrepancy][0] - values) < SAME_SOLUTION * std):
-                raise AlreadySearched
+                raise NothingNew
 
 
 def searched(
@@ -90,7 +101,7 @@ def searched(
         path: Of the scan from rest.
 
     Raises:
-        AlreadySearched: The scan from rest comes to where one from another start was.
+        NothingNew: See :class:`Path`.
         DivergenceError: Even the softest physics cannot be solved.
     """
     first = scanned(evidence, noise, force, evidence.equations.start(), path)
@@ -126,7 +137,7 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
         path: Of the solutions, where there are other starts.
 
     Raises:
-        AlreadySearched: It comes to where one from another start was.
+        NothingNew: See :class:`Path`.
         DivergenceError: The first problem cannot be solved.
     """
     point, discrepancy, idle, stride = start, largest, 0, SCAN_FACTOR

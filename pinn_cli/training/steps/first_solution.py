@@ -23,7 +23,7 @@ from pinn_cli.training.noise_model import FeatureProjection, NoiseLevels, NoiseM
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
 from pinn_cli.training.solver import Inference, Solver
-from pinn_cli.training.steps.discrepancy_search import AlreadySearched, Path, holds, searched
+from pinn_cli.training.steps.discrepancy_search import NothingNew, Path, holds, searched
 from pinn_cli.training.steps.known_levels import solve_under_known_levels
 from pinn_cli.training.steps.part_of_record import part_of_record, whole_from
 from pinn_cli.training.whittle.whittle_estimate import known_parameters
@@ -119,33 +119,33 @@ def _from_every_start(
     Raises:
         DivergenceError: None could be solved.
     """
-    solutions, failure = _solutions(problem.starts, solver, networks)
+    paths: list[Path] = []
+    solutions, failure = _solutions(problem.starts, solver, networks, paths)
     if not solutions:
         raise failure or DivergenceError("there is no start")
     best = max(solutions, key=_log_evidence)
     if not _holds(best):
         # Of models that do not hold the one that follows the sensors most would be taken.
-        elsewhere, _ = _solutions(problem.elsewhere(), solver, networks)
+        elsewhere, _ = _solutions(problem.elsewhere(), solver, networks, paths)
         best = max([best, *filter(_holds, elsewhere)], key=_log_evidence)
     return best
 
 
 def _solutions(
-    starts: Sequence[JointProblem], solver: Solver, networks: Sequence[LinearReadout] | None
+    starts: Sequence[JointProblem], solver: Solver, networks: Sequence[LinearReadout] | None, paths: list[Path]
 ) -> tuple[list[tuple[Inference, float]], DivergenceError | None]:
     """Those that there are, each with the force that acts, N; and why the last one failed that did.
 
-    Starts that come to where an earlier one was are not followed to the end.
+    Starts that lead to nothing new beside the paths of earlier ones are not followed to the end.
     """
     solutions: list[tuple[Inference, float]] = []
-    paths: list[Path] = []
     failure: DivergenceError | None = None
     for start in starts:
         evidence, path = solver.evidence(start, networks), Path(paths)
         noise = solver.starting_noise(evidence)
         try:
             trained = solve_under_known_levels(evidence, noise) or soft_to_stiff(evidence, noise, path)
-        except AlreadySearched:
+        except NothingNew:
             continue
         except DivergenceError as error:
             failure = error
@@ -167,7 +167,7 @@ def soft_to_stiff(evidence: Evidence, noise: NoiseLevels, path: Path) -> Trained
     """The most probable discrepancy, under noisier sensors too where the model explains nothing under these.
 
     Raises:
-        AlreadySearched: See :func:`searched`.
+        NothingNew: See :func:`searched`.
         DivergenceError: Even the softest physics cannot be solved.
     """
     second = partial(_simulated_start, evidence)
