@@ -26,8 +26,10 @@ from pinn_cli.training.steps.force_spectrum import DRAWS, drive_below
 
 # Rounds at most, and the relative change of a level below which nothing that is reported would change.
 ROUNDS, SETTLED = 25, 0.01
-# So many rounds one after the other that lose so much log evidence end it: rounding rules.
+# So many rounds one after the other that lose so much log evidence end it: rounding rules. So do as many that gain
+# nothing.
 LOSING, LOST = 2, 10.0
+IDLE = 4
 # Most that a standard deviation may change in one round: the solution under it has to follow.
 LARGEST_CHANGE = 10.0
 # Change of the logarithm of a level below which the factor of the solution before serves: its Hessian is off by a
@@ -62,7 +64,7 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
         return trained
     floors = evidence.each_record(floor, trained)
     before: list[np.ndarray | None] = [None] * len(floors)
-    best, losing = trained, 0
+    best, losing, idle = trained, 0, 0
     for _ in range(rounds):
         updates = evidence.each_record(updated, trained, floors)
         updates = [noise.pooled() for noise in updates] if pooled else updates
@@ -81,9 +83,10 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
             break
         before = list(change)
         gain, trained = again.log_evidence - trained.log_evidence, again
+        idle = 0 if trained.log_evidence > best.log_evidence + NEGLIGIBLE_GAIN else idle + 1
         best = max(best, trained, key=lambda trained: trained.log_evidence)
         losing = losing + 1 if trained.log_evidence < best.log_evidence - LOST else 0
-        if losing == LOSING:
+        if losing == LOSING or idle == IDLE:
             break
         if np.abs(np.concatenate(change)).max(initial=0.0) < SETTLED or abs(gain) < NEGLIGIBLE_GAIN:
             break

@@ -10,7 +10,7 @@ either half of the record says of it must hold in the other one, and what later 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -179,16 +179,11 @@ class _Solution:
         forces = [term for term in terms if isinstance(term, ForceTerm)]
         sensors = [term for term in terms if isinstance(term, SensorTerm)]
         equations, p = self.equations, len(self.point.parameters)
-        border = np.hstack(
-            (
-                self.gradient,
-                force_border(equations, self.point, self.noise, forces),
-                sensor_border(equations, self.channels, sensors),
-            )
-        )
-        motion = self.readout.solved(self.readout.half_solved(border)[0], np.zeros((p, border.shape[1])))
+        missing = [term for term in terms if id(term) not in self.moved_by]
+        self.moved_by.update({id(term): (term, by) for term, by in self._moved_by(missing)} if missing else {})
+        columns = [self.moved_by[id(term)][1] for term in (*forces, *sensors)]
         # Products with sparse rows take it by rows.
-        moved = np.ascontiguousarray(-np.hstack((motion[:, :1], self.readout.solved_border, motion[:, 1:])))
+        moved = np.column_stack((*self._moved_anyhow, *columns))
         terms_of = forces, sensors
         of_solution = equations, self.point, self.noise, self.channels
         spectra = [left_spectra(*of_solution, terms_of, moved, self.prior, part) for part in parts]
@@ -196,6 +191,28 @@ class _Solution:
         number = {id(term): i for i, term in enumerate([*forces, *sensors], start=p)}
         places = [number[id(term)] for term in terms]
         return [_Asked(terms, places, of_part, moved[:, 1:], free, self.half_gains) for of_part in spectra]
+
+    @cached_property
+    def moved_by(self) -> dict[int, tuple[ForceTerm | SensorTerm, np.ndarray]]:
+        """Terms that were asked for, each with how the motion adapts to it, (size,)."""
+        return {}
+
+    def _moved_by(self, terms: list[ForceTerm | SensorTerm]) -> Iterator[tuple[ForceTerm | SensorTerm, np.ndarray]]:
+        forces = [term for term in terms if isinstance(term, ForceTerm)]
+        sensors = [term for term in terms if isinstance(term, SensorTerm)]
+        of_forces = force_border(self.equations, self.point, self.noise, forces)
+        border = np.hstack((of_forces, sensor_border(self.equations, self.channels, sensors)))
+        yield from zip((*forces, *sensors), -self._solved(border).T, strict=True)
+
+    @cached_property
+    def _moved_anyhow(self) -> tuple[np.ndarray, np.ndarray]:
+        """(size, 1) and (size, p), how the motion adapts to the residual and to the parameters."""
+        return -self._solved(self.gradient), -self.readout.solved_border
+
+    def _solved(self, border: np.ndarray) -> np.ndarray:
+        return self.readout.solved(
+            self.readout.half_solved(border)[0], np.zeros((len(self.point.parameters), border.shape[1]))
+        )
 
     @cached_property
     def half_gains(self) -> dict[int, float]:
