@@ -19,7 +19,7 @@ from torch import Tensor
 from pinn_cli.system.coupling import Coupling
 from pinn_cli.training.normal_matrix.block_sums import BlockSums
 from pinn_cli.training.normal_matrix.diagonals import Diagonals
-from pinn_cli.training.normal_matrix.separable_rows import SeparableRows
+from pinn_cli.training.normal_matrix.separable_rows import WINDOWS_KEPT, SeparableRows
 
 
 class Touched(NamedTuple):
@@ -219,7 +219,7 @@ class RowSums:
     def add_separable(self, rows: SeparableRows) -> None:
         """Add the products of rows that are features times coefficients with themselves.
 
-        What stands beside the band waits until it is asked for.
+        What stands beside the band waits until it is asked for, or until there is more of it than is kept.
         """
         earlier, later = np.nonzero(rows.pairs)
         is_full, distances = 2 * len(earlier) > self.n**2, np.unique(self.rank[later] - self.rank[earlier])
@@ -234,6 +234,8 @@ class RowSums:
                 for distance, line in lines:
                     self._add_line(products @ line, distance, shift, first)
         self._waiting.append(rows)
+        if len(self._waiting) > WINDOWS_KEPT:
+            self._add_waiting()
 
     def _add_waiting(self) -> None:
         waiting, self._waiting = self._waiting, []
