@@ -10,7 +10,7 @@ RAY := $(VENV)/.installed-ray
 # Overrides for the run, as pinn-run takes them: make run ARGS="system.ndof=20 noise.snr_db=20"
 ARGS ?=
 
-.PHONY: help venv run test quick-tests test-all trust kills lint format fuzz stored audit bench bench-epochs bench-models bench-nearly-right bench-sweeps calibration table1 table2 table3 table4 table5 table6 paper figures tables seeds nonlinearity paper-all \
+.PHONY: help venv run test quick-tests test-all trust kills lint format fuzz stored audit bench bench-epochs bench-models bench-nearly-right bench-sweeps bench-tasks calibration table1 table2 table3 table4 table5 table6 paper figures tables seeds nonlinearity paper-all \
 	against-smoother bench-peers docs gallery clean
 
 help: ## list the targets
@@ -79,6 +79,9 @@ calibration: venv ## how well posteriors cover over 40 noise seeds, and are samp
 
 bench: venv ## processor time, memory and GFlop/s over DOFs, durations and topologies, and a figure (ARGS=--full: an hour)
 	$(BIN)/python -m benchmarks $(ARGS)
+
+bench-tasks: venv ## seconds of what people do, where they go, and beside an output-error fit and a Kalman filter (10 minutes; ARGS="--only ground")
+	$(BIN)/python -m benchmarks.tasks $(ARGS)
 
 bench-sweeps: venv ## throughput of sweeps with and without joblib, and what start-up costs
 	$(BIN)/python -m benchmarks.sweeps $(ARGS)

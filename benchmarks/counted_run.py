@@ -1,8 +1,8 @@
 """One `pinn-run` in a process of its own, and what it took: ``python -m benchmarks.counted_run FILE OVERRIDES``.
 
 Processor time is counted, so that other processes on the machine matter little. FILE then holds, as JSON: ``cpu_s`` of
-the process and its figures, ``<stage>_cpu_s`` of every stage, ``memory_mib``, ``factorisations`` with ``operations``
-and ``factoring_cpu_s`` of all of them.
+the process and its figures, ``<stage>_cpu_s`` of every stage, ``step_<name>_cpu_s`` of every step of the method and of
+what is reported of it, ``memory_mib``, ``factorisations`` with ``operations`` and ``factoring_cpu_s`` of all of them.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ import json
 import resource
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,17 @@ class Counted:
         self.stages: dict[str, float] = {}
 
     def watch(self) -> None:
-        """Have every factorisation and every stage counted."""
+        """Have every factorisation, every stage and every step counted."""
+        from pinn_cli.training import gauss_newton, inference
         from pinn_cli.training.normal_matrix.bordered import BorderedSystem
+        from pinn_cli.training.reported import stories
+
+        inference.STEPS = tuple((self._step(step), rounds) for step, rounds in inference.STEPS)
+        for place, name in (
+            (inference, "identify_by_spectra"), (inference, "first_solution"), (gauss_newton, "posterior_estimate"),
+            (gauss_newton, "parameter_likelihoods"), (stories, "doubts"),
+        ):  # fmt: skip
+            setattr(place, name, self._step(getattr(place, name)))
 
         eliminated, stage = BorderedSystem.eliminated, Stages.__call__
 
@@ -50,6 +60,19 @@ class Counted:
 
         BorderedSystem.eliminated = timed  # type: ignore[method-assign]
         Stages.__call__ = in_stage  # type: ignore[method-assign, assignment]
+
+    def _step(self, step: Callable[..., Any]) -> Callable[..., Any]:
+        name = f"step_{step.__name__}"
+
+        @wraps(step)
+        def timed(*given: Any) -> Any:
+            began = time.process_time()
+            try:
+                return step(*given)
+            finally:
+                self.stages[name] = self.stages.get(name, 0.0) + time.process_time() - began
+
+        return timed
 
     def record(self) -> dict[str, float]:
         """All of it, by name."""

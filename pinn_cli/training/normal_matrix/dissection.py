@@ -192,14 +192,16 @@ class FrontTree:
 
 
 # The last one that was worked out: problems that are posed anew, from other starts or with other modes, have the same.
-_LAST: deque[FrontTree] = deque(maxlen=1)
+_LAST: deque[tuple[int, FrontTree]] = deque(maxlen=1)
 
 
 def order_of_elimination(dissection: Dissection, border: csr_matrix) -> FrontTree:
     """Of the weights of a grid and the parameters that a border (size, p) has them touch."""
-    if not (_LAST and _LAST[0].grid == dissection.grid and _LAST[0].suits(border)):
-        _LAST.append(FrontTree(dissection.grid, dissection.tree(), border))
-    return _LAST[0]
+    for largest, tree in _LAST:
+        if largest == dissection.largest and tree.grid == dissection.grid and tree.suits(border):
+            return tree
+    _LAST.append((dissection.largest, FrontTree(dissection.grid, dissection.tree(), border)))
+    return _LAST[0][1]
 
 
 def _after_their_children(root: Separated) -> list[tuple[Separated, list[int]]]:
