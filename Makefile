@@ -80,7 +80,7 @@ calibration: venv ## how well posteriors cover over 40 noise seeds, and are samp
 bench: venv ## processor time, memory and GFlop/s over DOFs, durations and topologies, and a figure (ARGS=--full: an hour)
 	$(BIN)/python -m benchmarks $(ARGS)
 
-bench-tasks: venv ## seconds of what people do, where they go, and beside an output-error fit and a Kalman filter (10 minutes; ARGS="--only ground")
+bench-tasks: venv ## seconds of what people do, and where they go (10 minutes; ARGS="--only ground --peers": beside other estimators)
 	$(BIN)/python -m benchmarks.tasks $(ARGS)
 
 bench-sweeps: venv ## throughput of sweeps with and without joblib, and what start-up costs

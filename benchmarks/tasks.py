@@ -10,7 +10,7 @@ thread of its own. Printed for each task, in seconds of the processor:
                 sampling; what the model may lack; all further steps; the rest, tables and verdict
     output error, Kalman filter
                 of `scipy.optimize.least_squares` on the simulated linear structure, and of a joint filter for state and
-                parameters, where they can do the task; median
+                parameters, where they can do the task; median (with --peers: many minutes for the filter)
     missed      errors of the parameters, %, median of their root mean squares, ours and the fit's
 
 Rows go to a CSV file as they are done, and a command that is called again goes on there.
@@ -53,7 +53,7 @@ PARTS = {
 }
 
 
-def row(family: str, seed: int) -> dict[str, float | str]:
+def row(family: str, seed: int, peers: bool) -> dict[str, float | str]:
     """What one case took, and how near it came, beside its peers."""
     case = drawn(family, seed)
     with TemporaryDirectory() as name:
@@ -72,7 +72,7 @@ def row(family: str, seed: int) -> dict[str, float | str]:
     parts |= {"further steps": steps - counted_steps}
     parts |= {"rest": seconds - sum(parts.values())}
     found |= {part: 100.0 * value / seconds for part, value in parts.items()}
-    for peer, by_peer in compared(case).groupby("peer"):
+    for peer, by_peer in compared(case).groupby("peer") if peers else ():
         of_peer = by_peer.set_index("parameter")["estimate"]
         found |= {
             str(peer): float(by_peer["seconds"].iloc[0]),
@@ -102,8 +102,9 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
             "MiB": f"{part['MiB'].max():.0f}",
         }
         line |= {name: f"{part[name].mean():.0f}" for name in (*PARTS, "further steps", "rest")}
-        line |= {"output error, s": median("output error"), "Kalman filter, s": median("Kalman filter")}
-        line |= {"missed, %": median("missed"), "output error's": median("output error missed")}
+        line |= {"missed, %": median("missed")}
+        for peer in (name for name in ("output error", "Kalman filter") if name in table):
+            line |= {f"{peer}, s": median(peer), f"{peer} missed, %": median(f"{peer} missed")}
         rows.append(line)
     return pd.DataFrame(rows)
 
@@ -115,6 +116,7 @@ def main() -> None:
     )
     parser.add_argument("--seeds", type=int, default=5, help="cases of each task")
     parser.add_argument("--only", nargs="*", default=list(TASKS), choices=tuple(TASKS), help="these tasks")
+    parser.add_argument("--peers", action="store_true", help="other estimators of the same cases, too")
     parser.add_argument("--csv", type=Path, default=Path("outputs/bench/tasks.csv"), help="where the rows go")
     parser.add_argument("--write", action="store_true", help="the table goes to docs/performance.md")
     given = parser.parse_args()
@@ -123,7 +125,7 @@ def main() -> None:
     done = set(zip(table["family"], table["seed"], strict=True))
     for family in given.only:
         for seed in (seed for seed in range(given.seeds) if (family, seed) not in done):
-            found = row(family, seed)
+            found = row(family, seed, given.peers)
             table = pd.concat([table, pd.DataFrame([found])], ignore_index=True)
             table.to_csv(given.csv, index=False, float_format="%.6g")
             print(f"{family} {seed}: {found['s']:.1f} s", flush=True)
