@@ -102,9 +102,8 @@ class EquationRows:
         """
         root = weight.broadcast_to(residual.shape).sqrt()
         root = root if averages is not None else root * segments.mask[..., None]
-        if averages is None or features is None or not (self.pattern.is_full or not self.changing.any()):
-            rest = np.arange(len(self.changing))
-        else:
+        rest = np.arange(len(self.changing))
+        if averages is not None and features is not None and (self.pattern.is_full or not self.changing.any()):
             constant, rest = np.flatnonzero(~self.changing), np.flatnonzero(self.changing)
             if len(constant):
                 sums.add_separable(self._separable(features, residual, weight, averages, constant))
