@@ -40,6 +40,7 @@ class Counted:
             (gauss_newton, "parameter_likelihoods"), (stories, "doubts"),
         ):  # fmt: skip
             setattr(place, name, self._step(getattr(place, name)))
+        self.stages["before"] = time.process_time()
 
         eliminated, stage = BorderedSystem.eliminated, Stages.__call__
 

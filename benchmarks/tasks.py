@@ -28,7 +28,6 @@ import pandas as pd
 from benchmarks.__main__ import counted
 from benchmarks.trust.families import drawn
 from benchmarks.trust.peers import compared
-from benchmarks.written import ROOT, markdown, write
 
 TASKS = {
     "chain": "chain, c and k unknown",
@@ -39,8 +38,7 @@ TASKS = {
     "sensors": "sensors with unknown calibration",
     "posterior": "posterior samples (NUTS)",
 }
-PAGE = ROOT / "docs" / "performance.md"
-STARTING = ("start_up", "config", "imports")  # stages that no task is about
+STARTING = ("before", "config", "imports")  # stages that no task is about
 # Shares, and the stages and steps that they are of.
 PARTS = {
     "screening": ("problem",),
@@ -118,7 +116,6 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=list(TASKS), choices=tuple(TASKS), help="these tasks")
     parser.add_argument("--peers", action="store_true", help="other estimators of the same cases, too")
     parser.add_argument("--csv", type=Path, default=Path("outputs/bench/tasks.csv"), help="where the rows go")
-    parser.add_argument("--write", action="store_true", help="the table goes to docs/performance.md")
     given = parser.parse_args()
     given.csv.parent.mkdir(parents=True, exist_ok=True)
     table = pd.read_csv(given.csv) if given.csv.is_file() else pd.DataFrame({"family": [], "seed": []})
@@ -132,8 +129,6 @@ def main() -> None:
     told = summary(table[table["family"].isin(given.only)])
     print(told.to_string(index=False))
     print(given.csv)
-    if given.write:
-        write(PAGE, "tasks", markdown(told), "make bench-tasks ARGS=--write")
 
 
 if __name__ == "__main__":
