@@ -10,7 +10,7 @@ either half of the record says of it must hold in the other one, and what later 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -179,9 +179,9 @@ class _Solution:
         forces = [term for term in terms if isinstance(term, ForceTerm)]
         sensors = [term for term in terms if isinstance(term, SensorTerm)]
         equations, p = self.equations, len(self.point.parameters)
-        missing = [term for term in terms if id(term) not in self.moved_by]
-        self.moved_by.update({id(term): (term, by) for term, by in self._moved_by(missing)} if missing else {})
-        columns = [self.moved_by[id(term)][1] for term in (*forces, *sensors)]
+        known = self.moved_by
+        self._move_by([f for f in forces if id(f) not in known], [s for s in sensors if id(s) not in known])
+        columns = [known[id(term)][1] for term in (*forces, *sensors)]
         # Products with sparse rows take it by rows.
         moved = np.column_stack((*self._moved_anyhow, *columns))
         terms_of = forces, sensors
@@ -197,12 +197,15 @@ class _Solution:
         """Terms that were asked for, each with how the motion adapts to it, (size,)."""
         return {}
 
-    def _moved_by(self, terms: list[ForceTerm | SensorTerm]) -> Iterator[tuple[ForceTerm | SensorTerm, np.ndarray]]:
-        forces = [term for term in terms if isinstance(term, ForceTerm)]
-        sensors = [term for term in terms if isinstance(term, SensorTerm)]
+    def _move_by(self, forces: list[ForceTerm], sensors: list[SensorTerm]) -> None:
+        """Work out how the motion adapts to further terms."""
+        if not forces and not sensors:
+            return
         of_forces = force_border(self.equations, self.point, self.noise, forces)
         border = np.hstack((of_forces, sensor_border(self.equations, self.channels, sensors)))
-        yield from zip((*forces, *sensors), -self._solved(border).T, strict=True)
+        asked: list[ForceTerm | SensorTerm] = [*forces, *sensors]
+        for term, by in zip(asked, -self._solved(border).T, strict=True):
+            self.moved_by[id(term)] = term, by
 
     @cached_property
     def _moved_anyhow(self) -> tuple[np.ndarray, np.ndarray]:

@@ -100,8 +100,6 @@ class EquationRows:
             averages: Of the rows, where the residual is averaged.
             features: Averaged likewise, for rows that are these times constants.
         """
-        root = weight.broadcast_to(residual.shape).sqrt()
-        root = root if averages is not None else root * segments.mask[..., None]
         rest = np.arange(len(self.changing))
         if averages is not None and features is not None and (self.pattern.is_full or not self.changing.any()):
             constant, rest = np.flatnonzero(~self.changing), np.flatnonzero(self.changing)
@@ -109,6 +107,8 @@ class EquationRows:
                 sums.add_separable(self._separable(features, residual, weight, averages, constant))
         if not len(rest):
             return
+        root = weight.broadcast_to(residual.shape).sqrt()
+        root = root if averages is not None else root * segments.mask[..., None]
         if self.pattern.is_full:
             for full in self._by_group(segments, residual, root, averages, rest):
                 sums.add_full(full)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +18,7 @@ from torch import Tensor
 from pinn_cli.system.coupling import Coupling
 from pinn_cli.training.normal_matrix.block_sums import BlockSums
 from pinn_cli.training.normal_matrix.diagonals import Diagonals
-from pinn_cli.training.normal_matrix.separable_rows import WINDOWS_KEPT, SeparableRows
+from pinn_cli.training.normal_matrix.separable_rows import WINDOWS_KEPT, SeparableRows, runs
 
 
 class Touched(NamedTuple):
@@ -189,7 +188,7 @@ class RowSums:
         """Add the products of rows with themselves."""
         self._add_corner(rows)
         pairs = [(one, other) for one in rows.touched for other in rows.touched if _together(one, other)]
-        for part, first in self._runs(rows.feature):
+        for part, first in runs(rows.feature[:, 0].numpy(), self._stride):
             place = (first + 1) * self.n
             for touched in rows.touched:
                 self._add_border(touched, rows, part, place)
@@ -208,7 +207,7 @@ class RowSums:
             together = rows.by_weight.reshape(1, -1, *rows.by_weight.shape[2:])
             full.add(int(rows.feature[0, 0]), self._stride, together, by[None])
             return
-        for part, first in self._runs(rows.feature):
+        for part, first in runs(rows.feature[:, 0].numpy(), self._stride):
             full.add(first, self._stride, rows.by_weight[part], rows.by[part])
 
     def add_diagonal(self, weight: float | np.ndarray, unknowns: np.ndarray) -> None:
@@ -256,13 +255,6 @@ class RowSums:
         if self._full is None:
             self._full = BlockSums(self.features, self.size // self.n, self.n, self.places)
         return self._full
-
-    def _runs(self, feature: Tensor) -> Iterator[tuple[slice, int]]:
-        """Groups whose features follow one another, and the first feature of the first of them."""
-        first = (feature[:, 0] // self._stride).numpy()
-        breaks = np.flatnonzero(np.diff(first) != 1) + 1
-        for start, stop in pairwise([0, *breaks.tolist(), len(first)]):
-            yield slice(start, stop), int(feature[start, 0])
 
     def _add_corner(self, rows: Rows) -> None:
         by = rows.by.reshape(len(rows.by), -1, rows.by.shape[-1]).transpose(2, 0, 1)

@@ -20,6 +20,12 @@ from torch import Tensor
 WINDOWS_KEPT = 8
 
 
+def runs(first: np.ndarray, stride: int) -> list[tuple[slice, int]]:
+    """Groups whose first features (I,) follow one another by a stride, and the first feature of the first of them."""
+    breaks = np.flatnonzero(np.diff(first) != stride) + 1
+    return [(slice(a, b), int(first[a])) for a, b in pairwise([0, *breaks.tolist(), len(first)])]
+
+
 class LocalFeatures:
     """Features of I groups of S times, those of every derivative, and sums over them.
 
@@ -33,8 +39,7 @@ class LocalFeatures:
         # Runs of groups each of which begins as many features on, those of one output of a function.
         steps = np.diff(first)
         self._stride = int(min(steps[steps > 0], default=1))
-        breaks = np.flatnonzero(steps != self._stride) + 1
-        self._runs = [(slice(a, b), int(first[a])) for a, b in pairwise([0, *breaks.tolist(), len(first)])]
+        self._runs = runs(first, self._stride)
 
     @cached_property
     def _products(self) -> np.ndarray:
