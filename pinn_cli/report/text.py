@@ -29,8 +29,8 @@ DOFS_SHOWN = 10  # beyond these the rows of single DOFs are left to fitness.csv
 # Peaks that are told; all of them stand in the table.
 PEAKS_OF, MOST_PEAKS, PARAMETERS_OF_A_STORY = ("drift", "connection_force"), 20, 8
 SAID = {
-    "force": "a force that the model leaves out acts on every coordinate",
-    "smooth force": "a smooth force that the model leaves out acts on every coordinate",
+    "force": "a force that the model leaves out acts on {place}",
+    "smooth force": "a smooth force that the model leaves out acts on {place}",
     "free run": "the structure runs free, and what it misses is left in the sensors",
 }
 SCORE_UNITS = {
@@ -392,13 +392,17 @@ def stories_text(stories: Sequence[Story]) -> str:
     if not stories:
         return ""
     reported, *others = stories
-    lines = [f"The model does not quite hold. The parameters are those of a story in which {SAID[reported.name]}."]
+    lines = [f"The model does not quite hold. The parameters are those of a story in which {_said(reported)}."]
     lines += map(_scores_of, stories)
     for story in others:
         unknown = [p for p in story.parameters if p.unknown][:PARAMETERS_OF_A_STORY]
         values = ", ".join(f"{p.name} {number(p.estimate)} +- {number(p.std, digits=2)}" for p in unknown)
-        lines.append(f"If {SAID[story.name]}: {values} (stories.csv).")
+        lines.append(f"If {_said(story)}: {values} (stories.csv).")
     return "\n".join(textwrap.fill(line, WIDTH, break_on_hyphens=False) for line in lines)
+
+
+def _said(story: Story) -> str:
+    return SAID[story.name].format(place=f"{story.place} alone" if story.place else "every coordinate")
 
 
 def _scores_of(story: Story) -> str:

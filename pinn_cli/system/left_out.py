@@ -17,6 +17,10 @@ ONE_SIDED, BACKLASH, HYSTERESIS, DRIFT = "one-sided spring", "backlash", "hyster
 STRIBECK = "Stribeck"
 # What a DOF may carry: an oscillator that is attached to it, and a mass that lies on it.
 MODE, SLIDING = "mode", "sliding mass"
+# A base that turns under the structure.
+ROCKING = "rocking"
+# A force of any history on one DOF.
+PLACE = "force"
 # What damps a mode of the structure beside its dampers.
 DAMPED_MODE = "damping ratio"
 # Accelerations beyond which such a mass slides, as they are tried, over the rms acceleration.

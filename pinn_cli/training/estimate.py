@@ -111,6 +111,7 @@ class Story:
             infinite where there is none.
         segments: The same of many short ones, each from the estimated state at its own first sample.
         force_std, correlation_time: Of a smooth force on a DOF, N, and s; NaN of others.
+        place: The DOF that it acts on alone; "" where it is any.
     """
 
     name: str
@@ -119,6 +120,7 @@ class Story:
     segments: float
     force_std: float = math.nan
     correlation_time: float = math.nan
+    place: str = ""
 
 
 @dataclass(frozen=True)

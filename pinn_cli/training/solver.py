@@ -104,6 +104,8 @@ class Inference:
         at_marginal_peak: Whether the parameters are the most probable ones with the motion integrated out.
         free: Where the model does not quite hold, solutions whose structure runs free.
         smooth: There, too, the solution in which the force that it leaves out is smooth; None: it was not found.
+        log_odds_of_place: Of such a solution with one force alone, the logarithm of how many times as probable the
+            record is as with one on every coordinate; 0 with these.
     """
 
     evidence: Evidence
@@ -115,6 +117,7 @@ class Inference:
     at_marginal_peak: bool = False
     free: Sequence[FreeRunning] = ()
     smooth: Inference | None = None
+    log_odds_of_place: float = 0.0
 
     @property
     def problem(self) -> JointProblem:

@@ -17,7 +17,9 @@ from pinn_cli.system.left_out import (
     LEFT_OUT,
     MODE,
     ONE_SIDED,
+    PLACE,
     QUADRATIC,
+    ROCKING,
     SLIDING,
     SPRING,
     STRIBECK,
@@ -103,6 +105,7 @@ def _finding(doubt: Doubt, held: set[str]) -> Finding:
         remedy = f"{parameter} is held at its bound, 0: check the channels, or let it be negative (scheme.positive)"
     share = f", {100.0 * doubt.share:.0f} % of what it leaves out" if doubt.share > LEAST_SHARE else ""
     odds = f"the record is exp({doubt.log_odds:.0f}) times as probable with it"
+    odds += " as with one on every DOF" if doubt.kind == PLACE else ""
     moved = f"{doubt.moved} moves by {doubt.moves:.1f} standard deviations"
     text = f"{what}{share}: {odds}, and {moved}; {remedy}"
     return Finding(doubt.kind, doubt.of, text, "questionable" if doubt.moves > MATTERS else "sound")
@@ -111,6 +114,7 @@ def _finding(doubt: Doubt, held: set[str]) -> Finding:
 def _said(doubt: Doubt) -> tuple[str, str]:
     """What was found, and what to do."""
     number = f"{doubt.value:.3g} +- {doubt.std:.2g} {doubt.unit}".rstrip()
+    percent = f"{100.0 * doubt.value:.2g} +- {100.0 * doubt.std:.1g} %"
     changed = f"{doubt.value:+.3g} +- {doubt.std:.2g} {doubt.unit}".rstrip()
     if doubt.kind in LAWS:
         return f"the model of {doubt.of} lacks {LACKS[doubt.kind].format(number=number, shape=doubt.shape)}", (
@@ -135,6 +139,14 @@ def _said(doubt: Doubt) -> tuple[str, str]:
         "tilt": (
             f"the {doubt.of} follows the displacement by {number}, as that of a sensor which tilts and feels gravity",
             "say tilt: unknown (data.channels)",
+        ),
+        ROCKING: (
+            f"the base rocks: if storeys are of one height, it is {percent} of what gives way to a turning moment",
+            "give the model its angle, a DOF that stretches every storey (weights)",
+        ),
+        PLACE: (
+            f"what the model leaves out acts on {doubt.of} alone, as a force of {doubt.value:.2g} N would",
+            "look for a force there that nobody measured, a support that moves, or a joint or load cell that is else",
         ),
         "high_pass": (
             f"the {doubt.of} lacks slow motion, as behind a high-pass filter of about {doubt.value:.2g} Hz",

@@ -205,8 +205,8 @@ def _frequencies(structure: Structure, record: Record, loose: Sequence[int]) -> 
     )
     of_structure, suspect = "natural frequencies of the estimated structure are", "natural frequencies"
     findings = []
-    # Modes beyond the record are there for what they bend under slow forces.
-    if above == len(frequencies) if structure.is_modal else above:
+    # Modes beyond the record are there for what they bend under slow forces: those of a light part on stiff springs.
+    if above == len(frequencies):
         text = f"{above} of {len(frequencies)} {of_structure} above the Nyquist frequency, {nyquist:.4g} Hz"
         text += f" (the highest: {frequencies[-1]:.4g} Hz); check the time axis and the units"
         findings.append(Finding("frequencies", suspect, text, failed_if(above == len(frequencies))))

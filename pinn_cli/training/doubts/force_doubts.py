@@ -11,7 +11,8 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from scipy.sparse import csr_matrix
+from scipy.sparse import bmat, csr_matrix
+from scipy.sparse.csgraph import shortest_path
 from torch import Tensor
 
 from pinn_cli.record.channel import WIDEST_DELAY
@@ -23,6 +24,7 @@ from pinn_cli.system.left_out import (
     DAMPED_MODE,
     LEFT_OUT,
     MODE,
+    ROCKING,
     SLIDES_AT,
     SLIDING,
     SPRING,
@@ -31,7 +33,7 @@ from pinn_cli.system.left_out import (
     rms,
     sliding,
 )
-from pinn_cli.system.modes import undamped_modes
+from pinn_cli.system.modes import at_rest, undamped_modes
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE, MOTION
 from pinn_cli.system.structure import Structure
@@ -206,6 +208,23 @@ class _Forces:
                 unit = 2.0 * omega * (rate @ pull)
                 yield self.term(Term(DAMPED_MODE, f"mode {mode + 1}", "", 1.0), pull, unit, USUAL * rms(unit))
 
+    def of_base(self, point: Point) -> Iterator[ForceTerm]:
+        """A base that rocks, where every DOF stands on the ground: storeys of one height turn with it.
+
+        As by a spring in series: the moment about the base takes a part of itself back, from every storey.
+        """
+        structure = structure_at(self.equations, point)
+        heights = _storeys(structure.incidence.matrix)
+        if structure.is_modal or len(heights) < 2 or not np.isfinite(heights).all():
+            return
+        force = connection_force(self.equations, point, self.motion)[2]
+        turned, stiffness = structure.incidence.matrix @ heights, at_rest(structure)[0]
+        against = float(stiffness @ turned**2)
+        if against > 0.0:
+            unit, pull = -(force @ turned) / against, structure.incidence.matrix.T @ (stiffness * turned)
+            size = rms(unit) * rms(pull)
+            yield self.term(Term(ROCKING, "base", "", 1.0, least=0.0), pull, unit, size)
+
     def of_loads(self) -> Iterator[ForceTerm]:
         """Load cells that show a force late; what is above their band is noise, which a derivative makes more of."""
         record = self.equations.problem.record
@@ -261,8 +280,18 @@ def force_terms(equations: NormalEquations, point: Point) -> list[ForceTerm]:
     motion = Jet(*equations.flat_states(equations.physics, point)[:3])
     made = _Forces(equations, motion, equations.target.physics_time.numpy())
     loads = () if equations.problem.inputs.loads else made.of_loads()  # or they are channels, see `sensor_terms`
-    carried = (*made.of_modes(point), *made.of_masses(), *made.of_sliding_masses(), *made.of_oscillators())
+    of_modes = (*made.of_modes(point), *made.of_base(point))
+    carried = (*of_modes, *made.of_masses(), *made.of_sliding_masses(), *made.of_oscillators())
     return [*made.of_connections(point), *carried, *loads]
+
+
+def _storeys(incidence: csr_matrix) -> np.ndarray:
+    """(n,), connections from every coordinate to the ground; infinite of one that does not stand on it."""
+    ends = incidence != 0
+    grounded = csr_matrix((ends.sum(axis=1) == 1).astype(float))
+    between = csr_matrix(bmat([[None, grounded.T @ ends], [ends.T @ grounded, ends.T @ ends]]))
+    storeys: np.ndarray = shortest_path(between, unweighted=True, indices=0)[1:]
+    return storeys
 
 
 def structure_at(equations: NormalEquations, point: Point) -> Structure:

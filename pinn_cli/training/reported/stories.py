@@ -18,9 +18,10 @@ from pinn_cli.record.free_run import NoFreeRunError, free_run_of
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.left_out import PLACE
 from pinn_cli.training.calibrated_record import as_run
 from pinn_cli.training.doubts.doubts import doubts
-from pinn_cli.training.estimate import Estimate, ParameterEstimate, Story
+from pinn_cli.training.estimate import Doubt, Estimate, ParameterEstimate, Story
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.training.evidence import Trained
 from pinn_cli.training.point import Point
@@ -28,7 +29,7 @@ from pinn_cli.training.reported.misfit_history import misfit_history
 from pinn_cli.training.reported.parameter_posterior import parameter_posterior
 from pinn_cli.training.reported.posterior_estimate import posterior_estimate, with_parameters
 from pinn_cli.training.solver import FreeRunning, Inference
-from pinn_cli.training.steps.smooth_force import of_smooth_motion
+from pinn_cli.training.steps.smooth_force import of_smooth_motion, place_of
 
 OF_FORCE, OF_SMOOTH_FORCE, OF_RESPONSE = "force", "smooth force", "free run"
 # Parts of a record that are simulated each from the estimated state at its beginning.
@@ -38,6 +39,8 @@ PREDICTS_NOTHING = 100.0
 # Times what a free run misses from the first state of one motion that it may miss from that of a more probable one:
 # of machines that are nearly right it was 0.9 to 2, or 45 and more where the motion was none.
 STILL_PREDICTS = 3.0
+# Share of what the model leaves out from which on doubts explain it, and its place is not told beside them.
+EXPLAINED = 0.5
 
 
 def with_stories(inference: Inference, estimate: Estimate) -> Estimate:
@@ -55,7 +58,7 @@ def with_stories(inference: Inference, estimate: Estimate) -> Estimate:
     smooth, motion = inference.smooth, inference.trained.solution.point.unknowns
     found = None if smooth is None else posterior_estimate(smooth.evidence, smooth.trained, smooth.solver.history)
     candidates = _candidates(inference, estimate, found)
-    if found is not None and smooth is not None and smooth.trained.log_evidence > inference.trained.log_evidence:
+    if found is not None and found.summary["model_log_evidence"] > estimate.summary["model_log_evidence"]:
         smoother = _with_motion(estimate, found)
         same_stories = [replace(one, moved=smoother) for one in candidates]
         best, same = min(zip(candidates, same_stories, strict=True), key=lambda pair: pair[0].rank)
@@ -68,10 +71,28 @@ def with_stories(inference: Inference, estimate: Estimate) -> Estimate:
     reported = best.estimate if best.said is None else _with_force_left(inference, best, motion)
     std = [record_estimate.std for record_estimate in reported.by_record]
     lacking = inference.evidence.each_record(doubts, asked, std)
+    place = () if found is None or smooth is None else _of_place(smooth, found, reported)
+    lacking = [of_record if _explain(of_record) else (*of_record, *place) for of_record in lacking]
     records = zip(reported.records, lacking, strict=False)
     of_records = tuple(replace(record_estimate, doubts=record_doubts) for record_estimate, record_doubts in records)
     stories = tuple(one.story for one in (best, *others)) if others else ()
     return replace(reported, stories=stories, doubts=lacking[0], records=of_records)
+
+
+def _explain(found: Sequence[Doubt]) -> bool:
+    """Whether these are most of what the model leaves out."""
+    return math.fsum(doubt.share for doubt in found) > EXPLAINED
+
+
+def _of_place(smooth: Inference, found: Estimate, reported: Estimate) -> tuple[Doubt, ...]:
+    """That a smooth force acts on one DOF alone; nothing where it does not."""
+    of = place_of(smooth)
+    pairs = zip(found.parameters, reported.parameters, strict=True)
+    moves = {ours.name: abs(one.estimate - ours.estimate) / ours.std for one, ours in pairs if ours.unknown}
+    moved = max(moves, key=lambda name: moves[name])
+    level = found.summary["std_unknown_force"]
+    place = Doubt(PLACE, of, level, math.nan, "N", smooth.log_odds_of_place, moves[moved], moved)
+    return (place,) if of else ()
 
 
 def _candidates(inference: Inference, estimate: Estimate, found: Estimate | None) -> list[_Candidate]:
@@ -231,8 +252,10 @@ class _Candidate:
 
     @property
     def story(self) -> Story:
-        force = (self.summary.get(name, math.nan) for name in ("std_unknown_force", "correlation_time_unknown_force"))
-        return Story(self.name, tuple(self.estimate.parameters), self.free_run, self.segments, *force)
+        level, time = (self.summary.get(f"{of}_unknown_force", math.nan) for of in ("std", "correlation_time"))
+        smooth = self.inference.smooth if self.name == OF_SMOOTH_FORCE else None
+        place = "" if smooth is None else place_of(smooth)
+        return Story(self.name, tuple(self.estimate.parameters), self.free_run, self.segments, level, time, place)
 
     def _missed(self, parts: int) -> float:
         records = zip(self.inference.evidence.problem.by_record, self.estimate.by_record, strict=True)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from pinn_cli.scheme.inputs import with_every_force
@@ -19,6 +20,7 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
+from pinn_cli.training.reported.model_evidence import model_log_evidence
 from pinn_cli.training.solver import Inference
 from pinn_cli.training.steps.force_spectrum import spectrum_of_discrepancy
 from pinn_cli.training.steps.unknown_forces import CORRELATION_ROUNDS, fit_force_spectrum, of_spectrum, set_force_level
@@ -28,6 +30,8 @@ from pinn_cli.training.steps.unknown_forces import CORRELATION_ROUNDS, fit_force
 LEFT_BESIDE = 0.1
 # Spectra at most, one after the other.
 SPECTRA = 3
+# Logarithm of how many times as probable the record must be with a force on one DOF alone.
+DECISIVE_PLACE = 10.0
 
 
 def fit_smooth_force(inference: Inference) -> Inference | None:
@@ -36,15 +40,68 @@ def fit_smooth_force(inference: Inference) -> Inference | None:
     A process needs features that are local; and it takes twice the functions, of which this machine may not hold all.
     """
     is_local = all(equations.averages is not None for equations in inference.evidence.equations.by_record)
-    smooth = _with_force(inference) if inference.free and is_local else None
-    if smooth is None:
+    everywhere = _with_force(inference) if inference.free and is_local else None
+    if everywhere is None:
         return None
+    smooth = _of_own_spectrum(everywhere)
+    return replace(inference, smooth=_on_one_dof(smooth) or smooth)
+
+
+def _of_own_spectrum(smooth: Inference) -> Inference:
     for _ in range(SPECTRA):
         better = fit_force_spectrum(smooth)
         if better is None:
             break
         smooth = better
-    return replace(inference, smooth=set_force_level(smooth) or smooth)
+    return set_force_level(smooth) or smooth
+
+
+def _on_one_dof(smooth: Inference) -> Inference | None:
+    """The same story of one force alone, with which the record is far more probable; None: there is none."""
+    forces = smooth.problem.first.inputs.forces
+    alone = [one for number in range(len(forces)) if (one := _of_one(smooth, number))] if len(forces) > 1 else []
+    if not alone:
+        return None
+    best = _of_own_spectrum(max(alone, key=_log_evidence))
+    gain = _log_evidence(best) - _log_evidence(smooth) - np.log(len(forces))
+    return replace(best, log_odds_of_place=float(gain)) if gain > DECISIVE_PLACE else None
+
+
+def place_of(smooth: Inference) -> str:
+    """The DOF that the force acts on alone, for people; "" where it is any."""
+    problem = smooth.problem.first
+    return f"DOF {problem.record.dof_name(problem.inputs.forces[0])}" if smooth.log_odds_of_place else ""
+
+
+def _log_evidence(inference: Inference) -> float:
+    """That of problems with other functions can be compared with; an evidence that is not known is none."""
+    log_evidence = model_log_evidence(inference.evidence, inference.trained)
+    return log_evidence if np.isfinite(log_evidence) else -np.inf
+
+
+def _of_one(smooth: Inference, number: int) -> Inference | None:
+    """The story without all forces but one, under its own noise; None where it cannot be solved."""
+    problems, networks, points, levels = [], [], [], []
+    for (before, point), noise in zip(smooth.by_record, smooth.trained.noise.records, strict=True):
+        inputs, at = before.problem.inputs, before.dynamics.forces
+        problems.append(replace(before.problem, inputs=replace(inputs, forces=(inputs.forces[number],))))
+        networks.append(before.network)
+        others = np.delete(np.arange(at.start, at.stop), number)
+        points.append(np.delete(before.layout.weights(point.unknowns).numpy(), others, axis=1))
+        assert noise.innovation is not None
+        force, innovation = (np.delete(x, others) for x in (noise.force, noise.innovation))
+        levels.append(replace(noise, force=force, innovation=innovation))
+    evidence = smooth.solver.evidence(JointProblem.of(*problems), networks)
+    pairs = zip(evidence.equations.by_record, points, smooth.by_record, strict=True)
+    begun = [
+        Point(forced.layout.unknowns(torch.as_tensor(weights)), point.parameters)
+        for forced, weights, (_, point) in pairs
+    ]
+    same_levels = replace(smooth.trained.noise, records=tuple(levels))
+    trained = evidence.train(same_levels, evidence.equations.joined(begun))
+    if trained is None:
+        return None
+    return replace(smooth, evidence=evidence, trained=smooth.solver.settled(evidence, trained, CORRELATION_ROUNDS))
 
 
 def _with_force(inference: Inference) -> Inference | None:

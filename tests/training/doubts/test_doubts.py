@@ -76,6 +76,13 @@ def test_play_in_a_connection_is_told_from_a_cubic_spring(connection: int):
     assert first.value == pytest.approx(1e-4 * K[connection], rel=0.15)
 
 
+@pytest.mark.parametrize("ground", [pytest.param(True, marks=pytest.mark.slow), False])
+def test_a_base_that_rocks_is_named_and_how_much_of_the_turning_is_its(ground: bool):
+    first = solved(posed(recorded(moved(ground, 1, (("rocking", 0, 0.06),))))).doubts[0]
+    assert (first.kind, first.of) == ("rocking", "base")
+    assert first.value == pytest.approx(0.06, rel=0.25)
+
+
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_mode_that_is_not_in_the_model_is_named_by_its_frequency(seed: int):
     """One displacement sensor, which the estimate copies: the discrepancy is several times the force that acts."""
