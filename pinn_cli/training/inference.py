@@ -31,6 +31,7 @@ from pinn_cli.training.solver import Inference, Solver
 from pinn_cli.training.steps.first_solution import first_solution, identify_by_spectra
 from pinn_cli.training.steps.free_running import fit_free_run
 from pinn_cli.training.steps.marginal_peak import move_to_marginal_peak
+from pinn_cli.training.steps.quiet_load_cells import quiet_load_cells
 from pinn_cli.training.steps.rivals import choose_equivalent_structure
 from pinn_cli.training.steps.smooth_force import fit_smooth_force
 from pinn_cli.training.steps.unknown_forces import fit_force_spectrum, set_force_level, widen_force_band
@@ -47,6 +48,7 @@ STEPS: tuple[tuple[Step, int], ...] = (
     (refine_features, 2),
     (update_modes, 3),
     (choose_equivalent_structure, 1),
+    (quiet_load_cells, 1),
     (combine_windows, 1),
     (count_independent_values, 1),
     (set_force_level, 2),

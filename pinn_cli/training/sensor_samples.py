@@ -27,10 +27,12 @@ class SensorSamples:
     Attributes:
         channel: Whose.
         record: That it belongs to.
+        quietest: Noise that a solution leaves of it in the quietest part of its band.
     """
 
     channel: Channel
     record: Record
+    quietest: float = np.inf
 
     @property
     def scatter(self) -> float | None:
@@ -81,7 +83,7 @@ class SensorSamples:
     @property
     def loudest(self) -> float:
         """Noise that it may be found to have where it measures an input."""
-        return LOUDEST * (self.shown or self.most)
+        return LOUDEST * min(self.shown or self.most, self.quietest)
 
     @property
     def first(self) -> float:

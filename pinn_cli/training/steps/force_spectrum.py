@@ -26,6 +26,9 @@ LEAST_DETERMINED = 0.02
 PARTS, CORNERS = 16, (1.0, 0.3, 0.1, 0.03, 0.01)
 # Another spectrum must be so much more probable, as a logarithm.
 DECISIVE_SPECTRUM = 3.0
+# Share of a part's values that the record must determine, and frequencies that a part must have, for its level to be
+# told; and logarithm of how many times as probable levels of their own make a load cell's noise that is not white.
+TOLD_OF_PART, FEWEST_OF_PART, COLOURED_CELL = 0.25, 16, 50.0
 # What the forces would give a sensor above the band, over the power that it has there: about as much is theirs, and
 # much less is noise beside which forces do not show.
 OF_FORCES = (0.3, 3.0)
@@ -115,8 +118,7 @@ def _fitted(
         inputs: Theirs.
         present: (F,), gain from a force to that.
     """
-    edges = np.geomspace(max(seen.frequency[0], 1e-3 * seen.frequency[-1]), seen.frequency[-1], PARTS + 1)
-    part = np.clip(np.searchsorted(edges, seen.frequency, side="right") - 1, 0, PARTS - 1)
+    part = _parts(seen.frequency)
 
     def fit(correlation_time: float, damping_ratio: float) -> tuple[float, Drive]:
         """Whittle's likelihood of the parts, and what drives the process at its most probable level."""
@@ -165,6 +167,33 @@ def reaches_beyond(evidence: RecordEvidence, solution: RecordSolution) -> float:
         if np.isfinite(acceleration := record.acceleration[:, dof]).all()
     ]
     return wider if share and OF_FORCES[0] < np.median(share) < OF_FORCES[1] else 1.0
+
+
+def quietest_of_load_cells(evidence: RecordEvidence, solution: RecordSolution) -> dict[int, float]:
+    """DOF to the noise of a load cell, N, in the quietest part of its band, if its noise is far from white.
+
+    A cell's noise is white. What the model lacks is largest where the structure moves most, and passes for it where no
+    spectrum shows how little it is.
+    """
+    noise, out = solution.noise, {}
+    as_driven = replace(solution, noise=replace(noise, innovation=np.sqrt(noise.physics_variance)))
+    for dof, cell in evidence.load_cells.items():
+        seen = drive_below(evidence, as_driven, slice(dof, dof + 1), 0.5 / evidence.problem.record.step)
+        if seen is None or cell.shown:
+            continue
+        part = _parts(seen.frequency)
+        power, values, count = (np.bincount(part, x, PARTS) for x in (seen.power, seen.determined, part >= 0))
+        told = (values > TOLD_OF_PART * count) & (count > FEWEST_OF_PART)
+        level = power[told] / values[told]
+        if told.any() and float(values[told] @ np.log(power[told].sum() / values[told].sum() / level)) > COLOURED_CELL:
+            out[dof] = float(np.sqrt(level.min() / noise.points_per_sample))
+    return out
+
+
+def _parts(frequency: np.ndarray) -> np.ndarray:
+    """(F,), in which part of the band each frequency is."""
+    edges = np.geomspace(max(frequency[0], 1e-3 * frequency[-1]), frequency[-1], PARTS + 1)
+    return np.clip(np.searchsorted(edges, frequency, side="right") - 1, 0, PARTS - 1)
 
 
 def _of_forces(evidence: RecordEvidence, solution: RecordSolution) -> DriveSpectrum | None:
