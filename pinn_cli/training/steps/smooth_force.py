@@ -32,6 +32,11 @@ LEFT_BESIDE = 0.1
 SPECTRA = 3
 # Logarithm of how many times as probable the record must be with a force on one DOF alone.
 DECISIVE_PLACE = 10.0
+# DOFs whose force is followed to its own noise levels: under those of forces on all DOFs the best one is hardly ever
+# another.
+FOLLOWED_PLACES = 2
+# Relative decrease of the loss that ends a solution which only tells whether it is followed.
+NEAR_ENOUGH = 1e-2
 
 
 def fit_smooth_force(inference: Inference) -> Inference | None:
@@ -62,7 +67,8 @@ def _on_one_dof(smooth: Inference) -> Inference | None:
     alone = [one for number in range(len(forces)) if (one := _of_one(smooth, number))] if len(forces) > 1 else []
     if not alone:
         return None
-    best = _of_own_spectrum(max(alone, key=_log_evidence))
+    nearest = sorted(alone, key=_log_evidence)[-FOLLOWED_PLACES:]
+    best = _of_own_spectrum(max(map(_settled, nearest), key=_log_evidence))
     gain = _log_evidence(best) - _log_evidence(smooth) - np.log(len(forces))
     return replace(best, log_odds_of_place=float(gain)) if gain > DECISIVE_PLACE else None
 
@@ -80,7 +86,7 @@ def _log_evidence(inference: Inference) -> float:
 
 
 def _of_one(smooth: Inference, number: int) -> Inference | None:
-    """The story without all forces but one, under its own noise; None where it cannot be solved."""
+    """The story without all forces but one, which acts for all of them; None where it cannot be solved."""
     problems, networks, points, levels = [], [], [], []
     for (before, point), noise in zip(smooth.by_record, smooth.trained.noise.records, strict=True):
         inputs, at = before.problem.inputs, before.dynamics.forces
@@ -90,7 +96,9 @@ def _of_one(smooth: Inference, number: int) -> Inference | None:
         points.append(np.delete(before.layout.weights(point.unknowns).numpy(), others, axis=1))
         assert noise.innovation is not None
         force, innovation = (np.delete(x, others) for x in (noise.force, noise.innovation))
-        levels.append(replace(noise, force=force, innovation=innovation))
+        together = len(inputs.forces) * float(noise.innovation[at.start])
+        quiet = replace(noise, force=force, innovation=innovation)
+        levels.append(quiet.driven_by(together, slice(at.start, at.start + 1)))
     evidence = smooth.solver.evidence(JointProblem.of(*problems), networks)
     pairs = zip(evidence.equations.by_record, points, smooth.by_record, strict=True)
     begun = [
@@ -98,10 +106,12 @@ def _of_one(smooth: Inference, number: int) -> Inference | None:
         for forced, weights, (_, point) in pairs
     ]
     same_levels = replace(smooth.trained.noise, records=tuple(levels))
-    trained = evidence.train(same_levels, evidence.equations.joined(begun))
-    if trained is None:
-        return None
-    return replace(smooth, evidence=evidence, trained=smooth.solver.settled(evidence, trained, CORRELATION_ROUNDS))
+    trained = evidence.train(same_levels, evidence.equations.joined(begun), NEAR_ENOUGH)
+    return None if trained is None else replace(smooth, evidence=evidence, trained=trained)
+
+
+def _settled(story: Inference) -> Inference:
+    return replace(story, trained=story.solver.settled(story.evidence, story.trained, CORRELATION_ROUNDS))
 
 
 def _with_force(inference: Inference) -> Inference | None:
@@ -124,8 +134,8 @@ def _with_force(inference: Inference) -> Inference | None:
     trained = evidence.train(noise, evidence.equations.joined(points))
     if trained is None:
         return None
-    trained = solver.settled(evidence, trained, CORRELATION_ROUNDS)
-    return replace(inference, evidence=evidence, trained=trained) if trained.solution.converged else None
+    story = _settled(replace(inference, evidence=evidence, trained=trained))
+    return story if story.trained.solution.converged else None
 
 
 def _beside_forces(point: Point, plain: NormalEquations, forced: NormalEquations) -> Point:
