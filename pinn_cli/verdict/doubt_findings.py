@@ -115,6 +115,7 @@ def _said(doubt: Doubt) -> tuple[str, str]:
     """What was found, and what to do."""
     number = f"{doubt.value:.3g} +- {doubt.std:.2g} {doubt.unit}".rstrip()
     percent = f"{100.0 * doubt.value:.2g} +- {100.0 * doubt.std:.1g} %"
+    unmeasured = f"data.force={{{doubt.of.removeprefix('DOF ')}: null}}, beside the others, finds what acts there"
     changed = f"{doubt.value:+.3g} +- {doubt.std:.2g} {doubt.unit}".rstrip()
     if doubt.kind in LAWS:
         return f"the model of {doubt.of} lacks {LACKS[doubt.kind].format(number=number, shape=doubt.shape)}", (
@@ -146,7 +147,7 @@ def _said(doubt: Doubt) -> tuple[str, str]:
         ),
         PLACE: (
             f"what the model leaves out acts on {doubt.of} alone, as a force of {doubt.value:.2g} N would",
-            "look for a force there that nobody measured, a support that moves, or a joint or load cell that is else",
+            f"look for a support that moves, or a joint or load cell that is else than said; {unmeasured}",
         ),
         "high_pass": (
             f"the {doubt.of} lacks slow motion, as behind a high-pass filter of about {doubt.value:.2g} Hz",
