@@ -177,9 +177,9 @@ def quietest_of_load_cells(evidence: RecordEvidence, solution: RecordSolution) -
     """
     noise, out = solution.noise, {}
     as_driven = replace(solution, noise=replace(noise, innovation=np.sqrt(noise.physics_variance)))
-    for dof, cell in evidence.load_cells.items():
+    for dof in (dof for dof, cell in evidence.load_cells.items() if not cell.shown):
         seen = drive_below(evidence, as_driven, slice(dof, dof + 1), 0.5 / evidence.problem.record.step)
-        if seen is None or cell.shown:
+        if seen is None:
             continue
         part = _parts(seen.frequency)
         power, values, count = (np.bincount(part, x, PARTS) for x in (seen.power, seen.determined, part >= 0))
