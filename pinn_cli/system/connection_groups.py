@@ -13,7 +13,6 @@ from pinn_cli.system.array_namespace import Array
 from pinn_cli.system.connection.nonlinearity import Nonlinearity
 from pinn_cli.system.damping import StructuralDamping
 from pinn_cli.system.incidence import Incidence
-from pinn_cli.system.parameters import MASS, Parameter
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,13 +145,3 @@ class Linearisation:
     stiffness: torch.Tensor
     damping: torch.Tensor
     by_parameter: dict[str, torch.Tensor]
-
-    def by_parameters(self, parameters: Sequence[Parameter], acceleration: torch.Tensor) -> torch.Tensor:
-        """(..., p), what single parameters do to the force of their own connection, or to the inertia of their mass.
-
-        Args:
-            parameters: p of them.
-            acceleration: (..., n), of the masses.
-        """
-        columns = [(acceleration if p.kind == MASS else self.by_parameter[p.kind])[..., p.index] for p in parameters]
-        return torch.stack(columns, -1) if columns else acceleration.new_zeros((*acceleration.shape[:-1], 0))

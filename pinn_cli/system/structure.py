@@ -196,27 +196,6 @@ class Structure:
         connections, which = self.carriers[parameter.kind]
         return np.unique(self.incidence.matrix[connections[which == parameter.index]].indices)
 
-    def by_parameters(
-        self, slope: Linearisation, parameters: Sequence[Parameter], acceleration: torch.Tensor
-    ) -> torch.Tensor:
-        """(..., n, p), what single parameters do to the force that the motion takes, m a + B' r.
-
-        Args:
-            slope: Of the connections.
-            parameters: p of them.
-            acceleration: (..., n), of the masses.
-        """
-        out = acceleration.new_zeros((*acceleration.shape, len(parameters)))
-        for column, p in enumerate(parameters):
-            if p.kind == MASS:
-                out[..., p.index, column] = acceleration[..., p.index]
-                continue
-            connections, which = self.carriers[p.kind]
-            here = which == p.index
-            pull = torch.as_tensor(self.incidence.matrix[connections[here]].toarray()).to(acceleration)
-            out[..., column] = slope.by_parameter[p.kind][..., here] @ pull
-        return out
-
     def elongation(self, x: Array) -> Array:
         """B x, (..., C): of displacements, velocities or accelerations alike, with the supports' or without."""
         return (self.incidence if x.shape[-1] == self.coordinates else self.stretch).elongation(x)

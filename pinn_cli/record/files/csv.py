@@ -41,8 +41,6 @@ _CELL = re.compile(
 _DATE = re.compile(r"\d{1,4}[-./]\d\d?[-./]\d{1,4}|\d\d?:\d\d")
 _POINT = re.compile(r"[+-]?\d*\.\d+([eE][+-]?\d+)?\s*$")
 _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?\s*$")
-# What no unit begins with.
-_NUMBER = re.compile(r"[+-]?\.?\d|nan|inf|true|false", re.IGNORECASE)
 _NAMES_LINE = "lines above the names? Name theirs in data.format.names_line"
 
 
