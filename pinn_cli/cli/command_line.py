@@ -63,9 +63,9 @@ REPORTED = (InputError, DivergenceError, WriteError, NotSoundError)
 class Jobs:
     """The task as Hydra calls it, once per job, and what became of the jobs.
 
-    An error of a run that the user can mend is kept in `error` and does not reach Hydra, which would print a line of
-    its own. A job of a sweep, in this process or in a launcher's worker, leaves any error in its directory and takes
-    no other job along; what collects the sweep reports it.
+    An error of a run that the user can mend, or a reader that has left, is kept in `error` and does not reach Hydra,
+    which would print a line of its own. A job of a sweep, in this process or in a launcher's worker, leaves any error
+    in its directory and takes no other job along; what collects the sweep reports it.
 
     Args:
         task: Called with the composed configuration, without its `hydra` node; once per job of a sweep.
@@ -74,7 +74,7 @@ class Jobs:
         of_hydra: Overrides of Hydra's own settings, put after those of the user.
 
     Attributes:
-        error: Of the run, one that its user can mend; None where there is none.
+        error: Of the run, one that needs no traceback; None where there is none.
         hint: What to do about it.
         reasons: Why every job of a sweep was refused.
         refused: Whether nothing is to be left of it.
@@ -126,7 +126,7 @@ class Jobs:
                 if in_sweep and claim.locked:  # else it is no directory of ours to write into
                     Failure.of(error).write(self.directory, hydra.overrides.task)
                     return None
-                if error is raised and (in_sweep or not isinstance(error, REPORTED)):
+                if error is raised and (in_sweep or not isinstance(error, (*REPORTED, BrokenPipeError))):
                     raise
                 if in_sweep:
                     raise error from raised

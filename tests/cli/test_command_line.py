@@ -202,6 +202,15 @@ def test_a_reader_that_leaves_is_no_defect() -> None:
     process.stderr.close()
 
 
+def test_a_reader_that_leaves_a_run_is_no_defect(pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch) -> None:
+    def left(config: DictConfig) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr(os, "dup2", lambda *_: None)
+    outcome = pinn_run(task=left)
+    assert (outcome.status, outcome.err) == (141, "")
+
+
 def test_nothing_slow_is_imported_before_a_run() -> None:
     modules = "pinn_cli.main, pinn_cli.sweep.running, pinn_cli.sweep.collect"
     code = f"import sys, {modules}; print(*(m for m in sys.argv[1:] if m in sys.modules))"
