@@ -109,13 +109,13 @@ def run_page(
     """
     fitness, parameters = tables
     modes = ModeEstimates.of(results.prescribed, results.estimate, results.true)
-    columns, sensors = text.sensors_table(residuals, results.run.baseline)
+    columns, sensors, note = text.sensors_shown(residuals, results.run.baseline)
     sheets = [*parameter_sheets(parameters), *fitness_sheets(fitness)]
     if len(sensors):
-        sheets.append(sheet_of(("sensors", "Sensors", " ".join(text.OF_SENSORS)), columns, sensors))
+        sheets.append(sheet_of(("sensors", "Sensors", note), columns, sensors))
     if tried is not None and tried[0].response is not None:
-        columns, shown, notes = text.validation_shown(*tried)
-        sheets.append(sheet_of(("validation", "Validation on other data", " ".join(notes)), columns, shown))
+        columns, shown, note = text.validation_shown(*tried)
+        sheets.append(sheet_of(("validation", "Validation on other data", note), columns, shown))
     if modes is not None:
         note = "Of the estimated structure, linearised about rest; the shapes stand in modes.csv."
         sheets.append(sheet_of(("modes", "Natural modes", note), _MODES, mode_table(modes).head(text.SENSORS_SHOWN)))

@@ -99,11 +99,15 @@ _SENSORS = {
     "free_run_nmse_percent": Column("free run (%)", 13, _THREE),
     "band_share_percent": Column("in band (%)", 12, percent),
 }
-OF_SENSORS = (
-    "noise: standard deviation found; NMSE: mean square residual over the sensor's variance (0: perfect,",
-    "100: predicts nothing); free run: the same of the estimated system under the measured force;",
-    "in band: share of the sensor's power where it stands out of its noise; more: residuals.csv",
-)
+# What is said, under a table of sensors, of those columns that it has.
+_OF_SENSORS = {
+    "sigma": "noise: standard deviation found",
+    "nmse_percent": "NMSE: mean square residual over the sensor's variance (0: perfect, 100: predicts nothing)",
+    "free_run_nmse_percent": "free run: the same of the estimated system under the measured force",
+    "band_share_percent": "in band: share of the sensor's power where it stands out of its noise",
+    "band_rms": "band: its standard deviation (parameters, start, force, discrepancy as a random force)",
+    "inside_95_percent": "inside: samples within 95 %",
+}
 _VALIDATION = {
     "sensor": Column("validation data", -18),
     "unit": Column("unit", -6),
@@ -137,17 +141,17 @@ def sensors_text(records: Sequence[Sequence[pd.DataFrame]], baseline: str = "") 
             whose NMSE stands beside ours.
         baseline: Its name.
     """
-    columns, shown = sensors_table(records, baseline)
+    columns, shown, note = sensors_shown(records, baseline)
     if shown.empty:
         return ""
-    lines, notes = _sensor_lines(columns, shown, "residuals.csv")
-    return "\n".join([*lines, *notes, *OF_SENSORS])
+    lines, left_out = _sensor_lines(columns, shown, "residuals.csv")
+    return "\n".join([*lines, *left_out, *textwrap.wrap(note, WIDTH)])
 
 
-def sensors_table(
+def sensors_shown(
     records: Sequence[Sequence[pd.DataFrame]], baseline: str = ""
-) -> tuple[dict[str, Column], pd.DataFrame]:
-    """Its columns and rows; arguments as of :func:`sensors_text`."""
+) -> tuple[dict[str, Column], pd.DataFrame, str]:
+    """Its columns and rows, and what they say; arguments as of :func:`sensors_text`."""
     table = pd.concat([ours.assign(record=i) for i, (ours, *_) in enumerate(records, start=1)], ignore_index=True)
     # ``acceleration 3``, ``ground``, ``support 1`` or the name of a sensor that feels something else.
     quantity = table["quantity"].where(~table["quantity"].isin(list(SUPPORT)), "support")
@@ -161,37 +165,45 @@ def sensors_table(
         for theirs in records[0][1:]:  # with the same sensors in the same order
             shown["baseline"] = theirs["nmse_percent"].to_numpy()
             columns["baseline"] = Column(f"{baseline} (%)", len(baseline) + 5, _THREE)
-    return columns, shown
+    columns = _filled(columns, shown)
+    return columns, shown, "; ".join([*_meanings(columns), "more: residuals.csv"])
 
 
 def validation_text(run: ValidationRun, table: pd.DataFrame) -> str:
     """Sensor by sensor how far the identified system is from other data, with the table of its run on them."""
     if run.response is None:
         return f"no validation on other data: {run.finding}"
-    columns, shown, notes = validation_shown(run, table)
+    columns, shown, note = validation_shown(run, table)
     lines, left_out = _sensor_lines(columns, shown, "validation.csv")
-    return "\n".join([*lines, *notes, *left_out])
+    return "\n".join([*lines, *textwrap.wrap(note, WIDTH), *left_out])
 
 
-def validation_shown(run: ValidationRun, table: pd.DataFrame) -> tuple[dict[str, Column], pd.DataFrame, list[str]]:
+def validation_shown(run: ValidationRun, table: pd.DataFrame) -> tuple[dict[str, Column], pd.DataFrame, str]:
     """Columns and rows of the identified system on other data, and what they say; arguments as above."""
     times = f"{run.record.time[run.first]:.6g} to {run.record.time[-1]:.6g} s"
     begins = "at rest" if run.at_rest else "where the estimate ends"
-    notes = [
-        f"the identified system under the measured force, {times}, beginning {begins}; band: its standard",
-        "deviation (parameters, start, force, discrepancy as a random force); inside: samples within 95 %",
-    ]
-    return _VALIDATION, table.assign(sensor=table["quantity"] + " " + table["dof"].astype(str)), notes
+    says = f"the identified system under the measured force, {times}, beginning {begins}"
+    shown = table.assign(sensor=table["quantity"] + " " + table["dof"].astype(str))
+    columns = _filled(_VALIDATION, shown)
+    return columns, shown, "; ".join([says, *_meanings(columns)])
+
+
+def _filled(columns: Mapping[str, Column], table: pd.DataFrame) -> dict[str, Column]:
+    """Those in which anything is known."""
+    return {name: column for name, column in columns.items() if table[name].notna().any()}
+
+
+def _meanings(columns: Mapping[str, Column]) -> list[str]:
+    return [meaning for name, meaning in _OF_SENSORS.items() if name in columns]
 
 
 def _sensor_lines(columns: dict[str, Column], sensors: pd.DataFrame, file: str) -> tuple[list[str], list[str]]:
-    """A table of sensors without columns of nothing but dashes, and a note where sensors are left to the file."""
+    """A table of sensors, and a note where some are left to the file."""
     shown, notes = sensors, []
     if len(sensors) > SENSORS_SHOWN:
         shown = sensors.loc[sensors["nmse_percent"].nlargest(SENSORS_SHOWN).index.sort_values()]
         notes = [f"the {len(shown)} of {len(sensors)} sensors with the largest NMSE; all: {file}"]
-    filled = {name: column for name, column in columns.items() if shown[name].notna().any()}
-    return table_lines(filled, shown), notes
+    return table_lines(columns, shown), notes
 
 
 def parameters_text(table: pd.DataFrame, warnings: Sequence[str] = (), baseline: pd.DataFrame | None = None) -> str:
