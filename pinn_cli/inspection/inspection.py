@@ -11,7 +11,7 @@ import pandas as pd
 from pinn_cli.inspection.modes import ModalRecord
 from pinn_cli.inspection.proposal import Look, Said, proposed_settings
 from pinn_cli.inspection.report import InspectionReport
-from pinn_cli.record.channels import clipped_percent, constant_percent, hum
+from pinn_cli.record.channels import clipped_percent, constant_percent, dropouts, hum
 from pinn_cli.record.cross_spectra import CrossSpectra
 from pinn_cli.record.files.table import told_mark
 from pinn_cli.record.identification.lines import RecordMode
@@ -151,7 +151,7 @@ def inspect_record(
     notes += [
         *_of_sampling(sampling),
         *_of_channels(channels),
-        *_marks(alive),
+        *_marks(alive, sampling),
         *_offsets(alive, sampling),
         *_of_one_dof(spectra),
     ]
@@ -212,10 +212,16 @@ def _of_channels(channels: pd.DataFrame) -> Iterator[str]:
             yield f"{name} is hardly above its noise: {row['snr_db']:.1f} dB{doubt}"
 
 
-def _marks(signals: Sequence[Signal]) -> Iterator[str]:
-    for signal in (signal for signal in signals if not signal.is_input):  # what acts may well be in pulses
+def _marks(signals: Sequence[Signal], sampling: Sampling) -> Iterator[str]:
+    regular = [sampling.on_regular(signal.values) for signal in signals]
+    for i, signal in enumerate(signals):
+        if signal.is_input:  # what acts may well be in pulses
+            continue
         if told := told_mark(signal.values):
             yield f"{signal.name} {told}"
+        elif runs := dropouts(regular[i], regular[:i] + regular[i + 1 :]):
+            samples, first = sum(end - begin for begin, end in runs), sampling.regular[runs[0][0]]
+            yield f"{signal.name} drops out: {samples} samples in {len(runs)} runs rest, first at {first:.4g} s"
 
 
 def _has_offset(signal: Signal) -> bool:

@@ -19,6 +19,10 @@ FINEST_KNOWN = 1e-6
 # Equal samples in a row that noise and a converter's steps do not explain; and samples at an extreme value that may be
 # there by chance.
 CONSTANT_RUN, AT_EXTREME_BY_CHANCE = 8, 2
+# A run of equal samples is a dropout if the signal moves on average by this share of its rms in that time, and some
+# other one has this share of its rms meanwhile: else the structure may be at rest. Levels of a converter so far apart,
+# over the rms, are too coarse to tell.
+DROPOUT_MOTION, OTHERS_MOVE, COARSE = 0.5, 0.2, 0.1
 # Of the mains, Hz. A sine of such a frequency has one phase in all parts of a record, which a mode has by chance alone:
 # the statistic of so many parts is F-distributed, and beyond `STEADY_LINE` once in 10^7 times. It is told from such a
 # part of the channel's power on; and what acts has a line of its own from `FAINT` on.
@@ -67,6 +71,22 @@ def equal_runs(signal: np.ndarray) -> list[tuple[int, int]]:
     edges = np.concatenate([[0], np.flatnonzero(np.diff(signal)) + 1, [len(signal)]])
     long = np.flatnonzero(np.diff(edges) >= CONSTANT_RUN)
     return list(zip(edges[long].tolist(), edges[long + 1].tolist(), strict=True))
+
+
+def dropouts(signal: np.ndarray, others: Sequence[np.ndarray]) -> list[tuple[int, int]]:
+    """The same of the runs in which a signal (N,) rests for longer than it takes to move, while one of others moves."""
+    if np.min(np.diff(np.unique(signal)), initial=np.inf) > COARSE * np.std(signal):  # it rests on each level
+        return []
+    return [
+        (begin, end) for begin, end in equal_runs(signal)
+        if _moves_within(signal, end - begin) and any(np.std(x[begin:end]) > OTHERS_MOVE * np.std(x) for x in others)
+    ]  # fmt: skip
+
+
+def _moves_within(signal: np.ndarray, samples: int) -> bool:
+    """Whether a signal moves, over so many samples, by a good part of its rms."""
+    lag = max(1, min(samples // 2, len(signal) // 2))
+    return bool(np.sqrt(np.mean((signal[lag:] - signal[:-lag]) ** 2)) > DROPOUT_MOTION * np.std(signal))
 
 
 def hum(signal: np.ndarray, step: float, acting: Sequence[np.ndarray]) -> tuple[float, float] | None:

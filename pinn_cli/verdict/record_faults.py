@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.record.channel import Channel
-from pinn_cli.record.channels import channels, equal_runs, hum
+from pinn_cli.record.channels import channels, dropouts, hum
 from pinn_cli.record.files.table import told_mark
 from pinn_cli.record.response import MEASURED_QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import mean_deviation
@@ -24,12 +24,6 @@ CLIPPED_SHARE, CLIPPED_SAMPLES = 0.002, 8
 # A coarse converter puts many samples onto every level; onto the outermost no more than a few times as many as onto
 # the next (a sine wave: 2.4 times).
 CLIPPED_OVER_NEXT = 5
-# A run of equal samples is a dropout if the channel moves on average by this share of its rms in that time.
-DROPOUT_MOTION = 0.5
-# Levels of a converter so far apart, over the rms, are too coarse to tell.
-COARSE = 0.1
-# Share of its rms that some other channel must have meanwhile: else the structure may be at rest.
-OTHERS_MOVE = 0.2
 # An offset, over the channel's rms and over what its lowest frequencies leave open.
 LEAST_OFFSET, DEVIATIONS = 0.05, 10.0
 # The beginning of a record, as a share of it. It is far off where what is left there is so large a part of the signal,
@@ -86,10 +80,7 @@ def _clipped(channel: Channel, record: Record) -> Finding | None:
 
 def _dropped_out(channel: Channel, record: Record) -> Finding | None:
     """Equal samples in a row for longer than the channel takes to move, while something else moves."""
-    x = channel.measured
-    if np.min(np.diff(np.unique(x))) > COARSE * np.std(x):  # levels so far apart that a channel rests on each
-        return None
-    runs = [run for run in equal_runs(x) if _moves_within(x, run[1] - run[0]) and _others_move(channel, record, *run)]
+    runs = dropouts(channel.measured, [c.measured for c in channels(record, MEASURED_QUANTITIES, [channel.name])])
     if not runs:
         return None
     samples = sum(end - begin for begin, end in runs)
@@ -98,17 +89,6 @@ def _dropped_out(channel: Channel, record: Record) -> Finding | None:
         f"the {channel.name} drops out: {samples} samples in {len(runs)} runs do not change, the first at {first:.4g} s"
     )
     return Finding("dropout", channel.name, f"{text}; cut these out with data.start and data.stop, or leave it out")
-
-
-def _moves_within(x: np.ndarray, samples: int) -> bool:
-    """Whether a channel moves, over so many samples, by a good part of its rms."""
-    lag = max(1, min(samples // 2, len(x) // 2))
-    return bool(np.sqrt(np.mean((x[lag:] - x[:-lag]) ** 2)) > DROPOUT_MOTION * np.std(x))
-
-
-def _others_move(channel: Channel, record: Record, begin: int, end: int) -> bool:
-    others = channels(record, MEASURED_QUANTITIES, excused=[channel.name])
-    return any(np.std(c.measured[begin:end]) > OTHERS_MOVE * np.std(c.measured) for c in others)
 
 
 def _off_zero(channel: Channel, record: Record) -> Finding | None:

@@ -51,6 +51,8 @@ _OF_NINES = np.array([
     99999.99, 999999, 999999.9, 9999999,
 ])  # fmt: skip
 _SEVENTH_DIGIT = 5e-8
+# A number that comes so many times as often as any other marks something: levels of a converter are met by turns.
+COMES_AGAIN = 8
 # Cells that are no numbers, and how to write them as such.
 _WRITTEN_AS = (
     (
@@ -243,12 +245,20 @@ class Table:
 
 
 def mark(values: np.ndarray) -> float | None:
-    """Of numbers (N,) one that several are, farther from all others than these are apart; None: there is none."""
+    """Of numbers (N,) one that several are, and that is no measurement by its looks; None: there is none.
+
+    It is farther from all others than these are apart, or it comes again and again where no other number does.
+    """
     there = values[np.isfinite(values)]
     for end in (there.min(initial=np.inf), there.max(initial=-np.inf)):
         others = there[there != end]
         if len(there) - len(others) > 1 and _far_off(np.array([end]), others).all():
             return float(end)
+    comes = there[np.diff(there, prepend=np.nan) != 0.0]  # what rests at a number comes to it once
+    levels, counts = np.unique(comes, return_counts=True)
+    most = int(np.argmax(np.append(counts, 0)))
+    if 0 < most < len(levels) - 1 and counts[most] >= COMES_AGAIN * np.partition(counts, -2)[-2]:
+        return float(levels[most])  # at its ends a sensor is clipped
     return None
 
 
@@ -258,7 +268,9 @@ def told_mark(values: np.ndarray) -> str | None:
     if value is None:
         return None
     count, missing = int(np.sum(values == value)), "name it in data.missing, as the file has it"
-    return f"is {value:.6g} in {count} samples, far from all others: if it marks gaps, {missing}"
+    others = values[np.isfinite(values) & (values != value)]
+    where = "as no other number is" if others.min() < value < others.max() else "far from all others"
+    return f"is {value:.6g} in {count} samples, {where}: if it marks gaps, {missing}"
 
 
 def _missing(values: np.ndarray) -> np.ndarray:

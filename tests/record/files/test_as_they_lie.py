@@ -128,6 +128,17 @@ def test_a_constant_far_from_all_others():
     assert mark(np.full(5, np.nan)) is None
 
 
+def test_a_number_that_comes_again_and_again():
+    values = np.random.default_rng(0).normal(size=400)
+    values[10:60] = 0.0  # at rest
+    assert mark(values) is None
+    assert mark(np.round(values, 1)) is None
+    values[100:400:30] = 0.5
+    assert mark(values) == 0.5
+    values[100:400:30] = values.max()
+    assert mark(values) is None  # clipped
+
+
 @pytest.mark.parametrize(
     ("cells", "read", "told"),
     [
