@@ -48,8 +48,8 @@ BANDS, COLOURED, COLOURED_SHARE = 24, 5.0, 0.005
 # Effective parameters over samples of all channels: from here on they are copied rather than estimated.
 COPIED = 0.9
 NOT_CONVERGED = "iteration limit"
-# A loss that falls by this part in an eighth of a stage of training has some way to go.
-STILL_FALLS = 0.05
+# A loss that falls by this part in an eighth of a stage of training has some way to go; rows that tell of it.
+STILL_FALLS, FEWEST_ROWS = 0.05, 6
 
 
 def sensor_findings(problem: Problem, estimate: Estimate, prediction: Prediction | None) -> list[Finding]:
@@ -252,16 +252,20 @@ def _unfinished(estimate: Estimate) -> list[Finding]:
         fall = _fall(estimate.history)
         if fall < STILL_FALLS:
             return []
-        text += f" while its loss was falling, by {fall:.0%} in its last eighth"
+        text += "" if np.isnan(fall) else f" while its loss was falling, by {fall:.0%} in its last eighth"
     return [Finding("not_converged", "training", f"{text}; raise training.iterations")]
 
 
 def _fall(history: pd.DataFrame) -> float:
-    """By which part a loss fell between the last two eighths of the rows that have its last weights; 0 of few rows."""
+    """By which part a loss falls in an eighth of the rows that have its last weights, as its last quarters have it.
+
+    NaN where there are too few rows to tell.
+    """
     losses = (str(name).removeprefix("loss_") for name in history)
     names = [name for name in losses if f"weight_{name}" in history]
     terms, weights = (history[[f"{kind}_{name}" for name in names]].to_numpy() for kind in ("loss", "weight"))
     loss = np.nansum(terms * weights, axis=1)[(weights == weights[-1:]).all(axis=1)]
-    eighth = -(-len(loss) // 8)
-    before, after = loss[-2 * eighth : -eighth], loss[-eighth:]
-    return 1.0 - float(np.median(after) / np.median(before)) if len(before) and np.all(before > 0.0) else 0.0
+    quarter = -(-len(loss) // 4)
+    if len(loss) < FEWEST_ROWS or not (loss > 0.0).all():
+        return np.nan
+    return 1.0 - float(np.median(loss[-quarter:]) / np.median(loss[-2 * quarter : -quarter])) ** 0.5

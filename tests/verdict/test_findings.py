@@ -114,6 +114,8 @@ def test_a_training_that_did_not_converge(right_estimate):
         found = noise_findings(problem, replace(without, history=history))
         assert kinds(found) == ([("not_converged", "training")] if still else [])
         assert all("its loss was falling" in finding.text for finding in found)
+    few = noise_findings(problem, replace(without, history=history.tail(3)))
+    assert kinds(few) == [("not_converged", "training")]  # three rows do not say that it has settled
 
 
 @pytest.mark.parametrize(("start", "word"), [(0.2, "questionable"), (1.5e7, "failed")])
