@@ -155,7 +155,7 @@ def inspect_record(
         *_offsets(alive, sampling),
         *_of_one_dof(spectra),
     ]
-    notes += [*_machines(modal.identified.machines), *_hums(alive, sampling)]
+    notes += [*modal.remarks, *_hums(alive, sampling)]
     notes += [*_opposed(spectra, peaks), *_against_the_ground(spectra, peaks)]
     look = Look(
         signals, sampling, highest, len(peaks), frequencies is not None, bool(guesses),
@@ -245,12 +245,6 @@ def _offsets(signals: Sequence[Signal], sampling: Sampling) -> Iterator[str]:
                 f"the mean of {signal.name} is {mean:.3g}, {abs(mean) / rms:.0%} of its rms: integrated over the record"
                 f" it is a velocity of {drift:.3g} that nobody had"
             )
-
-
-def _machines(frequencies: Sequence[float]) -> Iterator[str]:
-    if frequencies:
-        named = ", ".join(f"{frequency:.4g}" for frequency in frequencies)
-        yield f"steady lines at {named} Hz, as of machines or of mains: no modes"
 
 
 def _hums(signals: Sequence[Signal], sampling: Sampling) -> Iterator[str]:

@@ -212,11 +212,7 @@ def _of_record(record: ModalRecord) -> list[str]:
     acts = f"what acts: {acting}" if acting else "what acts was not measured: random forces are assumed"
     taken = f"{len(sampling.time)} samples at {sampling.rate:.6g} Hz, {sampling.duration:.6g} s"
     lines = [f"{taken}; sensors: {len(record.sensors)}", *textwrap.wrap(acts, 100)]
-    machines = record.identified.machines
-    if machines:
-        named = ", ".join(number(f, 4) for f in machines)
-        lines += marked_lines(f"steady lines at {named} Hz, as of machines or of mains: no modes.")
-    return lines
+    return [*lines, *(line for remark in record.remarks for line in marked_lines(f"{remark}."))]
 
 
 def _frequencies(table: pd.DataFrame) -> list[str]:

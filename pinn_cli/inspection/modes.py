@@ -20,6 +20,8 @@ from pinn_cli.settings.errors import InputError
 PEAK_WIDTHS, PEAK_LINES = 2.0, 2.0
 # Shapes at fewer common sensors say nothing of two modes.
 FEWEST_SENSORS = 2
+# So many frequencies are listed in a sentence.
+MOST_LISTED = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +71,19 @@ class ModalRecord:
     def modes(self) -> Sequence[RecordMode]:
         """By frequency."""
         return self.identified.modes
+
+    @property
+    def remarks(self) -> list[str]:
+        """What steady lines there are: of machines, and of what acts."""
+        machines = self.identified.machines
+        says = [f"steady lines at {_listed(machines)} Hz, as of machines or of mains: no modes"] if machines else []
+        for signal, tones in zip(self.acting, self.identified.tones, strict=True):
+            if len(tones):
+                says.append(
+                    f"{signal.name} acts at {len(tones)} frequencies alone ({_listed(tones)} Hz): modes show where"
+                    " several of them lie within a resonance; a structure whose DOFs are given is found by all of them"
+                )
+        return says
 
     @property
     def names(self) -> list[str]:
@@ -146,6 +161,11 @@ class ModalRecord:
         if values[top, 0] < max(values[top - 1, 0], values[top + 1, 0]):
             return np.nan, np.nan
         return float(f[top]), alike(vectors[top, :, 0], mode.shape)
+
+
+def _listed(frequencies: Sequence[float] | np.ndarray) -> str:
+    shown = [f"{frequency:.4g}" for frequency in frequencies]
+    return ", ".join(shown if len(shown) <= MOST_LISTED else [*shown[:4], "...", shown[-1]])
 
 
 def alike(first: np.ndarray, second: np.ndarray) -> float:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from pinn_cli.system.priors import HALF_WIDTH_90
 HALF_WIDTHS, WIDEST = 10.0, 0.3
 # Groups of lines that tell how uncertain a mode is.
 GROUPS = 30
+# Under Hann's window a tone stands so many times above the median of so many lines to either side, and has this part of
+# all power at least; an input acts at tones alone where they have this part together. Below this line there are drifts.
+TONE, AROUND_TONE, LEAST_TONE, OF_TONES, LOWEST_TONE = 30.0, 10, 1e-4, 0.9, 4
 # What is added to the factor on a variance where a half-power width has one line: measured, see `widened`.
 FEW_LINES = 2.0
 
@@ -26,6 +30,7 @@ class Lines:
         inputs: (B, F), what acts.
         step: From sample to sample, s.
         samples: N.
+        tones: Frequencies (T,) at which an input acts alone, Hz, one array each; empty of one that fills a band.
     """
 
     frequency: np.ndarray
@@ -33,6 +38,7 @@ class Lines:
     inputs: np.ndarray
     step: float
     samples: int
+    tones: Sequence[np.ndarray]
 
     @classmethod
     def of(cls, outputs: np.ndarray, inputs: np.ndarray, step: float) -> Lines:
@@ -41,7 +47,8 @@ class Lines:
 
         n = len(outputs)
         y, u = (rfft(x - x.mean(axis=0), axis=0) / np.sqrt(n) for x in (outputs, inputs))
-        return cls(rfftfreq(n, step), y, u, step, n)
+        f = rfftfreq(n, step)
+        return cls(f, y, u, step, n, [_tones(f, column) for column in u.T])
 
     @property
     def duration(self) -> float:
@@ -56,7 +63,29 @@ class Lines:
         last = int((pole.frequency + half) * self.duration)
         last = min(max(last, first + fewest), int(0.98 * len(self.frequency)))
         within = slice(max(1, min(first, last - fewest)), last)
-        return Lines(self.frequency[within], self.outputs[within], self.inputs[within], self.step, self.samples)
+        f, y, u = (lines[within] for lines in (self.frequency, self.outputs, self.inputs))
+        return replace(self, frequency=f, outputs=y, inputs=u)
+
+    @property
+    def filled(self) -> float:
+        """How many lines the weakest input's power fills; of tones these count, however they leak."""
+        power, f = np.abs(self.inputs) ** 2, self.frequency
+        within = [np.sum((at >= f[0]) & (at <= f[-1])) for at in self.tones]
+        filled = power.sum(axis=0) ** 2 / np.maximum(np.sum(power**2, axis=0), 1e-300)
+        return float(min([*filled, *(count for count in within if count)]))
+
+
+def _tones(frequency: np.ndarray, lines: np.ndarray) -> np.ndarray:
+    """(T,), see :class:`Lines`, of an input's lines (B,) from 0 on."""
+    from scipy.ndimage import median_filter
+
+    power = np.abs(lines[1:-1] - 0.5 * (lines[:-2] + lines[2:])) ** 2
+    power, frequency = power[LOWEST_TONE:], frequency[1 + LOWEST_TONE : -1]
+    at = np.flatnonzero(power > TONE * median_filter(power, 2 * AROUND_TONE + 1))
+    groups = [group for group in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(group)]
+    tones = [(np.average(frequency[group], weights=power[group]), power[group].sum()) for group in groups]
+    few = power[at].sum() > OF_TONES * power.sum()
+    return np.array([f for f, of_tone in tones if few and of_tone > LEAST_TONE * power.sum()])
 
 
 @dataclass(frozen=True)

@@ -36,11 +36,13 @@ class Identified:
         modes: By frequency.
         machines: Frequencies of steady lines that look like modes, Hz.
         stabilisation: All poles.
+        tones: Of every input, see :class:`pinn_cli.record.identification.lines.Lines`.
     """
 
     modes: Sequence[RecordMode]
     machines: Sequence[float]
     stabilisation: Stabilisation
+    tones: Sequence[np.ndarray]
 
 
 def identify(outputs: np.ndarray, inputs: np.ndarray, step: float) -> Identified:
@@ -83,7 +85,7 @@ def identify(outputs: np.ndarray, inputs: np.ndarray, step: float) -> Identified
         if fitted is not None and _holds(fitted, pole, lines):
             modes.append(fitted)
     modes.sort(key=lambda mode: mode.frequency)
-    return Identified(modes, sorted(pole.frequency for pole in lone), poles)
+    return Identified(modes, sorted(pole.frequency for pole in lone), poles, lines.tones)
 
 
 def _levelled(values: np.ndarray) -> np.ndarray:

@@ -37,7 +37,7 @@ class ResponseFit:
         columns = (2 + DEGREE) * (lines.inputs.shape[1] + 1)
         band = lines.around(pole, int(LINES_OF_COLUMN * columns))
         while (
-            _lines_of_power(band.inputs) < (2 + DEGREE) + MORE_LINES
+            band.filled < (2 + DEGREE) + MORE_LINES
             and band.frequency[-1] - band.frequency[0] < 0.5 * pole.frequency
             and len(band.frequency) < len(lines.frequency) // 2
         ):
@@ -62,7 +62,7 @@ class ResponseFit:
     def determined(self) -> bool:
         """Whether there are lines enough, of the inputs too."""
         columns = len(self.neighbours) + 2 + DEGREE
-        return len(self.y) > columns * (self.u.shape[1] + 1) + 8 and _lines_of_power(self.u) >= columns + MORE_LINES - 1
+        return len(self.y) > columns * (self.u.shape[1] + 1) + 8 and self.band.filled >= columns + MORE_LINES - 1
 
     def _resonances(self, poles: Sequence[Pole]) -> np.ndarray:
         """(L, K)."""
@@ -170,12 +170,6 @@ class ResponseFit:
         part = float(np.max(power / np.maximum(power + other, 1e-300)))
         covariance = widened(covariance[:2, :2], poles[0], self.band.duration, WIDENED_RESPONSE)
         return RecordMode(poles[0].frequency, poles[0].damping, covariance, shape, noise, part)
-
-
-def _lines_of_power(inputs: np.ndarray) -> float:
-    """How many lines the weakest input's power fills."""
-    power = np.abs(inputs) ** 2
-    return float(np.min(power.sum(axis=0) ** 2 / np.maximum(np.sum(power**2, axis=0), 1e-300)))
 
 
 def _residual(basis: np.ndarray, y: np.ndarray) -> np.ndarray:

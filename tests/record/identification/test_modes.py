@@ -195,3 +195,16 @@ def test_slopes_of_a_pole():
     pole = Pole(2.0, 0.05)
     by = 1e-6 * np.eye(2)
     np.testing.assert_allclose([(pole.moved(x).at - pole.moved(-x).at) / 2e-6 for x in by], pole.slopes, rtol=1e-6)
+
+
+def test_tones_are_told_from_what_fills_a_band():
+    random, at = np.random.default_rng(0), 0.97 * np.arange(1, 13)
+    t = np.arange(6000) / 50.0
+    played = np.cos(2.0 * np.pi * at * t[:, None] + random.uniform(0.0, 6.0, 12)).sum(axis=1) + 0.02 * random.normal(
+        size=6000
+    )
+    inputs = np.stack((played, random.normal(size=6000), (t > 3.0) * np.exp(-20.0 * np.abs(t - 3.0))), axis=1)
+    lines = Lines.of(inputs[:, :0], inputs, 0.02)
+    np.testing.assert_allclose(lines.tones[0], at, atol=0.005)
+    assert [len(tones) for tones in lines.tones[1:]] == [0, 0]
+    assert lines.around(Pole(5.0, 0.3), 10).filled == 3.0  # of 0.97 Hz, between 3.5 and 6.5, however they leak
