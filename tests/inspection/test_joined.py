@@ -37,7 +37,7 @@ def shown(
         modes.append(RecordMode(f * off[0], 0.01 * off[1], np.diag(std**2), seen, noise, 0.9))
     sensors = [Signal(f"a{p}", TIME, "acceleration", str(p)) for p in places]
     still = np.zeros((400, 1))
-    return ModalRecord(sensors, [], Sampling(TIME), Identified(modes, [], stabilisation(still, still[:, :0], 0.02)))
+    return ModalRecord(sensors, [], Sampling(TIME), Identified(modes, [], stabilisation(still, still[:, :0], 0.02), []))
 
 
 def test_shapes_of_all_places():

@@ -70,7 +70,7 @@ def test_what_is_written_of_forced_records(make, tmp_path):
 
 def test_machines_are_named():
     text = ModesReport([recorded(of_building_with_machines(1))], None).text()
-    assert "steady lines at 1.000, 2.000, 4.100, 7.300, " in text
+    assert "steady lines at 1, 2, 4.1, 7.3, " in text
 
 
 def test_the_command(pinn_run, tmp_path):
