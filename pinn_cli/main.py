@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 
 from pinn_cli import LOADED
 from pinn_cli.cli.command_line import execute
-from pinn_cli.cli.job import Job, Start, find_modes, inspect, results_of, run_job, shown
+from pinn_cli.cli.job import Job, Start, compare_structures, find_modes, inspect, results_of, run_job, shown
 from pinn_cli.cli.terminal import Terminal
 from pinn_cli.runs.claim import current
 from pinn_cli.runs.process import is_borrowed, keep_imported
@@ -58,7 +58,8 @@ def run(
 
 def main() -> None:
     """The command: exits with the status listed in `pinn_cli.cli.command_line`."""
-    sys.exit(execute(partial(run, began=LOADED), inspect, partial(run, began=LOADED, follows=True), find_modes))
+    start = partial(run, began=LOADED)
+    sys.exit(execute(start, inspect, partial(start, follows=True), find_modes, compare_structures))
 
 
 if __name__ == "__main__":

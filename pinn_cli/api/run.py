@@ -1,4 +1,4 @@
-"""`run`, `inspect` and `modes`: what the command does, in this process, with values for results and exceptions.
+"""`run`, `inspect`, `modes`, `population`: what the command does, in this process, with values and exceptions.
 
 What a run sets in its process (:mod:`pinn_cli.runs.process`) is afterwards as it was.
 """
@@ -23,7 +23,7 @@ from omegaconf import DictConfig
 from pinn_cli.api.data import settings_of
 from pinn_cli.api.results import Result, SweepResult, load
 from pinn_cli.cli.command_line import REPORTED, WITHOUT_LOGS, Jobs, Task, perform
-from pinn_cli.cli.inspecting import inspected_record, modes_of_records
+from pinn_cli.cli.inspecting import inspected_record, modes_of_records, population_of_runs
 from pinn_cli.cli.job import Report, leave, look
 from pinn_cli.cli.options import settings_of_files
 from pinn_cli.cli.terminal import SILENCE
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from pinn_cli.inspection.mode_report import ModesReport
     from pinn_cli.inspection.proposal import Said
     from pinn_cli.inspection.report import InspectionReport
+    from pinn_cli.sweep.population import PopulationReport
 
 # A second thread waits.
 ONE_AT_A_TIME = threading.Lock()
@@ -229,6 +230,24 @@ def modes(
         WriteError: The disk does not take what is written.
     """
     return _looked(modes_of_records, "modes", data, overrides, directory, config_dir)
+
+
+def population(*runs: str | os.PathLike[str], directory: str | os.PathLike[str] | None = None) -> PopulationReport:
+    """Similar structures together, as ``pinn-run population`` has them.
+
+    Args:
+        *runs: Directories of finished runs, one for each structure, or of sweeps.
+        directory: Where tables and figures are written; None: nothing is.
+
+    Returns:
+        ``structures`` and ``mean`` (pandas), and ``figure()``.
+
+    Raises:
+        InputError: They are no finished runs, fewer than three can be used, or they have no parameters in common.
+        WriteError: The disk does not take what is written.
+    """
+    places = [os.fspath(Path(run).expanduser().absolute()) for run in runs]
+    return _looked(population_of_runs, "population", None, places, directory, None)
 
 
 def _looked(

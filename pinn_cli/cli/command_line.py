@@ -157,7 +157,13 @@ def _explained(error: Exception) -> Exception:
     return InputError("overrides", given, allowed, str(error).partition("\n")[0]).with_traceback(error.__traceback__)
 
 
-def execute(task: Task, look: Task | None = None, follow: Task | None = None, find: Task | None = None) -> int:
+def execute(
+    task: Task,
+    look: Task | None = None,
+    follow: Task | None = None,
+    find: Task | None = None,
+    compare: Task | None = None,
+) -> int:
     """Run a task under the command line that the process was started with.
 
     Args:
@@ -165,13 +171,15 @@ def execute(task: Task, look: Task | None = None, follow: Task | None = None, fi
         look: The same, where the command line says `inspect`.
         follow: The same, where it says `follow`.
         find: The same, where it says `modes`.
+        compare: The same, where it says `population`.
 
     Returns:
         The exit status, as listed at the top of this file.
     """
     jobs = Jobs(task, Terminal(), full_error=os.environ.get("HYDRA_FULL_ERROR") == "1")
     try:
-        tasks = {"inspect": look or task, "follow": follow or task, "modes": find or task}
+        given = {"inspect": look, "follow": follow, "modes": find, "population": compare}
+        tasks = {word: of_word or task for word, of_word in given.items()}
         perform(jobs, watched(in_time=True), tasks)
     except KeyboardInterrupt as stop:
         jobs.terminal.complain(f"interrupted{f'; {jobs.hint}' if jobs.hint else ''}")

@@ -34,7 +34,7 @@ DEEPEST = 50
 _BEFORE = """\
 pinn-run: the response of a structural chain where there is no sensor, its parameters, and how far to trust both
 
-usage: pinn-run [inspect FILE | modes FILE | follow] [GROUP=OPTION ...] [SETTING=VALUE ...]
+usage: pinn-run [inspect FILE | modes FILE | follow | population RUN ...] [GROUP=OPTION ...] [SETTING=VALUE ...]
 
 Examples
   pinn-run                                             6-DOF Duffing chain, sensors on DOFs 1 and 2, SNR 50 dB
@@ -48,6 +48,8 @@ Examples
     (docs/how-to/modes.md)
   pinn-run follow data=csv data.path=rig.csv data.window=60 ...    a record that is still being measured
     (docs/how-to/follow.md)
+  pinn-run population outputs/sweeps/SWEEP             runs of similar structures together: what is usual, and what not
+    (docs/how-to/population.md)
   pinn-run baseline=kalman_smoother                    the same problem by a Kalman smoother, in the same tables
   pinn-run --multirun noise.snr_db=50,20,10 'seed=range(10)'    a sweep; the same command again goes on with it
   pinn-run --multirun hydra/launcher=joblib 'seed=range(10)'    on all cores; pinn-run collect=SWEEP: what there is so

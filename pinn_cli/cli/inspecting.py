@@ -1,4 +1,4 @@
-"""`pinn-run inspect FILE` and `modes FILE`: from the configuration to the columns, and to what they show."""
+"""`pinn-run inspect FILE`, `modes FILE`, `population RUN ...`: from the configuration to what records or runs show."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from pinn_cli.record.data_channels import DataChannel
     from pinn_cli.record.files.file_format import FileFormat
     from pinn_cli.record.signal import Signal
+    from pinn_cli.sweep.population import PopulationReport
     from pinn_cli.system.modes import NaturalModes
 
 # Settings of which one at least describes a structure.
@@ -146,6 +147,17 @@ def modes_of_records(config: DictConfig, base: Path, said: Said) -> ModesReport:
         with of_record(number, len(looked_at)):
             records.append(ModalRecord.of(record.signals, record.time))
     return ModesReport(records, looked_at[0].modes)
+
+
+def population_of_runs(config: DictConfig, base: Path, said: Said) -> PopulationReport:
+    """The structures of the finished runs that a composed configuration names as models.
+
+    Raises:
+        InputError: They are no such runs, too few, or have no parameters in common.
+    """
+    from pinn_cli.sweep.population import PopulationReport
+
+    return PopulationReport.of(list(config.model or ()), base)
 
 
 def _by_file(data: DictConfig, files: FileFormat, base: Path) -> list[DictConfig]:

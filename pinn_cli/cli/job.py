@@ -14,7 +14,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from pinn_cli.cli.config import RunConfig
-from pinn_cli.cli.inspecting import inspected_record, modes_of_records
+from pinn_cli.cli.inspecting import inspected_record, modes_of_records, population_of_runs
 from pinn_cli.cli.prepare import check_records, prepare_problem, prepare_windows
 from pinn_cli.cli.terminal import SILENCE, Terminal
 from pinn_cli.runs import resume
@@ -262,6 +262,11 @@ def inspect(composed: DictConfig, terminal: Terminal | None = None) -> None:
 def find_modes(composed: DictConfig, terminal: Terminal | None = None) -> None:
     """Modes that records show by themselves: tables and a stabilisation diagram."""
     _look_and_tell(composed, modes_of_records, terminal or Terminal())
+
+
+def compare_structures(composed: DictConfig, terminal: Terminal | None = None) -> None:
+    """Similar structures, of which there are finished runs, as a population: tables and a figure."""
+    _look_and_tell(composed, population_of_runs, terminal or Terminal())
 
 
 def _look_and_tell(composed: DictConfig, at: Callable[[DictConfig, Path, Said], LookReport], to: Terminal) -> None:

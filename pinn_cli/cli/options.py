@@ -1,4 +1,4 @@
-"""The options of `pinn-run`, which begin with a dash, and its subcommands, `inspect`, `modes` and `follow`.
+"""The options of `pinn-run`, which begin with a dash, and its subcommands: `inspect`, `modes`, `follow`, `population`.
 
 They are read before Hydra reads them: a slip is told in one line. `--config my.yaml` has the settings of one command in
 a file, as overrides before those that are typed.
@@ -50,6 +50,7 @@ _GO_ILL = {
     "inspect": (("resume", "collect", "model"), "one record is looked at at a time"),
     "modes": (("resume", "collect", "model"), "modes are those that records show by themselves"),
     "follow": (("resume", "collect"), "one record is followed at a time; the same command goes on where it was"),
+    "population": (("resume", "collect", "model", "data"), "runs are named by their directories"),
 }
 SUBCOMMANDS = tuple(_GO_ILL)
 # Of a followed record the same at every start, so that the same command goes on.
@@ -115,6 +116,11 @@ def _take_out(options: Namespace, word: str) -> None:
             raise InputError(setting_of(override), override.partition("=")[2], f"left out with {word}", hint)
     options.overrides.remove(word)
     files = [name for name in options.overrides if "=" not in name and not name.startswith("~")]
+    if word == "population":  # `population A B` is `model=[A,B]`; directories of a sweep's jobs have equals signs
+        files = [name for name in options.overrides if name in files or Path(name).is_dir()]
+        others = [override for override in options.overrides if override not in files]
+        named = [] if any(setting_of(override) == "case" for override in others) else ["case=population"]
+        options.overrides = [*named, f"model={written(files)}", *others]
     if word in ("inspect", "modes") and files:  # `inspect rig.csv` is `data=csv data.path=rig.csv`
         others = [override for override in options.overrides if override not in files]
         options.overrides = [*settings_of_files(files, others), *others]

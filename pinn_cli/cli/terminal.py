@@ -14,7 +14,10 @@ from pinn_cli.runs.reading import printable
 
 # Of run.json, what a script asks for; and tables, by the name that they have in the object.
 _OF_RUN = ("verdict", "reasons")
-_TABLES = {"parameters": "parameters.csv", "modes": "modes.csv", "channels": "inspect.csv", "peaks": "peaks.csv"}
+_TABLES = {
+    "parameters": "parameters.csv", "modes": "modes.csv", "channels": "inspect.csv", "peaks": "peaks.csv",
+    "population": "population.csv", "population_mean": "population_mean.csv",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

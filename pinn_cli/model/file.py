@@ -87,14 +87,24 @@ def write_model(model: Model, directory: Path) -> Path:
 
 
 def read_model(given: Any, base: Path | None = None) -> Model:
-    """The model of a finished run.
+    """The model of a finished run, whose verdict is not that it failed; arguments and errors as of `finished_model`."""
+    model = finished_model(given, base)
+    if model.verdict == "failed":
+        hint = f"the verdict on that run is failed: {model.reason}"
+        raise InputError(MODEL_SETTING, given, "a run whose verdict is not failed", hint)
+    return model
+
+
+def finished_model(given: Any, base: Path | None = None, without: tuple[str, ...] = ()) -> Model:
+    """The model of a finished run, whatever its verdict.
 
     Args:
         given: Its directory, as a user names it.
         base: The folder that a relative path starts from; None: the current one.
+        without: See :func:`stored_model`.
 
     Raises:
-        InputError: There is no such run, it has not finished, its verdict is that it failed, or its file is damaged.
+        InputError: There is no such run, it has not finished, or its file is damaged.
     """
     if not isinstance(given, str) or not given:
         raise InputError(MODEL_SETTING, given, MODELS_ALLOWED)
@@ -112,24 +122,24 @@ def read_model(given: Any, base: Path | None = None) -> Model:
             MODEL_SETTING, given, MODELS_ALLOWED, f"it has no {NAME}: it is a prediction, or of an earlier release"
         )
     try:
-        model = stored_model(directory)
+        return stored_model(directory, without)
     except DamagedError as error:
         raise InputError(MODEL_SETTING, given, MODELS_ALLOWED, f"{error}") from error
-    if model.verdict == "failed":
-        hint = f"the verdict on that run is failed: {model.reason}"
-        raise InputError(MODEL_SETTING, given, "a run whose verdict is not failed", hint)
-    return model
 
 
-def stored_model(directory: Path) -> Model:
+def stored_model(directory: Path, without: tuple[str, ...] = ()) -> Model:
     """What lies in a directory as ``model.npz``, whatever else does.
+
+    Args:
+        directory: Of the run.
+        without: Of ``end_``, ``misfit_`` and ``draws`` those that are left unread, and are None.
 
     Raises:
         InputError: A later release wrote it.
         DamagedError: It is not as it was written.
     """
     file = directory / NAME
-    arrays = read_arrays(file)
+    arrays = read_arrays(file, without)
     try:
         words = json.loads(bytes(arrays.pop("content")).decode())
         check_layout({NUMBER: words.get("version", 1)} | words, MODEL_FORMAT, file, oldest=MODEL_FORMAT)

@@ -161,8 +161,12 @@ def read_table(file: Path, numbers: Sequence[str] = (), texts: Sequence[str] = (
     return table
 
 
-def read_arrays(file: Path) -> dict[str, np.ndarray]:
+def read_arrays(file: Path, without: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
     """Arrays by name, of an archive as `numpy.savez` writes it: numbers and texts, nothing that is executed.
+
+    Args:
+        file: To be read.
+        without: How names begin whose arrays are left unread.
 
     Raises:
         DamagedError: It is no such file, or unfolds to more than any of ours does.
@@ -175,7 +179,7 @@ def read_arrays(file: Path) -> dict[str, np.ndarray]:
             if sum(member.file_size for member in archive.infolist()) > MOST_UNFOLDED:
                 raise ValueError("it is larger than any of ours")
         with np.load(file, allow_pickle=False) as content:
-            return dict(content)
+            return {name: content[name] for name in content.files if not name.startswith(without)}
     except Exception as error:  # of archives and arrays that may be anything
         raise DamagedError(
             file, str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
