@@ -15,17 +15,20 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from pinn_cli.model.knowledge import ParameterKnowledge
+from pinn_cli.system.priors import HALF_WIDTH_90
 
 # With fewer the spread may be anything.
 FEWEST = 3
+# Chance that any structure of a population without an outlier is one.
+RARE_OUTLIER = 0.01
 # Spreads that are tried: first all that can be, then those about the probable ones. Rounds over the parameters.
-COARSE, FINE, ROUNDS = 120, 60, 4
+SPREADS_TRIED, SPREADS_REFINED, POPULATION_ROUNDS = 120, 60, 4
 # The least one, of the smallest standard deviation, which no record tells from none; the largest, of what is believed.
-LEAST_SPREAD, LARGEST_SPREAD = 0.03, 30.0
+LEAST_TRIED, LARGEST_TRIED = 0.03, 30.0
 # Probability that may lie beyond the finer grid. It begins so many times lower: without an outlier the spread is less.
-BEYOND, WITHOUT_OUTLIER = 1e-3, 5.0
+OUTSIDE_GRID, WITHOUT_OUTLIER = 1e-3, 5.0
 # Halvings to a quantile, from a range of so many standard deviations.
-HALVINGS, REACH = 50, 8.0
+QUANTILE_HALVINGS, QUANTILE_REACH = 50, 8.0
 
 
 class Information(NamedTuple):
@@ -113,9 +116,10 @@ class Population:
         lower: (p,), least values of the parameters; -inf without one.
 
     Attributes:
-        alone, alone_std: (n, p), by the record of each alone.
-        structures: With those of all others.
-        off: (n, p), standard deviations from what the others let expect; large ones are outliers.
+        alone, alone_std: (n, p), as the run of each has it.
+        structures: With the records of all others; of one with an outlier as its run has it.
+        off: (n, p), standard deviations from what the others let expect.
+        outlier: (n, p), where that is rare. Such a structure is none of the population and tells nothing of the others.
         mean: mu.
         another: A structure that has not been measured.
         spread: tau; its interval is the shortest one, and begins at zero where the structures may be equal.
@@ -124,19 +128,37 @@ class Population:
     def __init__(self, known: Sequence[ParameterKnowledge], lower: np.ndarray) -> None:
         self._units = Units.of(known)
         parts = [self._units.information(each) for each in known]
-        self._says = Information(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+        self._alone = Information(*(np.concatenate(part) for part in zip(*parts, strict=True)))
         self._lower = (lower - self._units.center) / self._units.width
         within = [each.within(lower) for each in known]
         self.alone = np.array([mean for mean, _ in within])
         self.alone_std = np.array([np.sqrt(np.diag(covariance)) for _, covariance in within])
-        spread = np.ones(len(lower))  # nothing is known of the others at first
-        for _ in range(ROUNDS):
-            for j in range(len(lower)):
+        aside = np.zeros(len(known), bool)
+        while True:
+            structures, self.off = self._fit(aside)
+            self.outlier = np.abs(self.off) > -ndtri(RARE_OUTLIER / 2.0 / self.off.size)
+            found = aside | self.outlier.any(axis=1)
+            if (found == aside).all() or (~found).sum() < FEWEST:
+                break
+            aside = found
+        reach = HALF_WIDTH_90 * self.alone_std
+        alone = (self.alone, self.alone_std, np.maximum(self.alone - reach, lower), self.alone + reach)
+        as_told = zip(alone, structures, strict=True)
+        self.structures = Quantities(*(np.where(aside[:, None], own, of_all) for own, of_all in as_told))
+
+    def _fit(self, aside: np.ndarray) -> tuple[Quantities, np.ndarray]:
+        """Mean and spread by all but those set aside (n,); returned are all structures, and how far off they are."""
+        count = self.alone.shape[1]
+        self._says = Information(*(np.where(aside.reshape(-1, *[1] * (x.ndim - 1)), 0.0, x) for x in self._alone))
+        spread = np.ones(count)  # nothing is known of the others at first
+        for _ in range(POPULATION_ROUNDS):
+            for j in range(count):
                 spread[j] = self._spread(j, spread).quantile(0.5)
-        by_parameter = [self._of_parameter(j, self._spread(j, spread)) for j in range(len(lower))]
+        by_parameter = [self._of_parameter(j, self._spread(j, spread)) for j in range(count)]
         structures, mean, another, tau, off = (np.stack(part, axis=-1) for part in zip(*by_parameter, strict=True))
-        self.structures, self.mean, self.another = (self._in_units(part) for part in (structures, mean, another))
-        self.spread, self.off = Quantities(*(self._units.width * tau)), off
+        self.mean, self.another = self._in_units(mean), self._in_units(another)
+        self.spread = Quantities(*(self._units.width * tau))
+        return self._in_units(structures), off
 
     def _in_units(self, values: np.ndarray) -> Quantities:
         center, width = self._units.center, self._units.width
@@ -145,10 +167,10 @@ class Population:
     def _spread(self, j: int, spread: np.ndarray) -> Spread:
         """What all say of one parameter's spread, those of the others (p,) being as they are."""
         base = self._says.loosened(np.where(np.arange(len(spread)) == j, 0.0, spread))
-        smallest = self._says.precision[:, j, j].max() ** -0.5
-        coarse = Spread(j, base, np.geomspace(min(LEAST_SPREAD * smallest, 1.0), LARGEST_SPREAD, COARSE))
-        first, last = coarse.quantile(BEYOND), coarse.quantile(1.0 - BEYOND)
-        return Spread(j, base, np.geomspace(max(first / WITHOUT_OUTLIER, coarse.tau[0]), last, FINE))
+        smallest = max(self._says.precision[:, j, j].max(), 1.0) ** -0.5
+        coarse = Spread(j, base, np.geomspace(LEAST_TRIED * smallest, LARGEST_TRIED, SPREADS_TRIED))
+        first, last = coarse.quantile(OUTSIDE_GRID), coarse.quantile(1.0 - OUTSIDE_GRID)
+        return Spread(j, base, np.geomspace(max(first / WITHOUT_OUTLIER, coarse.tau[0]), last, SPREADS_REFINED))
 
     def _of_parameter(self, j: int, spread: Spread) -> tuple[np.ndarray, ...]:
         """Rows of `Quantities` of the structures (4, n), of mu, of another one, of the spread (4,); and off (n,)."""
@@ -158,9 +180,9 @@ class Population:
         std = np.sqrt(spread.covariance[:, None, j, j])
         of_mean = mixture(mass, mean, std, least)
         another = mixture(mass, mean, np.hypot(std, spread.tau[:, None]), least)
-        weak = self._says.precision + np.eye(len(self._lower))  # of a record that says nothing, what is believed
-        covariance = np.linalg.inv(weak)
-        found, variance = _times(covariance, self._says.shift)[:, j], covariance[:, j, j]
+        # Of a record that says nothing, what is believed.
+        covariance = np.linalg.inv(self._alone.precision + np.eye(len(self._lower)))
+        found, variance = _times(covariance, self._alone.shift)[:, j], covariance[:, j, j]
         away = spread.without_each(found, variance)
         return structures, of_mean[:, 0], another[:, 0], spread.shortest(), away
 
@@ -266,8 +288,8 @@ def mixture(mass: np.ndarray, mean: np.ndarray, std: np.ndarray, least: float) -
     probability = cut + np.array([[0.5], [0.05], [0.95]]) * (1.0 - cut)
     quantiles = []
     for wanted in probability:
-        low, high = (mean - REACH * std).min(0), (mean + REACH * std).max(0)
-        for _ in range(HALVINGS):
+        low, high = (mean - QUANTILE_REACH * std).min(0), (mean + QUANTILE_REACH * std).max(0)
+        for _ in range(QUANTILE_HALVINGS):
             middle = 0.5 * (low + high)
             is_above = below(middle) > wanted
             low, high = np.where(is_above, low, middle), np.where(is_above, middle, high)

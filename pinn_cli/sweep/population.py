@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 from matplotlib.ticker import MaxNLocator
-from scipy.special import ndtri
 
 from pinn_cli.inspection.report import LookReport
 from pinn_cli.model.file import finished_model
@@ -29,14 +28,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-ALLOWED = "directories of finished runs, one for each structure, or of a sweep"
+RUNS_ALLOWED = "directories of finished runs, one for each structure, or of a sweep"
 # Of a run's model.npz, what says nothing of the parameters and is left unread.
 _UNREAD = ("end_", "misfit_", "draws")
-# Chance that any structure of a population without an outlier is told as one.
-RARE_OUTLIER = 0.01
 # Standard deviation with the others over that alone from which a structure is told to borrow.
 BORROWED = 0.5
-LINES_SHOWN, PANELS_SHOWN, ACROSS = 5, 12, 2
+LINES_SHOWN, PANELS_SHOWN, PANELS_ACROSS = 5, 12, 2
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -115,7 +112,7 @@ class PopulationReport(LookReport):
         columns = ("alone", "alone_std", "estimate", "std", "lower_90", "upper_90", "off")
         for name, values in zip(columns, (found.alone, found.alone_std, *found.structures, found.off), strict=True):
             structures[name] = values.ravel()
-        structures["outlier"] = structures["off"].abs() > -ndtri(RARE_OUTLIER / 2.0 / len(structures))
+        structures["outlier"] = found.outlier.ravel()
         return {"population": structures, "population_mean": mean}
 
     @property
@@ -156,7 +153,7 @@ class PopulationReport(LookReport):
         outliers = rows.loc[rows["outlier"], ["parameter", "structure", "off"]]
         told += _few([
             f"{parameter} of {name} is {abs(off):.1f} standard deviations {'above' if off > 0.0 else 'below'} what the "
-            "others let expect: has it changed, or is its run wrong?"
+            "others let expect, and counts for none of them: has it changed, or is its run wrong?"
             for parameter, name, off in outliers.to_numpy()
         ])  # fmt: skip
         share = rows["std"] / rows["alone_std"]
@@ -193,10 +190,10 @@ def _usable(directory: Path) -> Model:
     try:
         model = finished_model(str(directory), without=_UNREAD)
     except InputError as error:
-        raise InputError("population", directory, ALLOWED, error.hint) from error
+        raise InputError("population", directory, RUNS_ALLOWED, error.hint) from error
     if not np.isfinite(model.known.covariance).all():
         hint = "its training tells no standard deviations of the parameters: training=gauss_newton does"
-        raise InputError("population", directory, ALLOWED, hint)
+        raise InputError("population", directory, RUNS_ALLOWED, hint)
     return model
 
 
@@ -216,8 +213,8 @@ def population_figure(structures: pd.DataFrame, mean: pd.DataFrame) -> Figure:
     """A panel for each parameter: every structure by itself and with the others, 90 % intervals, and where one lies."""
     shown = mean.head(PANELS_SHOWN)
     with style.look():
-        rows = -(-len(shown) // ACROSS)
-        figure, panels = style.panels(rows, ACROSS, 1.3, margins=(0.6, 0.08, 0.45, 0.4), gaps=(0.6, 0.32))
+        rows = -(-len(shown) // PANELS_ACROSS)
+        figure, panels = style.panels(rows, PANELS_ACROSS, 1.3, margins=(0.6, 0.08, 0.45, 0.4), gaps=(0.6, 0.32))
         for axes in panels.flat[len(shown) :]:
             axes.remove()
         for axes, (_, of_mean) in zip(panels.flat, shown.iterrows(), strict=False):
