@@ -46,7 +46,11 @@ def commands(page: Path) -> Iterator[str]:
 EVERY = sorted(
     {" ".join(shlex.split(line, comments=True)[1:]): line for page in PAGES for line in commands(page)}.values()
 )
-RUNS = [line for line in EVERY if not re.search(r"--help|\b(resume|collect)=|^pinn-run (inspect|modes|follow|population)", line)]
+RUNS = [
+    line
+    for line in EVERY
+    if not re.search(r"--help|\b(resume|collect)=|^pinn-run (inspect|modes|follow|population)", line)
+]
 FOLLOWED = [line for line in EVERY if line.startswith("pinn-run follow")]
 MODAL = [line for line in EVERY if line.startswith("pinn-run modes")]
 GALLERY = {line for page in (ROOT / "docs" / "gallery").glob("*.md") for line in commands(page)}  # docs/test_gallery.py
