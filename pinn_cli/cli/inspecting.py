@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pinn_cli.record.signal import Signal
     from pinn_cli.sweep.population import PopulationReport
     from pinn_cli.system.modes import NaturalModes
+    from pinn_cli.system.structure import Structure
 
 # Settings of which one at least describes a structure.
 DESCRIBING = ("m", "k", "mass", "connections", "dofs", "M", "K")
@@ -40,14 +41,15 @@ class Inspected:
     Attributes:
         signals: Its columns.
         time: (N,), s.
-        frequencies: Natural frequencies of the linear part of the structure, Hz; None where its parameters were not
-            given.
+        structure: Whose parameters were all given; None.
+        frequencies: Natural frequencies of its linear part, Hz; None.
         modes: Of the same; None.
         said: By the command, and by the file.
     """
 
     signals: Sequence[Signal]
     time: np.ndarray
+    structure: Structure | None
     frequencies: np.ndarray | None
     modes: NaturalModes | None
     said: Said
@@ -92,13 +94,13 @@ class Inspected:
 
         config = resolved(config)
         check_classes(config)
-        frequencies, modes = None, None
+        structure, frequencies, modes = None, None, None
         try:
-            structure = read_structure(config, base)
-            config = numbered(config, structure.labels)
-            natural = modes_of(structure).natural_frequencies
+            described = read_structure(config, base)
+            config = numbered(config, described.labels)
+            natural = modes_of(described).natural_frequencies
             if np.isfinite(natural).any():
-                frequencies, modes = natural, NaturalModes.of(structure)
+                structure, frequencies, modes = described, natural, NaturalModes.of(described)
         except np.linalg.LinAlgError:  # NaN among the parameters
             pass
         except InputError:
@@ -117,7 +119,7 @@ class Inspected:
                 plain: Any = OmegaConf.to_container(data)
                 signals, time, of_times = _columns(plain | {"format": files}, base)
                 with_settings = replace(said or Said(), settings={"data": plain, "system": system}, time=of_times)
-                inspected.append(cls(signals, time, frequencies, modes, with_settings))
+                inspected.append(cls(signals, time, structure, frequencies, modes, with_settings))
         return inspected
 
 
@@ -127,10 +129,14 @@ def inspected_record(config: DictConfig, base: Path, said: Said) -> InspectionRe
     Raises:
         InputError: It has too few samples, or no column varies.
     """
+    from pinn_cli.inspection.against_structure import contradictions
     from pinn_cli.inspection.inspection import inspect_record
 
     record = Inspected.read(config, base, said)
-    return inspect_record(record.signals, record.time, record.said, record.frequencies)
+    report = inspect_record(record.signals, record.time, record.said, record.frequencies)
+    if record.structure is None:
+        return report
+    return replace(report, notes=(*report.notes, *contradictions(record.structure, report.signals, report.sampling)))
 
 
 def modes_of_records(config: DictConfig, base: Path, said: Said) -> ModesReport:
