@@ -11,7 +11,7 @@ import pandas as pd
 from pinn_cli.inspection.modes import ModalRecord
 from pinn_cli.inspection.proposal import Look, Said, proposed_settings
 from pinn_cli.inspection.report import InspectionReport
-from pinn_cli.record.channels import clipped_percent, constant_percent, dropouts, hum
+from pinn_cli.record.channels import clipped_percent, constant_percent, dropouts, hum, of_mains
 from pinn_cli.record.cross_spectra import CrossSpectra
 from pinn_cli.record.files.table import told_mark
 from pinn_cli.record.identification.lines import RecordMode
@@ -252,7 +252,8 @@ def _hums(signals: Sequence[Signal], sampling: Sampling) -> Iterator[str]:
     for signal in (signal for signal in signals if not signal.is_input):
         line = hum(sampling.on_regular(signal.values), 1.0 / sampling.rate, acting)
         if line is not None:
-            yield f"{signal.name} hums: {line[1]:.0%} of its power is a steady line at {line[0]:g} Hz of the mains"
+            where = of_mains(line[0], 1.0 / sampling.rate)
+            yield f"{signal.name} hums: {line[1]:.0%} of its power is a steady line at {where}"
 
 
 def _of_one_dof(spectra: CrossSpectra[Signal]) -> Iterator[str]:

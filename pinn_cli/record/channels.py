@@ -101,6 +101,12 @@ def hum(signal: np.ndarray, step: float, acting: Sequence[np.ndarray]) -> tuple[
     return None if acts else (line, share)
 
 
+def of_mains(line: float, step: float) -> str:
+    """``50 Hz of the mains``, and where the samples show it if they are too few; it may be a line there."""
+    shown = abs(line - round(line * step) / step)
+    return f"{line:g} Hz of the mains" + (f", or at {shown:.4g} Hz, where its samples show it" if shown < line else "")
+
+
 def _steadiness(signal: np.ndarray, turns: float) -> tuple[float, float]:
     """How steady a line is, as F with 2 and 2 (`LINE_PARTS` - 1) degrees of freedom, and its share of the power.
 

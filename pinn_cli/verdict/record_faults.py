@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.record.channel import Channel
-from pinn_cli.record.channels import channels, dropouts, hum
+from pinn_cli.record.channels import channels, dropouts, hum, of_mains
 from pinn_cli.record.files.table import told_mark
 from pinn_cli.record.response import MEASURED_QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import mean_deviation
@@ -112,7 +112,8 @@ def _hums(channel: Channel, record: Record) -> Finding | None:
     if steady is None:
         return None
     line, share = steady
-    text = f"the {channel.name} hums: {100 * share:.0f} % of its power is a steady line at {line:g} Hz of the mains"
+    where = of_mains(line, record.step)
+    text = f"the {channel.name} hums: {100 * share:.0f} % of its power is a steady line at {where}"
     return Finding("hum", channel.name, f"{text}, which nothing that acts has; filter it out, or leave that sensor out")
 
 
