@@ -209,7 +209,7 @@ class _Forces:
                 yield self.term(Term(DAMPED_MODE, f"mode {mode + 1}", "", 1.0), pull, unit, USUAL * rms(unit))
 
     def of_base(self, point: Point) -> Iterator[ForceTerm]:
-        """A base that rocks, where every DOF stands on the ground: storeys of one height turn with it.
+        """A base that rocks, where storeys stand one on another: those of one height turn with it.
 
         As by a spring in series: the moment about the base takes a part of itself back, from every storey.
         """
@@ -286,12 +286,13 @@ def force_terms(equations: NormalEquations, point: Point) -> list[ForceTerm]:
 
 
 def _storeys(incidence: csr_matrix) -> np.ndarray:
-    """(n,), connections from every coordinate to the ground; infinite of one that does not stand on it."""
+    """(n,), connections from every coordinate to the ground; infinite where it stands on it in no way, or in two."""
     ends = incidence != 0
     grounded = csr_matrix((ends.sum(axis=1) == 1).astype(float))
     between = csr_matrix(bmat([[None, grounded.T @ ends], [ends.T @ grounded, ends.T @ ends]]))
     storeys: np.ndarray = shortest_path(between, unweighted=True, indices=0)[1:]
-    return storeys
+    is_tree = np.count_nonzero(np.triu(between.toarray(), 1)) == len(storeys)
+    return storeys if is_tree else np.full(len(storeys), np.inf)
 
 
 def structure_at(equations: NormalEquations, point: Point) -> Structure:
