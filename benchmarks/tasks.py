@@ -65,9 +65,9 @@ def row(family: str, seed: int, peers: bool) -> dict[str, float | str]:
     found: dict[str, float | str] = {"family": family, "seed": seed, "about": case.about, "s": seconds}
     found |= {"MiB": took["memory_mib"], "missed": missed(table, case.truth.parameters)}
     parts = {part: sum(took.get(f"{name}_cpu_s", 0.0) for name in names) for part, names in PARTS.items()}
-    steps = sum(value for name, value in took.items() if name.startswith("step_"))
-    counted_steps = sum(parts[part] for part in parts if part != "screening")
-    parts |= {"further steps": steps - counted_steps}
+    named = {f"{name}_cpu_s" for names in PARTS.values() for name in names}
+    further = (value for name, value in took.items() if name.startswith("step_") and name not in named)
+    parts |= {"further steps": sum(further)}
     parts |= {"rest": seconds - sum(parts.values())}
     found |= {part: 100.0 * value / seconds for part, value in parts.items()}
     for peer, by_peer in compared(case).groupby("peer") if peers else ():
