@@ -29,7 +29,7 @@ DOFS_SHOWN = 10  # beyond these the rows of single DOFs are left to fitness.csv
 # Peaks that are told; all of them stand in the table.
 PEAKS_OF, MOST_PEAKS, PARAMETERS_OF_A_STORY = ("drift", "connection_force"), 20, 8
 SAID = {
-    "force": "a force that the model leaves out acts on {place}",
+    "force": "a force that the model leaves out acts on every coordinate",
     "smooth force": "a smooth force that the model leaves out acts on {place}",
     "free run": "the structure runs free, and what it misses is left in the sensors",
 }

@@ -86,13 +86,26 @@ class _Forces:
 
     Attributes:
         equations: Of the record.
-        motion: Its solution, at the collocation points.
-        time: (P,), s.
+        point: Their solution.
     """
 
     equations: NormalEquations
-    motion: Jet
-    time: np.ndarray
+    point: Point
+
+    @cached_property
+    def motion(self) -> Jet:
+        """At the collocation points."""
+        return Jet(*self.equations.flat_states(self.equations.physics, self.point)[:3])
+
+    @cached_property
+    def structure(self) -> Structure:
+        """With the parameters of the point."""
+        return structure_at(self.equations, self.point)
+
+    @cached_property
+    def of_motion(self) -> tuple[np.ndarray, ...]:
+        """See :func:`connection_force`."""
+        return connection_force(self.equations, self.point, self.motion)
 
     @cached_property
     def place(self) -> np.ndarray:
@@ -126,24 +139,24 @@ class _Forces:
         distribution = self.equations.dynamics.padded(torch.as_tensor(pull)).numpy()
         return ForceTerm(replace(term, scale=scale), distribution, scale * unit)
 
-    def of_connections(self, point: Point) -> Iterator[ForceTerm]:
+    def of_connections(self) -> Iterator[ForceTerm]:
         """What a connection may have beside its law, and more or less of what its law has but is held."""
         structure = self.equations.dynamics.structure
-        most = {kind.kind: self._most(kind.parameter, point) for kind in LEFT_OUT}
+        most = {kind.kind: self._most(kind.parameter) for kind in LEFT_OUT}
         pulls = structure.incidence.matrix[structure.added].toarray()
-        histories = (x[:, structure.added].T for x in connection_force(self.equations, point, self.motion))
+        histories = (x[:, structure.added].T for x in self.of_motion)
         for connection, pull, e, de, force in zip(structure.added.tolist(), pulls, *histories, strict=True):
             of, state = f"connection {structure.labels.connection(connection)}", (pull, e, de, rms(force))
             for kind in (kind for kind in LEFT_OUT if not np.isnan(most[kind.kind][connection])):
                 bounded = replace(kind, most=float(most[kind.kind][connection]))
                 yield from (self.of_connection(shape * rms(e), bounded, of, state) for shape in kind.shapes)
 
-    def _most(self, kind: str, point: Point) -> np.ndarray:
+    def _most(self, kind: str) -> np.ndarray:
         """(C,), what connections lack at most of what a parameter says: below its bound, 0; NaN: it may move itself."""
         structure = self.equations.dynamics.structure
         connections, member = structure.carriers.get(kind, (np.zeros(0, dtype=int),) * 2)
         most = np.full(len(structure.parameters[SPRING]), np.inf)
-        at_bound = point.parameters.numpy() <= self.equations.lower
+        at_bound = self.point.parameters.numpy() <= self.equations.lower
         for p, held in zip(self.equations.uncertain, at_bound.tolist(), strict=True):
             if p.kind == kind:
                 most[connections[member == p.index]] = 0.0 if held else np.nan
@@ -193,14 +206,14 @@ class _Forces:
 
         return replace(plain, reshaped=again, ratio=SLIDES_AT[1] / SLIDES_AT[0])
 
-    def of_modes(self, point: Point) -> Iterator[ForceTerm]:
+    def of_modes(self) -> Iterator[ForceTerm]:
         """More or less damping of a mode, but where its ratio is a parameter that may move."""
-        modes = undamped_modes(structure_at(self.equations, point))
+        modes = undamped_modes(self.structure)
         if modes is None:
             return
         moving = {p.index for p in self.equations.uncertain if p.kind == RATIO}
         rate = self.motion.rate[:, : self.equations.dynamics.ndof].numpy()
-        mass = self.equations.parameters(point)[MASS].numpy()
+        mass = self.equations.parameters(self.point)[MASS].numpy()
         squares, shapes = modes
         for mode, (square, shape) in enumerate(zip(squares, shapes.T, strict=True)):
             omega, pull = max(square, 0.0) ** 0.5, mass * shape
@@ -208,20 +221,19 @@ class _Forces:
                 unit = 2.0 * omega * (rate @ pull)
                 yield self.term(Term(DAMPED_MODE, f"mode {mode + 1}", "", 1.0), pull, unit, USUAL * rms(unit))
 
-    def of_base(self, point: Point) -> Iterator[ForceTerm]:
+    def of_base(self) -> Iterator[ForceTerm]:
         """A base that rocks, where storeys stand one on another: those of one height turn with it.
 
         As by a spring in series: the moment about the base takes a part of itself back, from every storey.
         """
-        structure = structure_at(self.equations, point)
-        heights = _storeys(structure.incidence.matrix)
-        if structure.is_modal or len(heights) < 2 or not np.isfinite(heights).all():
+        incidence, is_modal = self.structure.incidence.matrix, self.structure.is_modal
+        heights = np.empty(0) if is_modal else _storeys(incidence)
+        if len(heights) < 2 or not np.isfinite(heights).all():
             return
-        force = connection_force(self.equations, point, self.motion)[2]
-        turned, stiffness = structure.incidence.matrix @ heights, at_rest(structure)[0]
+        turned, stiffness = incidence @ heights, at_rest(self.structure)[0]
         against = float(stiffness @ turned**2)
         if against > 0.0:
-            unit, pull = -(force @ turned) / against, structure.incidence.matrix.T @ (stiffness * turned)
+            unit, pull = -(self.of_motion[2] @ turned) / against, incidence.T @ (stiffness * turned)
             size = rms(unit) * rms(pull)
             yield self.term(Term(ROCKING, "base", "", 1.0, least=0.0), pull, unit, size)
 
@@ -272,17 +284,17 @@ class _Forces:
     @property
     def step(self) -> float:
         """Between collocation points, s."""
-        return float(self.time[1] - self.time[0])
+        first, second = self.equations.target.physics_time[:2].tolist()
+        return float(second - first)
 
 
 def force_terms(equations: NormalEquations, point: Point) -> list[ForceTerm]:
     """Of connections, masses, what DOFs carry, and load cells."""
-    motion = Jet(*equations.flat_states(equations.physics, point)[:3])
-    made = _Forces(equations, motion, equations.target.physics_time.numpy())
+    made = _Forces(equations, point)
     loads = () if equations.problem.inputs.loads else made.of_loads()  # or they are channels, see `sensor_terms`
-    of_modes = (*made.of_modes(point), *made.of_base(point))
+    of_modes = (*made.of_modes(), *made.of_base())
     carried = (*of_modes, *made.of_masses(), *made.of_sliding_masses(), *made.of_oscillators())
-    return [*made.of_connections(point), *carried, *loads]
+    return [*made.of_connections(), *carried, *loads]
 
 
 def _storeys(incidence: csr_matrix) -> np.ndarray:

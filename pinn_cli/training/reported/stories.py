@@ -86,13 +86,13 @@ def _explain(found: Sequence[Doubt]) -> bool:
 
 def _of_place(smooth: Inference, found: Estimate, reported: Estimate) -> tuple[Doubt, ...]:
     """That a smooth force acts on one DOF alone; nothing where it does not."""
-    of = place_of(smooth)
+    if not (of := place_of(smooth)):
+        return ()
     pairs = zip(found.parameters, reported.parameters, strict=True)
     moves = {ours.name: abs(one.estimate - ours.estimate) / ours.std for one, ours in pairs if ours.unknown}
     moved = max(moves, key=lambda name: moves[name])
     level = found.summary["std_unknown_force"]
-    place = Doubt(PLACE, of, level, math.nan, "N", smooth.log_odds_of_place, moves[moved], moved)
-    return (place,) if of else ()
+    return (Doubt(PLACE, of, level, math.nan, "N", smooth.log_odds_of_place, moves[moved], moved),)
 
 
 def _candidates(inference: Inference, estimate: Estimate, found: Estimate | None) -> list[_Candidate]:

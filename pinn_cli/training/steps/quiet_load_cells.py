@@ -19,11 +19,10 @@ def quiet_load_cells(inference: Inference) -> Inference | None:
     evidence, trained = inference.evidence, inference.trained
     if inference.is_informed or inference.problem.has_unknown_forces:
         return None
-    quietest = evidence.each_record(quietest_of_load_cells, trained)
-    if not any(quietest):
+    limits, levels = evidence.each_record(_limits, trained), []
+    if not any(np.isfinite(most).any() for most in limits):
         return None
-    levels = []
-    for noise, most in zip(trained.noise.records, evidence.each_record(_limit, trained, quietest), strict=True):
+    for noise, most in zip(trained.noise.records, limits, strict=True):
         loud = noise.force > most
         discrepancy = float(np.max(noise.force[loud], initial=0.0)) * noise.points_per_sample**0.5
         quiet = replace(noise, force=np.where(loud, most, noise.force))
@@ -34,10 +33,10 @@ def quiet_load_cells(inference: Inference) -> Inference | None:
     return replace(inference, trained=inference.solver.settled(evidence, again))
 
 
-def _limit(evidence: RecordEvidence, solution: RecordSolution, quietest: dict[int, float]) -> np.ndarray:
-    """Let no load cell be noisier from now on; (functions,) how noisy each may be."""
+def _limits(evidence: RecordEvidence, solution: RecordSolution) -> np.ndarray:
+    """(functions,), how noisy load cells may be from now on; infinite where nothing new is known."""
     most = np.full(len(solution.noise.force), np.inf)
-    for dof, level in quietest.items():
+    for dof, level in quietest_of_load_cells(evidence, solution).items():
         evidence.load_cells[dof] = replace(evidence.load_cells[dof], quietest=level)
         most[dof] = evidence.load_cells[dof].loudest
     return most

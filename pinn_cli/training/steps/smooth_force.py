@@ -9,6 +9,7 @@ probable ones, and hardly any discrepancy. It is solved as such forces are.
 from __future__ import annotations
 
 from dataclasses import replace
+from heapq import nlargest
 
 import numpy as np
 import torch
@@ -64,10 +65,11 @@ def _of_own_spectrum(smooth: Inference) -> Inference:
 def _on_one_dof(smooth: Inference) -> Inference | None:
     """The same story of one force alone, with which the record is far more probable; None: there is none."""
     forces = smooth.problem.first.inputs.forces
-    alone = [one for number in range(len(forces)) if (one := _of_one(smooth, number))] if len(forces) > 1 else []
-    if not alone:
+    alone = (one for number in range(len(forces)) if (one := _of_one(smooth, number)))
+    # No more of them are held at once: each has a factor of its own.
+    nearest = nlargest(FOLLOWED_PLACES, alone, key=_log_evidence) if len(forces) > 1 else []
+    if not nearest:
         return None
-    nearest = sorted(alone, key=_log_evidence)[-FOLLOWED_PLACES:]
     best = _of_own_spectrum(max(map(_settled, nearest), key=_log_evidence))
     gain = _log_evidence(best) - _log_evidence(smooth) - np.log(len(forces))
     return replace(best, log_odds_of_place=float(gain)) if gain > DECISIVE_PLACE else None
