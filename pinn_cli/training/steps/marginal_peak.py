@@ -10,13 +10,16 @@ slope of that factor pulls at the parameters, as a constant force that is worked
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
 from pinn_cli.training.factors.factor import Factor
 from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.normal_matrix.diagonals import Diagonals
+from pinn_cli.training.point import Point
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.reported.model_evidence import of_motion
 from pinn_cli.training.solver import Inference
@@ -27,6 +30,12 @@ from pinn_cli.training.steps.unknown_forces import set_force_level
 NEGLIGIBLE_PULL = 0.1
 # Most that it changes in one round, in the same unit.
 LARGEST_MOVE = 2.0
+# Central differences of a matrix by a parameter: how far to either side, in its deviations, and the weight of each.
+# Where equations are linear in it a wide one is exact, and large beside rounding. Elsewhere P^-1, which hardly knows
+# some motions, makes large numbers of what bends, of which the second one takes the first order away.
+OF_LINEAR, OF_BENT = ((1.0, 0.5),), ((0.02, 8.0 / 0.24), (0.04, -1.0 / 0.24))
+# Part of what residuals move with a parameter that they may bend, and be linear but for rounding.
+LEAST_BENT = 1e-8
 
 
 def move_to_marginal_peak(inference: Inference) -> Inference | None:
@@ -53,9 +62,8 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
     """What pulls, (p,) slope of the logarithm of that factor by each parameter, and how far the change moves any.
 
     tr(P^-1 dP - H^-1 dH) / 2 for each parameter of the equations that is looked for; 0 of the others. Parameters are in
-    the equations, which weigh the same in both. Derivatives are differences over two deviations: exact where equations
-    are linear in a parameter, however large, and large beside rounding. In prior standard deviations, the change in the
-    parameter's own; NaN where nothing tells it.
+    the equations, which weigh the same in both. Derivatives are differences, see :data:`OF_LINEAR`. In prior standard
+    deviations, the change in the parameter's own; NaN where nothing tells it.
     """
     equations, point, noise = evidence.equations, solution.point, solution.noise
     std = np.sqrt(np.diag(solution.factor.corner_covariance))[: len(equations.uncertain)]
@@ -74,17 +82,30 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
         if equations.observer is not None:  # accelerometers through the equations
             through += [(equations.observer, alone, of_equations, 0.5), (equations.observer, noise, of_all, -0.5)]
     for i in np.flatnonzero(wanted):
-        shift = point.parameters.new_tensor(std * (np.arange(len(std)) == i))
-        ends = [replace(point, parameters=point.parameters + side * shift) for side in (1.0, -1.0)]
+        ends = partial(_ends, point, std[i] * (np.arange(len(std)) == i))
         slope = 0.0
-        for factor, levels, inverse, share in through:
-            above, below = (equations.readout_matrix(factor, end, levels) for end in ends)
-            slope += share * inverse.trace_of_product(above - below) / (2.0 * std[i])
+        for width, weight in OF_LINEAR if _is_straight(equations, ends(1.0), point) else OF_BENT:
+            for factor, levels, inverse, share in through:
+                above, below = (equations.readout_matrix(factor, end, levels) for end in ends(width))
+                slope += weight * share * inverse.trace_of_product(above - below) / std[i]
         # A discrepancy in a part of the band has as much fewer values: it was widened for these.
         most = LARGEST_MOVE / std[i]
         pull[i] = np.clip(noise.occupied * slope, before[i] - most, before[i] + most)
     # The record may be computed in another process, which alone knows what pulls at it.
     return equations.pull, pull, float(np.max(np.abs(pull - before) * std, initial=0.0))
+
+
+def _ends(point: Point, deviation: np.ndarray, width: float) -> tuple[Point, Point]:
+    """So many deviations to either side, each (p,)."""
+    shift = point.parameters.new_tensor(width * deviation)
+    return replace(point, parameters=point.parameters + shift), replace(point, parameters=point.parameters - shift)
+
+
+def _is_straight(equations: NormalEquations, ends: tuple[Point, Point], point: Point) -> bool:
+    """Whether the equations are linear in what parts the ends."""
+    above, below, between = (equations.motion.residual(at) for at in (*ends, point))
+    bent, moved = (float(x.abs().max()) for x in (above + below - 2.0 * between, above - below))
+    return bent <= LEAST_BENT * moved
 
 
 def pulled(evidence: RecordEvidence, solution: RecordSolution, pull: np.ndarray | None) -> None:
