@@ -41,11 +41,26 @@ LAWS: dict[str, dict[str, Any]] = {
     "polynomial": {"k_2": 3.0, "k_3": 20.0},
     "friction": {"F_c": 1.4},
     "bouc_wen": {"A": 9.0, "beta": 2.0, "gamma": -0.6, "n": 1.8},  # below 1 it has a corner where it is nothing
+    "baber_noori": {
+        "A": 9.0,
+        "beta": 2.0,
+        "gamma": -0.6,
+        "n": 1.8,
+        "delta_nu": 0.3,
+        "delta_eta": 0.2,
+        "zeta_s": 0.5,
+        "q": 0.2,
+        "p": 0.8,
+        "psi": 0.5,
+        "delta_psi": 0.1,
+        "lambda": 0.6,
+        "reference": 0.5,
+    },
     "jenkins": {"k_t": 9.0, "F_c": 2.5},
     "gap": {"k_g": 9.0, "gap": 0.4},
     "spline": {"elongation": 1.0} | {f"g_{i}": 4.0 / i for i in range(1, 11)},
 }
-WITH_MEMORY = ("bouc_wen", "jenkins")
+WITH_MEMORY = ("bouc_wen", "baber_noori", "jenkins")
 DAMPING = (None, {"ratio": 0.05}, {"rayleigh": [0.1, 0.02]}, {"ratio": [0.05, 0.02]})
 CALIBRATION = {
     "gain": Calibration(1.2, 0.4, unknown=True),

@@ -142,7 +142,8 @@ class Structure(structure.Structure):
 
         Args:
             law: Of every connection: ``linear``, ``duffing``, ``van_der_pol``, ``power_damping``, ``polynomial``,
-                ``friction``, ``jenkins``, ``bouc_wen``, ``gap``, ``spline``, or one of an installed plug-in.
+                ``friction``, ``jenkins``, ``bouc_wen``, ``baber_noori``, ``gap``, ``spline``, or one of an installed
+                plug-in.
             ndof: Number of DOFs; None: as many as the longest list has entries.
             m: Masses, kg; a number for all, or a list from the fixed end.
             c: Damping, N s/m.

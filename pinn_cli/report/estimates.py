@@ -246,7 +246,7 @@ def dissipated(structure: Structure, response: Response) -> np.ndarray:
     energy = trapezoids(response.time) @ dissipated_power(structure, e, de, parameters, z)
     if z is not None:
         stored = stored_by_memory(structure, z[[0, -1]], parameters)
-        energy[structure.memory] += stored[0] - stored[1]
+        np.add.at(energy, structure.memory, stored[0] - stored[1])
     out: np.ndarray = energy[structure.added]
     return out
 
@@ -401,7 +401,7 @@ def restoring_curves(results: Results) -> list[RestoringCurve]:
     stretched = drifts(results.prescribed, estimate, results.truth.response)
     curves = []
     for place, connection in enumerate(structure.added.tolist()):
-        if connection not in sought or structure.laws[connection].has_memory:
+        if connection not in sought or structure.laws[connection].states:
             continue
         elongation = stretched.of("estimate")[:, place]
         for over, history in zip(OVER, (elongation, np.gradient(elongation, stretched.time)), strict=True):

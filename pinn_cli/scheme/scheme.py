@@ -6,7 +6,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Annotated, ClassVar
 
+import numpy as np
+
 from pinn_cli.model.knowledge import Model
+from pinn_cli.record.channels import motion_amplitudes
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.inputs import UNKNOWN_FORCES
 from pinn_cli.scheme.joint_problem import JointProblem
@@ -46,6 +49,19 @@ class Scheme(ABC):
         Raises:
             InputError: The choice does not fit the record, or leaves no sensor.
         """
+
+    def of_records(self, prescribed: Structure, records: Sequence[Record]) -> Structure:
+        """The structure that the records are solved with: what its laws count is counted at the size of the motion.
+
+        Args:
+            prescribed: As configured; NaN where a measured structure has no value.
+            records: As observed.
+        """
+        moving = [record for record in records if record.observed.any()]
+        if moving and prescribed.state_number.any():
+            sizes = [motion_amplitudes(record)["displacement"] for record in moving]
+            prescribed = prescribed.moving_by(float(np.median(sizes)))
+        return self.damped(prescribed, records)
 
     def damped(self, prescribed: Structure, records: Sequence[Record]) -> Structure:
         """The structure with damping of its own accord where nobody has said a word of it; else as it is.

@@ -143,7 +143,7 @@ def _check_signs(values: dict[str, list[float]], nonlinearity: Nonlinearity) -> 
     if least["m"] <= 0.0:
         raise InputError("system.m", least["m"], "> 0", "a DOF without mass has no equation of motion")
     for name in nonlinearity.nonnegative:
-        if least[name] < 0.0:
+        if least.get(name, 0.0) < 0.0:  # a law may be without some
             raise InputError(f"system.{name}", least[name], ">= 0", "the connection would push itself apart")
 
 

@@ -77,11 +77,11 @@ class ConnectionGroup:
 
 @dataclass(frozen=True, eq=False)
 class GroupPart:
-    """Where one group's connections, parameters by kind and hidden forces stand among those of all groups."""
+    """Where one group's connections, parameters by kind and states, one by one, stand among those of all groups."""
 
     connections: slice
     parameters: dict[str, slice | np.ndarray]
-    hidden: slice
+    states: tuple[slice, ...]
 
     def of_group(self, parameters: Mapping[str, Array]) -> dict[str, Array]:
         """Those of every connection of the group (..., C), among the parameters (..., members) of every kind."""
@@ -98,9 +98,9 @@ def group_parts(groups: Sequence[ConnectionGroup], kinds: Iterable[str]) -> tupl
             for kind in group.kinds
         }
         done |= {kind: done[kind] + members for kind in group.kinds}
-        remembers = count if group.nonlinearity.has_memory else 0
-        parts.append(GroupPart(slice(start, start + count), places, slice(hidden, hidden + remembers)))
-        start, hidden = start + count, hidden + remembers
+        firsts = [hidden + i * count for i in range(group.nonlinearity.states)]
+        parts.append(GroupPart(slice(start, start + count), places, tuple(slice(i, i + count) for i in firsts)))
+        start, hidden = start + count, hidden + len(firsts) * count
     return tuple(parts)
 
 

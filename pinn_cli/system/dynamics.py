@@ -125,9 +125,10 @@ class Dynamics(Functions):
         stiffness, damping, by_parameter = [linear.stiffness], [linear.damping], dict(linear.by_parameter)
         if z.shape[-1]:
             memory = self._linearised_memory(u, v, z, parameters)
-            ones, none = torch.ones_like(z), torch.zeros_like(z)
-            stiffness += [memory["z"], ones, memory["e"]]
-            damping += [ones / self.inputs.rate, none, memory["de"]]
+            forces = torch.ones_like(z[..., self._is_force])
+            own = torch.as_tensor(np.equal(*self._recalled)).to(u).expand(*u.shape[:-1], -1)
+            stiffness += [memory["z"], forces, memory["e"]]
+            damping += [own / self.inputs.rate, torch.zeros_like(forces), memory["de"]]
             # A parameter of a memory is in no force: where laws share a kind, each connection has one of the two.
             by_parameter |= {kind: by_parameter[kind] + memory[kind] for kind in self._remembered}
         if self.inputs.ground:
@@ -150,22 +151,49 @@ class Dynamics(Functions):
     def _linearised_memory(
         self, u: Tensor, v: Tensor, z: Tensor, parameters: Mapping[str, Tensor]
     ) -> dict[str, Tensor]:
-        """Derivatives of -h / rate (..., h) by elongation, its rate, hidden force and the kinds of parameters."""
+        """Derivatives of -h / rate (..., h) by elongation and its rate, by the kinds of parameters, and by the states.
+
+        By those of the same connection (..., pairs), see :attr:`_recalled`. A law is elementwise, so one reverse pass
+        tells the derivatives of one state's rate in all connections.
+        """
         structure, kinds = self.structure, self._remembered
+        number, (row, column) = structure.state_number, self._recalled
 
         def rate(e: Tensor, de: Tensor, z: Tensor, *values: Tensor) -> Tensor:
             varied = {**parameters, **dict(zip(kinds, values, strict=True))}
             return -structure.hidden_rate(e, de, z, varied) / self.inputs.rate
 
-        given = (parameters[kind].expand(*z.shape[:-1], -1) for kind in kinds)
-        _, (by_e, by_de, by_z, *by) = slopes(rate, structure.elongation(u), structure.elongation(v), z, *given)
-        derivatives = {"e": by_e[..., structure.memory], "de": by_de[..., structure.memory], "z": by_z}
-        return derivatives | dict(zip(kinds, by, strict=True))
+        given = [parameters[kind].expand(*z.shape[:-1], -1) for kind in kinds]
+        e, de, by = structure.elongation(u), structure.elongation(v), list[Tensor]()
+        out = {"e": torch.empty_like(z), "de": torch.empty_like(z), "z": z.new_empty((*z.shape[:-1], len(row)))}
+        for state in range(1 + int(number.max())):
+            at, pairs = number == state, number[row] == state
+            _, (by_e, by_de, by_z, *by_kind) = slopes(lambda *x, at=at: rate(*x)[..., at], e, de, z, *given)
+            for name, places, found in (
+                ("e", at, by_e[..., structure.memory[at]]), ("de", at, by_de[..., structure.memory[at]]),
+                ("z", pairs, by_z[..., column[pairs]]),
+            ):  # fmt: skip
+                out[name][..., places] = found
+            by = by or by_kind  # the first state's rate alone has parameters
+        return out | dict(zip(kinds, by, strict=True))
+
+    @cached_property
+    def _is_force(self) -> np.ndarray:
+        """(h,) bool: the hidden functions that are forces."""
+        is_force: np.ndarray = self.structure.state_number == 0
+        return is_force
+
+    @cached_property
+    def _recalled(self) -> tuple[np.ndarray, np.ndarray]:
+        """(pairs,) each: a hidden function, and one of the same connection, on which its rate may depend."""
+        memory = self.structure.memory
+        row, column = np.nonzero(memory[:, None] == memory)
+        return row, column
 
     @cached_property
     def _remembered(self) -> tuple[str, ...]:
         """Kinds of parameters of the laws' memory."""
-        groups = [group for group in self.structure.groups if group.nonlinearity.has_memory]
+        groups = [group for group in self.structure.groups if group.nonlinearity.states]
         return tuple(dict.fromkeys(kind for group in groups for kind in group.nonlinearity.parameters))
 
     @cached_property
@@ -185,9 +213,8 @@ class Dynamics(Functions):
         carriers, _ = self.structure.carriers[kind]
         if kind not in self._remembered:
             return carriers
-        memory = self.structure.memory
-        hidden = self._connections + np.searchsorted(memory, carriers)
-        return np.where(np.isin(carriers, memory), hidden, carriers)
+        hidden = self.structure.hidden_force[carriers]
+        return np.where(hidden >= 0, self._connections + hidden, carriers)
 
     @property
     def _connections(self) -> int:
@@ -199,9 +226,10 @@ class Dynamics(Functions):
         branches = self.branches.matrix
         if self.is_plain:
             return Coupling(branches, branches, together=self.inputs.together)
-        stretched, hidden = self.stretched[self.structure.memory], branches[self._connections :]
-        into = [branches, branches[self.structure.memory], hidden]
-        by = [vstack([self.stretched, hidden]), hidden, stretched]
+        connections, hidden = branches[: self._connections], branches[self._connections :]
+        memory, (row, column) = self.structure.memory, self._recalled
+        into = [connections, hidden[row], connections[memory[self._is_force]], hidden]
+        by = [self.stretched, hidden[column], hidden[self._is_force], self.stretched[memory]]
         if self.inputs.ground:
             moved = self._moved_by_ground
             into.append(self.picked(moved))

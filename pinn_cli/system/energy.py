@@ -41,7 +41,8 @@ def stored_by_memory(structure: Structure, z: Array, parameters: Mapping[str, Ar
         if isinstance(group.nonlinearity, Hysteresis):
             values = {kind: np.asarray(_plain(value)) for kind, value in part.of_group(parameters).items()}
             stiffness = np.broadcast_to(group.nonlinearity.stiffness_at_rest(values), (group.incidence.shape[0],))
-            for column, k in zip(range(part.hidden.start, part.hidden.stop), stiffness.tolist(), strict=True):
+            forces = part.states[0]
+            for column, k in zip(range(forces.start, forces.stop), stiffness.tolist(), strict=True):
                 if k > 0.0:
                     stored[..., column] = 0.5 * z[..., column] ** 2 / k
     return stored

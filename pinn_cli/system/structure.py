@@ -207,10 +207,25 @@ class Structure:
 
     @cached_property
     def memory(self) -> np.ndarray:
-        """(h,), the connections that have a hidden force."""
-        counts = [group.incidence.shape[0] for group in self.groups]
-        remembers = np.repeat([group.nonlinearity.has_memory for group in self.groups], counts)
-        return np.flatnonzero(remembers)
+        """(h,), the connection that every hidden function, a state of its law, belongs to."""
+        connections = np.arange(self.incidence.shape[0])
+        states = [connections[part.connections] for part in self.parts for _ in part.states]
+        return np.concatenate([np.zeros(0, dtype=np.int64), *states])
+
+    @cached_property
+    def hidden_force(self) -> np.ndarray:
+        """(C,), which hidden function is the force that a connection remembers; -1 where it remembers none."""
+        out = np.full(self.incidence.shape[0], -1)
+        for part in self.parts:
+            for forces in part.states[:1]:
+                out[part.connections] = np.arange(forces.start, forces.stop)
+        return out
+
+    @cached_property
+    def state_number(self) -> np.ndarray:
+        """(h,), which of its law's states every hidden function is: 0 of a hidden force."""
+        numbers = [np.full(at.stop - at.start, i) for part in self.parts for i, at in enumerate(part.states)]
+        return np.concatenate([np.zeros(0, dtype=np.int64), *numbers])
 
     @cached_property
     def added(self) -> np.ndarray:
@@ -276,11 +291,12 @@ class Structure:
         """The same from the parameters of every group's connections (..., C of the group)."""
         if len(self.groups) == 1:
             force = self.groups[0].force(e, de, of_groups[0])
-            return force if z is None or not len(self.memory) else force + z
+            states = self.parts[0].states
+            return force if z is None or not states else force + z[..., states[0]]
         forces = []
         for group, part, values in zip(self.groups, self.parts, of_groups, strict=True):
             force = group.force(e[..., part.connections], de[..., part.connections], values)
-            forces.append(force + z[..., part.hidden] if z is not None and group.nonlinearity.has_memory else force)
+            forces.append(force if z is None or not part.states else force + z[..., part.states[0]])
         return namespace(e).concatenate(forces, -1)
 
     def hidden_rate(self, e: Array, de: Array, z: Array, parameters: Mapping[str, Array] | None = None) -> Array:
@@ -290,11 +306,11 @@ class Structure:
 
     def _hidden_rate(self, e: Array, de: Array, z: Array, of_groups: Sequence[Mapping[str, Array]]) -> Array:
         """The same from the parameters of every group's connections (..., C of the group)."""
-        rates = []
+        rates: list[Array] = []
         for group, part, values in zip(self.groups, self.parts, of_groups, strict=True):
             if isinstance(group.nonlinearity, Hysteresis):
-                at = part.connections
-                rates.append(group.nonlinearity.rate(e[..., at], de[..., at], z[..., part.hidden], values))
+                at, states = part.connections, [z[..., places] for places in part.states]
+                rates += group.nonlinearity.rate(e[..., at], de[..., at], states, values)
         return namespace(e).concatenate(rates, -1)
 
     def laws_of(self, parameters: Mapping[str, Array]) -> tuple[Callable[..., Array], Callable[..., Array]]:
@@ -455,7 +471,13 @@ class Structure:
 
     def turning_over(self, speed: float) -> Structure:
         """The same with contacts that creep below a speed (m/s) where they stick; its parameters are shared."""
-        laws = [group.nonlinearity.turning_over(speed) for group in self.groups]
+        return self._with_laws([group.nonlinearity.turning_over(speed) for group in self.groups])
+
+    def moving_by(self, elongation: float) -> Structure:
+        """The same with laws whose states are counted at the size of a motion, m; its parameters are shared."""
+        return self._with_laws([group.nonlinearity.moving_by(elongation) for group in self.groups])
+
+    def _with_laws(self, laws: Sequence[Nonlinearity]) -> Structure:
         if all(law is group.nonlinearity for law, group in zip(laws, self.groups, strict=True)):
             return self
         groups = (replace(group, nonlinearity=law) for law, group in zip(laws, self.groups, strict=True))

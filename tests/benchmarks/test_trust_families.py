@@ -108,7 +108,7 @@ def test_a_law_that_is_drawn_is_the_one_of_its_name(law, of_the_program):
         expected = program.force(np.array([e]), np.array([de]), values)[0]
         if isinstance(program, Hysteresis):
             expected = z
-            found = program.rate(np.array([e]), np.array([de]), np.array([z]), values)[0]
+            found = program.rate(np.array([e]), np.array([de]), [np.array([z])], values)[0]
             assert link.memory(e, de, z) == pytest.approx(found)
         assert link.force(e, de, z) == pytest.approx(expected)
 

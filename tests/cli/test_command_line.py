@@ -172,7 +172,12 @@ def test_a_name_is_not_suggested_for_itself(pinn_run: PinnRun, tmp_path: Path) -
 
 def test_help_lists_groups_and_examples(pinn_run: PinnRun) -> None:
     text = pinn_run("--help").out
-    for part in ("usage: pinn-run", "system: bouc_wen, duffing, friction", "experiment=paper/sr_6dof", "--config-dir"):
+    for part in (
+        "usage: pinn-run",
+        "system: baber_noori, bouc_wen, duffing",
+        "experiment=paper/sr_6dof",
+        "--config-dir",
+    ):
         assert part in text
     assert max(map(len, text.splitlines())) <= 130
 

@@ -53,6 +53,42 @@ def test_bouc_wen_is_followed_across_its_corners(beta, gamma, n):
     assert relative(states, expected) < 1e-6
 
 
+def degrading(pinching, x, energy, z, v):
+    """dz/dt of Baber and Noori (1986), written out here: (A, beta, gamma, n), (delta_nu, delta_eta), pinching."""
+    (a, beta, gamma, n), (delta_nu, delta_eta) = x
+    nu, eta, h = 1.0 + delta_nu * energy, 1.0 + delta_eta * energy, 1.0
+    if pinching is not None:
+        zeta_s, q, p, psi, delta_psi, rest = pinching
+        depth = zeta_s * (1.0 - math.exp(-p * energy))
+        ultimate = (a / (nu * (beta + gamma))) ** (1.0 / n)
+        width = (psi + delta_psi * energy) * (rest + depth)
+        h -= depth * math.exp(-(((z * np.sign(v) / ultimate - q) / width) ** 2))
+    return h * (a * v - nu * (beta * abs(v) * abs(z) ** (n - 1) * z + gamma * v * abs(z) ** n)) / eta
+
+
+@pytest.mark.parametrize("pinching", [None, (0.8, 0.1, 4.0, 0.3, 0.5, 0.4)], ids=["degrades", "pinches"])
+def test_a_joint_loses_what_its_energy_costs_it(pinching):
+    """The second state is that energy, counted over any elongation, and moves nothing."""
+    frequencies, time, own = np.linspace(5.0, 60.0, 30), np.arange(300) / 400.0, ((5e4, 400.0, 200.0, 1), (1.5, 2.5))
+    law = dict(zip(("A", "beta", "gamma", "n", "delta_nu", "delta_eta"), sum(own, ()), strict=True))
+    names = ("zeta_s", "q", "p", "psi", "delta_psi", "lambda")
+    law |= {} if pinching is None else dict(zip(names, pinching, strict=True))
+    structure = oscillator(law="baber_noori", **law)
+
+    def motion(t, y):
+        u, v, z, energy = y
+        pulled = (sines(t, frequencies, 40.0) - 10.0 * v - 5e4 * u - z) / 2.0
+        return [v, pulled, degrading(pinching, own, energy, z, v), z * v]
+
+    expected = reference(motion, 4, time, 1e-3)
+    assert 1.5 * expected[-1, 3] > 0.5  # of its strength a third is gone
+    for size in (1.0, 0.02):
+        counted = structure.moving_by(size)
+        found = Simulation(time[-1], len(time)).run(counted, lambda t: sines(t, frequencies, 40.0)[:, None])
+        states = np.column_stack((found.displacement, found.velocity, found.hidden[:, 0], size * found.hidden[:, 1]))
+        assert relative(states, expected) < 1e-5
+
+
 def test_a_step_too_long_for_friction_is_taken_in_parts():
     frequencies, time, speed = np.array([3.0, 8.0, 13.0]), np.arange(51) / 200.0, 1e-3
     structure = oscillator(law="friction", speed=speed, F_c=0.5)
@@ -195,7 +231,7 @@ def test_a_contact_dissipates_what_its_slider_does():
         phase = np.linspace(0.0, 6.0 * np.pi, 6_001)
         e, z = amplitude * np.sin(phase), np.zeros(len(phase))
         for i, de in enumerate(np.diff(e)):
-            z[i + 1] = z[i] + law.rate(e[i], np.array(de), z[i : i + 1], parameters)[0]
+            z[i + 1] = z[i] + law.rate(e[i], np.array(de), [z[i : i + 1]], parameters)[0][0]
         last = phase >= 4.0 * np.pi
         assert np.trapezoid(z[last], e[last]) == pytest.approx(lost, abs=2e-2 * 4.0 * F_C * amplitude)
 

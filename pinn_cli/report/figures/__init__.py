@@ -108,7 +108,7 @@ def record_figures(results: Results) -> Builders:
     if curves := restoring_curves(results):
         builders["restoring"] = len(curves), partial(restoring_figure, curves, label)
     if forces is not None and len(prescribed.memory):
-        memory = np.searchsorted(prescribed.added, prescribed.memory)
+        memory = np.searchsorted(prescribed.added, np.unique(prescribed.memory))
         builders["hysteresis"] = rows, partial(hysteresis_figure, stretched, forces, memory, label)
     return builders
 

@@ -1,5 +1,6 @@
 """Nonlinearities of a connection, one per file."""
 
+from pinn_cli.system.connection.baber_noori import BaberNoori
 from pinn_cli.system.connection.bouc_wen import BoucWen
 from pinn_cli.system.connection.duffing import Duffing
 from pinn_cli.system.connection.friction import Friction
@@ -13,6 +14,7 @@ from pinn_cli.system.connection.spline import Spline
 from pinn_cli.system.connection.van_der_pol import VanDerPol
 
 __all__ = [
+    "BaberNoori",
     "BoucWen",
     "Duffing",
     "Friction",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -23,7 +24,7 @@ class BoucWen(Hysteresis):
     """
 
     name = "bouc_wen"
-    parameters = ("A", "beta", "gamma", "n")
+    parameters: tuple[str, ...] = ("A", "beta", "gamma", "n")
     titles: Mapping[str, str] = {
         "A": "Hysteretic stiffness",
         "beta": "Hysteresis",
@@ -31,22 +32,22 @@ class BoucWen(Hysteresis):
         "n": "Sharpness",
     }
     units: Mapping[str, str] = {"A": "N/m", "beta": "1/m", "gamma": "1/m", "n": "1"}
-    nonnegative = ("c", "k", "A", "n")
+    nonnegative: ClassVar[tuple[str, ...]] = ("c", "k", "A", "n")
 
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`: all of it is hidden."""
         return namespace(e).zeros_like(e)
 
-    def rate(self, e: Array, de: Array, z: Array, parameters: Mapping[str, Array]) -> Array:
+    def rate(self, e: Array, de: Array, states: Sequence[Array], parameters: Mapping[str, Array]) -> Sequence[Array]:
         """See :meth:`Hysteresis.rate`."""
-        a, beta, gamma, n = (parameters[name] for name in self.parameters)
+        (z,) = states
+        a, beta, gamma, n = (parameters[name] for name in BoucWen.parameters)
         # At z = 0 a power's slope by n is 0 times an infinite logarithm: keep it away and put the zero back.
         where = namespace(z).where
         size = where(z == 0, 1.0, abs(z))
         power = where(z == 0, 0.0, size**n)
         sign = where(z == 0, 0.0, z / size)
-        slowed: Array = (beta * abs(de) * sign + gamma * de) * power
-        return a * de - slowed
+        return (a * de - (beta * abs(de) * sign + gamma * de) * power,)
 
     def creates_energy(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray:
         """See :meth:`Hysteresis.creates_energy`: all but beta >= 0 and -beta <= gamma <= beta."""

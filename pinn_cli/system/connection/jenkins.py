@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -41,15 +41,16 @@ class Jenkins(Hysteresis):
         """See :meth:`Nonlinearity.force`: all of it is hidden."""
         return namespace(e).zeros_like(e)
 
-    def rate(self, e: Array, de: Array, z: Array, parameters: Mapping[str, Array]) -> Array:
+    def rate(self, e: Array, de: Array, states: Sequence[Array], parameters: Mapping[str, Array]) -> Sequence[Array]:
         """See :meth:`Hysteresis.rate`."""
         k_t, limit = parameters["k_t"], parameters["F_c"]
+        (z,) = states
         where = namespace(z).where
         grows = z * de > 0
         # Without a limit nothing holds, and the slope by the limit is a number there as well.
         size = where(grows, abs(z), 0.0) / where(limit > 0, limit, 1.0)
         share = where(size > 0, where(size > 0, size, 1.0) ** self.sharpness, 0.0)
-        return where(limit > 0, k_t * de * (1.0 - share), 0.0 * de)
+        return (where(limit > 0, k_t * de * (1.0 - share), 0.0 * de),)
 
     def creates_energy(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray:
         """See :meth:`Hysteresis.creates_energy`: it never does."""

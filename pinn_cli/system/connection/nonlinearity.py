@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -22,7 +22,7 @@ class Nonlinearity(ABC):
     Attributes:
         name: What the tables call it.
         parameters: Names of its parameters, beyond m, c and k.
-        has_memory: Whether it is a :class:`Hysteresis`.
+        states: How many functions of time a connection remembers, see :class:`Hysteresis`.
         stiffness_parameter: The one that fills the paper's K_n (its force depends on e alone), if there is one.
         damping_parameter: The one that fills the paper's C_n, if there is one.
         titles: What a figure calls each of its parameters; one that is left out goes by its symbol.
@@ -37,7 +37,7 @@ class Nonlinearity(ABC):
 
     name: ClassVar[str]
     parameters: tuple[str, ...]
-    has_memory: ClassVar[bool] = False
+    states: ClassVar[int] = 0
     stiffness_parameter: ClassVar[str | None] = None
     damping_parameter: ClassVar[str | None] = None
     titles: Mapping[str, str] = {}
@@ -58,6 +58,10 @@ class Nonlinearity(ABC):
 
     def turning_over(self, speed: float) -> Nonlinearity:
         """The law that an estimator solves: one that turns at once does so over a speed, m/s."""
+        return self
+
+    def moving_by(self, elongation: float) -> Nonlinearity:
+        """The law with states that are counted at the size of a record's motion, m, where nobody said otherwise."""
         return self
 
     def stiffness_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray | float:
@@ -101,22 +105,23 @@ class Nonlinearity(ABC):
 
 
 class Hysteresis(Nonlinearity):
-    """A connection with memory: r = c de + k e + r_n(e, de) + z, whose hidden force z (N) obeys dz/dt = rate.
+    """A connection with memory: r = c de + k e + r_n(e, de) + z_1, whose states z (N) obey dz/dt = rate.
 
-    The hidden force is an unknown function of time beside the motion. Its parameters enter :meth:`rate` alone.
+    The first state is a hidden force; others, which begin at zero, are in its rate alone. All are unknown functions of
+    time beside the motion. The law's parameters enter the rate of the first one alone.
     """
 
-    has_memory: ClassVar[bool] = True
+    states: ClassVar[int] = 1
     reversal_speed: float | None = 0.0
 
     @abstractmethod
-    def rate(self, e: Array, de: Array, z: Array, parameters: Mapping[str, Array]) -> Array:
-        """dz/dt of every connection, N/s; written as :meth:`force` is.
+    def rate(self, e: Array, de: Array, states: Sequence[Array], parameters: Mapping[str, Array]) -> Sequence[Array]:
+        """dz/dt of every state, each (..., connections), N/s; written as :meth:`force` is.
 
         Args:
             e: Elongation (..., connections), m.
             de: Its rate, m/s.
-            z: Hidden force, N.
+            states: Each (..., connections), N.
             parameters: Each broadcastable against e.
         """
 

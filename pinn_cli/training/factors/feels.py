@@ -10,7 +10,6 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from torch import Tensor
 
 from pinn_cli.record.channel import Channel
@@ -109,8 +108,8 @@ class ConnectionForce(Feels):
         for function, weight in zip(stretch.indices.tolist(), stretch.data.tolist(), strict=True):
             parts.append(Part(function, 0, weight * slope.stiffness[..., c]))
             parts.append(Part(function, 1, weight * slope.damping[..., c]))
-        if c in structure.memory:
-            parts.append(Part(dynamics.hidden.start + int(np.searchsorted(structure.memory, c)), 0, 1.0))
+        if structure.hidden_force[c] >= 0:
+            parts.append(Part(dynamics.hidden.start + int(structure.hidden_force[c]), 0, 1.0))
         by = {
             vector.first[p.kind] + p.index: slope.by_parameter[p.kind][..., mask].sum(-1)
             for p in vector.moving

@@ -155,13 +155,16 @@ def states_known(frame: Frame) -> list[KnownState]:
 
 
 def _first(problem: Problem, beginning: Beginning | None) -> State | None:
-    """Where motion begins at rest or at a known state, or with unknown forces; None where all begins anyhow.
+    """Where motion begins at rest or at a known state, or with what is counted from there, or with unknown forces.
+
+    None where all begins anyhow.
 
     A process that white noise drives begins somewhere, too: without a word on that, a force that nobody measured and
     the motion of a DOF without a sensor balance each other at the first samples, however large they are.
     """
     deviation, dynamics = problem.initial_deviation, problem.dynamics
-    if deviation is None and beginning is None and not problem.inputs.forces:
+    counted = np.flatnonzero(problem.structure.state_number)  # since the record's beginning
+    if deviation is None and beginning is None and not problem.inputs.forces and not counted.size:
         return None
     force, _ = force_and_velocity_scale(problem)
     # Of modes a coordinate moves so much less than a DOF, and so much more force acts on it.
@@ -170,6 +173,7 @@ def _first(problem: Problem, beginning: Beginning | None) -> State | None:
     if deviation is not None:
         std[: dynamics.ndof] = np.array(deviation) / per_dof
         std[dynamics.hidden, 0] = RESIDUAL_MOTION * force
+    std[dynamics.hidden.start + counted, 0] = RESIDUAL_MOTION * force
     std[dynamics.forces] = FIRST_FORCE * force / per_dof * np.array((1.0, problem.inputs.force_edge))
     if beginning is None:
         return State.about_zero(0, std)

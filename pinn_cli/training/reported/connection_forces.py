@@ -56,8 +56,9 @@ def _deviation(posterior: ReadoutPosterior, segments: Segments, slope: Linearisa
     stiffness, damping = (x[..., connection, None] for x in (slope.stiffness, slope.damping))
     rows = [float(weight) * (stiffness * value + damping * rate) for weight in stretch.data]
     functions = stretch.indices.tolist()
-    if connection in dynamics.structure.memory:
-        functions.append(dynamics.hidden.start + int(np.searchsorted(dynamics.structure.memory, connection)))
+    hidden = int(dynamics.structure.hidden_force[connection])
+    if hidden >= 0:
+        functions.append(dynamics.hidden.start + hidden)
         rows.append(value)
     position = torch.cat([local[:, function] for function in functions], -1)
     held = _by_parameter(posterior, slope, connection)
