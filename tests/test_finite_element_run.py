@@ -125,11 +125,19 @@ def test_a_mass_on_a_dof_that_the_model_does_not_have_is_named(in_folder_with_a_
     assert float(by) == pytest.approx(0.2, rel=0.25), (by, std)
 
 
-def test_the_stiffness_of_parts_is_updated(in_folder_with_a_beam: PinnRun):
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        ["scheme=state_parameter", "scheme.parameter_uncertainty=0"],
+        ["scheme=bayesian", "posterior.chains=2", "posterior.warmup=200", "posterior.draws=200"],
+    ],
+    ids=["estimated", "sampled"],
+)
+def test_the_stiffness_of_parts_is_updated(in_folder_with_a_beam: PinnRun, scheme: list[str]):
     for name, own in (("root", range(5)), ("end", range(5, 10))):
         mmwrite(f"{name}.mtx", beam_part(10, own))
     outcome = in_folder_with_a_beam(
-        *SMALL, "scheme=state_parameter", "scheme.parameter_uncertainty=0", "scheme.initial_motion=rest",
+        *SMALL, *scheme, "scheme.initial_motion=rest",
         "system.factors={root: {file: root.mtx, value: 0.8}, end: {file: end.mtx, value: 1.2}}",
     ).done()  # fmt: skip
     parameters = outcome.parameters
@@ -243,7 +251,7 @@ def test_a_shaken_model_with_an_unknown_force(in_folder_with_a_beam: PinnRun):
         (["system.modes=21"], "system.modes=21"),
         (["system.path=absent.npz"], "there is none at"),
         (["scheme=state_parameter", "scheme.unknown=[m_mode_1]"], "the mass of a mode is one"),
-        (["scheme=bayesian", "scheme.unobserved=[]"], "state_parameter with system=matrices"),
+        (["scheme=bayesian", "scheme.unknown=[c_mode_1]", "posterior=conditional"], "marginal or laplace with system="),
     ],
 )
 def test_what_cannot_be_done_is_told_in_one_line(in_folder_with_a_beam: PinnRun, settings: list[str], said: str):

@@ -30,7 +30,13 @@ class Conditional(Marginal):
         return likelihoods.conditional
 
     def check(self, problem: Problem) -> None:
-        """See :meth:`Posterior.check`: the force that a held motion takes says nothing about a sensor."""
+        """See :meth:`Posterior.check`: the force that a held motion takes says nothing about a sensor.
+
+        Nor does it of modes, to whose equations a force on a DOF is common.
+        """
+        if problem.structure.is_modal:
+            hint = "a measured force is common to all modes"
+            raise InputError("posterior", self.name, "marginal or laplace with system=matrices", hint)
         if problem.record.calibrated:
             allowed = "marginal or laplace where samples are missing or a sensor is in doubt"
             raise InputError("posterior", self.name, allowed, f"channel {problem.record.calibrated[0].key} is such")

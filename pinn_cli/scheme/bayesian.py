@@ -134,7 +134,8 @@ class Bayesian(EstimationScheme):
     Args:
         unobserved: See :func:`pinn_cli.scheme.sensors.unobserved_dofs`.
         sensors: What an observed DOF of a simulated record has sensors for.
-        unknown: See :func:`pinn_cli.scheme.unknowns.unknown_parameters`; None: everything but the masses.
+        unknown: See :func:`pinn_cli.scheme.unknowns.unknown_parameters`; None: everything but the masses, or of a
+            finite-element model what that function says.
         priors: See :func:`pinn_cli.scheme.bayesian.read_priors`; parameters without one get a wide one on the
             record's own scale.
         positive: Kinds of parameters whose wide priors end at zero.
@@ -166,12 +167,11 @@ class Bayesian(EstimationScheme):
     def pose(self, prescribed: Structure, records: Sequence[Record]) -> JointProblem:
         """See :meth:`Scheme.pose`."""
         record, *further = records
-        _check_sensors(records)
-        if prescribed.is_modal:
-            allowed = "state_parameter with system=matrices"
-            raise InputError("scheme", "bayesian", allowed, "sensors on DOFs do not show the motion of every mode")
-        every_but_masses = [f"{kind}_*" for kind in prescribed.parameters if kind != MASS]
-        named = every_but_masses if self.unknown is None else self.unknown
+        if not prescribed.is_modal:  # of modes the record tells what their sensors show
+            _check_sensors(records)
+        named = self.unknown
+        if named is None and not prescribed.is_modal:
+            named = [f"{kind}_*" for kind in prescribed.parameters if kind != MASS]
         chosen = unknown_parameters(prescribed, record, named, further)
         check_given(prescribed, chosen)
         check_used(prescribed, chosen, None, self.positive)

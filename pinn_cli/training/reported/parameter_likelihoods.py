@@ -135,7 +135,8 @@ class ParameterLikelihoods:
     Attributes:
         marginal: The motion integrated out.
         conditional: The motion held at the most probable one.
-        force: (N, n), N, what the most probable motion takes, at the parameters' ``peak``.
+        force: (N, n), N, what the most probable motion takes, at the parameters' ``peak``; empty where no equation of
+            motion has a measured force.
         force_by_parameter: (N, n, p), its change with the parameters, the motion following them.
     """
 
@@ -153,10 +154,12 @@ def parameter_likelihoods(evidence: Evidence, trained: Trained) -> ParameterLike
     equations = evidence.equations
     marginal = marginal_likelihood(evidence, trained)
     point, scale = trained.solution.point.parameters.numpy(), equations.scale
-    force, record_slope = evidence.each_record(force_of_motion, trained)[0]
-    slope = np.zeros((*record_slope.shape[:2], len(scale)))
-    slope[..., equations.columns[0]] = record_slope
-    moved = force + slope @ (marginal.peak - _physical(equations, point))
+    moved, slope = np.zeros((0, 0)), np.zeros((0, 0, len(scale)))
+    if np.isfinite(marginal.sigma_force).any():
+        force, record_slope = evidence.each_record(force_of_motion, trained)[0]
+        slope = np.zeros((*record_slope.shape[:2], len(scale)))
+        slope[..., equations.columns[0]] = record_slope
+        moved = force + slope @ (marginal.peak - _physical(equations, point))
     return ParameterLikelihoods(marginal, conditional_likelihood(evidence, trained), moved, slope)
 
 
