@@ -36,8 +36,9 @@ TASKS = {
     "nonlinear": "nonlinear connection, its parameters unknown",
     "finite_elements": "finite elements, stiffness factors unknown",
     "sensors": "sensors with unknown calibration",
-    "posterior": "posterior samples (NUTS)",
+    "posterior": "posterior samples (NUTS, two chains of 500 + 500)",
 }
+OPTIONS = {"posterior": ("posterior.chains=2", "posterior.warmup=500", "posterior.draws=500")}
 STARTING = ("before", "config", "imports")  # stages that no task is about
 # Shares, and the stages and steps that they are of.
 PARTS = {
@@ -57,7 +58,7 @@ def row(family: str, seed: int, peers: bool) -> dict[str, float | str]:
     with TemporaryDirectory() as name:
         folder = Path(name)
         case.write(folder)
-        command = ["--config-dir", str(folder), f"experiment={case.name}", "figures=false"]
+        command = ["--config-dir", str(folder), f"experiment={case.name}", "figures=false", *OPTIONS.get(family, ())]
         took = counted(command, folder / "run")
         table = pd.read_csv(folder / "run" / "parameters.csv").set_index("parameter")["estimate"]
     starting = sum(took.get(f"{stage}_cpu_s", 0.0) for stage in STARTING)
