@@ -30,8 +30,6 @@ ROUNDS, SETTLED = 25, 0.01
 # nothing.
 LOSING, LOST = 2, 10.0
 IDLE = 4
-# A solution that has not arrived goes on so many times at most.
-ARRIVING = 4
 # Most that a standard deviation may change in one round: the solution under it has to follow.
 LARGEST_CHANGE = 10.0
 # Change of the logarithm of a level below which the factor of the solution before serves: its Hessian is off by a
@@ -65,7 +63,6 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
     if evidence.problem.first.spectral is not None:  # spectra say what the levels are, too
         return trained
     floors = evidence.each_record(floor, trained)
-    trained = _followed(evidence, trained)
     before: list[np.ndarray | None] = [None] * len(floors)
     best, losing, idle = trained, 0, 0
     for _ in range(rounds):
@@ -81,7 +78,6 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
         noise = NoiseLevels(tuple(noise_of_records), evidence.learned_spread(trained))
         moved = [*np.concatenate(strides), np.log(noise.spread / trained.noise.spread)]
         again = evidence.train(noise, trained.solution.point, goes_on=bool(np.abs(moved).max() < NEAR_LEVEL))
-        again = None if again is None else _followed(evidence, again)
         # One that is still on its way is followed as long as it is the more probable one already.
         if again is None or not (again.solution.converged or again.log_evidence > trained.log_evidence):
             break
@@ -95,18 +91,6 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
         if np.abs(np.concatenate(change)).max(initial=0.0) < SETTLED or abs(gain) < NEGLIGIBLE_GAIN:
             break
     return _with_its_spread(evidence, best)
-
-
-def _followed(evidence: Evidence, trained: Trained) -> Trained:
-    """The same solution farther on its way, if it had not arrived; levels of one on its way are those of no other."""
-    for _ in range(ARRIVING):
-        if trained.solution.converged:
-            break
-        again = evidence.train(trained.noise, trained.solution.point)
-        if again is None or again.solution.loss > trained.solution.loss:
-            break
-        trained = again
-    return trained
 
 
 def _with_its_spread(evidence: Evidence, trained: Trained) -> Trained:

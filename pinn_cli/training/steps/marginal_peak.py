@@ -10,7 +10,6 @@ slope of that factor pulls at the parameters, as a constant force that is worked
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -30,10 +29,10 @@ from pinn_cli.training.steps.unknown_forces import set_force_level
 NEGLIGIBLE_PULL = 0.1
 # Most that it changes in one round, in the same unit.
 LARGEST_MOVE = 2.0
-# Central differences of a matrix by a parameter: how far to either side, in its deviations, and the weight of each.
-# Where equations are linear in it a wide one is exact, and large beside rounding. Elsewhere P^-1, which hardly knows
-# some motions, makes large numbers of what bends, of which the second one takes the first order away.
-OF_LINEAR, OF_BENT = ((1.0, 0.5),), ((0.02, 8.0 / 0.24), (0.04, -1.0 / 0.24))
+# Central differences of a matrix by a parameter. Where equations are linear in it a wide one is exact: this part of its
+# value, and a deviation at least. Elsewhere P^-1, which hardly knows some motions, makes large numbers of what bends:
+# how far to either side, in its deviations, and the weight of each, so that the second takes the first order away.
+PART_OF_VALUE, OF_BENT = 0.1, ((0.02, 8.0 / 0.24), (0.04, -1.0 / 0.24))
 # Part of what residuals move with a parameter that they may bend, and be linear but for rounding.
 LEAST_BENT = 1e-8
 
@@ -62,14 +61,16 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
     """What pulls, (p,) slope of the logarithm of that factor by each parameter, and how far the change moves any.
 
     tr(P^-1 dP - H^-1 dH) / 2 for each parameter of the equations that is looked for; 0 of the others. Parameters are in
-    the equations, which weigh the same in both. Derivatives are differences, see :data:`OF_LINEAR`. In prior standard
-    deviations, the change in the parameter's own; NaN where nothing tells it.
+    the equations, which weigh the same in both. Derivatives are differences, see :data:`PART_OF_VALUE`. In prior
+    standard deviations, the change in the parameter's own; NaN where nothing tells it.
     """
     equations, point, noise = evidence.equations, solution.point, solution.noise
     std = np.sqrt(np.diag(solution.factor.corner_covariance))[: len(equations.uncertain)]
     before, pull = np.zeros(len(std)) if equations.pull is None else equations.pull, np.zeros(len(std))
     # Under forces that nobody measured, what is believed of a parameter does not hold it.
     anyhow = bool(equations.dynamics.inputs.forces)
+    start = np.array([p.prescribed for p in equations.uncertain])
+    values = start / equations.scale.numpy() + point.parameters.numpy()
     wanted = [(p.unknown or anyhow) and p.kind not in OUTSIDE_THE_EQUATIONS for p in equations.uncertain]
     if any(wanted):
         alone = of_motion(evidence, noise)
@@ -81,13 +82,15 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
         ]
         if equations.observer is not None:  # accelerometers through the equations
             through += [(equations.observer, alone, of_equations, 0.5), (equations.observer, noise, of_all, -0.5)]
-    for i in np.flatnonzero(wanted):
-        ends = partial(_ends, point, std[i] * (np.arange(len(std)) == i))
+    for i in np.flatnonzero(wanted).tolist():
+        # Wide beside rounding: where a parameter is known well, a part of its value.
+        wide = max(std[i], PART_OF_VALUE * abs(values[i]))
+        straight = _is_straight(equations, _ends(point, i, wide), point)
         slope = 0.0
-        for width, weight in OF_LINEAR if _is_straight(equations, ends(1.0), point) else OF_BENT:
+        for width, weight in ((wide, 0.5 / wide),) if straight else ((w * std[i], s / std[i]) for w, s in OF_BENT):
             for factor, levels, inverse, share in through:
-                above, below = (equations.readout_matrix(factor, end, levels) for end in ends(width))
-                slope += weight * share * inverse.trace_of_product(above - below) / std[i]
+                above, below = (equations.readout_matrix(factor, end, levels) for end in _ends(point, i, width))
+                slope += weight * share * inverse.trace_of_product(above - below)
         # A discrepancy in a part of the band has as much fewer values: it was widened for these.
         most = LARGEST_MOVE / std[i]
         pull[i] = np.clip(noise.occupied * slope, before[i] - most, before[i] + most)
@@ -95,9 +98,9 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
     return equations.pull, pull, float(np.max(np.abs(pull - before) * std, initial=0.0))
 
 
-def _ends(point: Point, deviation: np.ndarray, width: float) -> tuple[Point, Point]:
-    """So many deviations to either side, each (p,)."""
-    shift = point.parameters.new_tensor(width * deviation)
+def _ends(point: Point, i: int, width: float) -> tuple[Point, Point]:
+    """A parameter so much more, and so much less, in prior standard deviations."""
+    shift = point.parameters.new_tensor(width * (np.arange(len(point.parameters)) == i))
     return replace(point, parameters=point.parameters + shift), replace(point, parameters=point.parameters - shift)
 
 
