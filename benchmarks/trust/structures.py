@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -26,7 +27,9 @@ class Connection:
         law: Name of the law in the settings (`linear`, `duffing`, ...).
         values: Kind of parameter and value: {"c": ..., "k": ..., "kappa": ...}.
         force: Further force beside c e' + k e: of elongation, its rate and the memory z; N.
-        memory: Rate of the memory z of elongation, its rate and z, or None.
+        memory: Rate of the memory z of elongation, its rate and z, or None. Where several numbers are remembered, z is
+            an array, and the first one enters the force.
+        remembered: How many.
         options: Settings of the law that are no parameters, such as `exponent`.
     """
 
@@ -35,7 +38,8 @@ class Connection:
     law: str = "linear"
     values: dict[str, float] = field(default_factory=dict)
     force: Callable[[float, float, float], float] | None = None
-    memory: Callable[[float, float, float], float] | None = None
+    memory: Callable[[float, float, Any], Any] | None = None
+    remembered: int = 1
     options: dict[str, object] = field(default_factory=dict)
 
 
@@ -130,23 +134,24 @@ def simulated(
     C, K = structure.matrix("c"), structure.matrix("k")
     further = [(i, link) for i, link in enumerate(links) if link.force is not None]
     remembers = [(i, link) for i, link in enumerate(links) if link.memory is not None]
-    place = {i: 2 * n + j for j, (i, _) in enumerate(remembers)}
+    ends = 2 * n + np.cumsum([0, *(link.remembered for _, link in remembers)])
+    place = {i: slice(at, end) for (i, _), at, end in zip(remembers, ends, ends[1:], strict=False)}
 
     def motion(t: float, y: np.ndarray) -> np.ndarray:
         u, v = y[:n], y[n : 2 * n]
         pull = force(t) - C @ v - K @ u
         for i, link in further:
             assert link.force is not None
-            z = y[place[i]] if i in place else 0.0
+            z = y[place[i]][0] if i in place else 0.0
             pull = pull - link.row * link.force(float(link.row @ u), float(link.row @ v), float(z))
         rates = [
-            link.memory(float(link.row @ u), float(link.row @ v), float(y[place[i]]))
+            link.memory(float(link.row @ u), float(link.row @ v), np.squeeze(y[place[i]])[()])
             for i, link in remembers
             if link.memory is not None
         ]
-        return np.r_[v, pull / structure.mass, rates]
+        return np.concatenate([v, pull / structure.mass, *map(np.atleast_1d, rates)])
 
-    y0 = np.zeros(2 * n + len(remembers))
+    y0 = np.zeros(ends[-1])
     if start is not None:
         y0[: 2 * n] = start
     scale = float(np.abs(force(times[len(times) // 3])).max() + np.abs(K @ y0[:n]).max())

@@ -8,10 +8,11 @@ import pytest
 from scipy.linalg import eigh
 
 from benchmarks.trust.case import plain
-from benchmarks.trust.families import drawn, nonlinear
+from benchmarks.trust.families import degrading, drawn, nonlinear
 from benchmarks.trust.families.finite_elements import Mesh, assembled
 from benchmarks.trust.structures import Connection, Structure, damping_matrix, linear_motion, simulated, sinusoids
 from benchmarks.trust.waves import random_waves
+from pinn_cli.system.connection.baber_noori import BaberNoori
 from pinn_cli.system.connection.bouc_wen import BoucWen
 from pinn_cli.system.connection.duffing import Duffing
 from pinn_cli.system.connection.friction import Friction
@@ -36,8 +37,8 @@ FRAME = Structure(
         *(
             pytest.param(family, seed, marks=pytest.mark.slow)
             for family, seed in {
-                "chain": 0, "topology": 0, "nonlinear": 1, "unmeasured": 13, "unmeasured_nonlinear": 3, "damping": 4,
-                "sensors": 2, "posterior": 0, "records": 0, "spoilt": 0,
+                "chain": 0, "topology": 0, "nonlinear": 1, "degrading": 1, "unmeasured": 13, "unmeasured_nonlinear": 3,
+                "damping": 4, "sensors": 2, "posterior": 0, "records": 0, "spoilt": 0,
             }.items()
         ),
     ],
@@ -94,6 +95,8 @@ def test_motion_under_waves_is_that_of_small_steps_and_of_the_wave_begun_earlier
         ("duffing", lambda link: Duffing()),
         ("polynomial", lambda link: Polynomial([2, 3])),
         ("bouc_wen", lambda link: BoucWen()),
+        ("degrades", lambda link: BaberNoori()),
+        ("pinches", lambda link: BaberNoori(pinches=True)),
         ("friction", lambda link: Friction(link.options.get("speed", 1e-4 * 0.3))),
         ("van_der_pol", lambda link: VanDerPol()),
         ("power_damping", lambda link: PowerDamping(link.options["exponent"])),
@@ -101,15 +104,17 @@ def test_motion_under_waves_is_that_of_small_steps_and_of_the_wave_begun_earlier
 )
 def test_a_law_that_is_drawn_is_the_one_of_its_name(law, of_the_program):
     rng = np.random.default_rng(3)
-    link = getattr(nonlinear, law)(rng, replace(FRAME.connections[0]), 0.2, 0.3)
+    link = (vars(nonlinear) | vars(degrading))[law](rng, replace(FRAME.connections[0]), 0.2, 0.3)
     program = of_the_program(link)
     values = {name: np.array([value]) for name, value in link.values.items()}
     for e, de, z in rng.normal(size=(10, 3)):
         expected = program.force(np.array([e]), np.array([de]), values)[0]
         if isinstance(program, Hysteresis):
-            expected = z
-            found = program.rate(np.array([e]), np.array([de]), [np.array([z])], values)[0]
-            assert link.memory(e, de, z) == pytest.approx(found)
+            expected, energy = z, 5.0 * abs(e)
+            states = [z, energy][: link.remembered]
+            found = program.rate(np.array([e]), np.array([de]), [np.array([x]) for x in states], values)
+            drawn = link.memory(e, de, states if link.remembered > 1 else z)
+            np.testing.assert_allclose(np.atleast_1d(drawn), np.concatenate(found))
         assert link.force(e, de, z) == pytest.approx(expected)
 
 

@@ -12,6 +12,7 @@ FAMILIES = (
     "ground",
     "damping",
     "nonlinear",
+    "degrading",
     "unmeasured",
     "unmeasured_nonlinear",
     "finite_elements",

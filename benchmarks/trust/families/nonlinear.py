@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -15,17 +15,25 @@ from benchmarks.trust.families.unmeasured import structure_of
 from benchmarks.trust.structures import Connection, noisy, simulated
 from benchmarks.trust.waves import random_waves
 
+# From a connection, its linear elongation and the rate of that, rms, to the same with a law.
+Law = Callable[[Generator, Connection, float, float], Connection]
+SMOOTH = {"duffing", "polynomial", "van_der_pol", "power_damping"}
 STUCK = 1e-4  # part of the rms rate of a contact below which it creeps, in the simulation of one that sticks
 
 
 def draw(seed: int) -> Case:
     """A seed's law is the one of its remainder by six; every other connection that is nonlinear has any law."""
-    rng = np.random.default_rng([seed, 105])
+    return drawn_with(LAWS, "nonlinear", seed)
+
+
+def drawn_with(laws_by_name: Mapping[str, Law], family: str, seed: int) -> Case:
+    """A case of such a family, with these laws."""
+    rng, names = np.random.default_rng([seed, 105]), list(laws_by_name)
     n = int(rng.integers(1, 6))
     structure = structure_of(rng, n, 10.0 ** rng.uniform(-1, 6), 10.0 ** rng.uniform(-0.7, 1.7))
     first, last = structure.modes()[0][[0, -1]]
     chosen = rng.choice(len(structure.connections), int(rng.integers(1, min(n, 2) + 1)), replace=False)
-    laws = [list(LAWS)[seed % len(LAWS)], *rng.choice(list(LAWS), len(chosen) - 1)]
+    laws = [names[seed % len(names)], *rng.choice(names, len(chosen) - 1)]
     high = first * (last / first) ** rng.uniform(0.5, 1.0) * rng.uniform(1.1, 1.5)
     coarse, fine, most = (5.12, 15.0, 1500) if sharp(laws) else (2.56, 30.0, 2500)
     rate = coarse * (fine / coarse) ** rng.uniform() * max(high, last)
@@ -44,7 +52,7 @@ def draw(seed: int) -> Case:
     links = list(structure.connections)
     for i, law in zip(chosen, laws, strict=True):
         stretch, speed = (size * float((of @ links[i].row).std()) for of in (linear.displacement, linear.velocity))
-        links[i] = LAWS[law](rng, links[i], stretch, speed)
+        links[i] = laws_by_name[law](rng, links[i], stretch, speed)
     structure = replace(structure, connections=tuple(links))
     method = "LSODA" if sharp(laws) else "DOP853"
     motion = simulated(structure, lambda t: size * place * unit(t), times, highest, method=method)
@@ -93,12 +101,12 @@ def draw(seed: int) -> Case:
         f" {[int(i) + 1 for i in sensors]}, {response_db:.0f} dB, {bent},"
         f" {len(unknown)} unknown{'' if started else ', the laws without a start'}"
     )
-    return Case("nonlinear", seed, {"record.csv": pd.DataFrame(table)}, settings, truth, about)
+    return Case(family, seed, {"record.csv": pd.DataFrame(table)}, settings, truth, about)
 
 
 def sharp(laws: list[str]) -> bool:
     """Whether one of the laws has corners, which take more samples in a period, and dearer ones."""
-    return not {"friction", "bouc_wen"}.isdisjoint(laws)
+    return not set(laws) <= SMOOTH
 
 
 def duffing(rng: Generator, link: Connection, stretch: float, speed: float) -> Connection:
@@ -157,6 +165,6 @@ def power_damping(rng: Generator, link: Connection, stretch: float, speed: float
     )  # fmt: skip
 
 
-LAWS: dict[str, Callable[[Generator, Connection, float, float], Connection]] = {
+LAWS: dict[str, Law] = {
     law.__name__: law for law in (duffing, polynomial, bouc_wen, friction, van_der_pol, power_damping)
 }
