@@ -23,7 +23,7 @@ from pinn_cli.training.starting_noise import starting_noise
 from pinn_cli.training.whittle.whittle_estimate import KnownParameters
 
 # Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
-ITERATIONS, TOLERANCE = 20, 1e-6
+ITERATIONS, TOLERANCE = 15, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
