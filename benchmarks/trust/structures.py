@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -27,8 +26,8 @@ class Connection:
         law: Name of the law in the settings (`linear`, `duffing`, ...).
         values: Kind of parameter and value: {"c": ..., "k": ..., "kappa": ...}.
         force: Further force beside c e' + k e: of elongation, its rate and the memory z; N.
-        memory: Rate of the memory z of elongation, its rate and z, or None. Where several numbers are remembered, z is
-            an array, and the first one enters the force.
+        memory: Rates of the numbers z that it remembers, of elongation, its rate and z, or None. The first one enters
+            the force.
         remembered: How many.
         options: Settings of the law that are no parameters, such as `exponent`.
     """
@@ -38,7 +37,7 @@ class Connection:
     law: str = "linear"
     values: dict[str, float] = field(default_factory=dict)
     force: Callable[[float, float, float], float] | None = None
-    memory: Callable[[float, float, Any], Any] | None = None
+    memory: Callable[[float, float, Sequence[float]], list[float]] | None = None
     remembered: int = 1
     options: dict[str, object] = field(default_factory=dict)
 
@@ -145,11 +144,11 @@ def simulated(
             z = y[place[i]][0] if i in place else 0.0
             pull = pull - link.row * link.force(float(link.row @ u), float(link.row @ v), float(z))
         rates = [
-            link.memory(float(link.row @ u), float(link.row @ v), np.squeeze(y[place[i]])[()])
+            link.memory(float(link.row @ u), float(link.row @ v), y[place[i]])
             for i, link in remembers
             if link.memory is not None
         ]
-        return np.concatenate([v, pull / structure.mass, *map(np.atleast_1d, rates)])
+        return np.concatenate([v, pull / structure.mass, *rates])
 
     y0 = np.zeros(ends[-1])
     if start is not None:

@@ -71,7 +71,7 @@ def prepare_problem(config: RunConfig, stages: Stages | None = None) -> Prepared
         validation = None if validate is None else validate(true, records)
     with stages("problem"):
         if config.modes is None:
-            prescribed = config.scheme.of_records(prescribed, records)
+            prescribed = config.scheme.adapted(prescribed, records)
             problem = config.scheme.pose(prescribed, records)
         else:
             problem = modal_problem(config.modes, prescribed, records)
@@ -178,7 +178,7 @@ def prepare_windows(
     last_record = 0
     if config.model is None:
         begin = measured(next(windows.after(0)))
-        prescribed = config.scheme.of_records(prescribed, [config.observe(begin.record)])
+        prescribed = config.scheme.adapted(prescribed, [config.observe(begin.record)])
     elif config.scheme.looks_for_changes:
         last_record = int(history(config.model)["record"].max())
     solver = WindowSolver(

@@ -50,7 +50,7 @@ class Scheme(ABC):
             InputError: The choice does not fit the record, or leaves no sensor.
         """
 
-    def of_records(self, prescribed: Structure, records: Sequence[Record]) -> Structure:
+    def adapted(self, prescribed: Structure, records: Sequence[Record]) -> Structure:
         """The structure that the records are solved with: what its laws count is counted at the size of the motion.
 
         Args:

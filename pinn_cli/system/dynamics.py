@@ -169,11 +169,8 @@ class Dynamics(Functions):
         for state in range(1 + int(number.max())):
             at, pairs = number == state, number[row] == state
             _, (by_e, by_de, by_z, *by_kind) = slopes(lambda *x, at=at: rate(*x)[..., at], e, de, z, *given)
-            for name, places, found in (
-                ("e", at, by_e[..., structure.memory[at]]), ("de", at, by_de[..., structure.memory[at]]),
-                ("z", pairs, by_z[..., column[pairs]]),
-            ):  # fmt: skip
-                out[name][..., places] = found
+            out["e"][..., at], out["de"][..., at] = (x[..., structure.memory[at]] for x in (by_e, by_de))
+            out["z"][..., pairs] = by_z[..., column[pairs]]
             by = by or by_kind  # the first state's rate alone has parameters
         return out | dict(zip(kinds, by, strict=True))
 

@@ -215,10 +215,8 @@ class Structure:
     @cached_property
     def hidden_force(self) -> np.ndarray:
         """(C,), which hidden function is the force that a connection remembers; -1 where it remembers none."""
-        out = np.full(self.incidence.shape[0], -1)
-        for part in self.parts:
-            for forces in part.states[:1]:
-                out[part.connections] = np.arange(forces.start, forces.stop)
+        out, forces = np.full(self.incidence.shape[0], -1), np.flatnonzero(self.state_number == 0)
+        out[self.memory[forces]] = forces
         return out
 
     @cached_property

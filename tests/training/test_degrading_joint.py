@@ -45,7 +45,7 @@ def test_its_law_is_identified(seed):
     structure = build_partial_structure(["x"], {"x": M}, {"joint": {"between": ["ground", "x"], **law}})
     record = rocked(seed)
     scheme = StateParameter(unobserved=[], unknown=UNKNOWN, parameter_uncertainty=0.0, initial_motion="rest")
-    problem = scheme.pose(scheme.of_records(structure, [record]), [record])
+    problem = scheme.pose(scheme.adapted(structure, [record]), [record])
     estimate = by_spline(problem)
     for p in estimate.parameters:
         true = TRUE[p.name.removesuffix("_joint")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,7 +29,7 @@ def degrades(rng: Generator, link: Connection, stretch: float, speed: float) -> 
     cycle = 4.0 * a / (beta + gamma) * stretch  # energy
     delta_nu, delta_eta = (1.0 / (rng.uniform(*HALVED_IN) * cycle) for _ in range(2))
 
-    def memory(e: float, v: float, z: np.ndarray) -> list[float]:
+    def memory(e: float, v: float, z: Sequence[float]) -> list[float]:
         nu, eta = 1.0 + delta_nu * z[1], 1.0 + delta_eta * z[1]
         return [(a * v - nu * (beta * abs(v) * z[0] + gamma * v * abs(z[0]))) / eta, z[0] * v]
 
@@ -44,7 +45,7 @@ def pinches(rng: Generator, link: Connection, stretch: float, speed: float) -> C
     p, delta_psi, unpinched = 3.0 * delta_nu, 0.1 * delta_nu, link.memory
     assert unpinched is not None
 
-    def memory(e: float, v: float, z: np.ndarray) -> list[float]:
+    def memory(e: float, v: float, z: Sequence[float]) -> list[float]:
         rate, power = unpinched(e, v, z)
         depth = zeta_s * (1.0 - math.exp(-p * z[1]))
         width = (psi + delta_psi * z[1]) * (rest + depth)

@@ -134,7 +134,8 @@ def bouc_wen(rng: Generator, link: Connection, stretch: float, speed: float) -> 
     gamma = bend - beta
     return replace(
         link, law="bouc_wen", values=link.values | {"k": k - A, "A": A, "beta": beta, "gamma": gamma, "n": 1.0},
-        force=lambda e, v, z: z, memory=lambda e, v, z: A * v - beta * abs(v) * z - gamma * v * abs(z),
+        force=lambda e, v, z: z,
+        memory=lambda e, v, z: [A * v - beta * abs(v) * z[0] - gamma * v * abs(z[0])],
     )  # fmt: skip
 
 

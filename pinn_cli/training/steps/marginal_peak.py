@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from torch import Tensor
 
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
 from pinn_cli.training.factors.factor import Factor
@@ -82,10 +83,11 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
         ]
         if equations.observer is not None:  # accelerometers through the equations
             through += [(equations.observer, alone, of_equations, 0.5), (equations.observer, noise, of_all, -0.5)]
+    residual = equations.motion.residual(point)
     for i in np.flatnonzero(wanted).tolist():
         # Wide beside rounding: where a parameter is known well, a part of its value.
         wide = max(std[i], PART_OF_VALUE * abs(values[i]))
-        straight = _is_straight(equations, _ends(point, i, wide), point)
+        straight = _is_straight(equations, residual, _ends(point, i, wide))
         slope = 0.0
         for width, weight in ((wide, 0.5 / wide),) if straight else ((w * std[i], s / std[i]) for w, s in OF_BENT):
             for factor, levels, inverse, share in through:
@@ -104,9 +106,9 @@ def _ends(point: Point, i: int, width: float) -> tuple[Point, Point]:
     return replace(point, parameters=point.parameters + shift), replace(point, parameters=point.parameters - shift)
 
 
-def _is_straight(equations: NormalEquations, ends: tuple[Point, Point], point: Point) -> bool:
-    """Whether the equations are linear in what parts the ends."""
-    above, below, between = (equations.motion.residual(at) for at in (*ends, point))
+def _is_straight(equations: NormalEquations, between: Tensor, ends: tuple[Point, Point]) -> bool:
+    """Whether the equations are linear in what parts the ends, from their residual half-way."""
+    above, below = map(equations.motion.residual, ends)
     bent, moved = (float(x.abs().max()) for x in (above + below - 2.0 * between, above - below))
     return bent <= LEAST_BENT * moved
 
