@@ -24,11 +24,11 @@ from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, Unknown
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import Start, Starts
 from pinn_cli.scheme.unknowns import (
-    POSITIVE,
     at_starts,
     check_used,
     checked_positive,
     parameters_called,
+    positive_kinds,
     unknown_parameters,
 )
 from pinn_cli.settings.errors import InputError, suggestion
@@ -138,7 +138,7 @@ class Bayesian(EstimationScheme):
             finite-element model what that function says.
         priors: See :func:`pinn_cli.scheme.bayesian.read_priors`; parameters without one get a wide one on the
             record's own scale.
-        positive: Kinds of parameters whose wide priors end at zero.
+        positive: Kinds of parameters whose wide priors end at zero; None: see :func:`positive_kinds`.
         acceleration_through, initial_motion, unknown_force: See :class:`pinn_cli.scheme.scheme.EstimationScheme`.
 
     Raises:
@@ -153,7 +153,7 @@ class Bayesian(EstimationScheme):
         sensors: Mapping[str, bool] | None = None,
         unknown: str | Sequence[str] | None = None,
         priors: Mapping[str, Any] | None = None,
-        positive: Sequence[str] = POSITIVE,
+        positive: Sequence[str] | None = None,
         acceleration_through: Through = "derivative",
         initial_motion: Beginning = FREE,
         unknown_force: UnknownForce = GAUSSIAN_PROCESS,
@@ -174,6 +174,7 @@ class Bayesian(EstimationScheme):
             named = [f"{kind}_*" for kind in prescribed.parameters if kind != MASS]
         chosen = unknown_parameters(prescribed, record, named, further)
         check_given(prescribed, chosen)
+        positive = positive_kinds(prescribed, self.positive)
         check_used(prescribed, chosen, None, self.positive)
         given = _given(record, chosen)
         (starts,) = Starts(prescribed, records, chosen, given, 1)
@@ -181,7 +182,7 @@ class Bayesian(EstimationScheme):
         records = [calibrated_starts(each, values) for each in records]
         scales = {parameter: starts[parameter].scale for parameter in chosen}
         given_priors = read_priors(self.priors, prescribed)
-        priors = with_defaults(given_priors, scales, self.positive)
+        priors = with_defaults(given_priors, scales, positive)
         said = (replace(p, said=given.get(p, math.nan)) for p in chosen)
         unknown = tuple(_unknown(p, priors[p], starts[p], p in given_priors) for p in said)
         structure = at_starts(prescribed, unknown)

@@ -24,13 +24,13 @@ from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, Unknown
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import AUTO, Start, Starts, checked_starts
 from pinn_cli.scheme.unknowns import (
-    POSITIVE,
     at_starts,
     believed_parameters,
     check_used,
     checked_positive,
     checked_uncertainty,
     initial_values,
+    positive_kinds,
     unknown_parameters,
 )
 from pinn_cli.settings.legal_values import positive_number
@@ -57,7 +57,7 @@ class StateParameter(EstimationScheme):
             a measured structure what is prescribed for the others, of a simulated one nothing: that is the truth.
         starts: ``auto``, or the number of starts at most, of which the most probable solution is kept; ``given``:
             exactly where ``initial`` says.
-        positive: Kinds of parameters that cannot be negative.
+        positive: Kinds of parameters that cannot be negative; None: see :func:`positive_kinds`.
         prior_width: Prior standard deviation of an unknown parameter over its scale, which is where it starts, or what
             its law says: wide enough to leave the answer to the record.
         parameter_uncertainty: Relative prior standard deviation of every other parameter but the masses; 0 holds them
@@ -79,7 +79,7 @@ class StateParameter(EstimationScheme):
         unknown: str | Sequence[str] | None = None,
         initial: Mapping[str, float | None] | None = None,
         starts: str | int = AUTO,
-        positive: Sequence[str] = POSITIVE,
+        positive: Sequence[str] | None = None,
         prior_width: float = 10.0,
         parameter_uncertainty: float = 0.075,
         acceleration_through: Through = "derivative",
@@ -127,13 +127,16 @@ class StateParameter(EstimationScheme):
         record = records[0]
         chosen = self._chosen(prescribed, records)
         check_given(prescribed, chosen)
+        positive = positive_kinds(prescribed, self.positive)
         check_used(prescribed, chosen, self.initial, self.positive)
         believed = believed_parameters(prescribed, self.parameter_uncertainty, but=chosen)
         order = {kind: i for i, kind in enumerate(prescribed.parameters)}
-        given = self._given(prescribed, record, chosen)
+        given = self._given(prescribed, record, chosen, positive)
 
         def posed(start: Mapping[Parameter, Start]) -> JointProblem:
-            unknown = [self._unknown(p, start[p], given.get(p, math.nan)) for p in chosen]
+            unknown = [
+                self._unknown(replace(p, positive=p.kind in positive), start[p], given.get(p, math.nan)) for p in chosen
+            ]
             uncertain = tuple(sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.index)))
             values = {parameter: parameter_start.value for parameter, parameter_start in start.items()}
             calibrated = [calibrated_starts(each, values) for each in records]
@@ -155,9 +158,11 @@ class StateParameter(EstimationScheme):
         again.unknown = [p.name for p in problem.first.uncertain if p.unknown and p.kind in structural]
         return again.pose(prescribed, [record])
 
-    def _given(self, prescribed: Structure, record: Record, unknown: Collection[Parameter]) -> dict[Parameter, float]:
+    def _given(
+        self, prescribed: Structure, record: Record, unknown: Collection[Parameter], positive: Sequence[str]
+    ) -> dict[Parameter, float]:
         """What the user says about the unknown parameters."""
-        given = initial_values(prescribed, self.initial, self.positive)
+        given = initial_values(prescribed, self.initial, positive)
         if not record.simulated:
             given = {p: p.prescribed for p in unknown if math.isfinite(p.prescribed)} | given
         return {parameter: value for parameter, value in given.items() if parameter in unknown}
@@ -170,5 +175,4 @@ class StateParameter(EstimationScheme):
             scale=start.scale,
             said=said,
             unknown=True,
-            positive=parameter.kind in self.positive,
         )

@@ -18,7 +18,7 @@ from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.structure import Structure
 
-# Kinds that cannot be negative unless the user says otherwise.
+# Kinds that cannot be negative unless the user says otherwise, beside those of which their law says so.
 POSITIVE = ("m", "c", "k", "kappa", "mu", "A", "n", "F_c", "factor", *WHOLE)
 # Instead of names: what the structure has no value for.
 MISSING = "missing"
@@ -195,24 +195,35 @@ def parameters_called(key: str, structure: Structure, setting: str) -> list[Para
     return [names[name] for name in _matching(key, structure, names, setting)]
 
 
-def checked_positive(positive: Any) -> tuple[str, ...]:
-    """``scheme.positive`` as a tuple of kinds.
+def checked_positive(positive: Any) -> tuple[str, ...] | None:
+    """``scheme.positive`` as a tuple of kinds; None: see :func:`positive_kinds`.
 
     Raises:
         InputError: It is no list of words.
     """
+    if positive is None:
+        return None
     kinds = entries(positive)
     is_list = isinstance(positive, Sequence) and not isinstance(positive, str)
     if not is_list or not all(isinstance(kind, str) for kind in kinds):
-        raise InputError("scheme.positive", positive, "a list of kinds of parameters, such as [m, c, k]")
+        raise InputError("scheme.positive", positive, "null, or a list of kinds of parameters, such as [m, c, k]")
     return tuple(kinds)
+
+
+def positive_kinds(structure: Structure, said: Sequence[str] | None) -> Sequence[str]:
+    """Kinds of parameters that cannot be negative: those that are said, else `POSITIVE` and what every law says.
+
+    Beyond zero a law can have solutions that make no sense, such as a stiffness that degrades below nothing.
+    """
+    of_laws = (kind for law in structure.laws for kind in law.nonnegative)
+    return tuple(dict.fromkeys((*POSITIVE, *of_laws))) if said is None else said
 
 
 def check_used(
     structure: Structure,
     unknown: Collection[Parameter],
     given: Mapping[str, float | None] | None,
-    positive: Sequence[str],
+    positive: Sequence[str] | None,
 ) -> None:
     """Refuse what a user says about parameters and that would not be used.
 
@@ -220,16 +231,16 @@ def check_used(
         structure: The prescribed model.
         unknown: Its unknown parameters.
         given: ``scheme.initial``; None: nothing said.
-        positive: ``scheme.positive``; other laws' kinds are there by default.
+        positive: ``scheme.positive``; None: nothing said.
 
     Raises:
         InputError: A kind that no law has, or a start of parameters that are not unknown.
     """
     kinds = (*LINEAR_UNITS, *structure.parameters, *POSITIVE)
-    for kind in positive:
+    for kind in positive or ():
         if kind not in kinds:
             allowed = f"a list of kinds of parameters: {', '.join(dict.fromkeys(kinds))}"
-            raise InputError("scheme.positive", f"[{', '.join(positive)}]", allowed, f"no connection has {kind}")
+            raise InputError("scheme.positive", f"[{', '.join(positive or ())}]", allowed, f"no connection has {kind}")
     for key, value in (given or {}).items():
         called = [] if value is None else parameters_called(key, structure, f"scheme.initial.{key}")
         if called and not set(called) & set(unknown):

@@ -11,6 +11,7 @@ from small_problems import measured, small_chain
 from pinn_cli.record.record import Measurements
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.topology import build_partial_structure
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +104,20 @@ def test_kinds_that_may_be_negative(measurements):
     unknown = {p.name: p for p in posed(measurements, positive=["k"]).uncertain if p.unknown}
     assert unknown["kappa_2"].lower == -math.inf
     assert {name: p.positive for name, p in unknown.items()} == {"k_2": True, "kappa_2": False}
+
+
+def test_a_law_says_which_of_its_parameters_cannot_be_negative(measurements):
+    """With stiffness that degrades below nothing a record has solutions that make no sense."""
+    joint = {"between": ["a", "b"], "law": "baber_noori"} | dict.fromkeys(("c", "k", "A", "beta", "gamma", "delta_nu"))
+    connections = {
+        "joint": joint | {"n": 1.0, "delta_eta": None},
+        "rest": {"between": ["b", "c"], "law": "linear", "k": 1.0, "c": 1.0},
+    }
+    structure = build_partial_structure(["a", "b", "c"], {"a": 1.0, "b": 1.0, "c": 1.0}, connections)
+    scheme = StateParameter(unobserved=[], unknown=["*_joint"])
+    record = scheme.observe(measurements.record)
+    free = {p.kind for p in scheme.pose(structure, [record]).alone.uncertain if p.unknown and not p.positive}
+    assert free == {"beta", "gamma"}
 
 
 @pytest.mark.parametrize(
