@@ -106,6 +106,7 @@ def write_files(folder: Path) -> None:
     for name in ("rig.csv", "second.csv"):
         shutil.copy(RIG, folder / name)
     rig = pd.read_csv(RIG)
+    rig.rename(columns=lambda name: name.replace("a", "u")).to_csv(folder / "quake.csv", index=False)
     for number, places in enumerate((["a3", "a1"], ["a3", "a2"], ["a3", "a1", "a2"]), start=1):
         part = rig[[*(name for name in rig if name not in ("a1", "a2", "a3")), *places]]
         part.to_csv(folder / f"setup_{number}.csv", index=False)

@@ -174,10 +174,11 @@ def records(draw: st.DrawFn, structure: Structure, plain: bool) -> Record:
     if structure.supports:
         measured = draw(st.sampled_from(list(SUPPORT)))
         supports[measured] = rng.normal(size=(SAMPLES, structure.supports))
-    ground = rng.normal(size=(SAMPLES, 1)) if moves else None
+    missed = moves and not left_open and draw(st.integers(0, 3)) == 0
+    ground = np.full((SAMPLES, 1), np.nan) if missed else rng.normal(size=(SAMPLES, 1)) if moves else None
     loads = [dof for dof in forced if np.isfinite(force[0, dof])]
     inputs = {} if plain else {FORCE: loads} if loads else {}
-    inputs |= {GROUND: []} if moves else {}
+    inputs |= {GROUND: []} if moves and not missed else {}
     every: list[Channel] = []
     for number in range(draw(st.integers(0 if plain else 1, 2))):
         channel = draw(channels(structure, inputs, number))

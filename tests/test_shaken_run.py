@@ -8,7 +8,8 @@ import pandas as pd
 import pytest
 import xarray as xr
 from calls import PinnRun
-from scipy.signal import butter, lsim, sosfilt
+from scipy.integrate import solve_ivp
+from scipy.signal import butter, lsim, sosfilt, sosfiltfilt
 
 EARTHQUAKE = (
     "excitation=ground_motion", "excitation.highest=10", "excitation.rise=1", "excitation.strong=4",
@@ -52,6 +53,43 @@ def test_a_frame_of_which_the_roof_leaves_two_open(pinn_run: PinnRun) -> None:
     other = {name: float(x) for name, x in re.findall(r"(k_\d) = ([\d.e+]+)", reason)}
     assert other["k_1"] == pytest.approx(4e6, rel=0.1)
     assert other["k_2"] == pytest.approx(1e6, rel=0.1)
+
+
+def test_an_earthquake_that_nobody_measured(pinn_run: PinnRun, tmp_path: Path) -> None:
+    """Displacements relative to the ground, a cubic storey, by other code: all of the structure, and the ground."""
+    rng, time, (m1, m2) = np.random.default_rng(5), np.arange(0, 30, 1e-3), (2.6e4, 2.2e4)
+    ground = sosfilt(butter(2, [0.3, 6], "bandpass", fs=1000, output="sos"), rng.standard_normal(len(time)))
+    true = {"k_low": 9e6, "k_high": 7e6, "c_low": 6e4, "c_high": 5e4, "kappa_low": 2e10}
+
+    def rate(at, y):
+        e, de = np.array([y[0], y[1] - y[0]]), np.array([y[2], y[3] - y[2]])
+        low = true["k_low"] * e[0] + true["c_low"] * de[0] + true["kappa_low"] * e[0] ** 3
+        high = true["k_high"] * e[1] + true["c_high"] * de[1]
+        shaken = np.interp(at, time, ground)
+        return [y[2], y[3], (high - low) / m1 - shaken, -high / m2 - shaken]
+
+    moved = solve_ivp(rate, (0.0, time[-1]), np.zeros(4), "DOP853", time[::20], rtol=1e-8, max_step=5e-3).y[:2].T
+    seen = moved + 0.003 * moved.std(axis=0) * rng.standard_normal(moved.shape)
+    table = pd.DataFrame({"t": time[::20], "u1": seen[:, 0], "u2": seen[:, 1]})
+    table.to_csv(tmp_path / "rig.csv", index=False)
+    low = "low: {between: [ground, a], law: duffing, c: null, k: null, kappa: null}"
+    high = "high: {between: [a, b], law: linear, c: null, k: null}"
+    outcome = pinn_run(
+        "data=csv", f"data.path={tmp_path}/rig.csv", "data.displacement={a: u1, b: u2}",
+        "data.ground_acceleration=unmeasured", "system=structure", "system.dofs=[a,b]",
+        f"system.mass={{a: {m1}, b: {m2}}}", f"+system.connections={{{low}, {high}}}",
+        "scheme=state_parameter", "scheme.unknown=missing", "scheme.initial_motion=rest", "figures=false",
+    ).done()  # fmt: skip
+    assert outcome.record["verdict"] == "sound", outcome.out
+    found = outcome.parameters
+    off = (found["estimate"] - pd.Series(true)).loc[list(true)]
+    assert (off.abs() < 3.5 * found.loc[list(true), "std"]).all()
+    assert (off.abs() < [0.01 * true["k_low"], 0.01 * true["k_high"], 1e4, 1e4, 0.05 * true["kappa_low"]]).all()
+    with xr.open_dataset(outcome.directory / "response.nc") as response:
+        slow = butter(4, 4.0, fs=50, output="sos")
+        known, estimate = (sosfiltfilt(slow, x) for x in (ground[::20], response["ground_acceleration"].to_numpy()))
+        assert np.mean((known - estimate) ** 2) < 0.05 * np.var(known)
+        assert "ground_acceleration_observed" not in response
 
 
 @pytest.mark.slow

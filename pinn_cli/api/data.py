@@ -101,6 +101,7 @@ def settings_of_record(given: Record) -> tuple[dict[str, np.ndarray], dict[str, 
     Raises:
         InputError: It has sensors that are no columns.
     """
+    from pinn_cli.record.measured_data import UNMEASURED
     from pinn_cli.record.response import QUANTITIES
 
     if given.calibrated:
@@ -113,8 +114,11 @@ def settings_of_record(given: Record) -> tuple[dict[str, np.ndarray], dict[str, 
             columns[f"{quantity}.{names[dof]}"] = getattr(given, quantity)[:, dof]
     settings: dict[str, str] = {"intersample": given.intersample}
     if given.ground_acceleration is not None:
-        columns[_GROUND] = given.ground_acceleration
         settings["frame"] = given.frame
+        if given.measured_ground is None:
+            settings[_GROUND] = UNMEASURED
+        else:
+            columns[_GROUND] = given.measured_ground
     acting = (~given.unforced & ~given.sensors("force")).nonzero()[0]
     return columns, settings, [names[dof] for dof in acting]
 

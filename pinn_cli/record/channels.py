@@ -35,7 +35,7 @@ def channels(
     """Columns of a record, quantity by quantity, the ground's last; a force that is known to be zero is none."""
     asked = [quantity for quantity in quantities if quantity in QUANTITIES]
     asked += [quantity for quantity in record.supports if quantity in quantities]
-    asked += [GROUND] if GROUND in quantities and record.ground_acceleration is not None else []
+    asked += [GROUND] if GROUND in quantities and record.measured_ground is not None else []
     columns = [
         record.column(quantity, i) for quantity in asked for i in np.flatnonzero(record.sensors(quantity)).tolist()
     ]

@@ -190,10 +190,8 @@ def affordable(structure: Structure, record: Record) -> Record:
 
 
 def _check(structure: Structure, record: Record) -> None:
-    unknown = np.flatnonzero(np.isnan(record.force).any(axis=0))
-    if unknown.size:
-        names = record.dof_names(unknown)
-        raise NoFreeRunError(f"the force on {names} is unknown, and a free run needs every force")
+    if record.unmeasured:
+        raise NoFreeRunError(f"{record.unmeasured} is unknown, and a free run needs every force")
     parameters = structure.parameters_like(np.empty(0))
     if not all(np.isfinite(value).all() for value in parameters.values()):
         raise NoFreeRunError("the structure has no free run: a parameter of it is no finite number")

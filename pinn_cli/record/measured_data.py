@@ -37,6 +37,8 @@ from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 
 # Part of a step by which a sample may be off the time where it scores.
 OFF = 0.05
+# Instead of a column of the ground's acceleration.
+UNMEASURED = "unmeasured"
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,8 @@ class MeasuredData:
         force: DOF (from 1) to column, N; None instead of a column for a force that acts but is not measured. DOFs that
             are not listed are known to be unforced.
         displacement, velocity, acceleration: DOF to column, m, m/s, m/s^2.
-        ground_acceleration: Column of the ground's acceleration, m/s^2; None: the ground is at rest.
+        ground_acceleration: Column of the ground's acceleration, m/s^2; ``unmeasured``: it moves anyhow; None: it is at
+            rest.
         frame: What the accelerometers measure where the ground moves: ``absolute``, or ``relative`` to the ground.
         holdout: DOFs whose response columns the estimator never sees: they go into the truth, to score it. Their forces
             are inputs, and stay.
@@ -153,7 +156,8 @@ class MeasuredData:
                 supports.setdefault(quantity, np.full((len(time), moving), np.nan))[:, number] = column
             elif quantity != GROUND:
                 getattr(seen, quantity)[:, number] = column
-        seen = replace(seen, ground_acceleration=sampled.columns.get((GROUND, 0)))
+        nobody_knows = np.full(len(time), np.nan) if self.ground_acceleration == UNMEASURED else None
+        seen = replace(seen, ground_acceleration=sampled.columns.get((GROUND, 0), nobody_knows))
         record = Record(
             **seen.measurable,
             unforced=unforced,
@@ -187,7 +191,7 @@ class MeasuredData:
             for dof, column in getattr(self, quantity).items()
             if column is not None
         ]
-        if self.ground_acceleration is not None:
+        if self.ground_acceleration not in (None, UNMEASURED):
             short.append(DataChannel.of_column(f"data.{GROUND}", self.ground_acceleration, GROUND))
         return (*short, *self.channels)
 
@@ -272,8 +276,8 @@ class MeasuredData:
     def _check_ground(self) -> None:
         column = self.ground_acceleration
         if column is not None and (not isinstance(column, str) or not column):
-            raise InputError(f"data.{GROUND}", column, "null or the name of a column")
-        moves = any(channel.sensor.quantity == GROUND for channel in self._every_channel)
+            raise InputError(f"data.{GROUND}", column, f"null, {UNMEASURED} or the name of a column")
+        moves = column == UNMEASURED or any(channel.sensor.quantity == GROUND for channel in self._every_channel)
         check_frame(self.frame, moves, f"data.{GROUND} is not given")
         if moves and self.intersample == "zero_order_hold":
             allowed = f"band_limited or {FIRST_ORDER_HOLD} with data.{GROUND}"

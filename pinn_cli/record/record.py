@@ -38,7 +38,7 @@ class Record:
         unforced: (n,) bool, the DOFs that are known to carry no force.
         intersample: How the force behaves between the samples.
         assumed: Whether nobody said so.
-        ground_acceleration: (N,), measured, m/s^2; None where the ground is at rest.
+        ground_acceleration: (N,), measured, m/s^2; NaN where nobody measured how it moves, None where it is at rest.
         frame: What accelerometers measure where the ground moves: ``absolute``, as sensors on the structure do, or
             ``relative`` to the ground. Displacements and velocities are relative to it always.
         repeats: Where the histories are means of repeated measurements, how far those scattered.
@@ -124,7 +124,7 @@ class Record:
         if self.ground_acceleration is not None:
             values = np.asarray(self.ground_acceleration, dtype=np.float64)
             object.__setattr__(self, GROUND, values)
-            if values.shape != self.time.shape or not np.isfinite(values).all():
+            if values.shape != self.time.shape or not (np.isfinite(values).all() or np.isnan(values).all()):
                 raise ValueError(f"{GROUND} must be {self.time.shape} finite numbers; its shape is {values.shape}")
         if self.intersample == "zero_order_hold" and (self.supports or self.ground_acceleration is not None):
             allowed = f"band_limited where {'a support' if self.supports else 'the ground'} moves"
@@ -160,9 +160,28 @@ class Record:
         return 1.0 / self.step
 
     @property
+    def measured_ground(self) -> np.ndarray | None:
+        """(N,), m/s^2, the ground's acceleration where somebody measured it."""
+        values = self.ground_acceleration
+        return None if values is None or np.isnan(values[0]) else values
+
+    @property
+    def misses_ground(self) -> bool:
+        """Whether the ground moves and nobody measured how."""
+        return self.ground_acceleration is not None and self.measured_ground is None
+
+    @property
+    def unmeasured(self) -> str:
+        """What acts and nobody measured, in words; "" where there is nothing."""
+        if self.misses_ground:
+            return "the ground's acceleration"
+        unknown = np.flatnonzero(np.isnan(self.force).any(axis=0))
+        return f"the force on {self.dof_names(unknown)}" if unknown.size else ""
+
+    @property
     def response_quantities(self) -> tuple[str, ...]:
         """What response sensors measure: of every DOF, and of the ground and supports where they move."""
-        ground = () if self.ground_acceleration is None else (GROUND,)
+        ground = () if self.measured_ground is None else (GROUND,)
         return (*RESPONSE_QUANTITIES, *ground, *self.supports)
 
     def histories(self, quantity: str) -> np.ndarray:

@@ -113,9 +113,8 @@ class ValidationData:
             record = data.measure(ndof, connections).record
         except InputError as error:
             raise InputError(_validation_setting(error.setting), error.value, error.allowed, error.hint) from error
-        unknown = np.flatnonzero(np.isnan(record.force).any(axis=0))
-        if unknown.size:
-            hint = f"that on {record.dof_names(unknown)} is unknown, and what is simulated needs every force"
+        if record.unmeasured:
+            hint = f"{record.unmeasured} is unknown, and what is simulated needs all that acts"
             raise InputError("data.validation", "a record", "one whose forces are all measured", hint)
         compared = record.time[0] if self.data.start is None else self.data.start
         first = int(np.searchsorted(record.time, compared + self.settle - 1e-6 * record.step))

@@ -138,7 +138,7 @@ def ground_history(results: Results) -> Histories | None:
     sources = {"estimate": estimate.response, "std": estimate.std, "true": truth}
     moved = {source: getattr(response, GROUND) for source, response in sources.items()}
     values = {source: x[:, None] for source, x in moved.items() if x is not None}
-    if record.ground_acceleration is not None:
+    if record.measured_ground is not None:
         values["observed"] = observed(record, GROUND)
     return Histories(GROUND, "", ("ground",), record.time, values) if values else None
 

@@ -39,6 +39,9 @@ def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIA
         _check_modal(structure.shapes, record, unknown_force)
     left_open = ~record.unforced & ~record.sensors("force")
     forces = tuple(int(dof) for dof in np.flatnonzero(left_open)) if unknown_force == GAUSSIAN_PROCESS else ()
+    if forces and record.misses_ground:
+        allowed, hint = "measured where nobody measured the ground", "nothing tells one from the other"
+        raise InputError("data.force", f"null on {record.dof_names(forces)}", allowed, hint)
     functions = structure.is_modal or any(channel.quantity == FORCE for channel in record.calibrated)
     loads = tuple(int(dof) for dof in np.flatnonzero(record.sensors(FORCE))) if functions else ()
     filters = tuple(channel.index for channel in record.calibrated if channel.filter_order)
@@ -54,6 +57,7 @@ def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIA
     band = record_band(record)
     return Inputs(
         record.ground_acceleration is not None,
+        not record.misses_ground,
         record.frame == "absolute",
         forces,
         FIRST_CORRELATION / band,

@@ -138,7 +138,7 @@ class JointProblem:
     @property
     def has_unknown_forces(self) -> bool:
         """Whether forces act that nobody measured, in any record."""
-        return any(problem.inputs.forces for problem in self.by_record)
+        return any(problem.inputs.unmeasured for problem in self.by_record)
 
     @property
     def identifies(self) -> bool:

@@ -38,7 +38,7 @@ def what_acts(record: Record) -> list[Channel] | None:
     supports = {channel.place: channel for channel in channels(record, tuple(SUPPORT))}
     moved = [supports[quantity, i] for i, (quantity, _) in enumerate(measured_orders(record))]
     acting = [*channels(record, (FORCE,)), *moved, *channels(record, (GROUND,))]
-    return acting if acting and np.isfinite(record.force).all() else None
+    return acting if acting and not record.unmeasured else None
 
 
 def spectra_under(record: Record, acting: Sequence[Channel]) -> CrossSpectra[Channel]:
@@ -138,9 +138,13 @@ class LinearFit:
                 back = (1j * s.omega[:, None]) ** -channel.order
                 carried[:, :, i] = back * structure.by_supports[:, channel.dof]
         self.acting = Acting(pushed, shaken, carried)
-        absolute = [sensor.quantity == "acceleration" and record.frame == "absolute" for sensor in s.sensors]
-        self.ground_shown = shaken[self.sensed] * np.array(absolute)[:, None]
+        self.absolute = np.array([c.quantity == "acceleration" and record.frame == "absolute" for c in s.sensors])
         self.smooth(WIDTHS[0])
+
+    @property
+    def ground_shown(self) -> np.ndarray:
+        """(S, A), how far sensors feel what acts at once."""
+        return self.acting.shaken[self.sensed] * self.absolute[:, None]
 
     def smooth(self, width: float) -> None:
         """Choose how widely the misfit is smoothed."""

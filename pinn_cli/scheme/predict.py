@@ -68,11 +68,10 @@ class Predict(Scheme):
         if record.observed.any() or record.calibrated:
             hint = "scheme.predict sees no response: data.holdout scores against a column"
             raise InputError("data", "columns of a response", "forces and the ground alone with scheme=predict", hint)
-        unknown = np.flatnonzero(~record.unforced & ~record.sensors("force"))
-        if unknown.size:
-            names = record.dof_names(unknown)
-            raise InputError("data.force", f"null on {names}", "a column with scheme=predict", "a free run needs it")
-        if record.unforced.all() and record.ground_acceleration is None and not record.supports:
+        if record.unmeasured:
+            hint = f"a free run needs {record.unmeasured}"
+            raise InputError("data.force", "null", "columns of all that acts with scheme=predict", hint)
+        if record.unforced.all() and record.measured_ground is None and not record.supports:
             raise InputError("data.force", "{}", "a column, or data.ground_acceleration", "nothing moves the structure")
         known, misfit = self.model.known, self.model.misfit
         if misfit is not None:  # of it the parameters hide no more than there is at their frequencies

@@ -54,6 +54,9 @@ class PowerFit(LinearFit):
         super().__init__(record, structure)
         identity = np.eye(record.ndof)
         self.acting = Acting.forces(identity if record.unforced.all() else identity[:, ~record.unforced])
+        if record.misses_ground:
+            nothing, carried = np.zeros_like(structure.influence), np.zeros(len(structure.stretch))
+            self.acting = Acting.of([(nothing, structure.influence, carried)], len(nothing))
 
     def smooth(self, width: float) -> None:
         """See :meth:`LinearFit.smooth`."""
@@ -69,12 +72,13 @@ class PowerFit(LinearFit):
 
     def residual(self, x: np.ndarray) -> np.ndarray:
         """(O, S) misfit of the logarithms."""
-        power = np.maximum(self.kernel @ np.sum(np.abs(self._response(x).value) ** 2, axis=2), 1e-300)
+        value = self._response(x).value + self.ground_shown
+        power = np.maximum(self.kernel @ np.sum(np.abs(value) ** 2, axis=2), 1e-300)
         return self._without_spectrum(self.weight * (np.log(power) - self.measured))
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """(O, S, p), of the residual by the structure's unknowns."""
-        value = self._response(x).value
+        value = self._response(x).value + self.ground_shown
         weight = self.weight / np.maximum(self.kernel @ np.sum(np.abs(value) ** 2, axis=2), 1e-300)
         by = [2.0 * np.sum((value.conj() * slope).real, axis=2) for slope in self._response_slopes(x)]
         return np.stack([self._without_spectrum(weight * (self.kernel @ slope)) for slope in by], axis=-1)

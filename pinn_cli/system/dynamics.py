@@ -1,7 +1,7 @@
 """All unknown functions of time of a structure and its inputs, and the one equation that each of them has to obey.
 
 The functions are the columns of a network: the coordinates q, the hidden forces z of connections with memory, the
-ground's acceleration where it is measured with noise, and forces that nobody measured. Their equations are rows of the
+ground's acceleration, and forces that nobody measured. Their equations are rows of the
 same number:
 
     m (q'' + iota a_g) + B' r(B q, B q', z) - w = f       motion, N
@@ -17,7 +17,7 @@ The state of a sensor's filter is a function without an equation here: it is in 
 
 Rows of first order are divided by a rate of the record, so that all of them are forces. The ground's process is flat up
 to the edge of the record's band and falls off above it: between samples it does what a band-limited signal does. An
-unknown force's has its edge at 2 zeta / tau, which is inferred.
+unknown force's has its edge at 2 zeta / tau, which is inferred; so has that of a ground that nobody measured.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class Dynamics(Functions):
             rows.append(curvature / self.inputs.edge**2 + 2.0 * rate / self.inputs.edge + value)
         if self.loaded:
             rows[0] = motion - jet.value[..., self.acting] @ torch.as_tensor(self._pushed.toarray()).to(motion)
-        if self.inputs.forces:
+        if self.inputs.unmeasured:
             force, rate, curvature = (x[..., self.forces] for x in jet)
             rows.append(curvature / self.inputs.force_edge**2 + self.inputs.correlation_time * rate + force)
         if self.inputs.filters:
@@ -142,7 +142,7 @@ class Dynamics(Functions):
         if self.loaded:
             stiffness.append(torch.as_tensor(-self._pushed.data).to(u).expand(*u.shape[:-1], -1))
             damping.append(torch.zeros_like(stiffness[-1]))
-        if self.inputs.forces:
+        if self.inputs.unmeasured:
             ones = torch.ones_like(jet.value[..., self.forces])
             stiffness.append(ones)
             damping.append(self.inputs.correlation_time * ones)

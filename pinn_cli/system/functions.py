@@ -31,7 +31,8 @@ class Inputs:
     """What acts on a structure beside measured forces.
 
     Attributes:
-        ground: Whether the ground's acceleration is measured, and so a function to be found.
+        ground: Whether the ground's acceleration is a function to be found.
+        ground_measured: Whether somebody measured it; else it is a process like the forces that nobody measured.
         absolute: Whether accelerometers feel the ground's acceleration as well.
         forces: DOFs, counted from 0, with a force that nobody measured, a Gaussian process.
         correlation_time: Of those forces, s.
@@ -47,6 +48,7 @@ class Inputs:
     """
 
     ground: bool = False
+    ground_measured: bool = True
     absolute: bool = True
     forces: tuple[int, ...] = ()
     correlation_time: float = 1.0
@@ -57,6 +59,11 @@ class Inputs:
     damping_ratio: float = FLAT
     filters: tuple[int, ...] = ()
     supports: tuple[str, ...] = ()
+
+    @property
+    def unmeasured(self) -> bool:
+        """Whether something acts that nobody measured."""
+        return bool(self.forces) or (self.ground and not self.ground_measured)
 
     @property
     def force_edge(self) -> float:
@@ -93,23 +100,26 @@ class Functions:
 
     @cached_property
     def ground(self) -> slice:
-        """The ground's acceleration among the functions; empty where it is not measured."""
-        return slice(self.supports.stop, self.supports.stop + int(self.inputs.ground))
+        """The ground's acceleration among the functions; empty where it is at rest."""
+        if self.inputs.ground_measured:
+            return slice(self.supports.stop, self.loads.start)
+        return slice(self.acting.stop, self.forces.stop)
 
     @cached_property
     def loads(self) -> slice:
         """The measured forces among the functions."""
-        return slice(self.ground.stop, self.ground.stop + len(self.inputs.loads))
+        start = self.supports.stop + int(self.inputs.ground and self.inputs.ground_measured)
+        return slice(start, start + len(self.inputs.loads))
 
     @cached_property
     def smooth(self) -> slice:
-        """The supports, the ground's acceleration and the measured forces: processes that are flat up to an edge."""
+        """What is measured of supports, ground and forces: processes that are flat up to an edge."""
         return slice(self.supports.start, self.loads.stop)
 
     @cached_property
     def forces(self) -> slice:
-        """The unknown forces among the functions."""
-        return slice(self.loads.stop, self.loads.stop + len(self.inputs.forces))
+        """What acts and nobody measured among the functions: forces, and behind them the ground's acceleration."""
+        return slice(self.loads.stop, self.acting.stop + int(self.inputs.ground and not self.inputs.ground_measured))
 
     @cached_property
     def filters(self) -> slice:
@@ -119,7 +129,7 @@ class Functions:
     @cached_property
     def acting(self) -> slice:
         """All forces among the functions."""
-        return slice(self.loads.start, self.forces.stop)
+        return slice(self.loads.start, self.loads.stop + len(self.inputs.forces))
 
     @cached_property
     def loaded(self) -> list[int]:
@@ -129,7 +139,7 @@ class Functions:
     @property
     def observed(self) -> tuple[str, ...]:
         """The quantities that sensors measure of the functions."""
-        ground = (GROUND,) if self.inputs.ground else ()
+        ground = (GROUND,) if self.inputs.ground and self.inputs.ground_measured else ()
         return (*MOTION, *ground, *self.inputs.supports, *((FORCE,) if self.inputs.loads else ()))
 
     @property
@@ -150,7 +160,7 @@ class Functions:
             "the motion of a support": self.supports,
             "the ground's acceleration": self.ground,
             "a force": self.loads,
-            "an unmeasured force": self.forces,
+            "an unmeasured force": slice(self.loads.stop, self.acting.stop),
             "the state of a sensor's filter": self.filters,
         }
         modes = ["the motion of modes"] if self.structure.is_modal else []

@@ -149,7 +149,7 @@ def updated(evidence: RecordEvidence, solution: RecordSolution, least: NoiseMode
         noise = replace(noise, innovation=_limited(innovation, noise.innovation))
     if equations.problem.record.repeats is not None:
         return replace(noise, discrepancy=discrepancy)
-    response, under_forces = dict(noise.response), bool(equations.problem.inputs.forces)
+    response, under_forces = dict(noise.response), equations.problem.inputs.unmeasured
     usual_levels = _usual_levels(evidence, noise)
     for channels in equations.channels:
         name, samples, square = channels.name, channels.samples, channels.squares(solution.point)
@@ -266,7 +266,7 @@ def _innovation(
         if equations.network.free_intervals > 2.0 * nyquist:  # beyond, an input is told to be nothing
             drive = drive_below(evidence, solution, slice(i, i + 1), nyquist)
             level[i] = level[i] if drive is None or drive.level is None else drive.level
-    if dynamics.inputs.forces:
+    if dynamics.inputs.unmeasured:
         level[dynamics.forces] = np.sqrt(seen[dynamics.forces].sum() / freedom[dynamics.forces].sum())
     return level
 

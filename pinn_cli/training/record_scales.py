@@ -13,6 +13,16 @@ from pinn_cli.scheme.problem import Problem
 CONTINUITY_TOLERANCE = 1e-4
 
 
+def newtons(problem: Problem) -> np.ndarray:
+    """(forces,), N, the force on the coordinates of one unit of each input that nobody measured, roughly."""
+    structure, inputs = problem.structure, problem.inputs
+    of_forces = np.full(len(inputs.forces), structure.shapes.scale)
+    if not inputs.ground or inputs.ground_measured:
+        return of_forces
+    moved = structure.parameters["m"].detach().cpu().numpy() * structure.with_ground
+    return np.append(of_forces, np.abs(moved).max())
+
+
 def force_and_velocity_scale(problem: Problem) -> tuple[float, float]:
     """Force (N) and velocity (m/s) that the record is about.
 

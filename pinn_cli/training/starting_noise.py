@@ -11,7 +11,7 @@ from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE, GROUND, MOTION, SUPPORT
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE, force_and_velocity_scale
+from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE, force_and_velocity_scale, newtons
 from pinn_cli.training.sensor_samples import starting_levels
 
 
@@ -29,10 +29,10 @@ def starting_noise(equations: NormalEquations) -> NoiseModel:
     if equations.target.measured_force.any():  # otherwise load cells are channels
         sensors[: dynamics.ndof] = starting_levels(problem.record, FORCE)
     # A force of modes acts on a DOF the more, the less this DOF moves with them.
-    innovation[dynamics.forces] = force / problem.structure.shapes.scale
+    innovation[dynamics.forces] = force / newtons(problem)
     innovation[dynamics.loads] = [np.std(problem.record.force[:, dof]) for dof in dynamics.inputs.loads]
-    if problem.record.ground_acceleration is not None:
-        innovation[dynamics.ground] = np.std(problem.record.ground_acceleration)
+    if problem.record.measured_ground is not None:
+        innovation[dynamics.ground] = np.std(problem.record.measured_ground)
     if dynamics.structure.supports:
         innovation[dynamics.supports] = support_amplitudes(problem.record)
     continuity = CONTINUITY_TOLERANCE * velocity
@@ -52,7 +52,7 @@ def _pushes(equations: NormalEquations) -> dict[str, np.ndarray]:
     structure, record = equations.problem.structure, equations.problem.record
     masses = structure.parameters[MASS].detach().cpu().numpy()
     by_quantity = {FORCE: structure.shapes.scale}
-    if record.ground_acceleration is not None:
+    if record.measured_ground is not None:
         by_quantity[GROUND] = _least(masses * structure.with_ground)
     if structure.by_supports is not None:
         moved = abs(structure.by_supports).sum(axis=1).A1 > 0.0

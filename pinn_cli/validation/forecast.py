@@ -49,10 +49,9 @@ class Forecast(Withheld):
     def check(self, problem: JointProblem, setup: Setup) -> None:
         """See :meth:`Validation.check`."""
         record = problem.alone.record
-        unknown = np.flatnonzero(np.isnan(record.force).any(axis=0))
-        if unknown.size:
-            hint = f"that on {record.dof_names(unknown)} is neither measured nor known to be zero"
-            raise InputError("validation", self.name, "used with a record whose forces are all known", hint)
+        if record.unmeasured:
+            hint = f"{record.unmeasured} is neither measured nor known to be zero"
+            raise InputError("validation", self.name, "used with a record of which all that acts is known", hint)
         starts, length = self.parts(record), self._length(record)
         if min(length, starts[0]) < MINIMUM_SAMPLES:
             allowed = f"{MINIMUM_SAMPLES} samples or more in each block and before the first"

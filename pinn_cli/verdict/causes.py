@@ -112,7 +112,7 @@ def causes(problem: Problem, believed: Structure, estimated: Structure, excused:
 
 def _in_columns(record: Record, excused: Sequence[str]) -> Record | None:
     """The record as it looks, without sensors that are excused or in doubt; None: it tells nothing."""
-    acts = record.force.any() or record.ground_acceleration is not None or record.supports
+    acts = record.force.any() or record.measured_ground is not None or record.supports
     doubted = [c for c in record.calibrated if not (c.number("gain").is_known and c.number("delay").is_known)]
     without = {channel.name for channel in doubted} | set(excused)
 

@@ -60,7 +60,7 @@ def input_findings(problem: Problem, estimate: Estimate, structure: Structure) -
 
 def _untold(problem: Problem, estimate: Estimate) -> list[Finding]:
     """DOFs whose displacement the forces that nobody measured leave open."""
-    if not problem.inputs.forces:
+    if not problem.inputs.unmeasured:
         return []
     std, motion = (np.sqrt(np.mean(x.displacement**2, axis=0)) for x in (estimate.std, estimate.response))
     open_dofs = np.flatnonzero(std > UNTOLD * motion)
@@ -119,7 +119,7 @@ def resonance_findings(problem: Problem, structure: Structure) -> list[Finding]:
 
     Under what was measured of all that acts, they are those of the response to it.
     """
-    record, unmeasured = problem.record, bool(problem.inputs.forces)
+    record, unmeasured = problem.record, problem.inputs.unmeasured
     if not is_linear(structure):
         return []
     moving, acting = (
@@ -145,8 +145,8 @@ def resonance_findings(problem: Problem, structure: Structure) -> list[Finding]:
 def _output_only(problem: Problem) -> list[Finding]:
     """Nothing that acts was measured: all that a record tells is relative."""
     record = problem.record
-    measured = record.sensors("force").any() or record.ground_acceleration is not None or record.supports
-    if measured or record.unforced.all():
+    measured = record.sensors("force").any() or record.measured_ground is not None or record.supports
+    if measured or not problem.inputs.unmeasured:
         return []
     text = (
         "no force was measured: the record tells frequencies, damping and shapes, but no absolute mass or stiffness;"
@@ -162,7 +162,7 @@ def _under_forces(problem: Problem, estimate: Estimate) -> list[Finding]:
     Laplace's approximation has is wrong then (damping 15 % low over three records of wind on three storeys; a storey
     next to the ground, whose motion nobody measured, 30 to 50 % too soft).
     """
-    if not problem.uncertain or not problem.inputs.forces or "spectral_misfit" in estimate.summary:
+    if not problem.uncertain or not problem.inputs.unmeasured or "spectral_misfit" in estimate.summary:
         return []
     findings, unheld = [], _unheld(problem)
     some_are_held = len(unheld) < len(problem.uncertain)
@@ -191,8 +191,9 @@ def _unheld(problem: Problem) -> list[str]:
     from scipy.sparse.csgraph import connected_components
 
     structure, observed = problem.structure, problem.record.observed
-    free = np.setdiff1d(np.arange(problem.record.ndof), problem.inputs.forces)
-    if structure.is_modal or not len(free) or not observed[list(problem.inputs.forces)].all():
+    forces = _unmeasured_forces(problem)
+    free = np.setdiff1d(np.arange(problem.record.ndof), forces)
+    if structure.is_modal or not len(free) or not observed[forces].all():
         return [p.name for p in problem.uncertain]
     stretch = abs(structure.incidence.matrix)
     _, part = connected_components(stretch[:, free].T @ stretch[:, free], directed=False)
@@ -206,6 +207,24 @@ def _unheld(problem: Problem) -> list[str]:
         return p.kind != MASS or bool(sensed[p.index])
 
     return [p.name for p in problem.uncertain if not is_held(p)]
+
+
+def _unmeasured_forces(problem: Problem) -> np.ndarray:
+    """DOFs, from 0, on which a force acts that nobody measured.
+
+    To what moves relative to a ground that nobody measured its motion is one force on all masses, which two equations
+    have in common; to accelerometers that feel it as well, a force where connections join the ground.
+    """
+    record, structure = problem.record, problem.structure
+    if not record.misses_ground:
+        return np.array(problem.inputs.forces, dtype=int)
+    felt = ("displacement", "velocity") if problem.inputs.absolute else RESPONSE_QUANTITIES
+    relative = np.any([record.sensors(quantity) for quantity in felt], axis=0)
+    if relative.sum() > 1:
+        return np.zeros(0, dtype=int)
+    stretch = structure.incidence.matrix
+    joined = np.abs(stretch @ structure.with_ground) > 0.0
+    return np.flatnonzero(abs(stretch[joined]).sum(axis=0).A1)
 
 
 def _energy(structure: Structure) -> list[Finding]:
@@ -255,7 +274,7 @@ def _rare_forces(record: Record) -> list[Finding]:
 
 def _rare_ground(record: Record, estimate: Estimate, structure: Structure) -> list[Finding]:
     """That straight lines between the ground's samples would shake the structure differently, and nobody said."""
-    ground = record.ground_acceleration
+    ground = record.measured_ground
     if ground is None or not record.assumed or not is_linear(structure):
         return []
     (channel,) = channels(record, (GROUND,))

@@ -62,7 +62,7 @@ def sensor_findings(problem: Problem, estimate: Estimate, prediction: Prediction
             force is known.
     """
     if prediction is None:
-        if not np.isfinite(problem.record.force).all():
+        if problem.record.unmeasured:
             return []
         text = "the estimated structure is unstable or too stiff for a free run; check units, masses and the time axis"
         return [Finding("free_run", "model", text, "failed")]
@@ -140,7 +140,8 @@ def noise_findings(problem: Problem, estimate: Estimate) -> list[Finding]:
     findings = [f for c in seen for f in (_level(c, estimate), _colour(c, problem.record, estimate)) if f is not None]
     # Where a force that nobody measured acts on every DOF, or as many act as there are sensors, any motion is rightly
     # followed.
-    free = len(problem.inputs.forces) >= min(problem.record.ndof, len(seen))
+    unmeasured = problem.dynamics.forces
+    free = unmeasured.stop - unmeasured.start >= min(problem.record.ndof, len(seen))
     copied = [] if free or _holds_within_noise(problem, estimate) else _copied(problem.record, estimate)
     return findings + _discrepancy(problem, estimate) + copied + _unfinished(estimate)
 
@@ -184,9 +185,9 @@ def _discrepancy(problem: Problem, estimate: Estimate) -> list[Finding]:
     """Against the rms of the measured forces, together; where the ground moves, of what moves the masses with it."""
     level, record = estimate.noise.discrepancy, problem.record
     variances = list(np.var(record.force[:, record.sensors("force")], axis=0))
-    if record.ground_acceleration is not None:
+    if record.measured_ground is not None:
         masses = problem.structure.parameters["m"].detach().cpu().numpy()
-        variances += list((masses * problem.structure.with_ground) ** 2 * np.var(record.ground_acceleration))
+        variances += list((masses * problem.structure.with_ground) ** 2 * np.var(record.measured_ground))
     if record.supports:
         pushed = np.var(input_force(problem.structure, record), axis=0)
         variances += list(pushed[pushed > 0.0])

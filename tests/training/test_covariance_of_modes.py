@@ -30,7 +30,7 @@ def test_all_channels_at_once_are_as_one_by_one():
     uncertain = tuple(
         replace(p, prior_std=0.05 * abs(p.prescribed)) for p in structure.every_parameter() if p.prescribed
     )
-    problem = Problem(structure, record, uncertain, inputs=Inputs(True, True, (1,), 0.3, 4.0, 5.0, (0, 3)))
+    problem = Problem(structure, record, uncertain, inputs=Inputs(True, True, True, (1,), 0.3, 4.0, 5.0, (0, 3)))
     equations = NormalEquations(built(Spline(intervals=8), problem), problem)
     point = equations.start()
     factor = factored(equations.assemble(point, starting_noise(equations), np.eye(len(equations.uncertain))))

@@ -151,7 +151,7 @@ def test_what_cannot_be_scored_is_refused(one: JointProblem, two: JointProblem) 
         (HeldOut(), one, "two DOFs or more"),
         (HeldOut([2]), two, "observed DOFs: 1, 3"),
         (EvidenceScore(), two, "gauss_newton"),
-        (Forecast(), blind, "that on DOF 1 is neither measured nor known to be zero"),
+        (Forecast(), blind, "the force on DOF 1 is neither measured nor known to be zero"),
         *(
             (Forecast(n, s), one, rf"share={s}: must be 16 samples or more")
             for n, s in ((3, 0.01), (3, 0.33), (6, 0.2))

@@ -15,6 +15,7 @@ FAMILIES = (
     "degrading",
     "unmeasured",
     "unmeasured_nonlinear",
+    "lost_ground",
     "finite_elements",
     "sensors",
     "records",

@@ -208,8 +208,8 @@ def _largest_input(record: Record) -> int:
     acting = np.where(record.sensors("force"), record.force, 0.0)
     if not acting.any():
         acting = np.zeros((len(record.time), 1))
-        if record.ground_acceleration is not None:
-            acting[:, 0] = record.ground_acceleration
+        if record.measured_ground is not None:
+            acting[:, 0] = record.measured_ground
     size = np.nan_to_num(np.abs(acting - np.nanmean(acting, axis=0)).max(axis=1))
     return int(np.argmax(size)) if size.any() else len(record.time) // 2
 

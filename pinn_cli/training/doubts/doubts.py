@@ -73,7 +73,7 @@ def doubts(evidence: RecordEvidence, solution: RecordSolution, std: Response) ->
     equations, point = evidence.equations, solution.point
     problem = evidence.problem
     # Where nobody measured a force, it is free to be what the model lacks.
-    if equations.known_parameters is not None or problem.inputs.forces:
+    if equations.known_parameters is not None or problem.inputs.unmeasured:
         return ()
     reduced = _Solution.of(evidence, solution)
     forces, sensors = force_terms(equations, point), sensor_terms(reduced.channels) if reduced else []

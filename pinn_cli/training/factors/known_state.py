@@ -25,7 +25,7 @@ from pinn_cli.training.factors.frame import Frame
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_matrix.row_sums import Rows, RowSums, Touched
 from pinn_cli.training.point import Point
-from pinn_cli.training.record_scales import force_and_velocity_scale
+from pinn_cli.training.record_scales import force_and_velocity_scale, newtons
 
 # Standard deviations of a mode's motion, over what a force that acts on all modes alike would make it.
 MODE_WIDTH = 3.0
@@ -164,7 +164,7 @@ def _first(problem: Problem, beginning: Beginning | None) -> State | None:
     """
     deviation, dynamics = problem.initial_deviation, problem.dynamics
     counted = np.flatnonzero(problem.structure.state_number)  # since the record's beginning
-    if deviation is None and beginning is None and not problem.inputs.forces and not counted.size:
+    if deviation is None and beginning is None and not problem.inputs.unmeasured and not counted.size:
         return None
     force, _ = force_and_velocity_scale(problem)
     # Of modes a coordinate moves so much less than a DOF, and so much more force acts on it.
@@ -174,7 +174,7 @@ def _first(problem: Problem, beginning: Beginning | None) -> State | None:
         std[: dynamics.ndof] = np.array(deviation) / per_dof
         std[dynamics.hidden, 0] = RESIDUAL_MOTION * force
     std[dynamics.hidden.start + counted, 0] = RESIDUAL_MOTION * force
-    std[dynamics.forces] = FIRST_FORCE * force / per_dof * np.array((1.0, problem.inputs.force_edge))
+    std[dynamics.forces] = FIRST_FORCE * force / newtons(problem)[:, None] * np.array((1.0, problem.inputs.force_edge))
     if beginning is None:
         return State.about_zero(0, std)
     numbers = beginning.of_functions(dynamics.ndof, dynamics.hidden, dynamics.size)

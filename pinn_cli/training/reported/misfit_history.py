@@ -92,8 +92,8 @@ def _inputs(
         sigma = (noise.response[FORCE] if loads else noise.force)[dof]
         if np.isfinite(sigma) and sigma > 0.0:
             yield shapes[dof], float(sigma), record.force[:, dof], function
-    if dynamics.inputs.ground and record.ground_acceleration is not None:
+    if dynamics.inputs.ground and record.measured_ground is not None:
         sigma = noise.response[GROUND][0]
         if np.isfinite(sigma) and sigma > 0.0:
             mass = equations.parameters(solution.point)[MASS].detach().numpy()
-            yield -mass * structure.with_ground, float(sigma), record.ground_acceleration, dynamics.ground.start
+            yield -mass * structure.with_ground, float(sigma), record.measured_ground, dynamics.ground.start

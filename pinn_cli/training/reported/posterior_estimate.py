@@ -142,16 +142,17 @@ def _noise_felt(equations: NormalEquations, solution: RecordSolution) -> dict[st
 
 
 def _of_unknown_forces(equations: NormalEquations, solution: RecordSolution) -> dict[str, float]:
-    """Correlation time (s) and standard deviation (N) of forces that nobody measured, where there are any.
+    """Correlation time (s) and standard deviation (N, m/s^2) of what nobody measured, forces or the ground.
 
     A process of second order that white noise drives has this standard deviation, whatever its damping ratio.
     """
     inputs, innovation = equations.problem.inputs, solution.noise.innovation
-    if not inputs.forces or innovation is None:
+    if not inputs.unmeasured or innovation is None:
         return {}
     step = equations.problem.record.step / equations.refinement
     level = float(innovation[equations.dynamics.forces][0]) * (step / (2.0 * inputs.correlation_time)) ** 0.5
-    return {"correlation_time_unknown_force": inputs.correlation_time, "std_unknown_force": level}
+    what = "force" if inputs.forces else "ground"
+    return {f"correlation_time_unknown_{what}": inputs.correlation_time, f"std_unknown_{what}": level}
 
 
 def _connections(posterior: ReadoutPosterior, response: Response) -> ConnectionHistories:

@@ -13,6 +13,7 @@ from pinn_cli.training.least_squares import LeastSquares
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
+from pinn_cli.training.record_scales import newtons
 
 # The scan over the discrepancy goes down by this factor, half a decade; all levels settle together afterwards.
 SCAN_FACTOR = 10.0**0.5
@@ -173,9 +174,8 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
 def negligible(equations: NormalEquations, noise: NoiseModel) -> float:
     """The discrepancy of one record, N, below which no motion is better known; 0 where inputs do not tell."""
     driven = np.zeros(0) if noise.innovation is None else noise.innovation[equations.dynamics.forces]
-    drive = float(np.min(driven, initial=np.inf)) * equations.dynamics.structure.shapes.scale
-    of_drive = FINEST_OF_DRIVE * drive if len(driven) else 0.0
-    return max(FINEST_OF_NOISE * noise.least_of_inputs, of_drive)
+    drive = float(np.min(driven * newtons(equations.problem))) if len(driven) else 0.0
+    return max(FINEST_OF_NOISE * noise.least_of_inputs, FINEST_OF_DRIVE * drive)
 
 
 def _is_easy(before: Trained, after: Trained | None) -> bool:

@@ -43,14 +43,15 @@ def move_to_marginal_peak(inference: Inference) -> Inference | None:
     if inference.is_informed or inference.at_marginal_peak:
         return None
     evidence, trained = inference.evidence, inference.trained
-    held, pulls, moved = zip(*evidence.each_record(pull_on, trained), strict=True)
+    held, pulls, moved, gains = zip(*evidence.each_record(pull_on, trained), strict=True)
     if not np.isfinite(moved).all():
         return None
     if max(moved) < NEGLIGIBLE_PULL:
         return replace(inference, at_marginal_peak=True)
     evidence.each_record(pulled, trained, pulls)
     again = evidence.train(trained.noise, trained.solution.point)
-    if again is None or not again.solution.converged or again.log_evidence < trained.log_evidence - NEGLIGIBLE_GAIN:
+    least = trained.log_evidence + sum(gains) - NEGLIGIBLE_GAIN  # no solution under these pulls is worse than this one
+    if again is None or not again.solution.converged or again.log_evidence < least:
         evidence.each_record(pulled, trained, held)
         return None
     at_peak = replace(inference, trained=again)
@@ -58,8 +59,10 @@ def move_to_marginal_peak(inference: Inference) -> Inference | None:
     return set_force_level(at_peak) or at_peak
 
 
-def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray | None, np.ndarray, float]:
-    """What pulls, (p,) slope of the logarithm of that factor by each parameter, and how far the change moves any.
+def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray | None, np.ndarray, float, float]:
+    """What pulled before and pulls now, (p,) slope of the logarithm of that factor by each parameter; the rest of it.
+
+    That is how far the change moves any parameter, in its deviations, and what the log evidence gains where they are.
 
     tr(P^-1 dP - H^-1 dH) / 2 for each parameter of the equations that is looked for; 0 of the others. Parameters are in
     the equations, which weigh the same in both. Derivatives are differences, see :data:`PART_OF_VALUE`. In prior
@@ -69,7 +72,7 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
     std = np.sqrt(np.diag(solution.factor.corner_covariance))[: len(equations.uncertain)]
     before, pull = np.zeros(len(std)) if equations.pull is None else equations.pull, np.zeros(len(std))
     # Under forces that nobody measured, what is believed of a parameter does not hold it.
-    anyhow = bool(equations.dynamics.inputs.forces)
+    anyhow = equations.dynamics.inputs.unmeasured
     start = np.array([p.prescribed for p in equations.uncertain])
     values = start / equations.scale.numpy() + point.parameters.numpy()
     wanted = [(p.unknown or anyhow) and p.kind not in OUTSIDE_THE_EQUATIONS for p in equations.uncertain]
@@ -77,7 +80,7 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
         alone = of_motion(evidence, noise)
         of_equations, of_all = (equations.assemble(point, levels).readout_inverse() for levels in (alone, noise))
         if of_equations is None or of_all is None:
-            return equations.pull, pull, np.nan
+            return equations.pull, pull, np.nan, np.nan
         through: list[tuple[Factor, NoiseModel, Diagonals, float]] = [
             (equations.motion, noise, of_equations - of_all, 0.5)
         ]
@@ -93,11 +96,14 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
             for factor, levels, inverse, share in through:
                 above, below = (equations.readout_matrix(factor, end, levels) for end in _ends(point, i, width))
                 slope += weight * share * inverse.trace_of_product(above - below)
-        # A discrepancy in a part of the band has as much fewer values: it was widened for these.
-        most = LARGEST_MOVE / std[i]
-        pull[i] = np.clip(noise.occupied * slope, before[i] - most, before[i] + most)
+        # A discrepancy in a part of the band has as much fewer values: it was widened for these. What drives an unknown
+        # force was not, and leaves far more of the motion open.
+        most, values_left = LARGEST_MOVE / std[i], 1.0 if anyhow else noise.occupied
+        pull[i] = np.clip(values_left * slope, before[i] - most, before[i] + most)
     # The record may be computed in another process, which alone knows what pulls at it.
-    return equations.pull, pull, float(np.max(np.abs(pull - before) * std, initial=0.0))
+    change = pull - before
+    moves = float(np.max(np.abs(change) * std, initial=0.0))
+    return equations.pull, pull, moves, float(change @ point.parameters.numpy())
 
 
 def _ends(point: Point, i: int, width: float) -> tuple[Point, Point]:

@@ -45,7 +45,7 @@ def part_of_record(whole: JointProblem, network: LinearReadout) -> tuple[Problem
     informed = len(whole) > 1 or problem.prior is not None or problem.initial_state is not None
     irregular = bool(record.calibrated) or record.repeats is not None
     linear = problem.structure.nonlinearity_name == "linear"
-    if informed or irregular or problem.inputs.forces or not problem.identifies or not linear:
+    if informed or irregular or problem.inputs.unmeasured or not problem.identifies or not linear:
         return None
     if not isinstance(network, SplineNetwork) or network.channels > 1:
         return None

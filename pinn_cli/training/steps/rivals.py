@@ -88,7 +88,7 @@ def seen_by(structure: Structure, records: Sequence[Record]) -> Seen:
                 sensing.append(weights)
             elif channel.quantity == FORCE:
                 inputs.append((weights, nothing, still))
-        if record.ground_acceleration is not None:
+        if record.measured_ground is not None:
             inputs.append((nothing, structure.with_ground, still))
         if record.supports:
             inputs += [(nothing, nothing, stretching) for stretching in by_supports.T]

@@ -93,7 +93,7 @@ def test_the_pull_is_the_slope_of_the_determinants(structure, unknown, through):
     evidence = evidence_of(alone)
     noise = replace(starting_noise(alone), discrepancy=3.0)
     trained = evidence.train(levels_of(noise), evidence.equations.start())
-    ((held, pull, moved),) = evidence.each_record(pull_on, trained)
+    ((held, pull, moved, gain),) = evidence.each_record(pull_on, trained)
     (of_record,), (equations,) = evidence.each_record(lambda one, _: one, trained), evidence.equations.by_record
     (levels,), (point,) = trained.noise.records, evidence.equations.split(trained.solution.point)
     std = np.sqrt(np.diag(trained.factor.corner_covariance))
@@ -102,10 +102,11 @@ def test_the_pull_is_the_slope_of_the_determinants(structure, unknown, through):
         at = replace(point, parameters=point.parameters + torch.as_tensor(shift))
         parts = (equations.assemble(at, of).band.dense() for of in (of_motion(of_record, levels), levels))
         of_equations, whole = (np.linalg.slogdet(matrix)[1] for matrix in parts)
-        return 0.5 * levels.occupied * (of_equations - whole)
+        return 0.5 * (of_equations - whole)
 
     steps = 0.3 * np.diag(std)  # beside the rounding of these determinants
     expected = [(factor(step) - factor(-step)) / (2.0 * step.sum()) for step in steps]
     assert held is None
     np.testing.assert_allclose(pull * std, expected * std, rtol=0.02, atol=1e-4)
     assert moved == pytest.approx(np.max(np.abs(pull * std)))
+    assert gain == pytest.approx(pull @ point.parameters.numpy())
