@@ -26,10 +26,8 @@ from pinn_cli.training.solver import Inference
 from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN
 from pinn_cli.training.steps.unknown_forces import set_force_level
 
-# The pull, in standard deviations that it moves a parameter, that is not worth a round.
-NEGLIGIBLE_PULL = 0.1
-# Most that it changes in one round, in the same unit.
-LARGEST_MOVE = 2.0
+# How far a round may move any parameter, in its standard deviations, and how far is not worth a round.
+LARGEST_MOVE, NEGLIGIBLE_PULL = 2.0, 0.1
 # Central differences of a matrix by a parameter. Where equations are linear in it a wide one is exact: this part of its
 # value, and a deviation at least. Elsewhere P^-1, which hardly knows some motions, makes large numbers of what bends:
 # how far to either side, in its deviations, and the weight of each, so that the second takes the first order away.
@@ -60,17 +58,22 @@ def move_to_marginal_peak(inference: Inference) -> Inference | None:
 
 
 def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray | None, np.ndarray, float, float]:
-    """What pulled before and pulls now, (p,) slope of the logarithm of that factor by each parameter; the rest of it.
-
-    That is how far the change moves any parameter, in its deviations, and what the log evidence gains where they are.
+    """What pulled before, and what is to pull: (p,) slope of the logarithm of that factor, by prior deviations.
 
     tr(P^-1 dP - H^-1 dH) / 2 for each parameter of the equations that is looked for; 0 of the others. Parameters are in
-    the equations, which weigh the same in both. Derivatives are differences, see :data:`PART_OF_VALUE`. In prior
-    standard deviations, the change in the parameter's own; NaN where nothing tells it.
+    the equations, which weigh the same in both. Derivatives are differences, see :data:`PART_OF_VALUE`. Where the
+    change would take a parameter too far, less of it: all of it together, for what parameters have in common pulls at
+    each of them.
+
+    Returns:
+        Both, how far all of the change moves any parameter in its standard deviations (NaN where nothing tells), and
+        what it adds to the log evidence where the parameters are.
     """
     equations, point, noise = evidence.equations, solution.point, solution.noise
-    std = np.sqrt(np.diag(solution.factor.corner_covariance))[: len(equations.uncertain)]
-    before, pull = np.zeros(len(std)) if equations.pull is None else equations.pull, np.zeros(len(std))
+    p = len(equations.uncertain)
+    covariance = solution.factor.corner_covariance[:p, :p]
+    std, pull = np.sqrt(np.diag(covariance)), np.zeros(p)
+    before = np.zeros(p) if equations.pull is None else equations.pull
     # Under forces that nobody measured, what is believed of a parameter does not hold it.
     anyhow = equations.dynamics.inputs.unmeasured
     start = np.array([p.prescribed for p in equations.uncertain])
@@ -98,12 +101,12 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
                 slope += weight * share * inverse.trace_of_product(above - below)
         # A discrepancy in a part of the band has as much fewer values: it was widened for these. What drives an unknown
         # force was not, and leaves far more of the motion open.
-        most, values_left = LARGEST_MOVE / std[i], 1.0 if anyhow else noise.occupied
-        pull[i] = np.clip(values_left * slope, before[i] - most, before[i] + most)
+        pull[i] = slope if anyhow else noise.occupied * slope
     # The record may be computed in another process, which alone knows what pulls at it.
     change = pull - before
-    moves = float(np.max(np.abs(change) * std, initial=0.0))
-    return equations.pull, pull, moves, float(change @ point.parameters.numpy())
+    move = float(np.max(np.abs(covariance @ change) / std, initial=0.0))
+    change *= min(1.0, LARGEST_MOVE / max(move, NEGLIGIBLE_PULL))
+    return equations.pull, before + change, move, float(change @ point.parameters.numpy())
 
 
 def _ends(point: Point, i: int, width: float) -> tuple[Point, Point]:

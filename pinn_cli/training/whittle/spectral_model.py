@@ -1,7 +1,8 @@
-"""What a linear structure under unknown forces makes of them: the spectra that its sensors should show.
+"""What a linear structure makes of what nobody measured: the spectra that its sensors should show.
 
-The responses' spectra at one frequency are y = G_u w_u + G_f f + noise: unknown forces w_u, measured ones f. With G the
-transfer functions, Q the power of the forces and R that of the sensors' noise, y - G_f f has the covariance
+The responses' spectra at one frequency are y = G_u w_u + G_f f + noise: unknown forces or the ground w_u, measured
+forces f. With G the transfer functions, Q the power of what acts and R that of the sensors' noise, y - G_f f has the
+covariance
 
     S = G_u Q_u G_u^H + G_f Q_f G_f^H + R
 
@@ -35,7 +36,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.frequency_response import Acting, FrequencyResponse
 from pinn_cli.system.parameters import MASS, ParameterVector
-from pinn_cli.system.quantities import FORCE
+from pinn_cli.system.quantities import FORCE, MOTION
 from pinn_cli.training.sensor_samples import SensorSamples, starting_levels
 
 # The lowest lines hold the mean and slow drift, which the taper spreads over one line more.
@@ -57,19 +58,19 @@ LONG = 2**17
 def is_spectral(problem: Problem) -> bool:
     """Whether spectra say all that a record does of a problem's parameters: forces unknown, the structure linear.
 
-    Nothing may act but forces, and sensors need columns without gaps, gains or delays.
+    What acts is forces, or a ground that nobody measured, and sensors need columns without gaps, gains or delays.
     """
     inputs, structure, record = problem.inputs, problem.structure, problem.record
     linear = all(isinstance(group.nonlinearity, Linear) for group in structure.groups)
     alone = (
-        not inputs.ground
+        not (inputs.ground and inputs.ground_measured)
         and not inputs.supports
         and not inputs.loads
         and not len(structure.memory)
         and not record.calibrated
     )
     plain = record.intersample == "band_limited" and record.repeats is None and not problem.priors
-    return bool(inputs.forces) and linear and alone and plain
+    return inputs.unmeasured and linear and alone and plain
 
 
 def band_lines(record: Record) -> list[int] | None:
@@ -129,9 +130,14 @@ class SpectralModel:
         n, sensors, loads = dynamics.ndof, spectrum.sensors, [load.dof for load in spectrum.acting]
         self.sensed = np.array([dynamics.sensing(c.quantity)[0][1].toarray()[c.dof, :n] for c in sensors])
         self.stretch = problem.structure.incidence.matrix.toarray()
-        acting = [*problem.inputs.forces, *loads]
-        self.acting = Acting.forces(problem.structure.shapes.matrix[acting].T)
-        self.unknown_forces = len(problem.inputs.forces)
+        still, nothing, shapes = np.zeros(n), np.zeros(len(self.stretch)), problem.structure.shapes.matrix
+        acting = [(shapes[dof], still, nothing) for dof in (*problem.inputs.forces, *loads)]
+        if problem.inputs.ground:
+            acting.insert(0, (still, problem.structure.with_ground, nothing))
+        self.acting = Acting.of(acting, n)
+        self.unknown_forces = dynamics.forces.stop - dynamics.forces.start
+        felt = [c.quantity == MOTION[-1] and problem.inputs.absolute and problem.inputs.ground for c in sensors]
+        self.felt_at_once = np.array(felt)[:, None] * (self.sensed @ self.acting.shaken)
         samples = [SensorSamples(sensor, problem.record) for sensor in sensors]
         self.first_noise = np.array([sample.first for sample in samples])
         self.load_noise = starting_levels(problem.record, FORCE)[loads]
@@ -170,7 +176,7 @@ class SpectralModel:
         """(q,): prescribed parameters, forces that give the sensors their power, and the noise that spectra show."""
         x = np.zeros(self.size)
         x[self.places["noise"]] = np.log(self.first_noise)
-        at_sensors = self._response(x).value
+        at_sensors = self._response(x).value + self.felt_at_once
         unit_power = np.einsum("gsf,gsf->g", at_sensors, at_sensors.conj()).real
         power = self.spectrum.power[:, : len(self.first_noise)].sum(1)
         x[self.places["shape"]] = 0.5 * np.log(np.median(power / unit_power))
@@ -212,7 +218,7 @@ class SpectralModel:
 
     def _value(self, x: np.ndarray, response: FrequencyResponse) -> tuple[np.ndarray, ...]:
         """(G, S, S) covariance; (G, S, F) the sensors' response to forces; those times levels; the common part."""
-        at_sensors, places, omega = response.value, self.places, self.spectrum.omega[:, None]
+        at_sensors, places, omega = response.value + self.felt_at_once, self.places, self.spectrum.omega[:, None]
         unknown = self.shape @ x[places["shape"]][:, None] + x[places["forces"]]
         loads = np.broadcast_to(self.load_noise, (len(omega), len(self.load_noise)))
         level = np.concatenate((np.exp(unknown), loads), axis=1)

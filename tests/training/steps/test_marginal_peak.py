@@ -108,5 +108,5 @@ def test_the_pull_is_the_slope_of_the_determinants(structure, unknown, through):
     expected = [(factor(step) - factor(-step)) / (2.0 * step.sum()) for step in steps]
     assert held is None
     np.testing.assert_allclose(pull * std, expected * std, rtol=0.02, atol=1e-4)
-    assert moved == pytest.approx(np.max(np.abs(pull * std)))
+    assert moved == pytest.approx(np.max(np.abs(trained.factor.corner_covariance @ pull) / std))
     assert gain == pytest.approx(pull @ point.parameters.numpy())
