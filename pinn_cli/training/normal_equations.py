@@ -166,6 +166,7 @@ class NormalEquations(Frame):
             *states_known(self),
         ]
         self.pull: np.ndarray | None = None
+        self.pulled_from = torch.zeros_like(self.scale)
         self._tree: FrontTree | None = None
 
     def start(self) -> Point:
@@ -190,7 +191,8 @@ class NormalEquations(Frame):
         if prior is not None:
             out["prior"] = float((point.parameters * (torch.as_tensor(prior).to(self.scale) @ point.parameters)).sum())
         if self.pull is not None:
-            out["marginal"] = -2.0 * float(self.pull @ point.parameters.cpu().numpy())
+            moved = point.parameters - self.pulled_from
+            out["marginal"] = -2.0 * float(self.pull @ moved.cpu().numpy())
         return dict(out)
 
     def assemble(self, point: Point, noise: NoiseModel, prior: np.ndarray | None = None) -> BorderedSystem:

@@ -15,13 +15,14 @@ import numpy as np
 from torch import Tensor
 
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
+from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.factors.factor import Factor
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.normal_matrix.diagonals import Diagonals
 from pinn_cli.training.point import Point
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
-from pinn_cli.training.reported.model_evidence import of_motion
+from pinn_cli.training.reported.model_evidence import model_log_evidence, of_motion
 from pinn_cli.training.solver import Inference
 from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN
 from pinn_cli.training.steps.unknown_forces import set_force_level
@@ -41,15 +42,15 @@ def move_to_marginal_peak(inference: Inference) -> Inference | None:
     if inference.is_informed or inference.at_marginal_peak:
         return None
     evidence, trained = inference.evidence, inference.trained
-    held, pulls, moved, gains = zip(*evidence.each_record(pull_on, trained), strict=True)
+    held, pulls, moved = zip(*evidence.each_record(pull_on, trained), strict=True)
     if not np.isfinite(moved).all():
         return None
     if max(moved) < NEGLIGIBLE_PULL:
         return replace(inference, at_marginal_peak=True)
     evidence.each_record(pulled, trained, pulls)
     again = evidence.train(trained.noise, trained.solution.point)
-    least = trained.log_evidence + sum(gains) - NEGLIGIBLE_GAIN  # no solution under these pulls is worse than this one
-    if again is None or not again.solution.converged or again.log_evidence < least:
+    # Where an accelerometer is compared with the equations nothing says how probable that is.
+    if again is None or not again.solution.converged or _gain(evidence, trained, again) < -NEGLIGIBLE_GAIN:
         evidence.each_record(pulled, trained, held)
         return None
     at_peak = replace(inference, trained=again)
@@ -57,7 +58,12 @@ def move_to_marginal_peak(inference: Inference) -> Inference | None:
     return set_force_level(at_peak) or at_peak
 
 
-def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray | None, np.ndarray, float, float]:
+def _gain(evidence: Evidence, before: Trained, after: Trained) -> float:
+    """How much more probable the record is with the parameters moved, the motion integrated out; NaN: unknown."""
+    return model_log_evidence(evidence, after) - model_log_evidence(evidence, before)
+
+
+def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray | None, np.ndarray, float]:
     """What pulled before, and what is to pull: (p,) slope of the logarithm of that factor, by prior deviations.
 
     tr(P^-1 dP - H^-1 dH) / 2 for each parameter of the equations that is looked for; 0 of the others. Parameters are in
@@ -66,8 +72,7 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
     each of them.
 
     Returns:
-        Both, how far all of the change moves any parameter in its standard deviations (NaN where nothing tells), and
-        what it adds to the log evidence where the parameters are.
+        Both, and how far all of the change moves any parameter, in its standard deviations; NaN where nothing tells.
     """
     equations, point, noise = evidence.equations, solution.point, solution.noise
     p = len(equations.uncertain)
@@ -83,7 +88,7 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
         alone = of_motion(evidence, noise)
         of_equations, of_all = (equations.assemble(point, levels).readout_inverse() for levels in (alone, noise))
         if of_equations is None or of_all is None:
-            return equations.pull, pull, np.nan, np.nan
+            return equations.pull, pull, np.nan
         through: list[tuple[Factor, NoiseModel, Diagonals, float]] = [
             (equations.motion, noise, of_equations - of_all, 0.5)
         ]
@@ -106,7 +111,7 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
     change = pull - before
     move = float(np.max(np.abs(covariance @ change) / std, initial=0.0))
     change *= min(1.0, LARGEST_MOVE / max(move, NEGLIGIBLE_PULL))
-    return equations.pull, before + change, move, float(change @ point.parameters.numpy())
+    return equations.pull, before + change, move
 
 
 def _ends(point: Point, i: int, width: float) -> tuple[Point, Point]:
@@ -124,4 +129,4 @@ def _is_straight(equations: NormalEquations, between: Tensor, ends: tuple[Point,
 
 def pulled(evidence: RecordEvidence, solution: RecordSolution, pull: np.ndarray | None) -> None:
     """Let it pull at the parameters of one record from now on; None: nothing does."""
-    evidence.equations.pull = pull
+    evidence.equations.pull, evidence.equations.pulled_from = pull, solution.point.parameters

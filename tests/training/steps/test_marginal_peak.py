@@ -93,7 +93,7 @@ def test_the_pull_is_the_slope_of_the_determinants(structure, unknown, through):
     evidence = evidence_of(alone)
     noise = replace(starting_noise(alone), discrepancy=3.0)
     trained = evidence.train(levels_of(noise), evidence.equations.start())
-    ((held, pull, moved, gain),) = evidence.each_record(pull_on, trained)
+    ((held, pull, moved),) = evidence.each_record(pull_on, trained)
     (of_record,), (equations,) = evidence.each_record(lambda one, _: one, trained), evidence.equations.by_record
     (levels,), (point,) = trained.noise.records, evidence.equations.split(trained.solution.point)
     std = np.sqrt(np.diag(trained.factor.corner_covariance))
@@ -109,4 +109,3 @@ def test_the_pull_is_the_slope_of_the_determinants(structure, unknown, through):
     assert held is None
     np.testing.assert_allclose(pull * std, expected * std, rtol=0.02, atol=1e-4)
     assert moved == pytest.approx(np.max(np.abs(trained.factor.corner_covariance @ pull) / std))
-    assert gain == pytest.approx(pull @ point.parameters.numpy())
