@@ -49,10 +49,13 @@ def move_to_marginal_peak(inference: Inference) -> Inference | None:
         return replace(inference, at_marginal_peak=True)
     evidence.each_record(pulled, trained, pulls)
     again = evidence.train(trained.noise, trained.solution.point)
+    solved = again is not None and again.solution.converged
     # Where an accelerometer is compared with the equations nothing says how probable that is.
-    if again is None or not again.solution.converged or _gain(evidence, trained, again) < -NEGLIGIBLE_GAIN:
+    if again is None or not solved or _gain(evidence, trained, again) < -NEGLIGIBLE_GAIN:
         evidence.each_record(pulled, trained, held)
-        return None
+        # Near the peak a move gains half of its square, of which less than that cannot be told.
+        is_there = solved and 0.5 * max(moved) ** 2 < NEGLIGIBLE_GAIN
+        return replace(inference, at_marginal_peak=True) if is_there else None
     at_peak = replace(inference, trained=again)
     # As large as the forces are with these parameters: with less damping smaller ones make the same motion.
     return set_force_level(at_peak) or at_peak
