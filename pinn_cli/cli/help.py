@@ -254,9 +254,8 @@ def _bad_syntax(error: OverrideParseException, overrides: Sequence[str]) -> Inpu
         hint = "a value with spaces needs quotes inside quotes: 'data.path=\"my rig.csv\"'" if spaced else ""
         hint = suggestion(error.override, SUBCOMMANDS) or hint
         if Path(error.override).is_file():
-            hint = (
-                f"pinn-run inspect {shlex.quote(error.override)} looks at a record; --config takes a file of settings"
-            )
+            looked_at = shlex.quote(error.override)
+            hint = f"pinn-run inspect {looked_at} looks at a record; --config takes a file of settings"
         return InputError("override", error.override, "of the form setting=value", hint)
     hint = "brackets, braces and commas need quotes for the shell"
     depth = sum(value.count(bracket) for bracket in "[{(") - sum(value.count(bracket) for bracket in "]})")

@@ -49,11 +49,7 @@ class PreparedProblem:
 
 
 def prepare_problem(config: RunConfig, stages: Stages | None = None) -> PreparedProblem:
-    """Simulate or read the record and set up the problem.
-
-    Args:
-        config: Of the run.
-        stages: The seconds of ``system``, ``record`` and ``problem`` are added to it.
+    """Simulate or read the record and set up the problem, timed as the stages ``system``, ``record`` and ``problem``.
 
     Raises:
         InputError: A setting or a file that no run can use.
