@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pinn_cli.inspection.report import LookReport
     from pinn_cli.report.results import Results
     from pinn_cli.scheme.joint_problem import JointProblem
-    from pinn_cli.sweep.windows.run import WindowedRun
+    from pinn_cli.sweep.windowed_run import WindowedRun
     from pinn_cli.training.estimate import Estimate, RunContext, Watch
     from pinn_cli.validation.validation import Setup
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pinn_cli.record.validation_data import ValidationRecord
     from pinn_cli.record.windows import Window
     from pinn_cli.scheme.joint_problem import JointProblem
-    from pinn_cli.sweep.windows.run import WindowedRun
+    from pinn_cli.sweep.windowed_run import WindowedRun
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import RunContext
     from pinn_cli.training.estimator import Estimator, TrainedNetwork
@@ -157,8 +157,8 @@ def prepare_windows(
         InputError: No run can use the record, or the windows that are there are another run's.
     """
     from pinn_cli.report.parameters import history
-    from pinn_cli.sweep.windows.run import WindowedRun, WindowSolver
-    from pinn_cli.sweep.windows.store import WindowStore
+    from pinn_cli.sweep.window_store import WindowStore
+    from pinn_cli.sweep.windowed_run import WindowedRun, WindowSolver
     from pinn_cli.training.updating import UpdatedNetwork
 
     windows, directory = config.source.windows, context.directory

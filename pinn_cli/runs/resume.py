@@ -95,10 +95,7 @@ class RunFile(TypedDict, total=False):
 def is_finished(directory: Path, config: DictConfig, base: Path) -> bool:
     """Whether all results of a run lie there: the last file written says so.
 
-    Args:
-        directory: Of the run.
-        config: Composed, without its `hydra` node.
-        base: The folder that relative paths of its data start from.
+    Relative paths of the data of its configuration, which is without its `hydra` node, start from ``base``.
     """
     kept = read_record(directory).get("configuration")
     try:
@@ -171,12 +168,7 @@ class TrackingState:
 
 
 def is_tracked(directory: Path, config: DictConfig) -> bool:
-    """Whether the tracker that a configuration asks for has everything of the finished run in a directory.
-
-    Args:
-        directory: Of the run.
-        config: Composed, without its `hydra` node.
-    """
+    """Whether the tracker that a configuration asks for has everything of the finished run in a directory."""
     name = tracking_of(config)
     state = TrackingState.read(directory)
     return name == NONE or (state is not None and state.tracking == name and state.ended)
@@ -257,11 +249,8 @@ class StoredRun:
     @property
     def arguments(self) -> list[str]:
         """For Hydra: the same directory, whose `.hydra/` stays as it is."""
-        return [
-            f"resume={quoted(str(self.directory))}",
-            *self.given,
-            f"hydra.run.dir={quoted(str(self.directory))}",
-        ]
+        directory = quoted(str(self.directory))
+        return [f"resume={directory}", *self.given, f"hydra.run.dir={directory}"]
 
     def configuration(self, composed: DictConfig) -> DictConfig:
         """The run's own, with what may differ taken from the command line's."""
@@ -297,11 +286,7 @@ def going_on(config: DictConfig) -> DictConfig:
 
 
 def asked_to_resume(config: DictConfig, directory: Path) -> bool:
-    """Whether a run may go on with what lies in its directory.
-
-    Args:
-        config: Composed; its `resume` is judged, but for its type.
-        directory: Of the run; whether it is the same at every start is asked of Hydra.
+    """Whether a run may go on with what lies in its directory: its `resume` is judged, but for its type.
 
     Raises:
         InputError: It names another directory, or `auto` stands beside a directory that has the time in it.
@@ -328,12 +313,7 @@ def _has_fixed_directory() -> bool:
 
 
 def how_to_go_on(directory: Path, command: str = "") -> str:
-    """What an interrupted run tells its user: whether it kept anything to go on from, and the command.
-
-    Args:
-        directory: Of the run.
-        command: That goes on with it; "": `pinn-run resume=...`.
-    """
+    """What an interrupted run tells its user: whether it kept anything to go on from, and by which command."""
     kept, here = any((directory / name).exists() for name in KEPT), Path.cwd()
     place = directory.relative_to(here) if here in directory.parents else directory
     said = "to go on" if kept else "nothing is kept of it; to start over"
