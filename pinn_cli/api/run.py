@@ -154,12 +154,7 @@ def check_overrides(overrides: Sequence[str], function: str) -> None:
 
 
 def performed(task: Task, arguments: Sequence[str]) -> Path:
-    """The directory in which the command leaves its results. Its errors are raised; the process is as it was.
-
-    Args:
-        task: Called with the composed configuration.
-        arguments: As `sys.argv` has them.
-    """
+    """Where the command with these `sys.argv` leaves its results. Its errors are raised; the process is as it was."""
     jobs = Jobs(task, SILENCE, of_hydra=WITHOUT_LOGS)
     try:
         with borrowed(arguments):

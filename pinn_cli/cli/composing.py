@@ -53,11 +53,7 @@ def _as_hydras(name: str) -> Any:
 
 
 class CheckedLoader(ConfigLoader):
-    """Hydra's loader, whose configurations, those of a sweep's jobs too, are checked before they are handed out.
-
-    Args:
-        hydras: That which Hydra has made.
-    """
+    """Hydra's loader, whose configurations, those of a sweep's jobs too, are checked before they are handed out."""
 
     def __init__(self, hydras: ConfigLoader) -> None:
         self.hydras = hydras

@@ -188,11 +188,11 @@ def _of_file(data: Mapping[str, Any], elsewhere: set[str]) -> dict[str, Any]:
     settings: dict[str, Any] = {}
     for name in (*QUANTITIES, "channels"):
         if isinstance(data.get(name), Mapping):
-            columns = {
-                key: (given.get("column") or key) if isinstance(given, Mapping) else given
-                for key, given in data[name].items()
-            }
-            settings[name] = {key: data[name][key] for key, column in columns.items() if str(column) not in elsewhere}
+            settings[name] = {}
+            for key, given in data[name].items():
+                column = (given.get("column") or key) if isinstance(given, Mapping) else given
+                if str(column) not in elsewhere:
+                    settings[name][key] = given
     if data.get(GROUND) in elsewhere:
         settings[GROUND] = None
     return settings
@@ -233,13 +233,12 @@ def _columns(data: Mapping[str, Any], base: Path) -> tuple[list[Signal], np.ndar
     else:
         clock = files.read(wanted)
     table = clock.table
-    first, last = (
-        None if data.get(name) is None else finite_number(f"data.{name}", data[name]) for name in ("start", "stop")
-    )
-    window = (
-        0 if first is None else int(np.searchsorted(clock.time, first, side="left")),
-        len(clock.time) if last is None else int(np.searchsorted(clock.time, last, side="right")),
-    )
+    first, last = 0, len(clock.time)
+    if data.get("start") is not None:
+        first = int(np.searchsorted(clock.time, finite_number("data.start", data["start"]), side="left"))
+    if data.get("stop") is not None:
+        last = int(np.searchsorted(clock.time, finite_number("data.stop", data["stop"]), side="right"))
+    window = first, last
     thinned: int | BandPass = whole_number("data.decimate", data.get("decimate") or 1, least=1)
     if band := checked_band(data.get("band")):
         thinned = BandPass.of(band, len(clock.time), clock.step(*window))

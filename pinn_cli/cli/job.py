@@ -218,13 +218,9 @@ def shown(text: Callable[[], str], stages: Stages, terminal: Terminal) -> Iterat
 
 
 def results_of(job: Job, problem: JointProblem, estimate: Estimate, **more: Any) -> Results:
-    """All that a run has found, of every record.
+    """All that a run has found, of every record, with its posterior, score and baseline.
 
-    Args:
-        job: The run.
-        problem: That was solved, in the coordinates of its solution.
-        estimate: Of it.
-        more: Posterior, score and baseline.
+    The problem is the one that was solved, in the coordinates of its solution.
     """
     from pinn_cli.report.results import Results, checked_times, further_results
     from pinn_cli.training.calibrated_record import as_calibrated

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 from omegaconf import OmegaConf
 
 from pinn_cli.cli.config import NODES, RunConfig
-from pinn_cli.cli.help import option_file, option_names
+from pinn_cli.cli.help import files_of, option_names
 from pinn_cli.settings.instantiation import check_registered
 from pinn_cli.settings.yaml_file import read_yaml
 
@@ -146,16 +146,16 @@ def json_schema(config_dir: str | None = None) -> Schema:
 
 
 def _file(group: str, option: str, config_dir: str | None) -> tuple[dict[str, Any], dict[str, str], str]:
-    """What the file of an option sets, what it says of each setting, and its title; what it is based on included."""
-    file = option_file(group, option, config_dir)
-    node: Any = OmegaConf.to_container(read_yaml(file), resolve=False)
-    said = explained(file)
-    meanings = {setting.name: setting.meaning for setting in said.settings}
-    for base in node.get("defaults", []) if group else []:
-        if isinstance(base, str) and base != "_self_":
-            below, of_below, _ = _file(group, base, config_dir)
-            node, meanings = {**below, **node}, {**of_below, **meanings}
-    return node, meanings, said.title
+    """What the files of an option set, what they say of each setting, and the title of its own."""
+    node: dict[str, Any] = {}
+    meanings: dict[str, str] = {}
+    title = ""
+    for file in reversed(files_of(group, option, config_dir)):
+        said, settings = explained(file), OmegaConf.to_container(read_yaml(file), resolve=False)
+        node.update(settings)  # type: ignore[arg-type]
+        meanings |= {setting.name: setting.meaning for setting in said.settings}
+        title = said.title
+    return node, meanings, title
 
 
 def _option(group: str, node: Mapping[str, Any], meanings: Mapping[str, str], title: str) -> Schema:
@@ -240,9 +240,8 @@ def _hint(maker: Any, name: str) -> Any:
         parameters = inspect.signature(function).parameters
         rest = (p for p in parameters.values() if p.kind is inspect.Parameter.VAR_KEYWORD)
         parameter = parameters.get(name) or next(rest, None)
-        places.insert(
-            0, ({} if parameter is None else {name: parameter.annotation}, getattr(function, "__globals__", {}))
-        )
+        annotation = {} if parameter is None else {name: parameter.annotation}
+        places.insert(0, (annotation, getattr(function, "__globals__", {})))
     for annotated, scope in places:
         if name in annotated:
             try:
@@ -273,7 +272,4 @@ def _within(name: str, schema: Schema) -> Iterator[tuple[str, Schema]]:
 def _has_parts(schema: Schema) -> bool:
     """Whether a setting may be a mapping with entries of the user's own."""
     alternatives = schema.get("anyOf", [schema])
-    return any(
-        "additionalProperties" in alternative or not {"type", "enum"} & alternative.keys()
-        for alternative in alternatives
-    )
+    return any("additionalProperties" in part or not {"type", "enum"} & part.keys() for part in alternatives)

@@ -154,13 +154,9 @@ def _dofs(config: DictConfig, quantities: Collection[str]) -> list[Any]:
         for columns in map(data.get, quantities):
             dofs += columns if OmegaConf.is_config(columns) else ()
         channels = data.get("channels")
-        entries = channels.values() if OmegaConf.is_dict(channels) else ()
-        described = [channel for channel in entries if OmegaConf.is_dict(channel)]
-        dofs += [
-            channel.dof
-            for channel in described
-            if channel.get("dof") is not None and channel.get("sensor") in quantities
-        ]
+        for channel in filter(OmegaConf.is_dict, channels.values() if OmegaConf.is_dict(channels) else ()):
+            if channel.get("dof") is not None and channel.get("sensor") in quantities:
+                dofs.append(channel.dof)
     return dofs
 
 

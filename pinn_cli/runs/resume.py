@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import shlex
 from argparse import Namespace
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypedDict
@@ -189,6 +190,12 @@ def with_class_of_today(config: DictConfig) -> DictConfig:
     return config
 
 
+def named_directory(overrides: Sequence[str]) -> str:
+    """Of a run that overrides go on with, `resume=DIRECTORY`; "" where they name none."""
+    named = [override.partition("=")[2].strip("'\"") for override in overrides if setting_of(override) == "resume"]
+    return named[-1] if named and named[-1] not in ("null", AUTO, NEVER) else ""
+
+
 @dataclass(frozen=True)
 class StoredRun:
     """A run that `pinn-run resume=DIRECTORY` goes on with.
@@ -212,17 +219,16 @@ class StoredRun:
         Raises:
             InputError: There is no such run, or something else is asked for along with it.
         """
-        named = [override for override in options.overrides if setting_of(override) == "resume"]
-        directory = named[-1].partition("=")[2].strip("'\"") if named else ""
-        if directory in ("", "null", AUTO, NEVER):
+        directory = named_directory(options.overrides)
+        if not directory:
             return None
-        others = tuple(override for override in options.overrides if override not in named)
+        others = tuple(override for override in options.overrides if setting_of(override) != "resume")
         for name in ("multirun", "cfg"):
             if getattr(options, name):
                 hint = "the same command again goes on with a sweep" if name == "multirun" else ""
                 raise InputError("resume", directory, f"null, auto or never with --{name}", hint)
         for override in others:
-            if setting_of(override) == "resume" or not is_left_out(setting_of(override)):
+            if not is_left_out(setting_of(override)):
                 hint = f"a run that goes on keeps its own configuration: drop {override}"
                 raise InputError("resume", directory, f"given alone or with {', '.join(GIVEN_BESIDE)}", hint)
         return cls._read(directory, others)

@@ -136,11 +136,7 @@ def require(package: str, choice: str) -> None:
     Raises:
         InputError: It is not.
     """
-    try:
-        installed = importlib.util.find_spec(package) is not None
-    except ModuleNotFoundError:
-        installed = False
-    if not installed:
+    if importlib.util.find_spec(package) is None:
         allowed = "none, or a choice whose packages are installed"
         raise InputError("tracking", choice, allowed, f"pip install 'pinn-cli[{choice}]'")
 
