@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig
 
 from pinn_cli import LOADED
-from pinn_cli.cli.command_line import execute
-from pinn_cli.cli.job import Job, Start, compare_structures, find_modes, inspect, results_of, run_job, shown
+from pinn_cli.cli.command_line import Task, execute
+from pinn_cli.cli.inspecting import LOOKED_AT
+from pinn_cli.cli.job import Job, Start, look_and_tell, results_of, run_job, shown
 from pinn_cli.cli.terminal import Terminal
 from pinn_cli.runs.claim import current
 from pinn_cli.runs.process import is_borrowed, keep_imported
@@ -56,10 +57,17 @@ def run(
     return run_job(Start(composed, began, terminal, follows), carry_out)
 
 
+# What a word on the command line asks for in place of a run.
+TASKS: dict[str, Task] = {
+    "follow": partial(run, follows=True),
+    **{word: partial(look_and_tell, word) for word in LOOKED_AT},
+}
+
+
 def main() -> None:
     """The command: exits with the status listed in `pinn_cli.cli.command_line`."""
     start = partial(run, began=LOADED)
-    sys.exit(execute(start, inspect, partial(start, follows=True), find_modes, compare_structures))
+    sys.exit(execute(start, TASKS | {"follow": partial(start, follows=True)}))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ import random
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from copy import deepcopy
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from omegaconf import DictConfig
 from small_estimates import Case, make_estimate
 
 from pinn_cli.cli.command_line import execute
-from pinn_cli.main import compare_structures, find_modes, inspect, run
+from pinn_cli.main import TASKS, run
 from pinn_cli.record.files import file_format
 from pinn_cli.runs import histories
 from pinn_cli.runs.apart import Answer, UnreadableError
@@ -139,7 +138,7 @@ def pinn_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.Capt
         monkeypatch.setattr(sys, "argv", ["pinn-run", *arguments])
         capfd.readouterr()
         try:
-            status = execute(task, inspect, partial(run, follows=True), find_modes, compare_structures)
+            status = execute(task, TASKS)
         except SystemExit as end:
             status = int(end.code or 0)
         captured = capfd.readouterr()

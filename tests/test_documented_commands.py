@@ -90,14 +90,14 @@ def test_a_documented_run_gets_as_far_as_training(composed: Compose, line: str, 
 @pytest.mark.parametrize("line", LOOKS)
 def test_a_documented_look_is_had(composed: Compose, line: str, rig: Path) -> None:
     overrides = read_options(shlex.split(line)[1:]).overrides
-    looked_at = Inspected.read(composed(*first_job(overrides)), rig)
+    (looked_at,) = Inspected.read(composed(*first_job(overrides)), rig, "inspect")
     assert inspect_record(looked_at.signals, looked_at.time, looked_at.said, looked_at.frequencies).command
 
 
 @pytest.mark.parametrize("line", MODAL)
 def test_documented_modes_are_found(composed: Compose, line: str, rig: Path) -> None:
     overrides = read_options(shlex.split(line)[1:]).overrides
-    for looked_at in Inspected.read_all(composed(*first_job(overrides)), rig):
+    for looked_at in Inspected.read(composed(*first_job(overrides)), rig, "modes"):
         assert ModalRecord.of(looked_at.signals, looked_at.time).modes
 
 

@@ -16,13 +16,12 @@ from calls import SMALL
 from filelock import FileLock
 
 from pinn_cli.runs import claim
-from pinn_cli.runs import lock as run_lock
-from pinn_cli.runs.lock import FILE, SWEEP_FILE, held
+from pinn_cli.runs.claim import LOCK, SWEEP_LOCK, held
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from pinn_cli.runs.lock import held
+from pinn_cli.runs.claim import held
 with held(Path(sys.argv[1]), sys.argv[2]):
     print("in", flush=True)
     time.sleep(60)
@@ -68,7 +67,7 @@ def other() -> Iterator[Callable[[Path, str], subprocess.Popen[str]]]:
 
 def test_nothing_is_left_behind(tmp_path: Path) -> None:
     with held(tmp_path):
-        assert f'"pid": {os.getpid()}' in (tmp_path / FILE).read_text()
+        assert f'"pid": {os.getpid()}' in (tmp_path / LOCK).read_text()
     assert not list(tmp_path.iterdir())
     with pytest.raises(ValueError, match="away"), held(tmp_path):
         raise ValueError("away")
@@ -76,8 +75,8 @@ def test_nothing_is_left_behind(tmp_path: Path) -> None:
 
 
 def test_the_second_waits_until_the_first_is_killed(other, tmp_path: Path, monkeypatch, caplog) -> None:
-    first = other(tmp_path, FILE)
-    monkeypatch.setattr(run_lock, "EVERY_S", 0.02)
+    first = other(tmp_path, LOCK)
+    monkeypatch.setattr(claim, "EVERY_S", 0.02)
     threading.Timer(0.3, first.send_signal, [signal.SIGKILL]).start()
     start = time.perf_counter()
     with held(tmp_path):
@@ -90,7 +89,7 @@ def test_the_second_waits_until_the_first_is_killed(other, tmp_path: Path, monke
 
 def test_many_come_in_one_by_one(tmp_path: Path, monkeypatch) -> None:
     """Also across the moment at which the one before removes the file."""
-    monkeypatch.setattr(run_lock, "EVERY_S", 1e-4)
+    monkeypatch.setattr(claim, "EVERY_S", 1e-4)
     inside: list[int] = []
     most: list[int] = []
 
@@ -123,19 +122,19 @@ def test_a_file_system_without_locks_is_told_of(tmp_path: Path, monkeypatch, cap
 
 @pytest.mark.parametrize(
     ("name", "given"),
-    [(FILE, ("hydra.run.dir=place",)), (SWEEP_FILE, ("--multirun", "seed=0,1", "hydra.sweep.dir=place"))],
+    [(LOCK, ("hydra.run.dir=place",)), (SWEEP_LOCK, ("--multirun", "seed=0,1", "hydra.sweep.dir=place"))],
     ids=["a run", "a sweep"],
 )
 def test_a_command_waits_for_the_one_in_its_directory(other, pinn_run, tmp_path, monkeypatch, name, given):
     place = tmp_path / "place"
     first = other(place, name)
-    monkeypatch.setattr(run_lock, "EVERY_S", 0.02)
+    monkeypatch.setattr(claim, "EVERY_S", 0.02)
 
     def left(file: Path) -> str:
         first.terminate()
         return ""
 
-    monkeypatch.setattr(run_lock, "small_text", left)  # who is in there is asked once, when it has to wait
+    monkeypatch.setattr(claim, "small_text", left)  # who is in there is asked once, when it has to wait
     seen: list[bool] = []
     done = pinn_run(*given, task=lambda config: seen.append((place / name).is_file()))
     assert (done.status, first.wait()) == (0, -signal.SIGTERM), done.err
@@ -144,7 +143,7 @@ def test_a_command_waits_for_the_one_in_its_directory(other, pinn_run, tmp_path,
     assert not (place / name).exists()
 
 
-@pytest.mark.parametrize("name", [FILE, SWEEP_FILE])
+@pytest.mark.parametrize("name", [LOCK, SWEEP_LOCK])
 def test_a_refused_command_takes_no_directory_from_another(other, tmp_path: Path, name: str) -> None:
     """Both found it missing, and made it."""
     place = tmp_path / "outputs" / "place"
@@ -160,7 +159,7 @@ def test_a_refused_command_takes_no_directory_from_another(other, tmp_path: Path
 
 
 def test_who_waits_for_a_directory_that_goes_makes_it_anew(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(run_lock, "EVERY_S", 0.02)
+    monkeypatch.setattr(claim, "EVERY_S", 0.02)
     place = tmp_path / "place"
     place.mkdir()
     claim.note_new(tmp_path / "x")
@@ -168,14 +167,14 @@ def test_who_waits_for_a_directory_that_goes_makes_it_anew(tmp_path: Path, monke
 
     def second() -> None:
         with held(place):
-            assert (place / FILE).is_file()
+            assert (place / LOCK).is_file()
             entered.set()
 
     waiting = threading.Thread(target=second)
     with held(place):
         waiting.start()
         time.sleep(0.1)
-        (place / FILE).unlink()
+        (place / LOCK).unlink()
         place.rmdir()
     waiting.join(timeout=10)
     assert entered.is_set()

@@ -6,7 +6,7 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from pinn_cli.settings.explained import Setting, SettingsFile, read
+from pinn_cli.cli.schema import Setting, SettingsFile, explained
 
 CONF = Path(__file__).parents[2] / "conf"
 GROUPS = (
@@ -54,7 +54,7 @@ class SettingsTables(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Read the files anew: they are what a run reads."""
-        sections = [self._section("general", "General", [table(shown(read(self._file("config.yaml"))), "")])]
+        sections = [self._section("general", "General", [table(shown(explained(self._file("config.yaml"))), "")])]
         for group in GROUPS:
             options = [self._option(group, file) for file in sorted((CONF / group).glob("*.yaml"))]
             sections.append(self._section(group, group, options))
@@ -66,7 +66,7 @@ class SettingsTables(SphinxDirective):
         return file
 
     def _option(self, group: str, file: Path) -> nodes.section:
-        found = read(self._file(f"{group}/{file.name}"))
+        found = explained(self._file(f"{group}/{file.name}"))
         content: list[nodes.Node] = [nodes.paragraph("", "", *spoken(found.title))] if found.title else []
         if found.commands:
             text = "\n".join(found.commands)

@@ -77,11 +77,7 @@ class BasicSweeper(Sweeper):
 
 
 class SearchSweeper(Sweeper):
-    """Settings that score better than those tried before, as Optuna proposes them.
-
-    Args:
-        settings: See :class:`pinn_cli.sweep.search.Search`.
-    """
+    """Settings that score better than those tried before: see :class:`pinn_cli.sweep.search.Search`."""
 
     def __init__(self, **settings: Any) -> None:
         self.settings = settings

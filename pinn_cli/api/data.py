@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
+from pinn_cli.runs.resume import named_directory
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import quoted, setting_of
 
@@ -84,7 +85,7 @@ def settings_of(
             if any(setting_of(override) in _CLOCKS for override in overrides):
                 settings.pop("time", None)
             entries.append(settings)
-        if _goes_on(overrides):  # with the settings that it has
+        if named_directory(overrides):  # it goes on with the settings that it has
             yield []
         elif several:
             yield ["data=frame", f"data.records=[{', '.join(map(_written, entries))}]"]
@@ -121,11 +122,6 @@ def settings_of_record(given: Record) -> tuple[dict[str, np.ndarray], dict[str, 
             columns[_GROUND] = given.measured_ground
     acting = (~given.unforced & ~given.sensors("force")).nonzero()[0]
     return columns, settings, [names[dof] for dof in acting]
-
-
-def _goes_on(overrides: Sequence[str]) -> bool:
-    given = [o.partition("=")[2].strip("'\"") for o in overrides if setting_of(o) == "resume"]
-    return bool(given) and given[-1] not in ("", "null", "auto", "never")
 
 
 def _settings(table: Table, of_record: dict[str, str]) -> dict[str, str]:

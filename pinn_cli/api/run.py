@@ -11,7 +11,7 @@ import signal
 import tempfile
 import threading
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
@@ -23,8 +23,7 @@ from omegaconf import DictConfig
 from pinn_cli.api.data import settings_of
 from pinn_cli.api.results import Result, SweepResult, load
 from pinn_cli.cli.command_line import REPORTED, WITHOUT_LOGS, Jobs, Task, perform
-from pinn_cli.cli.inspecting import inspected_record, modes_of_records, population_of_runs
-from pinn_cli.cli.job import Report, leave, look
+from pinn_cli.cli.job import leave, look
 from pinn_cli.cli.options import settings_of_files
 from pinn_cli.cli.terminal import SILENCE
 from pinn_cli.main import run as run_job
@@ -36,8 +35,7 @@ from pinn_cli.settings.override_syntax import quoted, setting_of
 
 if TYPE_CHECKING:
     from pinn_cli.inspection.mode_report import ModesReport
-    from pinn_cli.inspection.proposal import Said
-    from pinn_cli.inspection.report import InspectionReport
+    from pinn_cli.inspection.report import InspectionReport, LookReport
     from pinn_cli.sweep.population import PopulationReport
 
 # A second thread waits.
@@ -156,12 +154,7 @@ def check_overrides(overrides: Sequence[str], function: str) -> None:
 
 
 def performed(task: Task, arguments: Sequence[str]) -> Path:
-    """The directory in which the command leaves its results. Its errors are raised; the process is as it was.
-
-    Args:
-        task: Called with the composed configuration.
-        arguments: As `sys.argv` has them.
-    """
+    """Where the command with these `sys.argv` leaves its results. Its errors are raised; the process is as it was."""
     jobs = Jobs(task, SILENCE, of_hydra=WITHOUT_LOGS)
     try:
         with borrowed(arguments):
@@ -204,7 +197,7 @@ def inspect(
         >>> found.channels  # doctest: +SKIP
         >>> result = run(*found.settings)  # doctest: +SKIP
     """
-    return _looked(inspected_record, "inspect", data, overrides, directory, config_dir)
+    return _looked("inspect", data, overrides, directory, config_dir)
 
 
 def modes(
@@ -229,7 +222,7 @@ def modes(
         InputError: There is no record with a sensor of the motion; the message is the command's one line.
         WriteError: The disk does not take what is written.
     """
-    return _looked(modes_of_records, "modes", data, overrides, directory, config_dir)
+    return _looked("modes", data, overrides, directory, config_dir)
 
 
 def population(*runs: str | os.PathLike[str], directory: str | os.PathLike[str] | None = None) -> PopulationReport:
@@ -247,23 +240,22 @@ def population(*runs: str | os.PathLike[str], directory: str | os.PathLike[str] 
         WriteError: The disk does not take what is written.
     """
     places = [os.fspath(Path(run).expanduser().absolute()) for run in runs]
-    return _looked(population_of_runs, "population", None, places, directory, None)
+    return _looked("population", None, places, directory, None)
 
 
 def _looked(
-    at: Callable[[DictConfig, Path, Said], Report],
     word: str,
     data: Any,
     overrides: Sequence[str],
     directory: str | os.PathLike[str] | None,
     config_dir: str | os.PathLike[str] | None,
-) -> Report:
+) -> Any:
     """What the command of this word finds."""
     check_overrides(overrides, word)
-    kept: list[Report] = []
+    kept: list[LookReport] = []
 
     def task(composed: DictConfig) -> None:
-        kept.append(look(composed, at))
+        kept.append(look(word, composed))
         if directory is None:
             current().untouched = True
         else:

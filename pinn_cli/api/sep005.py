@@ -57,18 +57,13 @@ def table_of_sep005(given: Any, setting: str) -> Table:
     first = tables[0].time
     if all(np.array_equal(first, table.time) for table in tables):  # type: ignore[arg-type]
         columns = {name: values for table in tables for name, values in table.columns.items()}
-        table = Table(
-            Path(setting), columns, hints={n: hint for t in tables for n, hint in t.hints.items()}, time=first
-        )
+        hints = {name: hint for table in tables for name, hint in table.hints.items()}
+        table = Table(Path(setting), columns, hints=hints, time=first)
     else:
         table = joined(tables, [table.time for table in tables if table.time is not None])
     assert table.time is not None
-    return Table(
-        table.path,
-        {TIME_COLUMN: table.time, **table.columns},
-        {name: {} for name in (TIME_COLUMN, *names)},
-        table.hints,
-    )
+    columns = {TIME_COLUMN: table.time, **table.columns}
+    return Table(table.path, columns, {name: {} for name in columns}, table.hints)
 
 
 def placed(table: Table, dofs: Mapping[str, int]) -> Table:
@@ -142,11 +137,7 @@ def _numbers(given: Any, setting: str) -> np.ndarray:
 
 
 def response_as_sep005(response: xr.Dataset) -> list[dict[str, Any]]:
-    """The estimate of every quantity and DOF and its standard deviation, groups ``estimate`` and ``std``.
-
-    Args:
-        response: As of :attr:`pinn_cli.Result.response`.
-    """
+    """Of :attr:`pinn_cli.Result.response` every history and its deviation, groups ``estimate`` and ``std``."""
     time = response["time"].values
     common = {"fs": float((len(time) - 1) / (time[-1] - time[0])), "time": time.tolist()}
     codes = {quantity: code for code, quantity in SEP005_QUANTITIES.items()}

@@ -85,13 +85,10 @@ class Record(record.Record):
         places = {dof: name for of_quantity in channels.values() for dof, name in of_quantity.items() if dof}
         for dof, name in places.items():
             if not dof.isdecimal() or int(dof) < 1:
-                raise InputError(
-                    f"series[{name!r}]", dof, "a channel of a DOF by its number, from 1", "give dofs={...}"
-                )
+                allowed = "a channel of a DOF by its number, from 1"
+                raise InputError(f"series[{name!r}]", dof, allowed, "give dofs={...}")
         time = Clock.by_column(table, TIME_COLUMN, None).uniform(0, len(table))
-        forced = np.isin(
-            np.arange(max(map(int, places), default=1)) + 1, [int(dof) for dof in channels.get("force", ())]
-        )
+        forced = record.dof_mask([int(dof) for dof in channels.get("force", ())], max(map(int, places), default=1))
         columns: dict[str, Any] = {quantity: np.full((len(time), len(forced)), np.nan) for quantity in QUANTITIES}
         columns["force"][:] = 0.0
         for quantity, of_quantity in channels.items():

@@ -20,7 +20,7 @@ import os
 import sys
 import traceback
 from argparse import Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from functools import partial
 from pathlib import Path
@@ -40,16 +40,16 @@ from pinn_cli.runs.resume import FORMAT, StoredRun, check_sound, going_on, how_t
 from pinn_cli.runs.writing import OUTPUT, WriteError, refused_by_disk
 from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
 from pinn_cli.sweep.collect import Collection, asked_for, collect_command
-from pinn_cli.sweep.jobs import FAILURE, NOT_STARTED, Failure, Sweep, status_of
+from pinn_cli.sweep.jobs import DEFECT, FAILURE, INPUT, NOT_STARTED, Failure, Sweep, status_of
 from pinn_cli.sweep.running import ended_sweep, leave_sweep
 
 log = logging.getLogger(__name__)
 
-STATUS_DEFECT, STATUS_INPUT, STATUS_INTERRUPTED, STATUS_PIPE = 1, 2, 130, 141
+STATUS_INTERRUPTED, STATUS_PIPE = 130, 141
 # What launchers raise when a process of theirs is gone: joblib and its pool.
 LOST_WORKERS = ("TerminatedWorkerError", "BrokenProcessPool")
 
-# Of a composed configuration, and of the terminal that it prints to where that is not the usual one.
+# Called with a composed configuration, and with the terminal that it prints to where that is not the usual one.
 Task = Callable[..., float | None]
 
 # Overrides that leave the terminal to us: the run's log is written all the same; or the process's logging is its own.
@@ -68,14 +68,13 @@ class Jobs:
     in its directory and takes no other job along; what collects the sweep reports it.
 
     Args:
-        task: Called with the composed configuration, without its `hydra` node; once per job of a sweep.
+        task: See :func:`execute`.
         terminal: Who is told.
         full_error: Whether tracebacks are printed too.
         of_hydra: Overrides of Hydra's own settings, put after those of the user.
 
     Attributes:
-        error: Of the run, one that needs no traceback; None where there is none.
-        hint: What to do about it.
+        error: Of the run, one that needs no traceback, and in `hint` what to do about it; None where there is none.
         reasons: Why every job of a sweep was refused.
         refused: Whether nothing is to be left of it.
         stored: The run that is gone on with; None: it is another one.
@@ -157,30 +156,19 @@ def _explained(error: Exception) -> Exception:
     return InputError("overrides", given, allowed, str(error).partition("\n")[0]).with_traceback(error.__traceback__)
 
 
-def execute(
-    task: Task,
-    look: Task | None = None,
-    follow: Task | None = None,
-    find: Task | None = None,
-    compare: Task | None = None,
-) -> int:
+def execute(task: Task, subcommands: Mapping[str, Task] | None = None) -> int:
     """Run a task under the command line that the process was started with.
 
     Args:
         task: Called with the composed configuration, without its `hydra` node; once per job of a sweep.
-        look: The same, where the command line says `inspect`.
-        follow: The same, where it says `follow`.
-        find: The same, where it says `modes`.
-        compare: The same, where it says `population`.
+        subcommands: The same, where the command line has this word, such as `inspect`.
 
     Returns:
         The exit status, as listed at the top of this file.
     """
     jobs = Jobs(task, Terminal(), full_error=os.environ.get("HYDRA_FULL_ERROR") == "1")
     try:
-        given = {"inspect": look, "follow": follow, "modes": find, "population": compare}
-        tasks = {word: of_word or task for word, of_word in given.items()}
-        perform(jobs, watched(in_time=True), tasks)
+        perform(jobs, watched(in_time=True), subcommands)
     except KeyboardInterrupt as stop:
         jobs.terminal.complain(f"interrupted{f'; {jobs.hint}' if jobs.hint else ''}")
         return stop.status if isinstance(stop, Interruption) else STATUS_INTERRUPTED
@@ -199,21 +187,21 @@ def execute(
         jobs.terminal.complain(
             "a worker process was killed, by the system for want of memory perhaps; the same command again goes on"
         )
-        return STATUS_DEFECT
+        return DEFECT
     return jobs.status
 
 
-def perform(jobs: Jobs, watch: AbstractContextManager[None], tasks: dict[str, Task] | None = None) -> None:
+def perform(jobs: Jobs, watch: AbstractContextManager[None], subcommands: Mapping[str, Task] | None = None) -> None:
     """Do what `sys.argv` says, whoever put it there: a shell or a caller in Python; it stays as it is.
 
     Args:
         jobs: Of this start; says afterwards what became of them.
         watch: What is done about signals meanwhile.
-        tasks: Of the subcommands, instead of that of `jobs`.
+        subcommands: Tasks in place of that of `jobs`, by the word that asks for them.
 
     Raises:
         InputError: Nothing can use the input; nothing is left of it.
-        DivergenceError: See :class:`pinn_cli.settings.errors.DivergenceError`; like the next two of a single run only.
+        DivergenceError: A training left the numbers that a computer can hold; like the next two of a single run only.
         WriteError: The disk takes no more.
         NotSoundError: The verdict is not sound, and strict=true.
         KeyboardInterrupt: It was interrupted; `jobs.hint` says how to go on.
@@ -221,8 +209,7 @@ def perform(jobs: Jobs, watch: AbstractContextManager[None], tasks: dict[str, Ta
     options = Namespace(overrides=[], config_dir=None)
     try:
         options = read_options(sys.argv[1:])
-        if options.subcommand and tasks:
-            jobs.task = tasks[options.subcommand]
+        jobs.task = (subcommands or {}).get(options.subcommand, jobs.task)
         if options.quiet or options.json:
             jobs.terminal, jobs.of_hydra = AS_JSON if options.json else QUIET, SILENT
             jobs.task = partial(jobs.task, terminal=jobs.terminal)
@@ -331,7 +318,7 @@ def _collect(jobs: Jobs, cut_off: bool = False) -> None:
         jobs.reasons = list(dict.fromkeys(job.reason for job in begun))
         for reason in () if cut_off else jobs.reasons:  # of what has cut it off there is a line of its own
             jobs.terminal.complain(reason)
-        jobs.status = STATUS_INPUT if begun else jobs.status
+        jobs.status = INPUT if begun else jobs.status
         ended.restore()
         return
     if all(job.status == NOT_STARTED for job in all_jobs):

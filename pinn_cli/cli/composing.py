@@ -53,11 +53,7 @@ def _as_hydras(name: str) -> Any:
 
 
 class CheckedLoader(ConfigLoader):
-    """Hydra's loader, whose configurations, those of a sweep's jobs too, are checked before they are handed out.
-
-    Args:
-        hydras: That which Hydra has made.
-    """
+    """Hydra's loader, whose configurations, those of a sweep's jobs too, are checked before they are handed out."""
 
     def __init__(self, hydras: ConfigLoader) -> None:
         self.hydras = hydras
@@ -81,10 +77,8 @@ class CheckedLoader(ConfigLoader):
             if group != SEVERAL and group.replace("/", ".") in shipped() and re.match(r"\s*\[", chosen):
                 raise _several(group, chosen, chosen.strip(" []").replace(" ", ""))
         overrides = in_folders(overrides)
-        return _checked(
-            self.hydras.load_configuration(config_name, overrides, run_mode, from_shell, validate_sweep_overrides),
-            overrides,
-        )
+        given = config_name, overrides, run_mode, from_shell, validate_sweep_overrides
+        return _checked(self.hydras.load_configuration(*given), overrides)
 
     def load_sweep_config(self, master_config: DictConfig, sweep_overrides: list[str]) -> DictConfig:
         """See :class:`hydra.core.config_loader.ConfigLoader`; raises what `load_configuration` does."""
@@ -167,10 +161,6 @@ def checked_hydra() -> Iterator[CheckedLoader]:
 def compose_config(overrides: Sequence[str], config_dir: str | None = None) -> DictConfig:
     """The configuration of ``pinn-run <overrides>``, without a process or a directory of its own.
 
-    Args:
-        overrides: As typed.
-        config_dir: A folder of more configurations.
-
     Raises:
         hydra.errors.HydraException: The overrides do not compose.
         InputError: They choose a class that is not registered.
@@ -202,9 +192,6 @@ class Callbacks:
     """Those that a configuration names, called in turn, the last first where something ends, as Hydra calls them.
 
     What one raises is a warning.
-
-    Args:
-        nodes: Of the configuration.
     """
 
     def __init__(self, nodes: DictConfig) -> None:
@@ -276,8 +263,9 @@ def configuration_text(options: Namespace, overrides: Sequence[str], config_dir:
         if chosen is None:
             hint = f"--cfg {options.cfg} prints all of it"
             raise InputError("--package", options.package, "a part of the configuration", hint)
-        text = OmegaConf.to_yaml(chosen).rstrip("\n") if OmegaConf.is_config(chosen) else chosen
-        return f"# @package {options.package}\n{text}" if OmegaConf.is_config(chosen) else str(text)
+        if not OmegaConf.is_config(chosen):
+            return str(chosen)
+        return f"# @package {options.package}\n{OmegaConf.to_yaml(chosen)}".rstrip("\n")
 
 
 def show_by_hydra(option: str, overrides: Sequence[str] = ()) -> None:

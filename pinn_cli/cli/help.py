@@ -22,6 +22,7 @@ from pinn_cli.cli.options import SUBCOMMANDS
 from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.instantiation import CONF
 from pinn_cli.settings.override_syntax import setting_of
+from pinn_cli.settings.yaml_file import read_yaml
 
 HELP_WIDTH = 120
 # Options of a group that are shown at once.
@@ -101,16 +102,22 @@ def group_names(config_dir: str | None = None) -> list[str]:
     return sorted(name for name in folders if name != "hydra" and next(option_names(name, config_dir), None))
 
 
-def option_file(group: str, option: str, config_dir: str | None = None) -> Path:
-    """The file of an option of a group."""
-    return next(f for place in _places(config_dir) if (f := place / group / f"{option}.yaml").is_file())
+def files_of(group: str, option: str, config_dir: str | None = None) -> list[Path]:
+    """The file of an option of a group, and behind it those of the group that it is based on."""
+    places = (place / group / f"{option}.yaml" for place in _places(config_dir))
+    file = next(filter(Path.is_file, places), None)
+    if file is None:  # as of _self_
+        return []
+    bases = [base for base in _plain(read_yaml(file)).get("defaults") or () if isinstance(base, str)]
+    return [file, *(below for base in bases for below in files_of(group, base, config_dir))]
 
 
 def options_with(setting: str) -> list[str]:
     """The choices that have a setting: `data.path` is a setting of `data=csv`."""
     group, _, key = setting.partition(".")
     options = option_names(group) if key and group not in ("experiment", "hydra") else ()
-    return [f"{group}={option}" for option in options if key in _settings_of(CONF / group, option)]
+    files = ((option, file) for option in options for file in files_of(group, option))
+    return list(dict.fromkeys(f"{group}={option}" for option, file in files if key in _names(_plain(read_yaml(file)))))
 
 
 def setting_names(overrides: Sequence[str], config_dir: str | None = None) -> list[str]:
@@ -126,13 +133,6 @@ def setting_names(overrides: Sequence[str], config_dir: str | None = None) -> li
 
 def _places(config_dir: str | None) -> list[Path]:
     return [CONF, *([Path(config_dir)] if config_dir else [])]
-
-
-def _settings_of(folder: Path, option: str) -> set[str]:
-    """Of a file of a group, and of the files of the same group that it is based on."""
-    node = _plain(OmegaConf.load(folder / f"{option}.yaml"))
-    bases = [name for name in node.pop("defaults", []) if name != "_self_"]
-    return set(_names(node)).union(*(_settings_of(folder, base) for base in bases))
 
 
 def _plain(config: Any) -> Any:
@@ -183,11 +183,10 @@ def _help_of(word: str, config_dir: str | None) -> str:
 
 
 def _shown(group: str, option: str, config_dir: str | None) -> str:
-    """Text of an option's file, without what only Hydra reads, and of the files of the group that it is based on."""
-    lines = option_file(group, option, config_dir).read_text(encoding="utf-8").splitlines()
-    kept = [line for line in lines if not re.match(r"\s*_target_:|defaults:|  - |# @package", line) and line.strip()]
-    bases = re.findall(r"^  - (_\w+)$", "\n".join(lines), re.MULTILINE)
-    return "\n".join([*kept, *(_shown(group, base, config_dir) for base in bases if base != "_self_")])
+    """Text of an option's files, without what only Hydra reads."""
+    files = files_of(group, option, config_dir)
+    lines = (line for file in files for line in file.read_text(encoding="utf-8").splitlines() if line.strip())
+    return "\n".join(line for line in lines if not re.match(r"\s*_target_:|defaults:|  - |# @package", line))
 
 
 def explain(
@@ -254,9 +253,8 @@ def _bad_syntax(error: OverrideParseException, overrides: Sequence[str]) -> Inpu
         hint = "a value with spaces needs quotes inside quotes: 'data.path=\"my rig.csv\"'" if spaced else ""
         hint = suggestion(error.override, SUBCOMMANDS) or hint
         if Path(error.override).is_file():
-            hint = (
-                f"pinn-run inspect {shlex.quote(error.override)} looks at a record; --config takes a file of settings"
-            )
+            looked_at = shlex.quote(error.override)
+            hint = f"pinn-run inspect {looked_at} looks at a record; --config takes a file of settings"
         return InputError("override", error.override, "of the form setting=value", hint)
     hint = "brackets, braces and commas need quotes for the shell"
     depth = sum(value.count(bracket) for bracket in "[{(") - sum(value.count(bracket) for bracket in "]})")

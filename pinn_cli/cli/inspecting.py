@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from pinn_cli.inspection.mode_report import ModesReport
     from pinn_cli.inspection.proposal import Said
-    from pinn_cli.inspection.report import InspectionReport
+    from pinn_cli.inspection.report import InspectionReport, LookReport
     from pinn_cli.record.clock import MeasuredFiles
     from pinn_cli.record.data_channels import DataChannel
     from pinn_cli.record.files.file_format import FileFormat
@@ -55,43 +55,27 @@ class Inspected:
     said: Said
 
     @classmethod
-    def read(cls, config: DictConfig, base: Path, said: Said | None = None) -> Inspected:
-        """Of a composed configuration, without its `hydra` node, that has one record.
+    def read(cls, config: DictConfig, base: Path, command: str, said: Said | None = None) -> list[Inspected]:
+        """Of all records that a composed configuration, without its `hydra` node, has.
 
         Args:
             config: As composed.
             base: The folder that relative paths start from.
+            command: The word that asks for it; `inspect` looks at one record.
             said: Overrides and options of the command; None: there are none.
 
         Raises:
-            InputError: The record cannot be read.
-        """
-        if config.data.get("records"):
-            hint = "one after the other: data.path=... and its columns"
-            given: Any = OmegaConf.to_container(config.data.records)
-            raise InputError("data.records", given, "left out with inspect, which looks at one record", hint)
-        return cls.read_all(config, base, said, "inspect")[0]
-
-    @classmethod
-    def read_all(
-        cls, config: DictConfig, base: Path, said: Said | None = None, command: str = "modes"
-    ) -> list[Inspected]:
-        """Of all records that a composed configuration has.
-
-        Args:
-            config: As composed.
-            base: The folder that relative paths start from.
-            said: See :meth:`read`.
-            command: The word that asks for it.
-
-        Raises:
-            InputError: A record cannot be read.
+            InputError: A record cannot be read, or there are several for `inspect`.
         """
         import numpy as np
 
         from pinn_cli.inspection.proposal import Said
         from pinn_cli.system.modes import NaturalModes, modes_of
 
+        if command == "inspect" and config.data.get("records"):
+            hint = "one after the other: data.path=... and its columns"
+            given: Any = OmegaConf.to_container(config.data.records)
+            raise InputError("data.records", given, "left out with inspect, which looks at one record", hint)
         config = resolved(config)
         check_classes(config)
         structure, frequencies, modes = None, None, None
@@ -132,7 +116,7 @@ def inspected_record(config: DictConfig, base: Path, said: Said) -> InspectionRe
     from pinn_cli.inspection.against_structure import contradictions
     from pinn_cli.inspection.inspection import inspect_record
 
-    record = Inspected.read(config, base, said)
+    (record,) = Inspected.read(config, base, "inspect", said)
     report = inspect_record(record.signals, record.time, record.said, record.frequencies)
     if record.structure is None:
         return report
@@ -148,7 +132,7 @@ def modes_of_records(config: DictConfig, base: Path, said: Said) -> ModesReport:
     from pinn_cli.inspection.mode_report import ModesReport
     from pinn_cli.inspection.modes import ModalRecord
 
-    looked_at, records = Inspected.read_all(config, base, said), []
+    looked_at, records = Inspected.read(config, base, "modes", said), []
     for number, record in enumerate(looked_at, start=1):
         with of_record(number, len(looked_at)):
             records.append(ModalRecord.of(record.signals, record.time))
@@ -164,6 +148,14 @@ def population_of_runs(config: DictConfig, base: Path, said: Said) -> Population
     from pinn_cli.sweep.population import PopulationReport
 
     return PopulationReport.of(list(config.model or ()), base)
+
+
+# What a word on the command line has looked at: of a composed configuration, from a folder on.
+LOOKED_AT: Mapping[str, Callable[[DictConfig, Path, Said], LookReport]] = {
+    "inspect": inspected_record,
+    "modes": modes_of_records,
+    "population": population_of_runs,
+}
 
 
 def _by_file(data: DictConfig, files: FileFormat, base: Path) -> list[DictConfig]:
@@ -196,11 +188,11 @@ def _of_file(data: Mapping[str, Any], elsewhere: set[str]) -> dict[str, Any]:
     settings: dict[str, Any] = {}
     for name in (*QUANTITIES, "channels"):
         if isinstance(data.get(name), Mapping):
-            columns = {
-                key: (given.get("column") or key) if isinstance(given, Mapping) else given
-                for key, given in data[name].items()
-            }
-            settings[name] = {key: data[name][key] for key, column in columns.items() if str(column) not in elsewhere}
+            settings[name] = {}
+            for key, given in data[name].items():
+                column = (given.get("column") or key) if isinstance(given, Mapping) else given
+                if str(column) not in elsewhere:
+                    settings[name][key] = given
     if data.get(GROUND) in elsewhere:
         settings[GROUND] = None
     return settings
@@ -241,13 +233,12 @@ def _columns(data: Mapping[str, Any], base: Path) -> tuple[list[Signal], np.ndar
     else:
         clock = files.read(wanted)
     table = clock.table
-    first, last = (
-        None if data.get(name) is None else finite_number(f"data.{name}", data[name]) for name in ("start", "stop")
-    )
-    window = (
-        0 if first is None else int(np.searchsorted(clock.time, first, side="left")),
-        len(clock.time) if last is None else int(np.searchsorted(clock.time, last, side="right")),
-    )
+    first, last = 0, len(clock.time)
+    if data.get("start") is not None:
+        first = int(np.searchsorted(clock.time, finite_number("data.start", data["start"]), side="left"))
+    if data.get("stop") is not None:
+        last = int(np.searchsorted(clock.time, finite_number("data.stop", data["stop"]), side="right"))
+    window = first, last
     thinned: int | BandPass = whole_number("data.decimate", data.get("decimate") or 1, least=1)
     if band := checked_band(data.get("band")):
         thinned = BandPass.of(band, len(clock.time), clock.step(*window))

@@ -7,14 +7,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from pinn_cli.cli.config import RunConfig
-from pinn_cli.cli.inspecting import inspected_record, modes_of_records, population_of_runs
+from pinn_cli.cli.inspecting import LOOKED_AT
 from pinn_cli.cli.prepare import check_records, prepare_problem, prepare_windows
 from pinn_cli.cli.terminal import SILENCE, Terminal
 from pinn_cli.runs import resume
@@ -27,15 +27,12 @@ from pinn_cli.settings.yaml_file import SCHEME
 
 if TYPE_CHECKING:
     from pinn_cli.cli.prepare import PreparedProblem
-    from pinn_cli.inspection.proposal import Said
     from pinn_cli.inspection.report import LookReport
     from pinn_cli.report.results import Results
     from pinn_cli.scheme.joint_problem import JointProblem
-    from pinn_cli.sweep.windows.run import WindowedRun
+    from pinn_cli.sweep.windowed_run import WindowedRun
     from pinn_cli.training.estimate import Estimate, RunContext, Watch
     from pinn_cli.validation.validation import Setup
-
-Report = TypeVar("Report", bound="LookReport")
 
 
 @dataclass(frozen=True)
@@ -221,13 +218,9 @@ def shown(text: Callable[[], str], stages: Stages, terminal: Terminal) -> Iterat
 
 
 def results_of(job: Job, problem: JointProblem, estimate: Estimate, **more: Any) -> Results:
-    """All that a run has found, of every record.
+    """All that a run has found, of every record, with its posterior, score and baseline.
 
-    Args:
-        job: The run.
-        problem: That was solved, in the coordinates of its solution.
-        estimate: Of it.
-        more: Posterior, score and baseline.
+    The problem is the one that was solved, in the coordinates of its solution.
     """
     from pinn_cli.report.results import Results, checked_times, further_results
     from pinn_cli.training.calibrated_record import as_calibrated
@@ -254,37 +247,19 @@ def results_of(job: Job, problem: JointProblem, estimate: Estimate, **more: Any)
     return replace(results, further=further_results(results, problem.by_record[1:], prepared.truths[1:]))
 
 
-def inspect(composed: DictConfig, terminal: Terminal | None = None) -> None:
-    """Look at a record before anything is estimated: tables, a figure and a command to go on with."""
-    _look_and_tell(composed, inspected_record, terminal or Terminal())
-
-
-def find_modes(composed: DictConfig, terminal: Terminal | None = None) -> None:
-    """Modes that records show by themselves: tables and a stabilisation diagram."""
-    _look_and_tell(composed, modes_of_records, terminal or Terminal())
-
-
-def compare_structures(composed: DictConfig, terminal: Terminal | None = None) -> None:
-    """Similar structures, of which there are finished runs, as a population: tables and a figure."""
-    _look_and_tell(composed, population_of_runs, terminal or Terminal())
-
-
-def _look_and_tell(composed: DictConfig, at: Callable[[DictConfig, Path, Said], LookReport], to: Terminal) -> None:
-    report = look(composed, at)
+def look_and_tell(word: str, composed: DictConfig, terminal: Terminal | None = None) -> None:
+    """`pinn-run inspect`, `modes` and `population`: look, leave tables and figures, and print the tables."""
+    report, terminal = look(word, composed), terminal or Terminal()
     directory = leave(report, composed)
-    to.say(report.text())
-    to.conclude(directory)
+    terminal.say(report.text())
+    terminal.conclude(directory)
 
 
-def look(composed: DictConfig, at: Callable[[DictConfig, Path, Said], Report]) -> Report:
-    """What a look at records finds, whose settings and columns Hydra's job has; nothing is written.
-
-    Args:
-        composed: Its configuration.
-        at: Reads the records of a configuration from a folder on, and looks at them.
+def look(word: str, composed: DictConfig) -> LookReport:
+    """What a look finds, which this word on the command line asks for; nothing is written.
 
     Raises:
-        InputError: They cannot be read, or are no records.
+        InputError: Records cannot be read, or are none; or runs are none.
     """
     hydra, stages = HydraConfig.get(), Stages()
     runtime = hydra.runtime
@@ -293,7 +268,7 @@ def look(composed: DictConfig, at: Callable[[DictConfig, Path, Said], Report]) -
             from pinn_cli.inspection.proposal import Said
         with stages("inspection"):
             said = Said(list(hydra.overrides.task), _folders(runtime), chosen=dict(runtime.choices))
-            return at(composed, Path(runtime.cwd), said)
+            return LOOKED_AT[word](composed, Path(runtime.cwd), said)
 
 
 def leave(report: LookReport, composed: DictConfig) -> Path:

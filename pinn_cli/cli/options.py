@@ -152,9 +152,8 @@ def overrides_of(file: str, typed: Sequence[str]) -> list[str]:
     """
     path = Path(file)
     if not path.is_file():
-        raise InputError(
-            "--config", file or "''", "a file of settings (YAML) that exists", "--config-dir takes a folder"
-        )
+        allowed = "a file of settings (YAML) that exists"
+        raise InputError("--config", file or "''", allowed, "--config-dir takes a folder")
     plain: Any = OmegaConf.to_container(read_yaml(path), resolve=False)
     given = {setting_of(override) for override in typed}
     return [f"{name}={value}" for name, value in _settings(path, plain) if name not in given]

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pinn_cli.record.validation_data import ValidationRecord
     from pinn_cli.record.windows import Window
     from pinn_cli.scheme.joint_problem import JointProblem
-    from pinn_cli.sweep.windows.run import WindowedRun
+    from pinn_cli.sweep.windowed_run import WindowedRun
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import RunContext
     from pinn_cli.training.estimator import Estimator, TrainedNetwork
@@ -49,11 +49,7 @@ class PreparedProblem:
 
 
 def prepare_problem(config: RunConfig, stages: Stages | None = None) -> PreparedProblem:
-    """Simulate or read the record and set up the problem.
-
-    Args:
-        config: Of the run.
-        stages: The seconds of ``system``, ``record`` and ``problem`` are added to it.
+    """Simulate or read the record and set up the problem, timed as the stages ``system``, ``record`` and ``problem``.
 
     Raises:
         InputError: A setting or a file that no run can use.
@@ -161,8 +157,8 @@ def prepare_windows(
         InputError: No run can use the record, or the windows that are there are another run's.
     """
     from pinn_cli.report.parameters import history
-    from pinn_cli.sweep.windows.run import WindowedRun, WindowSolver
-    from pinn_cli.sweep.windows.store import WindowStore
+    from pinn_cli.sweep.window_store import WindowStore
+    from pinn_cli.sweep.windowed_run import WindowedRun, WindowSolver
     from pinn_cli.training.updating import UpdatedNetwork
 
     windows, directory = config.source.windows, context.directory

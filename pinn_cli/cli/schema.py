@@ -9,16 +9,18 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import re
 import sys
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from omegaconf import OmegaConf
 
 from pinn_cli.cli.config import NODES, RunConfig
-from pinn_cli.cli.help import option_file, option_names
-from pinn_cli.settings.explained import STRUCTURE, read
+from pinn_cli.cli.help import files_of, option_names
 from pinn_cli.settings.instantiation import check_registered
 from pinn_cli.settings.yaml_file import read_yaml
 
@@ -39,6 +41,60 @@ MADE_BY = {
     "system modal": "pinn_cli.system.building.build_modal",
 }
 INTERPOLATION = {"type": "string", "pattern": r"\$\{"}
+# Lines of a file of conf/.
+ENTRY_LINE = re.compile(r"(?P<indent> *)(?P<name>\w+):(?:\s+(?P<value>[^#\s].*?|\"#.*?))??(?:\s+#\s?(?P<comment>.*))?$")
+COMMENT = re.compile(r" *#\s?(?P<comment>.*)$")
+# What the file is made of, rather than what it sets.
+STRUCTURE = ("defaults", "hydra", "_target_", "_convert_", "_partial_", "_recursive_", "kind")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """An entry of a file: its name within the file, `sensors.force`, its default as written, and what is said of it."""
+
+    name: str
+    default: str
+    meaning: str
+
+
+@dataclass
+class SettingsFile:
+    """A file of conf/: the comment on top, the class it chooses, and its settings."""
+
+    title: str = ""
+    commands: list[str] = field(default_factory=list)
+    target: str = ""
+    settings: list[Setting] = field(default_factory=list)
+
+
+def explained(file: Path) -> SettingsFile:
+    """What a file of conf/ says, comments included, which a YAML parser leaves out."""
+    settings_file, skipped = SettingsFile(), -1
+    path: list[tuple[int, str]] = []
+    top: list[str] = []
+    for line in file.read_text(encoding="utf-8").splitlines():
+        entry, comment = ENTRY_LINE.fullmatch(line), COMMENT.fullmatch(line)
+        if entry:
+            depth = len(entry["indent"])
+            if -1 < skipped < depth:
+                continue
+            skipped = -1
+            path = [(indent, name) for indent, name in path if indent < depth] + [(depth, entry["name"])]
+            if entry["name"] == "_target_" and depth == 0:
+                settings_file.target = entry["value"]
+            if entry["name"] in STRUCTURE:
+                skipped = depth
+                continue
+            name = ".".join(name for _, name in path)
+            settings_file.settings.append(Setting(name, entry["value"] or "", entry["comment"] or ""))
+        elif comment and not settings_file.settings and not path:
+            top.append(comment["comment"])
+        elif comment and settings_file.settings and skipped == -1 and line.startswith("  "):
+            last = settings_file.settings[-1]
+            settings_file.settings[-1] = replace(last, meaning=f"{last.meaning} {comment['comment'].strip()}".strip())
+    settings_file.commands = [line.strip() for line in top if line.startswith("  ")]
+    settings_file.title = " ".join(line for line in top if not line.startswith("  ") and not line.startswith("@"))
+    return settings_file
 
 
 def json_schema(config_dir: str | None = None) -> Schema:
@@ -90,20 +146,20 @@ def json_schema(config_dir: str | None = None) -> Schema:
 
 
 def _file(group: str, option: str, config_dir: str | None) -> tuple[dict[str, Any], dict[str, str], str]:
-    """What the file of an option sets, what it says of each setting, and its title; what it is based on included."""
-    file = option_file(group, option, config_dir)
-    node: Any = OmegaConf.to_container(read_yaml(file), resolve=False)
-    said = read(file)
-    meanings = {setting.name: setting.meaning for setting in said.settings}
-    for base in node.get("defaults", []) if group else []:
-        if isinstance(base, str) and base != "_self_":
-            below, of_below, _ = _file(group, base, config_dir)
-            node, meanings = {**below, **node}, {**of_below, **meanings}
-    return node, meanings, said.title
+    """What the files of an option set, what they say of each setting, and the title of its own."""
+    node: dict[str, Any] = {}
+    meanings: dict[str, str] = {}
+    title = ""
+    for file in reversed(files_of(group, option, config_dir)):
+        said, settings = explained(file), OmegaConf.to_container(read_yaml(file), resolve=False)
+        node.update(settings)  # type: ignore[arg-type]
+        meanings |= {setting.name: setting.meaning for setting in said.settings}
+        title = said.title
+    return node, meanings, title
 
 
 def _option(group: str, node: Mapping[str, Any], meanings: Mapping[str, str], title: str) -> Schema:
-    """The settings of one option."""
+    """The settings of one option of a group."""
     made_by = MADE_BY.get(f"{group} {node.get('kind')}") or MADE_BY.get(group)
     if "_target_" in node:
         check_registered(group, made_by := node["_target_"])
@@ -184,9 +240,8 @@ def _hint(maker: Any, name: str) -> Any:
         parameters = inspect.signature(function).parameters
         rest = (p for p in parameters.values() if p.kind is inspect.Parameter.VAR_KEYWORD)
         parameter = parameters.get(name) or next(rest, None)
-        places.insert(
-            0, ({} if parameter is None else {name: parameter.annotation}, getattr(function, "__globals__", {}))
-        )
+        annotation = {} if parameter is None else {name: parameter.annotation}
+        places.insert(0, (annotation, getattr(function, "__globals__", {})))
     for annotated, scope in places:
         if name in annotated:
             try:
@@ -217,7 +272,4 @@ def _within(name: str, schema: Schema) -> Iterator[tuple[str, Schema]]:
 def _has_parts(schema: Schema) -> bool:
     """Whether a setting may be a mapping with entries of the user's own."""
     alternatives = schema.get("anyOf", [schema])
-    return any(
-        "additionalProperties" in alternative or not {"type", "enum"} & alternative.keys()
-        for alternative in alternatives
-    )
+    return any("additionalProperties" in part or not {"type", "enum"} & part.keys() for part in alternatives)

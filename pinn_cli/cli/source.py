@@ -19,7 +19,7 @@ from pinn_cli.settings.yaml_file import read_yaml
 if TYPE_CHECKING:
     from pinn_cli.model.knowledge import Model
     from pinn_cli.record.record import Measurements, Record
-    from pinn_cli.record.validation_data import ValidationData, ValidationRecord
+    from pinn_cli.record.validation_data import ValidationRecord
     from pinn_cli.record.windows import RecordWindows
     from pinn_cli.scheme.scheme import Scheme
     from pinn_cli.system.building import ModesSought
@@ -57,10 +57,9 @@ class Source:
 
     def measurements(self, true: Structure) -> list[Measurements]:
         """Those of every record."""
-        measures = (self.measure, *self.further)
         measurements = []
-        for number, measure in enumerate(measures, start=1):
-            with of_record(number, len(measures)):
+        for number, measure in enumerate((self.measure, *self.further), start=1):
+            with of_record(number, 1 + len(self.further)):
                 measurements.append(measure(true))
         return measurements
 
@@ -97,10 +96,7 @@ def check_use(model: Model | None, scheme: Any, validation: Any, given: Any) -> 
 def read_structure(config: DictConfig, base: Path | None, model: Model | None = None) -> Structure:
     """The structure; of a measured one values may be missing, which the scheme then has to be asked for.
 
-    Args:
-        config: Of the run.
-        base: The folder that relative paths start from.
-        model: In its place for a measured record; a simulated one comes from what the settings say.
+    A model stands in its place for a measured record; a simulated one comes from what the settings say.
 
     Raises:
         InputError: No structure has these settings, or they are another one than the model's.
@@ -158,13 +154,9 @@ def _dofs(config: DictConfig, quantities: Collection[str]) -> list[Any]:
         for columns in map(data.get, quantities):
             dofs += columns if OmegaConf.is_config(columns) else ()
         channels = data.get("channels")
-        entries = channels.values() if OmegaConf.is_dict(channels) else ()
-        described = [channel for channel in entries if OmegaConf.is_dict(channel)]
-        dofs += [
-            channel.dof
-            for channel in described
-            if channel.get("dof") is not None and channel.get("sensor") in quantities
-        ]
+        for channel in filter(OmegaConf.is_dict, channels.values() if OmegaConf.is_dict(channels) else ()):
+            if channel.get("dof") is not None and channel.get("sensor") in quantities:
+                dofs.append(channel.dof)
     return dofs
 
 
@@ -208,16 +200,7 @@ def read_source(
     base: Path | None,
     follows: bool = False,
 ) -> Source:
-    """Where the record comes from.
-
-    Args:
-        config: Of the run.
-        structure: That it is about.
-        model_error: What differs between the true and the prescribed one.
-        scheme: What is asked of the record.
-        seed: Of the noise.
-        base: The folder that relative paths of data start from.
-        follows: Whether a measured record may still grow.
+    """Where the record comes from: simulated with noise of this seed, or measured, in which case it may still grow.
 
     Raises:
         InputError: A setting that no record can have.
@@ -263,10 +246,15 @@ def _measured_source(
     def measure(data: Any, true: Structure) -> Measurements:
         return measured_by_name(partial(data.measure, true.ndof, connections=connections), true.labels)
 
+    def validate(true: Structure, seen: Sequence[Record]) -> ValidationRecord:
+        assert held is not None
+        with in_names(true.labels):
+            validation = held.read(seen, true.ndof, connections)
+        return replace(validation, record=named(validation.record, true.labels))
+
     first, *further = (partial(measure, data) for data in seen)
-    validate = None if held is None else partial(_validation_record, held, connections)
     windows = _windows_of(config, seen[0], connections, follows)
-    return Source(first, False, None, validate, tuple(further), windows)
+    return Source(first, False, None, None if held is None else validate, tuple(further), windows)
 
 
 def measured_by_name(measure: Callable[[], Measurements], labels: Labels) -> Measurements:
@@ -274,14 +262,6 @@ def measured_by_name(measure: Callable[[], Measurements], labels: Labels) -> Mea
     with in_names(labels):
         measured = measure()
     return replace(measured, record=named(measured.record, labels))
-
-
-def _validation_record(
-    held: ValidationData, connections: Sequence[str], true: Structure, seen: Sequence[Record]
-) -> ValidationRecord:
-    with in_names(true.labels):
-        validation = held.read(seen, true.ndof, connections)
-    return replace(validation, record=named(validation.record, true.labels))
 
 
 def _windows_of(config: DictConfig, data: Any, connections: list[str], follows: bool) -> RecordWindows | None:

@@ -101,7 +101,7 @@ def finished_model(given: Any, base: Path | None = None, without: tuple[str, ...
     Args:
         given: Its directory, as a user names it.
         base: The folder that a relative path starts from; None: the current one.
-        without: See :func:`stored_model`.
+        without: Of ``end_``, ``misfit_`` and ``draws`` those that are left unread, and are None.
 
     Raises:
         InputError: There is no such run, it has not finished, or its file is damaged.
@@ -118,9 +118,8 @@ def finished_model(given: Any, base: Path | None = None, without: tuple[str, ...
         hint = "it is a sweep's: name one of its jobs" if sweep else unfinished if began else f"it has no {RESULT}"
         raise InputError(MODEL_SETTING, given, MODELS_ALLOWED, hint)
     if not (directory / NAME).is_file():
-        raise InputError(
-            MODEL_SETTING, given, MODELS_ALLOWED, f"it has no {NAME}: it is a prediction, or of an earlier release"
-        )
+        hint = f"it has no {NAME}: it is a prediction, or of an earlier release"
+        raise InputError(MODEL_SETTING, given, MODELS_ALLOWED, hint)
     try:
         return stored_model(directory, without)
     except DamagedError as error:
@@ -128,11 +127,7 @@ def finished_model(given: Any, base: Path | None = None, without: tuple[str, ...
 
 
 def stored_model(directory: Path, without: tuple[str, ...] = ()) -> Model:
-    """What lies in a directory as ``model.npz``, whatever else does.
-
-    Args:
-        directory: Of the run.
-        without: Of ``end_``, ``misfit_`` and ``draws`` those that are left unread, and are None.
+    """What lies in a directory as ``model.npz``, whatever else does, without some arrays: see :func:`finished_model`.
 
     Raises:
         InputError: A later release wrote it.
@@ -167,19 +162,15 @@ def _model(words: ModelFile, arrays: Mapping[str, np.ndarray], directory: Path) 
     history = None if misfit is None else misfit.history
     if history is not None and (history.ndim != 2 or history.shape[1] != structure.coordinates or len(history) < 2):
         raise ValueError("the force that it leaves out is none of its coordinates")
-    parameters = tuple(
-        replace(
-            structure.parameter(str(kind), int(index)), prescribed=float(mean), prior_std=float(std),
-            unknown=bool(unknown), positive=bool(positive),
-        )
-        for (kind, index, unknown, positive), mean, std in zip(
-            words["parameters"], known.mean, known.first_std, strict=True
-        )
-    )  # fmt: skip
+    parameters = []
+    for (kind, index, *own), mean, std in zip(words["parameters"], known.mean, known.first_std, strict=True):
+        said: dict[str, Any] = dict(zip(_OWN, map(bool, own), strict=True))
+        parameter = structure.parameter(str(kind), int(index))
+        parameters.append(replace(parameter, prescribed=float(mean), prior_std=float(std), **said))
     discrepancy, step, force, features = (arrays[f"level_{name}"].item() for name in _LEVELS)
     levels = Levels(_part("sigma", arrays), discrepancy, step, force, features, windows)
     verdict, reason, draws = words["verdict"], words["reason"], arrays.get("draws")
-    return Model(structure, parameters, known, levels, end, verdict, reason, draws, directory, misfit)
+    return Model(structure, tuple(parameters), known, levels, end, verdict, reason, draws, directory, misfit)
 
 
 def _attributes(part: Any) -> dict[str, Any]:
@@ -267,13 +258,12 @@ def difference(structure: Structure, other: Structure) -> str:
 
     Masses count as values: whoever simulates a change may change them.
     """
-    if other_dofs(structure, other):
-        return other_dofs(structure, other)
+    if differs := other_dofs(structure, other):
+        return differs
     if other.shapes.exact_at is not None:
         structure = structure.reduced_at(other.shapes.exact_at)
-    if structure.nonlinearity_name != other.nonlinearity_name or [g.kinds for g in structure.groups] != [
-        g.kinds for g in other.groups
-    ]:
+    kinds, other_kinds = ([group.kinds for group in side.groups] for side in (structure, other))
+    if structure.nonlinearity_name != other.nonlinearity_name or kinds != other_kinds:
         return f"{structure.nonlinearity_name} connections, not {other.nonlinearity_name}"
     if [_group_words(group) for group in structure.groups] != [_group_words(group) for group in other.groups]:
         return f"{structure.nonlinearity_name} connections of other settings"

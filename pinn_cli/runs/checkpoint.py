@@ -192,14 +192,10 @@ class Checkpoints:
     def packed(self, training: Resumable, ended: bool = False) -> bytes:
         """The state of everything, as it is now."""
         self._last = self.clock()
-        states = [*((True, state) for state in self._ended), (ended, training.state_dict())]
-        content = {
-            **stamp(FORMAT),
-            "identity": asdict(self.identity),
-            "trainings": [{"ended": over, "state": state} for over, state in states],
-            "random": random_states(),
-        }
-        return sealed(content)
+        trainings = [{"ended": True, "state": state} for state in self._ended]
+        trainings.append({"ended": ended, "state": training.state_dict()})
+        said = stamp(FORMAT) | {"identity": asdict(self.identity)}
+        return sealed(said | {"trainings": trainings, "random": random_states()})
 
     def write(self, packed: bytes) -> None:
         """Keep it, and the one before."""
@@ -217,12 +213,7 @@ def open_checkpoints(
 ) -> Checkpoints:
     """Those of a run that is about to train, taken up if it resumes; nothing in the directory is changed.
 
-    Args:
-        directory: Of the run.
-        identity: Which run it is.
-        resume: Whether to go on with what lies there: None, `auto`, or that directory.
-        every_s: See :class:`Checkpoints`.
-        device: Of the run.
+    ``resume`` says whether to go on with what lies there: None, `auto`, or that directory.
 
     Raises:
         InputError: The run was to be resumed by its directory's name, and the checkpoint there is another run's; or a

@@ -3,14 +3,21 @@
 A run, or a sweep, writes only where nothing lies, or where `pinn-run` has written before. Hydra only makes the
 directory. The settings (`.hydra/`) and the log are written here, once the run's input has been found good and no other
 process is at work there. What a refused run has replaced is put back. Nothing slow is imported here.
+
+The operating system holds a lock for an open file and gives it back when the process ends, however it ends, so that
+nothing is left over from a kill. Between machines it holds where the file system's locks do: NFS, GPFS, Lustre mounted
+with `flock`. Where a file system has none, the run says so and goes on without.
 """
 
 from __future__ import annotations
 
+import errno
+import json
 import logging
 import os
 import re
 import shutil
+import socket
 import stat
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -20,13 +27,16 @@ from pathlib import Path
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from pinn_cli.runs.lock import held, if_free
 from pinn_cli.runs.reading import printable, small_text
 from pinn_cli.runs.writing import WriteError, content_of, put_back, replacing, tidy
 from pinn_cli.settings.errors import InputError
 
 LOG, LOG_FORMAT = "pinn-run.log", "[%(asctime)s][%(name)s][%(levelname)s] %(message)s"
 SETTINGS = ".hydra"
+# Of a run and of a sweep, whose directory a job may have for its own; seconds from one look there to the next.
+LOCK, SWEEP_LOCK, EVERY_S = "run.lock", "sweep.lock", 1.0
+# What a file system without locks answers.
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)
 # The files of a run's and of a sweep's directory that carry the mark: the name of the package, among Hydra's settings.
 MARKED, MARK_OF_OURS = (f"{SETTINGS}/hydra.yaml", "multirun.yaml"), "pinn_cli"
 # What may lie in a directory that was prepared and never begun: by pattern, with files that were being written.
@@ -42,12 +52,9 @@ log = logging.getLogger(__name__)
 def check_destination(directory: Path, setting: str) -> None:
     """See to it that a run, or a sweep, may write into a directory, which is made where it is missing.
 
-    Args:
-        directory: Which.
-        setting: That named it.
-
     Raises:
-        InputError: It cannot be made, or holds files that are not of `pinn-run`, or something else in the place of one.
+        InputError: Naming the setting that named it: it cannot be made, or holds files that are not of `pinn-run`, or
+            something else in the place of one.
     """
     try:
         directory.mkdir(parents=True, exist_ok=True)
@@ -82,6 +89,76 @@ def is_prepared(entry: Path) -> bool:
     if entry.name == SETTINGS and entry.is_dir():
         return all(_PREPARED_SETTINGS.fullmatch(inner.name) for inner in entry.iterdir())
     return _PREPARED.fullmatch(entry.name) is not None
+
+
+@contextmanager
+def held(directory: Path, name: str = LOCK) -> Iterator[None]:
+    """Keep other processes out of a run's or a sweep's directory during the block, once those before have left it.
+
+    The file of this name in it says who is in there while the block runs.
+    """
+    with locked(directory / name, f"waiting for another process to leave {directory}", EVERY_S):
+        yield
+
+
+@contextmanager
+def if_free(directory: Path) -> Iterator[bool]:
+    """Whether no other process is in a run's or a sweep's directory, or comes in meanwhile: see :func:`held`."""
+    from filelock import FileLock, Timeout
+
+    with ExitStack() as locks:
+        try:
+            for name in (LOCK, SWEEP_LOCK):
+                locks.enter_context(FileLock(directory / name, blocking=False, fallback_to_soft=False))
+            free = True
+        except Timeout:
+            free = False
+        except OSError:  # a file system without locks
+            free = True
+        yield free
+
+
+@contextmanager
+def locked(file: Path, waiting: str = "", every_s: float = 0.1) -> Iterator[None]:
+    """Have one process at a time in the block, of those that name the same file.
+
+    Args:
+        file: Made where it is missing, and removed at the end; its folder exists. While the block runs it says whose.
+        waiting: What the log is told where the process has to wait; empty: nothing.
+        every_s: Seconds from one look to the next.
+    """
+    from filelock import FileLock, Timeout  # not for --help
+
+    # No marker in place of a lock, which a kill would leave behind.
+    lock = FileLock(file, thread_local=False, fallback_to_soft=False)
+    try:
+        try:
+            lock.acquire(blocking=False)
+        except Timeout:
+            if waiting:
+                owner = ""  # as it wrote it: for a person to read, and nothing depends on it
+                with suppress(OSError):  # it has left meanwhile
+                    owner = small_text(file)
+                log.warning("%s: %s", waiting, owner or "one that has just begun")
+            while not lock.is_locked:
+                with suppress(FileNotFoundError):  # who was in there took the folder along: it is made anew
+                    lock.acquire(poll_interval=every_s)
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
+        file.unlink(missing_ok=True)
+        log.warning("%s is on a file system without locks: have no two processes write there", file.parent)
+    try:
+        if lock.is_locked:
+            job = {"slurm_job": os.environ["SLURM_JOB_ID"]} if "SLURM_JOB_ID" in os.environ else {}
+            with suppress(OSError):  # on a full disk nobody learns who is in there
+                file.write_text(json.dumps({"host": socket.gethostname(), "pid": os.getpid(), **job}), encoding="utf-8")
+        yield
+    finally:
+        if lock.is_locked:
+            with suppress(OSError):  # while it is locked: whoever has opened it meanwhile finds out and opens a new one
+                file.unlink()
+            lock.release()
 
 
 # Directories that did not exist before the run or sweep that was started last, its own first.

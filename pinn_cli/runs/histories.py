@@ -166,10 +166,8 @@ def _layout(group: Any, node: h5py.Group, arrays: list[np.ndarray]) -> tuple[dic
     for name, variable in group.variables.items():
         values = np.asarray(node[name][()])  # not by the variable, which asks for the sizes of all dimensions anew
         arrays.append(_texts(values) if values.dtype.kind == "O" else values)
-        layout[printable(name)] = (
-            [printable(dim) for dim in variable.dimensions],
-            _attr_texts(variable.attrs, arrays),
-        )
+        dims = [printable(dim) for dim in variable.dimensions]
+        layout[printable(name)] = dims, _attr_texts(variable.attrs, arrays)
     return layout, _attr_texts(group.attrs, arrays)
 
 

@@ -41,10 +41,10 @@ class Identity:
 
     @classmethod
     def of(cls, config: DictConfig, base: Path | None = None, grows: bool = False) -> Identity:
-        """Of a composed configuration.
+        """Of a composed configuration, resolvable and without its `hydra` node.
 
         Args:
-            config: Resolvable, without its `hydra` node.
+            config: Which.
             base: The folder that relative paths of data start from; None: the current one.
             grows: Whether the record does: it then goes by its name.
         """

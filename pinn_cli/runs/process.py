@@ -36,11 +36,7 @@ def is_borrowed() -> bool:
 
 @contextmanager
 def borrowed(arguments: Sequence[str]) -> Iterator[None]:
-    """Have the process be as if it were the command's own within the block, and as it was after it.
-
-    Args:
-        arguments: As `sys.argv` is to have them meanwhile.
-    """
+    """Have the process be the command's own within the block, with these `sys.argv`, and as it was after it."""
     global _borrowed  # noqa: PLW0603
     from pinn_cli.runs.checkpoint import random_states, set_random_states  # not for --help, which reads this file
 

@@ -61,16 +61,10 @@ def stamp(number: int) -> dict[str, Any]:
 
 
 def check_layout(content: Mapping[str, Any], newest: int, file: Path, oldest: int = 1) -> None:
-    """Refuse a file of a later release.
-
-    Args:
-        content: Of the file; without a number it is as old as files can be.
-        newest: The last layout that is known here.
-        file: Which.
-        oldest: The first one.
+    """Refuse a file in a later layout than the ``newest`` one known here; one without a number is as old as can be.
 
     Raises:
-        InputError: It is none of these; the release that reads it is told.
+        InputError: It is; the release that reads it is told.
     """
     number = content.get(NUMBER, oldest)
     if isinstance(number, int) and oldest <= number <= newest:
@@ -130,12 +124,7 @@ def read_json(file: Path, kind: type[T], layout: int | None = None) -> T:
 
 
 def read_table(file: Path, numbers: Sequence[str] = (), texts: Sequence[str] = ()) -> pandas.DataFrame:
-    """A table as this program writes it.
-
-    Args:
-        file: To be read.
-        numbers: Columns that it must have, of numbers or empty.
-        texts: Columns that it must have.
+    """A table as this program writes it, with these columns of numbers, which may be empty, and these of texts.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -164,9 +153,7 @@ def read_table(file: Path, numbers: Sequence[str] = (), texts: Sequence[str] = (
 def read_arrays(file: Path, without: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
     """Arrays by name, of an archive as `numpy.savez` writes it: numbers and texts, nothing that is executed.
 
-    Args:
-        file: To be read.
-        without: How names begin whose arrays are left unread.
+    Those whose names begin with one of ``without`` are left unread.
 
     Raises:
         DamagedError: It is no such file, or unfolds to more than any of ours does.
@@ -181,9 +168,8 @@ def read_arrays(file: Path, without: tuple[str, ...] = ()) -> dict[str, np.ndarr
         with np.load(file, allow_pickle=False) as content:
             return {name: content[name] for name in content.files if not name.startswith(without)}
     except Exception as error:  # of archives and arrays that may be anything
-        raise DamagedError(
-            file, str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
-        ) from error
+        said = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
+        raise DamagedError(file, said) from error
 
 
 @contextmanager
@@ -203,10 +189,10 @@ def undamaged(setting: str, directory: Path) -> Iterator[None]:
 
 
 def checked(value: Any, kind: Any, place: str = "") -> Any:
-    """A value that was read, if it is of a type; its texts as they can be printed.
+    """A value that was read, plain as JSON has it, if it is of a type; its texts as they can be printed.
 
     Args:
-        value: Plain: mappings, lists, texts, numbers, Booleans and None.
+        value: Mappings, lists, texts, numbers, Booleans and None.
         kind: A type, one with parameters, a `Literal`, a union, a dataclass or a `TypedDict`; `Any`.
         place: Of the value, for errors.
 
@@ -262,9 +248,5 @@ def printable(text: str) -> str:
     r"""A text whose control characters are written out, as ``\x1b``: files of others may hold some for a terminal."""
     if text.isprintable():
         return text
-    return "".join(
-        character.encode("unicode_escape").decode()
-        if character not in "\n\t" and unicodedata.category(character).startswith("C")
-        else character
-        for character in text
-    )
+    controls = {c for c in text if c not in "\n\t" and unicodedata.category(c).startswith("C")}
+    return text.translate({ord(c): c.encode("unicode_escape").decode() for c in controls})

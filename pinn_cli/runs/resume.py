@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import shlex
 from argparse import Namespace
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypedDict
@@ -95,10 +96,7 @@ class RunFile(TypedDict, total=False):
 def is_finished(directory: Path, config: DictConfig, base: Path) -> bool:
     """Whether all results of a run lie there: the last file written says so.
 
-    Args:
-        directory: Of the run.
-        config: Composed, without its `hydra` node.
-        base: The folder that relative paths of its data start from.
+    Relative paths of the data of its configuration, which is without its `hydra` node, start from ``base``.
     """
     kept = read_record(directory).get("configuration")
     try:
@@ -171,12 +169,7 @@ class TrackingState:
 
 
 def is_tracked(directory: Path, config: DictConfig) -> bool:
-    """Whether the tracker that a configuration asks for has everything of the finished run in a directory.
-
-    Args:
-        directory: Of the run.
-        config: Composed, without its `hydra` node.
-    """
+    """Whether the tracker that a configuration asks for has everything of the finished run in a directory."""
     name = tracking_of(config)
     state = TrackingState.read(directory)
     return name == NONE or (state is not None and state.tracking == name and state.ended)
@@ -195,6 +188,12 @@ def with_class_of_today(config: DictConfig) -> DictConfig:
         today = {**config.tracking, "_target_": target.replace("pinn_cli.", "pinn_cli.sweep.", 1)}
         config.tracking = {} if tracking_of(config) == NONE else today
     return config
+
+
+def named_directory(overrides: Sequence[str]) -> str:
+    """Of a run that overrides go on with, `resume=DIRECTORY`; "" where they name none."""
+    named = [override.partition("=")[2].strip("'\"") for override in overrides if setting_of(override) == "resume"]
+    return named[-1] if named and named[-1] not in ("null", AUTO, NEVER) else ""
 
 
 @dataclass(frozen=True)
@@ -220,17 +219,16 @@ class StoredRun:
         Raises:
             InputError: There is no such run, or something else is asked for along with it.
         """
-        named = [override for override in options.overrides if setting_of(override) == "resume"]
-        directory = named[-1].partition("=")[2].strip("'\"") if named else ""
-        if directory in ("", "null", AUTO, NEVER):
+        directory = named_directory(options.overrides)
+        if not directory:
             return None
-        others = tuple(override for override in options.overrides if override not in named)
+        others = tuple(override for override in options.overrides if setting_of(override) != "resume")
         for name in ("multirun", "cfg"):
             if getattr(options, name):
                 hint = "the same command again goes on with a sweep" if name == "multirun" else ""
                 raise InputError("resume", directory, f"null, auto or never with --{name}", hint)
         for override in others:
-            if setting_of(override) == "resume" or not is_left_out(setting_of(override)):
+            if not is_left_out(setting_of(override)):
                 hint = f"a run that goes on keeps its own configuration: drop {override}"
                 raise InputError("resume", directory, f"given alone or with {', '.join(GIVEN_BESIDE)}", hint)
         return cls._read(directory, others)
@@ -257,11 +255,8 @@ class StoredRun:
     @property
     def arguments(self) -> list[str]:
         """For Hydra: the same directory, whose `.hydra/` stays as it is."""
-        return [
-            f"resume={quoted(str(self.directory))}",
-            *self.given,
-            f"hydra.run.dir={quoted(str(self.directory))}",
-        ]
+        directory = quoted(str(self.directory))
+        return [f"resume={directory}", *self.given, f"hydra.run.dir={directory}"]
 
     def configuration(self, composed: DictConfig) -> DictConfig:
         """The run's own, with what may differ taken from the command line's."""
@@ -297,11 +292,7 @@ def going_on(config: DictConfig) -> DictConfig:
 
 
 def asked_to_resume(config: DictConfig, directory: Path) -> bool:
-    """Whether a run may go on with what lies in its directory.
-
-    Args:
-        config: Composed; its `resume` is judged, but for its type.
-        directory: Of the run; whether it is the same at every start is asked of Hydra.
+    """Whether a run may go on with what lies in its directory: its `resume` is judged, but for its type.
 
     Raises:
         InputError: It names another directory, or `auto` stands beside a directory that has the time in it.
@@ -328,12 +319,7 @@ def _has_fixed_directory() -> bool:
 
 
 def how_to_go_on(directory: Path, command: str = "") -> str:
-    """What an interrupted run tells its user: whether it kept anything to go on from, and the command.
-
-    Args:
-        directory: Of the run.
-        command: That goes on with it; "": `pinn-run resume=...`.
-    """
+    """What an interrupted run tells its user: whether it kept anything to go on from, and by which command."""
     kept, here = any((directory / name).exists() for name in KEPT), Path.cwd()
     place = directory.relative_to(here) if here in directory.parents else directory
     said = "to go on" if kept else "nothing is kept of it; to start over"

@@ -41,9 +41,6 @@ _PR_SET_PDEATHSIG, _BEHIND = 1, 2
 class Items(Generic[T]):
     """Items that are worked on in this process, one after the other.
 
-    Args:
-        items: Which.
-
     Attributes:
         held: They, as arguments of :meth:`map`.
     """
@@ -54,12 +51,7 @@ class Items(Generic[T]):
         self.close: Callable[[], object] = lambda: None  # ends what works on them, whatever it is about
 
     def each(self, function: Callable[..., R], *arguments: Sequence[Any]) -> list[R]:
-        """What a function makes of every item, in their order.
-
-        Args:
-            function: Of a file's, of (item, its own of every argument).
-            arguments: Each with one entry for every item.
-        """
+        """What a function makes of every item, in their order; each further argument has one entry for every item."""
         return self.begin(function, *arguments)()
 
     def begin(self, function: Callable[..., R], *arguments: Sequence[Any]) -> Callable[[], list[R]]:
@@ -67,7 +59,7 @@ class Items(Generic[T]):
         return lambda: self.map(function, self.held, *arguments)
 
     def map(self, function: Callable[..., R], *arguments: Sequence[Any]) -> list[R]:
-        """What a function makes of arguments where the items are; each has one entry for every item."""
+        """What a function of a file makes of arguments where the items are; each has one entry for every item."""
         return [function(*given) for given in zip(*arguments, strict=True)]
 
     def keep(self, function: Callable[..., Any], *arguments: Sequence[Any]) -> list[Any]:
@@ -168,12 +160,7 @@ class SharedOutItems(Items[T]):
 
 
 def side_by_side(items: Sequence[T], sizes: Sequence[int] | None = None) -> Items[T]:
-    """Items on as many cores as there are.
-
-    Args:
-        items: Which.
-        sizes: Of the work on each; None: all alike.
-    """
+    """Items on as many cores as there are; ``sizes``: of the work on each, None: all alike."""
     copies = min(len(items), len(usable_cores()))
     return SharedOutItems(items, copies, sizes) if copies > 1 and _can_copy() else Items(items)
 

@@ -69,12 +69,7 @@ class Stages:
 
 @contextmanager
 def signs_of_life(stages: Stages, first_s: float = FIRST_S) -> Iterator[None]:
-    """Log a warning, which the terminal shows, every now and then while the block lasts.
-
-    Args:
-        stages: Of the run.
-        first_s: Seconds to the first line.
-    """
+    """Log a warning, which the terminal shows, now and then while the block lasts, first after so many seconds."""
     over = threading.Event()
 
     def tell() -> None:

@@ -67,9 +67,8 @@ def check_registered(setting: str, target: object) -> None:
         f"a configuration runs no other code; an installed package registers a class by the entry point"
         f" {place}.NAME of {PLUGINS} (docs/extending.md)"
     )
-    raise InputError(
-        name, target, f"a class that is registered for {place}: {', '.join(names) or 'there is none'}", hint
-    )
+    allowed = f"a class that is registered for {place}: {', '.join(names) or 'there is none'}"
+    raise InputError(name, target, allowed, hint)
 
 
 @cache

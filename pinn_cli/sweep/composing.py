@@ -49,14 +49,11 @@ def parse(override: str) -> Override:
 
 
 def combinations(overrides: Iterable[str], most: int = MOST_JOBS) -> list[list[str]]:
-    """The jobs of a sweep: each setting's values with all others' values, the last one's next to each other.
+    """The overrides of each job: each setting's values with all others' values, the last one's next to each other.
 
     Args:
         overrides: As typed (`seed=0,1`); of those for one setting the last counts.
         most: How many jobs there may be.
-
-    Returns:
-        The overrides of each job.
 
     Raises:
         InputError: There are more, or a setting is given an interval, which has no list of values.
@@ -80,9 +77,8 @@ def _typed(override: Override) -> str:
 def _count(name: str, override: Override) -> float:
     """How many values there are, without making them."""
     if override.is_sweep_override() and not override.is_discrete_sweep():
-        raise InputError(
-            name, _typed(override), "a list of values, or a range", "hydra/sweeper=search draws from intervals"
-        )
+        hint = "hydra/sweeper=search draws from intervals"
+        raise InputError(name, _typed(override), "a list of values, or a range", hint)
     value = override.value()
     if isinstance(value, RangeSweep):
         start, stop, step = (float(number or 0) for number in (value.start, value.stop, value.step))
@@ -100,12 +96,8 @@ def swept_settings(overrides: Iterable[str], params: Iterable[str] = ()) -> list
 def job_name(overrides: Iterable[str], swept: Collection[str]) -> str:
     """Of a job, by its overrides: `noise.snr_db=50,seed=3`, and a digest of those that all jobs of the sweep share.
 
-    Settings that do not change what a run computes (`threads`) are left out. What no file system takes, or is too long
-    to read, is cut and told apart by a digest of all.
-
-    Args:
-        overrides: As Hydra hands them to the job.
-        swept: Settings that tell the jobs apart.
+    Settings that do not change what a run computes (`threads`) are left out; those that tell the jobs apart are
+    ``swept``. What no file system takes, or is too long to read, is cut and told apart by a digest of all.
     """
     kept = sorted(override for override in overrides if not is_left_out(setting_of(override)))
     name = ",".join(override for override in kept if setting_of(override) in swept) or "job"
@@ -141,12 +133,7 @@ def representatives(jobs: Sequence[Sequence[str]]) -> list[Sequence[str]]:
 
 
 class Composer:
-    """Composes the jobs of a sweep.
-
-    Args:
-        loader: Hydra's.
-        sweep: Configuration of the sweep, with its `hydra` node.
-    """
+    """Composes the jobs of a sweep by Hydra's loader, from the sweep's configuration with its `hydra` node."""
 
     def __init__(self, loader: ConfigLoader, sweep: DictConfig) -> None:
         self.loader, self.sweep = loader, sweep

@@ -17,7 +17,7 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from pinn_cli.runs.lock import FILE as LOCK
+from pinn_cli.runs.claim import LOCK
 from pinn_cli.runs.reading import DamagedError, checked, read_json, small_text
 from pinn_cli.runs.resume import FORMAT, RESULT, RunFile
 from pinn_cli.runs.writing import WriteError, write_json, write_text
@@ -95,11 +95,7 @@ class Failure:
             return cls(DEFECT, str(error), "")
 
     def write(self, directory: Path, overrides: Any) -> None:
-        """Leave it in a job's directory, which is known for one even if the job never began.
-
-        Args:
-            directory: Of the job; made where it is missing.
-            overrides: As Hydra hands them to the job.
+        """Leave it in a job's directory, made where it is missing, and known for one even if the job never began.
 
         Raises:
             WriteError: The disk does not take it.
@@ -239,12 +235,9 @@ def _sweeper(config: Any) -> str:
 
 
 def written_since(directory: Path, moment: float, signs: Sequence[Path | str] = SIGNS) -> bool:
-    """Whether a job has begun, perhaps anew, or ended in a directory at that moment or after it.
+    """Whether a job has begun, perhaps anew, or ended in a directory at that moment or after it, as its files say.
 
-    Args:
-        directory: Of the job.
-        moment: Seconds since the epoch, by the clock of the file system.
-        signs: Files that say so.
+    The moment is in seconds since the epoch, by the clock of the file system.
     """
     for sign in signs:
         with suppress(OSError):  # there is none

@@ -84,13 +84,7 @@ class Work:
         """Run a job in this process."""
         config = self.composed(overrides, number, name)
         HydraConfig.instance().set_config(config)
-        return run_job(
-            hydra_context=self.hydra_context,
-            config=config,
-            task_function=self.task_function,
-            job_dir_key="hydra.sweep.dir",
-            job_subdir_key="hydra.sweep.subdir",
-        )
+        return run_job(self.task_function, config, "hydra.sweep.dir", "hydra.sweep.subdir", self.hydra_context)
 
 
 # Of the sweep that this process, a worker, has run jobs of.
@@ -117,13 +111,7 @@ def jobs_at_once(threads: int) -> int:
 
 @dataclass(frozen=True)
 class PendingJob:
-    """A job, as the process that launches it sees it.
-
-    Attributes:
-        work: Of its sweep.
-        overrides: As Hydra hands them to the job.
-        number: Counted from 0.
-    """
+    """A job, counted from 0, as the process that launches it sees it, its overrides as Hydra hands them to it."""
 
     work: Work
     overrides: list[str]
@@ -154,8 +142,8 @@ class PendingJob:
 
     def finished(self) -> bool:
         """Whether it need not be sent anywhere, since all its results lie there and its tracker has them."""
-        finished = self.goes_on() and is_finished(self.directory, self.task, Path.cwd())
-        return finished and is_tracked(self.directory, self.task)
+        there, task = self.directory, self.task
+        return self.goes_on() and is_finished(there, task, Path.cwd()) and is_tracked(there, task)
 
     def returned(self, finished: bool) -> JobReturn:
         """What a sweeper gets for a job that no worker returned anything for: the score in its directory, if any."""
@@ -174,11 +162,7 @@ class PendingJob:
 
 
 class WorkLauncher(ABC):
-    """How jobs are run; what `hydra_plugins` has as a launcher. A new one is a file here, one there and one in `conf`.
-
-    Args:
-        work: Of the sweep.
-    """
+    """How jobs are run; `hydra_plugins` has it as a launcher. A new one is a file here, one there and one in `conf`."""
 
     def __init__(self, work: Work) -> None:
         self.work = work
@@ -188,11 +172,7 @@ class WorkLauncher(ABC):
         """Run all jobs, of which there is at least one, and wait for them; what each returned, by its number."""
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
-        """Have all jobs run that are not finished.
-
-        Args:
-            job_overrides: Of each job.
-            initial_job_idx: Number of the first.
+        """Have all jobs run that are not finished, the first of which has this number.
 
         Returns:
             What each job returned, in the same order; None for one that was lost.

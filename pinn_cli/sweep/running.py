@@ -14,8 +14,7 @@ from typing import Any, TextIO
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from pinn_cli.runs.claim import check_destination, is_prepared, reason
-from pinn_cli.runs.lock import SWEEP_FILE, held
+from pinn_cli.runs.claim import EVERY_S, SWEEP_LOCK, check_destination, held, is_prepared, reason
 from pinn_cli.runs.reading import printable
 from pinn_cli.runs.resume import RESULT
 from pinn_cli.runs.writing import WriteError, content_of, put_back, write_text
@@ -26,15 +25,13 @@ from pinn_cli.sweep.jobs import FAILURE, FINISHED, INPUT, STORED, Failure, Job, 
 _SUBMITTED = ".submitit"
 # What a sweep and a search write before any job's input is found good.
 _EARLY = (STORED, "search.csv")
-EVERY_S = 1.0
 
 
 class Progress:
     """A bar on a terminal, or a line per job that ends, read off the jobs' directories: whatever runs them, and where.
 
-    Args:
-        sweep: What to watch; a sweep whose jobs only its sweeper knows is not watched.
-        since: When it began, s since the epoch by the clock of its file system: what failed before is run again.
+    A sweep whose jobs only its sweeper knows is not watched. It began at ``since``, s since the epoch by the clock of
+    its file system: what failed before is run again.
     """
 
     def __init__(self, sweep: Sweep, since: float) -> None:
@@ -150,8 +147,7 @@ def note_sweep(config: DictConfig) -> None:
 def begin_sweep(config: Any) -> None:
     """Enter a sweep's directory, once no other process is there, leave the configuration in it and show the progress.
 
-    Args:
-        config: With its `hydra` node; its overrides have been found good.
+    The configuration has its `hydra` node, and its overrides have been found good.
 
     Raises:
         InputError: The directory is none that a sweep may write into.
@@ -164,7 +160,7 @@ def begin_sweep(config: Any) -> None:
     check_destination(directory, setting)
     stored = directory / STORED
     try:
-        _held.enter_context(held(directory, SWEEP_FILE))
+        _held.enter_context(held(directory, SWEEP_LOCK))
         early = (*(directory / name for name in _EARLY), *(job / FAILURE for job in job_directories(directory)))
         entries, contents = _entries(directory), {file: content_of(file) for file in early}
         write_text(OmegaConf.to_yaml(config), stored)

@@ -105,9 +105,8 @@ class Search:
         self.params = [f"{name}={choices}" for name, choices in (params or {}).items()]
         self.validation = str(OmegaConf.select(config, "validation._target_")).rpartition(".")[2]
         if self.validation == NO_VALIDATION:
-            raise InputError(
-                "validation", "none", "heldout, forecast or evidence in a search", "it is the score that is minimised"
-            )
+            allowed = "heldout, forecast or evidence in a search"
+            raise InputError("validation", "none", allowed, "it is the score that is minimised")
         optuna.logging.set_verbosity(logging.WARNING)
         elsewhere = not str(config.hydra.launcher.get("_target_")).endswith("SerialLauncher")
         if elsewhere and self.n_jobs == 1:
@@ -118,9 +117,6 @@ class Search:
 
     def run(self, arguments: Sequence[str]) -> None:
         """Make the trials that are missing, write the report and print it.
-
-        Args:
-            arguments: Overrides on the command line.
 
         Raises:
             InputError: The score cannot compare what is searched, or no trial has one.
@@ -246,13 +242,9 @@ def _configured(config: DictConfig, name: str) -> Any:
 
 
 def read_space(overrides: Iterable[str]) -> tuple[dict[str, BaseDistribution], dict[str, str]]:
-    """The settings that are searched, and the values of the others.
+    """The settings that are searched, name to distribution, and the values of the others as text.
 
-    Args:
-        overrides: As typed; of those for one setting the last counts.
-
-    Returns:
-        Name to distribution, and name to value as text.
+    Of overrides for one setting, as typed, the last counts.
     """
     space: dict[str, BaseDistribution] = {}
     fixed: dict[str, str] = {}

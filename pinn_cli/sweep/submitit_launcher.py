@@ -55,19 +55,12 @@ Sent = tuple[Any, Sequence[PendingJob | None]]
 
 @dataclass(frozen=True)
 class Batch:
-    """What a task of the scheduler runs; submitit keeps it in a file.
-
-    Attributes:
-        work: Of the sweep.
-    """
+    """What a task of the scheduler runs; submitit keeps it in a file."""
 
     work: Work
 
     def __call__(self, batch: Sequence[tuple[list[str], int]]) -> list[JobReturn]:
-        """Run the jobs of a task, in a worker.
-
-        Args:
-            batch: Overrides and number of each job.
+        """Run the jobs of a task, overrides and number of each, in a worker.
 
         Raises:
             SystemExit: The task makes room and comes back.

@@ -13,7 +13,7 @@ sys.path.insert(0, str(ROOT / "docs" / "extensions"))
 
 from settings_tables import CONF, GROUPS  # noqa: E402
 
-from pinn_cli.settings.explained import STRUCTURE, Setting, read  # noqa: E402
+from pinn_cli.cli.schema import STRUCTURE, Setting, explained  # noqa: E402
 
 FILES = [CONF / "config.yaml", *(file for group in GROUPS for file in sorted((CONF / group).glob("*.yaml")))]
 
@@ -31,7 +31,7 @@ def leaves(node: dict[str, object], prefix: str = "") -> Iterator[tuple[str, obj
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.relative_to(CONF).as_posix())
 def test_every_setting_is_read_with_its_default(file: Path) -> None:
     content = yaml.safe_load(file.read_text(encoding="utf-8")) or {}
-    found = {setting.name: setting.default for setting in read(file).settings}
+    found = {setting.name: setting.default for setting in explained(file).settings}
     wanted = dict(leaves(content))
     # A map on one line is one setting.
     assert {name for name in wanted if not any(name.startswith(f"{one}.") and found[one] for one in found)} <= set(
@@ -54,7 +54,7 @@ def test_comments_and_commands(tmp_path: Path) -> None:
         "group:           # of all below\n  first: '#1'\n  _target_: c.D\n  second: {a: 1}  # s\n"
         "last: 2\n# no comment of last\n"
     )
-    found = read(file)
+    found = explained(file)
     assert (found.title, found.commands, found.target) == ("What it is.", ["pinn-run some=one"], "a.B")
     assert found.settings == [
         Setting("name", "null", "m; null: inferred"),

@@ -196,9 +196,9 @@ def _child(trial: Trial, folder: Path, executable: bool, pipes: list[int]) -> No
             status = _load(Path(trial.arguments[1]))
         else:
             from pinn_cli.cli.command_line import execute
-            from pinn_cli.main import inspect, run
+            from pinn_cli.main import TASKS, run
 
-            status = execute(run, inspect)
+            status = execute(run, TASKS)
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else int(end.code is not None)
     except BaseException:

@@ -68,7 +68,7 @@ def test_refused_after_it_began_everything_is_put_back(pinn_run: PinnRun, stoppe
 @pytest.mark.slow
 def test_a_command_that_waits_changes_nothing(stopped: Path, tmp_path: Path) -> None:
     """With other settings, and killed while it waits."""
-    hold = "import sys, time; from pathlib import Path; from pinn_cli.runs.lock import held\n"
+    hold = "import sys, time; from pathlib import Path; from pinn_cli.runs.claim import held\n"
     hold += "with held(Path('run')): print('in', flush=True); time.sleep(300)"
     owner = subprocess.Popen([sys.executable, "-c", hold], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
     assert owner.stdout.readline() == "in\n"

@@ -16,7 +16,7 @@ from interrupted_runs import ADAM
 from pinn_cli.cli.command_line import execute
 from pinn_cli.main import run
 from pinn_cli.runs.identity import package_version
-from pinn_cli.sweep.windows.store import WindowStore
+from pinn_cli.sweep.window_store import WindowStore
 from pinn_cli.training.gradient.training import Descent
 
 TINY = (

@@ -8,8 +8,8 @@ import pytest
 import xarray as xr
 
 from pinn_cli.report.netcdf import write_dataset
-from pinn_cli.sweep.windows.run import verdict_of_windows
-from pinn_cli.sweep.windows.store import Piece, join_responses, stack_tables
+from pinn_cli.sweep.window_store import Piece, join_responses, stack_tables
+from pinn_cli.sweep.windowed_run import verdict_of_windows
 
 
 def piece(folder: Path, time: np.ndarray, value: float, extra: bool) -> None:

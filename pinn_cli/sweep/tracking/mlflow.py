@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 from urllib.request import getproxies
 
-from pinn_cli.runs.lock import locked
+from pinn_cli.runs.claim import locked
 from pinn_cli.runs.writing import replacing
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import located, true_or_false
@@ -143,13 +143,7 @@ class MlflowTracking(Tracking):
 
 
 class MlflowTracker(Tracker):
-    """One run of MLflow, made when the run has ended. One that was interrupted has not: it may go on.
-
-    Args:
-        tracking: Where.
-        run: The run.
-        key: Of it.
-    """
+    """One run of MLflow, made when the run has ended. One that was interrupted has not: it may go on."""
 
     def __init__(self, tracking: MlflowTracking, run: TrackedRun, key: str) -> None:
         self.tracking, self.run, self.key = tracking, run, key

@@ -57,13 +57,7 @@ class TensorboardTracking(Tracking):
 
 
 class TensorboardTracker(Tracker):
-    """The event files of one run, whose names end in its key: those of others may lie beside them, and stay.
-
-    Args:
-        place: Their folder.
-        run: The run.
-        key: Of it.
-    """
+    """The event files of one run in a folder; their names end in its key: those of others may lie there, and stay."""
 
     def __init__(self, place: Path, run: TrackedRun, key: str) -> None:
         self.place, self.run, self.key = place, run, key

@@ -20,7 +20,7 @@ from typing import ClassVar
 import pandas as pd
 
 from pinn_cli.report.fitness import FORMULAS
-from pinn_cli.runs.lock import FILE as LOCK
+from pinn_cli.runs.claim import LOCK
 from pinn_cli.runs.reading import read_table
 from pinn_cli.runs.resume import NONE, TrackingState, read_record
 from pinn_cli.runs.resume import TRACKING as FILE
@@ -136,23 +136,13 @@ def require(package: str, choice: str) -> None:
     Raises:
         InputError: It is not.
     """
-    try:
-        installed = importlib.util.find_spec(package) is not None
-    except ModuleNotFoundError:
-        installed = False
-    if not installed:
+    if importlib.util.find_spec(package) is None:
         allowed = "none, or a choice whose packages are installed"
         raise InputError("tracking", choice, allowed, f"pip install 'pinn-cli[{choice}]'")
 
 
 class Followed:
-    """One tracked run.
-
-    Args:
-        tracker: None where nothing is tracked.
-        directory: Of the run.
-        state: Which tracked run it is.
-    """
+    """One tracked run, which its state names; the tracker is None where nothing is tracked."""
 
     def __init__(self, tracker: Tracker | None, directory: Path, state: TrackingState) -> None:
         self.tracker, self.directory, self.state = tracker, directory, state
@@ -196,12 +186,9 @@ class Followed:
 
 @contextmanager
 def follow(tracking: Tracking | None, run: TrackedRun, resuming: bool) -> Iterator[Followed]:
-    """Track what happens in the block, and how it ends.
+    """Track what happens in the block, and how it ends; nothing where there is no tracking.
 
-    Args:
-        tracking: Where; None: nowhere.
-        run: The run.
-        resuming: Whether it may go on with the tracked run that its directory names, if that is of the same settings.
+    When ``resuming`` it may go on with the tracked run that its directory names, if that is of the same settings.
 
     Raises:
         InputError: The tracker cannot be reached.

@@ -30,7 +30,7 @@ from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.scheme import Scheme
 from pinn_cli.settings.errors import DivergenceError, InputError
-from pinn_cli.sweep.windows.store import RESPONSE, Piece, WindowStore, join_responses, joined_fitness, stack_tables
+from pinn_cli.sweep.window_store import RESPONSE, Piece, WindowStore, join_responses, joined_fitness, stack_tables
 from pinn_cli.system.quantities import CALIBRATION_UNITS, HIGH_PASS, OF_ONE_CHANNEL
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.calibrated_record import as_calibrated
@@ -80,9 +80,7 @@ class WindowSolver:
     def posed(self, window: Window, before: Model | None) -> tuple[JointProblem, Measurements]:
         """The problem of a window, and what was measured in it.
 
-        Args:
-            window: Which.
-            before: What the window before handed over; None of the first.
+        It begins with what the window before handed over; None: it is the first.
 
         Raises:
             InputError: It cannot be solved.
@@ -186,9 +184,8 @@ def _check_sensors(problem: Problem) -> None:
     for channel in problem.record.calibrated:
         if channel.filter_order:
             hint = "each window would begin with another state of its filter"
-            raise InputError(
-                f"data.channels.{channel.key}.{HIGH_PASS}", "given", f"left out with {WINDOW_SETTING}", hint
-            )
+            setting = f"data.channels.{channel.key}.{HIGH_PASS}"
+            raise InputError(setting, "given", f"left out with {WINDOW_SETTING}", hint)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,12 +220,7 @@ class WindowedRun:
         return WindowStore(self.directory)
 
     def carry_out(self, stages: Stages, watch: Watch) -> str:
-        """Solve the windows that are not done, and write the whole; the text that is left to print.
-
-        Args:
-            stages: Of the run.
-            watch: Who looks on.
-        """
+        """Solve the windows that are not done, and write the whole; the text that is left to print."""
         store, solver = self.store, self.solver
         solver = replace(solver, context=replace(solver.context, watch=watch))
         store.begin(self.identity, self.goes_on)
@@ -305,11 +297,7 @@ class WindowedRun:
 
 
 def verdict_of_windows(entries: Sequence[dict[str, Any]]) -> Verdict:
-    """The worst of all windows; reasons say in which, and those that several give in the same words are told once.
-
-    Args:
-        entries: Of the windows, in their order.
-    """
+    """The worst of all windows; reasons say in which, and those that several give in the same words are told once."""
     windows: dict[str, list[dict[str, Any]]] = {}
     for entry in entries:
         for reason in entry.get("reasons", ()):

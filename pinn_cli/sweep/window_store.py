@@ -73,11 +73,7 @@ class FirstWindowFile(WindowFile):
 
 @dataclass(frozen=True)
 class WindowStore:
-    """The windows of the run in a directory.
-
-    Attributes:
-        directory: Of the run.
-    """
+    """The windows of the run in a directory."""
 
     directory: Path
 
@@ -97,12 +93,7 @@ class WindowStore:
             return None
 
     def begin(self, identity: str, goes_on: bool) -> None:
-        """Make room for the windows of a run; those of another one go, and what a killed process left half-written.
-
-        Args:
-            identity: Of the run.
-            goes_on: Whether it goes on with its own windows.
-        """
+        """Make room for the windows of a run; those of another one go, and what a killed process left half-written."""
         place = self.directory / FOLDER
         if not (goes_on and self.identity() == identity):
             shutil.rmtree(place, ignore_errors=True)
@@ -121,13 +112,7 @@ class WindowStore:
         return number
 
     def conclude(self, window: Window, model: Model | None, content: Mapping[str, object]) -> None:
-        """A window is done.
-
-        Args:
-            window: Which.
-            model: What it hands over; None of the last one.
-            content: What is to be known of it.
-        """
+        """A window is done: what it hands over, None of the last one, and what is to be known of it."""
         folder = self.folder(window.number)
         if model is not None:
             write_model(model, folder / HANDED_OVER)
@@ -231,11 +216,9 @@ def _is_history(array: Labelled) -> bool:
 
 
 def joined_fitness(response: Path, labels: Mapping[str, object]) -> pd.DataFrame:
-    """The content of ``fitness.csv`` over the whole record; a quantity is read as a whole where its truth is known.
+    """The content of ``fitness.csv`` over the whole record, after leading columns, of what `join_responses` wrote.
 
-    Args:
-        response: The file that :func:`join_responses` wrote.
-        labels: The leading columns.
+    A quantity is read as a whole where its truth is known.
     """
     with h5netcdf.File(response, "r") as file:
         observed = np.asarray(file["observed"][...]).astype(bool)
