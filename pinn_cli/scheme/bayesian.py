@@ -16,11 +16,9 @@ from omegaconf import OmegaConf
 
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import calibrated_starts
-from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.missing_values import check_given
-from pinn_cli.scheme.problem import FREE, Problem
-from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, UnknownForce
+from pinn_cli.scheme.problem import FREE, GAUSSIAN_PROCESS, Problem
+from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, UnknownForce, check_given
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import Start, Starts
 from pinn_cli.scheme.unknowns import (
