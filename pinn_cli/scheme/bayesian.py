@@ -194,11 +194,7 @@ def _given(record: Record, unknown: Collection[Parameter]) -> dict[Parameter, fl
 def _unknown(parameter: Parameter, prior: Prior, start: Start, chosen_by_user: bool) -> Parameter:
     """A parameter under a Gaussian that is wider than its prior: Gauss-Newton is to find what the record says.
 
-    Args:
-        parameter: Which.
-        prior: Of it.
-        start: What the record says of it.
-        chosen_by_user: Whether the prior is; then the parameter begins at its mean.
+    Where the user has chosen the prior the parameter begins at its mean.
     """
     centre, width = prior.mean, prior.std
     chosen = chosen_by_user and np.isfinite(centre) and np.isfinite(width) and width > 0

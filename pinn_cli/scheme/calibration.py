@@ -27,9 +27,7 @@ PER_PERIOD = 8
 def calibrated_starts(record: Record, starts: Mapping[Parameter, float]) -> Record:
     """The record whose sensors' unknown gains and delays start where a screening has found them.
 
-    Args:
-        record: What was measured.
-        starts: Where parameters start, those of the structure among them.
+    Parameters of the structure may stand among the starts.
     """
     by_sensor: defaultdict[str, dict[str, float]] = defaultdict(dict)
     for parameter, value in starts.items():

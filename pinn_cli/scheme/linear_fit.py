@@ -228,11 +228,7 @@ class LinearFit:
 
 
 class JointFit:
-    """The misfits of several records of one structure: its unknowns, then gains and delays of their sensors.
-
-    Args:
-        fits: Of every record, with the same doubts.
-    """
+    """The misfits of several records: unknowns of their one structure, then gains and delays of their sensors."""
 
     def __init__(self, fits: Sequence[LinearFit]) -> None:
         self.fits, self.structure, self.doubts = fits, fits[0].structure, fits[0].doubts

@@ -64,12 +64,7 @@ class Scheme(ABC):
         return self.damped(prescribed, records)
 
     def damped(self, prescribed: Structure, records: Sequence[Record]) -> Structure:
-        """The structure with damping of its own accord where nobody has said a word of it; else as it is.
-
-        Args:
-            prescribed: As configured; NaN where a measured structure has no value.
-            records: As observed.
-        """
+        """The structure with damping of its own accord where nobody has said a word of it; else as it is."""
         return prescribed
 
     @abstractmethod
@@ -122,13 +117,7 @@ class Scheme(ABC):
         )
 
     def with_record(self, problem: JointProblem, prescribed: Structure, record: Record) -> JointProblem:
-        """The same problem from fewer sensors; what was unknown stays so, and nothing else becomes it.
-
-        Args:
-            problem: As it was posed.
-            prescribed: See :meth:`pose`.
-            record: In place of its own.
-        """
+        """The same problem from fewer sensors; what was unknown stays so, and nothing else becomes it."""
         return self.pose(prescribed, [record])
 
 
@@ -173,11 +162,7 @@ class EstimationScheme(Scheme):
 
 
 def check_given(prescribed: Structure, unknown: Collection[Parameter] = ()) -> None:
-    """See that every parameter has a value or is unknown.
-
-    Args:
-        prescribed: As the user configured it; NaN where there is no value.
-        unknown: What is to be estimated from the record.
+    """See that every parameter of a structure has a value, NaN is none, or is unknown.
 
     Raises:
         InputError: Naming ``system.<kind>`` of what is neither given nor unknown.

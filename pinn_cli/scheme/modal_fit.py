@@ -205,12 +205,9 @@ class ModalFit:
 
 
 class BandModel:
-    """The rows of a band's spectra as a function of frequencies and damping ratios.
+    """The rows of a record's spectra in a band as a function of frequencies and damping ratios.
 
     The unknowns x (2 R,) are the logarithms of the frequencies and of the damping ratios.
-
-    Args:
-        spectra: Of the record.
     """
 
     def __init__(self, spectra: BandSpectra) -> None:

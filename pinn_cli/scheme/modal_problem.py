@@ -13,7 +13,7 @@ import numpy as np
 
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.modal.modal_fit import BEYOND, BandModel, BandSpectra, ModalFit, fitted
+from pinn_cli.scheme.modal_fit import BEYOND, BandModel, BandSpectra, ModalFit, fitted
 from pinn_cli.scheme.problem import Problem, SpectralEstimate, inputs_of
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import ModesSought, modal_structure
