@@ -27,12 +27,7 @@ ENOUGH_LINES = 3
 
 
 class Reader(ABC):
-    """A file that may not be whole yet.
-
-    Args:
-        path: Of the file.
-        wanted: Setting to the name of the column that it asks for.
-    """
+    """A file that may not be whole yet; ``wanted`` are settings, to the name of the column that each asks for."""
 
     def __init__(self, path: Path, wanted: Mapping[str, str]) -> None:
         self.path, self.wanted, self.rows = path, wanted, 0
@@ -41,8 +36,7 @@ class Reader(ABC):
     def more(self, complete: bool) -> Table | None:
         """The rows that have come since this was asked last; None where there are none.
 
-        Args:
-            complete: Whether nobody writes to the file any more.
+        A file is complete when nobody writes to it any more.
 
         Raises:
             InputError: The file cannot be read.
@@ -125,11 +119,7 @@ class Arriving:
 
     Files of a folder follow each other by their names. A file whose clock begins anew goes on one step after the last
     sample of the one before; one whose clock has gone on is taken at its word. A file is complete when the next one is
-    there.
-
-    Args:
-        files: A file or a folder, and how its times are told.
-        wanted: Setting to the name of the column that it asks for, that of the times left out.
+    there. What is wanted are settings, to the name of the column that each asks for, that of the times left out.
     """
 
     def __init__(self, files: MeasuredFiles, wanted: Mapping[str, str]) -> None:

@@ -159,13 +159,7 @@ def _drawn(members: Members, random: np.random.Generator, first: int, stop: int)
 
 
 class _Ensemble:
-    """The members' common equation of motion.
-
-    Args:
-        structure: In whose coordinates it is.
-        parameters: Kind to those of each.
-        record: The force and the ground's motion.
-    """
+    """The members' common equation of motion, in a structure's coordinates, with the parameters of each."""
 
     def __init__(self, structure: Structure, parameters: Mapping[str, np.ndarray], record: Record) -> None:
         self.structure, self.parameters, self.record = structure, parameters, record
