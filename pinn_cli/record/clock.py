@@ -178,12 +178,7 @@ class MeasuredFiles:
 
     Attributes:
         paths: Of one file or more; those of several stand on one clock.
-        format: How numbers lie in them; a file whose suffix is that of another format is read as that.
-        time: Column of the times, in every file; None: that which is called so, unless ``sampling_rate`` is given or
-            the format tells times of its own.
-        sampling_rate: Hz, in place of a column of times; the first sample is then at 0 s.
-        time_unit: Of that column, see :meth:`Clock.by_column`.
-        missing: Numbers that mark missing values, or one; None: see :meth:`Table.with_gaps`.
+        format, time, sampling_rate, time_unit, missing: See :class:`pinn_cli.record.measured_data.MeasuredData`.
 
     Raises:
         InputError: Such a mark is none.

@@ -107,6 +107,10 @@ class MeasuredData:
             raise InputError(
                 "data.path", self.path, f"given: data={self.kind} reads a file of yours, or a list of files"
             )
+        for setting in ("time", GROUND):
+            column = getattr(self, setting)
+            if column is not None and (not isinstance(column, str) or not column):
+                raise InputError(f"data.{setting}", column, "null or the name of a column")
         self._check_clock()
         for quantity in QUANTITIES:
             object.__setattr__(self, quantity, _checked_columns(quantity, getattr(self, quantity)))
@@ -257,8 +261,6 @@ class MeasuredData:
         whole_number("data.decimate", self.decimate, least=1)
 
     def _check_clock(self) -> None:
-        if self.time is not None and (not isinstance(self.time, str) or not self.time):
-            raise InputError("data.time", self.time, "null or the name of a column")
         if self.time_unit is not None:
             one_of("data.time_unit", self.time_unit, list(TIME_UNITS))
         if self.sampling_rate is not None:
@@ -270,9 +272,6 @@ class MeasuredData:
                 )
 
     def _check_ground(self) -> None:
-        column = self.ground_acceleration
-        if column is not None and (not isinstance(column, str) or not column):
-            raise InputError(f"data.{GROUND}", column, "null or the name of a column")
         moves = any(channel.sensor.quantity == GROUND for channel in self._every_channel)
         check_frame(self.frame, moves, f"data.{GROUND} is not given")
         if moves and self.intersample == "zero_order_hold":

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -68,21 +68,6 @@ def checked_priors(given: Mapping[str, Any] | None) -> dict[str, Prior]:
     if given is not None and not isinstance(given, Mapping):
         raise InputError(PRIORS_SETTING, given, "a mapping such as {k: {kind: gamma, shape: 2, rate: 0.1}}")
     return {key: _prior(f"{PRIORS_SETTING}.{key}", node) for key, node in (given or {}).items() if node is not None}
-
-
-def with_defaults(
-    priors: Mapping[Parameter, Prior], scales: Mapping[Parameter, float], positive: Sequence[str]
-) -> dict[Parameter, Prior]:
-    """A prior for every unknown parameter: where none was chosen a wide one, on the scale of its start.
-
-    Args:
-        priors: Those that were chosen.
-        scales: Of every unknown parameter.
-        positive: Kinds of parameters that cannot be negative: HalfNormal, otherwise Normal around zero.
-    """
-    stds = {p: PRIOR_WIDTH * s for p, s in scales.items()}
-    wide = {p: HalfNormal(std) if p.kind in positive else Normal(0.0, std) for p, std in stds.items()}
-    return {parameter: priors.get(parameter, wide[parameter]) for parameter in scales}
 
 
 def _prior(setting: str, node: Any) -> Prior:
@@ -173,22 +158,19 @@ class Bayesian(EstimationScheme):
         chosen = unknown_parameters(prescribed, record, named, further)
         check_given(prescribed, chosen)
         check_used(prescribed, chosen, None, self.positive)
-        given = _given(record, chosen)
+        # Of a simulated structure what is prescribed would be the truth.
+        given = {p: p.prescribed for p in chosen if math.isfinite(p.prescribed) and not record.simulated}
         (starts,) = Starts(prescribed, records, chosen, given, 1)
         values = {p: start.value for p, start in starts.items()}
         records = [calibrated_starts(each, values) for each in records]
-        scales = {parameter: starts[parameter].scale for parameter in chosen}
         given_priors = read_priors(self.priors, prescribed)
-        priors = with_defaults(given_priors, scales, self.positive)
+        stds = {p: PRIOR_WIDTH * starts[p].scale for p in chosen}
+        wide = {p: HalfNormal(std) if p.kind in self.positive else Normal(0.0, std) for p, std in stds.items()}
+        priors = {p: given_priors.get(p, wide[p]) for p in chosen}
         said = (replace(p, said=given.get(p, math.nan)) for p in chosen)
         unknown = tuple(_unknown(p, priors[p], starts[p], p in given_priors) for p in said)
         structure = at_starts(prescribed, unknown)
         return JointProblem.of(*map(_with_priors, self.joint_problem(structure, records, unknown)))
-
-
-def _given(record: Record, unknown: Collection[Parameter]) -> dict[Parameter, float]:
-    """What the user says of a measured structure's unknown parameters; of a simulated one it would be the truth."""
-    return {} if record.simulated else {p: p.prescribed for p in unknown if math.isfinite(p.prescribed)}
 
 
 def _unknown(parameter: Parameter, prior: Prior, start: Start, chosen_by_user: bool) -> Parameter:

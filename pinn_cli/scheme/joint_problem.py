@@ -220,10 +220,8 @@ def _as_before(parameter: Parameter, believed: dict[tuple[str, str], Parameter])
 def unreached_dofs(problem: Problem) -> list[int]:
     """DOFs with a sensor, counted from 0, that no force reaches while one acts elsewhere; they can only swing freely.
 
-    A connection joins its ends if it has a force where it is stretched or moves, or may have: what is unknown.
-
-    Args:
-        problem: Of one record. The modes of a finite-element model are joined by their shapes.
+    A connection joins its ends if it has a force where it is stretched or moves, or may have: what is unknown. The
+    modes of a finite-element model are joined by their shapes.
     """
     from scipy.sparse.csgraph import connected_components
 

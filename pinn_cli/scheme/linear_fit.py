@@ -115,10 +115,7 @@ class LinearStructure:
 class LinearFit:
     """The misfit of one record's cross spectra, as a function of the structure's unknowns and of the channels'.
 
-    Args:
-        record: What was measured; see :func:`what_acts`.
-        structure: With its unknowns.
-        doubts: What is in doubt of the channels of this record, and of others.
+    What is in doubt of the channels of other records may be among the doubts. See :func:`what_acts`.
     """
 
     def __init__(self, record: Record, structure: LinearStructure, doubts: Sequence[Doubt] = ()) -> None:

@@ -227,12 +227,7 @@ class Problem:
 
 
 def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIAN_PROCESS) -> Inputs:
-    """The inputs of a problem.
-
-    Args:
-        structure: Prescribed.
-        record: What was measured.
-        unknown_force: One of :data:`UNKNOWN_FORCES`.
+    """What acts beside measured forces; how an unknown force is estimated is one of :data:`UNKNOWN_FORCES`.
 
     Raises:
         InputError: A record that a structure in modal coordinates cannot be asked about.

@@ -105,9 +105,8 @@ class Scheme(ABC):
     def next_problem(self, model: Model, record: Record) -> JointProblem:
         """The problem of a record that goes on where an earlier one handed over: a window, and the next.
 
-        Args:
-            model: What is known there, of parameters, motion and noise.
-            record: Its first sample is that at which it was handed over.
+        Its first sample is that at which it was handed over; the model is what is known there, of parameters, motion
+        and noise.
 
         Raises:
             InputError: The scheme has one window at a time.

@@ -20,8 +20,7 @@ class SparseRecovery(EstimationScheme):
     """States from sparse sensors and a prescribed model.
 
     Args:
-        unobserved_fraction: See :func:`pinn_cli.scheme.sensors.unobserved_dofs`.
-        unobserved: Likewise.
+        unobserved_fraction, unobserved: See :func:`pinn_cli.scheme.sensors.unobserved_dofs`.
         sensors: What an observed DOF of a simulated record has sensors for.
         parameter_uncertainty: Relative prior standard deviation of every prescribed parameter but the masses; 0 holds
             them fixed, as the paper does.

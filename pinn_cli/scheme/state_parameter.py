@@ -46,8 +46,7 @@ class StateParameter(EstimationScheme):
     """States and unknown parameters from sparse sensors.
 
     Args:
-        unobserved_fraction: See :func:`pinn_cli.scheme.sensors.unobserved_dofs`.
-        unobserved: Likewise.
+        unobserved_fraction, unobserved: See :func:`pinn_cli.scheme.sensors.unobserved_dofs`.
         sensors: What an observed DOF of a simulated record has sensors for.
         unknown: See :func:`pinn_cli.scheme.unknowns.unknown_parameters`.
         initial: What is said about unknown parameters, by kind, name or pattern, see :mod:`pinn_cli.scheme.starts`; of
