@@ -96,9 +96,8 @@ class TextReader(Reader):
                 file.seek(self.place)
                 content = file.read(MOST_AT_ONCE)
         except OSError as error:
-            raise InputError(
-                PATH_SETTING, self.path, "a file that can be read", error.strerror or str(error)
-            ) from error
+            reason = error.strerror or str(error)
+            raise InputError(PATH_SETTING, self.path, "a file that can be read", reason) from error
         whole = complete and self.place + len(content) == size
         end = len(content) if whole else content.rfind(b"\n") + 1
         content = content[:end]

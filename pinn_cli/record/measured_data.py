@@ -104,9 +104,8 @@ class MeasuredData:
     def __post_init__(self) -> None:
         paths = [self.path] if isinstance(self.path, str) else entries(self.path)
         if not paths or not all(isinstance(path, str) and path for path in paths):
-            raise InputError(
-                "data.path", self.path, f"given: data={self.kind} reads a file of yours, or a list of files"
-            )
+            allowed = f"given: data={self.kind} reads a file of yours, or a list of files"
+            raise InputError("data.path", self.path, allowed)
         for setting in ("time", GROUND):
             column = getattr(self, setting)
             if column is not None and (not isinstance(column, str) or not column):
@@ -267,9 +266,8 @@ class MeasuredData:
             positive_number("data.sampling_rate", self.sampling_rate)
             if self.time is not None:
                 allowed = "null where data.time names a column of times"
-                raise InputError(
-                    "data.sampling_rate", self.sampling_rate, allowed, "either says when samples were taken"
-                )
+                hint = "either says when samples were taken"
+                raise InputError("data.sampling_rate", self.sampling_rate, allowed, hint)
 
     def _check_ground(self) -> None:
         moves = any(channel.sensor.quantity == GROUND for channel in self._every_channel)

@@ -119,10 +119,9 @@ def with_fewer(
     """
     setting, given = ("data.decimate", by) if isinstance(by, int) else ("data.band", "a band")
     if not whole:
-        allowed = f"{1 if isinstance(by, int) else 'null'} where samples are missing or uneven"
-        raise InputError(
-            setting, given, allowed, ("an anti-alias" if isinstance(by, int) else "its") + " filter needs every sample"
-        )
+        nothing, whose = (1, "an anti-alias") if isinstance(by, int) else ("null", "its")
+        allowed = f"{nothing} where samples are missing or uneven"
+        raise InputError(setting, given, allowed, f"{whose} filter needs every sample")
     columns = np.stack(values, axis=1)
     if isinstance(by, int):
         return time[::by], list(decimate(columns, by).T)

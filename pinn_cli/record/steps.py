@@ -238,8 +238,7 @@ class PiecewiseLoad:
         if block != self._block:
             self._block, self._coefficients = block, self._of(block)
         of_piece = 2.0 * (place - int(place)) - 1.0
-        out: np.ndarray = (of_piece**self._powers).dot(self._coefficients[piece]).reshape(self._shape)
-        return out
+        return (of_piece**self._powers).dot(self._coefficients[piece]).reshape(self._shape)
 
     def _of(self, block: int) -> np.ndarray:
         """(pieces, powers, values), of a block."""

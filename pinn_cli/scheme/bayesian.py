@@ -86,9 +86,8 @@ def _gamma(place: str, shape: Any = None, rate: Any = None, mean: Any = None, st
         return Gamma(positive_number(f"{place}.shape", shape), positive_number(f"{place}.rate", rate))
     if chosen == {"mean", "std"}:
         return Gamma.of_moments(positive_number(f"{place}.mean", mean), positive_number(f"{place}.std", std))
-    raise InputError(
-        place, f"gamma with {', '.join(sorted(chosen)) or 'nothing'}", "given shape and rate, or mean and std"
-    )
+    shown = f"gamma with {', '.join(sorted(chosen)) or 'nothing'}"
+    raise InputError(place, shown, "given shape and rate, or mean and std")
 
 
 def _half_normal(place: str, scale: Any) -> HalfNormal:

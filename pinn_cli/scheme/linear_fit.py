@@ -192,8 +192,7 @@ class LinearFit:
 
     def residual(self, x: np.ndarray) -> np.ndarray:
         """(O, S, F) misfit of the cross spectra."""
-        misfit: np.ndarray = self.scale * self._smoothed(self._parts(x).sum(0)) - self.common
-        return misfit
+        return self.scale * self._smoothed(self._parts(x).sum(0)) - self.common
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """(O, S, F, p), of the residual by the unknowns of the structure and of the channels."""
@@ -280,5 +279,4 @@ class JointFit:
 
 def last_ends(stretch: np.ndarray) -> np.ndarray:
     """(C,), of every connection, a row of (C, n), the last coordinate that stretches it; of a chain its own mass."""
-    last: np.ndarray = stretch.shape[1] - 1 - np.argmax(stretch[:, ::-1] != 0, axis=1)
-    return last
+    return stretch.shape[1] - 1 - np.argmax(stretch[:, ::-1] != 0, axis=1)

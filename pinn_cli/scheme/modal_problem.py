@@ -81,9 +81,8 @@ def _checked(records: Sequence[Record]) -> tuple[Record, int]:
     forces = np.flatnonzero(record.sensors("force"))
     moved = record.ground_acceleration is not None or bool(record.supports)
     if len(forces) != 1 or (~record.unforced).sum() != 1 or moved:
-        raise InputError(
-            "data.force", f"{len(forces)} measured", "one measured force, and nothing else, with system=modal"
-        )
+        allowed = "one measured force, and nothing else, with system=modal"
+        raise InputError("data.force", f"{len(forces)} measured", allowed)
     silent = np.flatnonzero(~record.observed & record.unforced)
     if len(silent):
         hint = "a record tells nothing of other points (data.holdout)"
@@ -282,5 +281,4 @@ def _explained(columns: np.ndarray, basis: np.ndarray, residual: np.ndarray) -> 
     turned = np.ascontiguousarray(new.transpose(0, 2, 1))
     along = turned @ residual
     gram = turned @ new + 1e-10 * np.eye(new.shape[-1])
-    explained: np.ndarray = np.einsum("tc,tc->t", along, np.linalg.solve(gram, along[..., None])[..., 0])
-    return explained
+    return np.einsum("tc,tc->t", along, np.linalg.solve(gram, along[..., None])[..., 0])

@@ -66,8 +66,7 @@ class TurningPoints:
             return np.zeros(len(time), dtype=bool)
         after = np.searchsorted(self.time, time)
         distances = [np.abs(time - self.time[np.clip(after - k, 0, len(self.time) - 1)]) for k in (0, 1)]
-        close: np.ndarray = np.minimum(*distances) < RINGS * spacing
-        return close
+        return np.minimum(*distances) < RINGS * spacing
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +106,7 @@ class JointPrior:
     def precision(self) -> np.ndarray:
         """(p, p), the inverse of the correlation."""
         root = np.linalg.inv(np.linalg.cholesky(self.correlation))
-        inverse: np.ndarray = root.T @ root
-        return inverse
+        return root.T @ root
 
     def with_independent(self, std: Sequence[float]) -> JointPrior:
         """With parameters behind these that have nothing to do with them, and their standard deviations."""

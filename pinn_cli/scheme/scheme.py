@@ -111,9 +111,8 @@ class Scheme(ABC):
         Raises:
             InputError: The scheme has one window at a time.
         """
-        raise InputError(
-            "data.window", record.duration, f"null with scheme={self.name}", "it solves a record as a whole"
-        )
+        hint = "it solves a record as a whole"
+        raise InputError("data.window", record.duration, f"null with scheme={self.name}", hint)
 
     def with_record(self, problem: JointProblem, prescribed: Structure, record: Record) -> JointProblem:
         """The same problem from fewer sensors; what was unknown stays so, and nothing else becomes it."""
@@ -180,13 +179,9 @@ def check_given(prescribed: Structure, unknown: Collection[Parameter] = ()) -> N
     given = "a number" if named else f"a number or a list of {prescribed.ndof}"
     of_whole = "c" in missing and not prescribed.supports
     whole = "; system.damping={ratio: 0.02} says it of the whole, without a c" if of_whole else ""
-    raise InputError(
-        settings,
-        "(nothing)",
-        f"your structure's own, each {given} ({units})",
-        f"a measured record takes no value of the demonstration's. If {names} are unknown, name them in scheme.unknown"
-        f" of scheme=state_parameter or bayesian{whole}",
-    )
+    how = f"name them in scheme.unknown of scheme=state_parameter or bayesian{whole}"
+    hint = f"a measured record takes no value of the demonstration's. If {names} are unknown, {how}"
+    raise InputError(settings, "(nothing)", f"your structure's own, each {given} ({units})", hint)
 
 
 def _shown(names: list[str], named: bool) -> str:

@@ -170,9 +170,8 @@ def _refuse(path: Path, setting: str, name: str, variables: Mapping[str, Variabl
     """Say why there is no such column."""
     root, _, number = name.rpartition(".")
     if name in variables:
-        raise InputError(
-            setting, repr(name), "a column of numbers", f"in {path.name} it {variables[name].why_none(name)}"
-        )
+        hint = f"in {path.name} it {variables[name].why_none(name)}"
+        raise InputError(setting, repr(name), "a column of numbers", hint)
     if root in variables and number.isdecimal():
         hint = f"{root} has {variables[root].columns} columns of numbers, counted from 1"
         raise InputError(setting, repr(name), f"a column of {path.name}", hint)
