@@ -57,7 +57,7 @@ MOST_BLOCKS, AT_CORNERS = 0.9, 0.75
 class BandLimited:
     """A history without content above the Nyquist frequency of its samples (N, ...) at even times (N,), s.
 
-    Of a force most columns are zero as a rule, and stay so. Its hold is what a simulator calls it.
+    Of a force most columns are zero as a rule, and stay so. ``hold`` is a simulator's word for it.
     """
 
     hold: ClassVar[str] = "exact"

@@ -43,9 +43,10 @@ def runge_kutta(
     start: np.ndarray,
     corners: Corners | None,
 ) -> np.ndarray:
-    """The states at all samples (N, ...), by so many steps each; see :func:`pinn_cli.record.steps.implicit_steps`.
+    """The states at all samples (N, ...), by ``substeps`` steps per sample.
 
-    Steps across corners of the laws are divided; None: all laws are smooth.
+    Arguments are those of :func:`pinn_cli.record.steps.implicit_steps`. Steps across corners of the laws are divided;
+    None: all laws are smooth.
     """
     h = (time[-1] - time[0]) / ((len(time) - 1) * substeps)
     steps = (len(time) - 1) * substeps

@@ -30,10 +30,7 @@ class Sampled:
     Attributes:
         time: (N,), s, uniform: the times of the columns.
         columns: Quantity and number, counted from 0, to samples (N,); some as they are believed to be.
-        calibrated: Channels with samples or a calibration of their own.
-        intersample: How the columns of what acts behave between their samples.
-        assumed: Whether nobody said so, and nothing shows it.
-        band: What all channels are filtered by.
+        calibrated, intersample, assumed, band: See :class:`pinn_cli.record.record.Record`.
     """
 
     time: np.ndarray

@@ -205,12 +205,7 @@ class MeasuredWindows(RecordWindows):
 
 
 class SimulatedWindows(RecordWindows):
-    """Windows of a simulated record, which is simulated once.
-
-    Args:
-        simulated: How.
-        length, overlap: See :class:`RecordWindows`.
-    """
+    """Windows of a simulated record, which is simulated once."""
 
     def __init__(self, simulated: Simulated, length: float, overlap: float | None) -> None:
         super().__init__(length, overlap)
