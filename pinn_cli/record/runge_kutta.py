@@ -149,12 +149,9 @@ def _largest(gaps: np.ndarray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Pieces:
-    """Pieces of a record, as long as each other.
+    """Pieces of a record, all of one length.
 
-    Attributes:
-        loads: Of the steps' beginnings, middles and ends, each (length, count, n).
-        slope: See :func:`shot`.
-        step: s.
+    Loads of their steps' beginnings, middles and ends are (length, count, n) each.
     """
 
     loads: tuple[np.ndarray, ...]

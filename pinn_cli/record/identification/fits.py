@@ -49,14 +49,7 @@ EDGE_LINES, LIKELIER = 4, 15.0
 
 
 class BandFit:
-    """A mode in a band around it, beside other modes: those in the band are free, those near it are held.
-
-    Args:
-        band: Lines around the mode.
-        pole: Of the mode.
-        neighbours: Other modes.
-        near: Widths of the band from its ends within which they count.
-    """
+    """A mode in a band, beside other modes: those in the band are free, those within so many of its widths are held."""
 
     def __init__(self, band: Lines, pole: Pole, neighbours: Sequence[Pole], near: float) -> None:
         self.band, self.pole, f = band, pole, band.frequency
