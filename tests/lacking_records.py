@@ -12,8 +12,7 @@ from pinn_cli.record.channel import Calibration, Channel
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.scheme.calibration import sensor_parameters
-from pinn_cli.scheme.inputs import inputs_of
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.problem import Problem, inputs_of
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.parameters import Parameter

@@ -15,9 +15,8 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.record.channel import CALIBRATED, Calibration, Channel
 from pinn_cli.record.data_channels import FELT_BY
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.inputs import FREE, GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.problem import BEGINNINGS, THROUGH, JointPrior, Problem, TurningPoints
+from pinn_cli.scheme.problem import BEGINNINGS, FREE, GAUSSIAN_PROCESS, THROUGH, JointPrior, Problem, TurningPoints
 from pinn_cli.system.building import damped
 from pinn_cli.system.finite_elements import FiniteElements
 from pinn_cli.system.quantities import CONNECTION_FORCE, FORCE, GROUND, HIGH_PASS, MOTION, SUPPORT, TILT

@@ -26,7 +26,7 @@ from pinn_cli.cli.prepare import check_windows
 from pinn_cli.inspection.inspection import inspect_record
 from pinn_cli.inspection.modes import ModalRecord
 from pinn_cli.record.windows import GrowingWindows
-from pinn_cli.scheme.modal.modal_problem import modal_problem
+from pinn_cli.scheme.modal_problem import modal_problem
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.function_space import training as over_all_weights

@@ -27,8 +27,7 @@ from pinn_cli.record.between_samples import between_samples
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.steps import STEP_TIMES_RATE, substeps_needed
 from pinn_cli.scheme.calibration import calibrations
-from pinn_cli.scheme.inputs import inputs_of
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.problem import Problem, inputs_of
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.system.quantities import FORCE

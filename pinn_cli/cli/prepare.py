@@ -54,8 +54,8 @@ def prepare_problem(config: RunConfig, stages: Stages | None = None) -> Prepared
     Raises:
         InputError: A setting or a file that no run can use.
     """
-    from pinn_cli.scheme.modal.modal_problem import modal_problem
-    from pinn_cli.scheme.reach import tell_if_unreached
+    from pinn_cli.scheme.joint_problem import tell_if_unreached
+    from pinn_cli.scheme.modal_problem import modal_problem
 
     stages = stages or Stages()
     with stages("system"):

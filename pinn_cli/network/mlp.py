@@ -78,11 +78,6 @@ class FourierFeatures(Embedding):
     Feature j has the amplitude 1 / (1 + (j / corner)^2), which is how a displacement falls off whose acceleration is
     even over the band. Without it a small loss may hide accelerations that are wrong between the points. The squares of
     all amplitudes add up to one.
-
-    Args:
-        harmonics: Frequencies.
-        corner: Where the amplitudes begin to fall, in harmonics.
-        dtype: Of the features.
     """
 
     omega: Tensor
@@ -109,12 +104,8 @@ class FourierFeatures(Embedding):
 def embedding(name: EmbeddingName, record: Record, dtype: torch.dtype, points: int | None = None) -> Embedding:
     """The embedding of a record: its features go up to the record's band and fall off from where its motion does.
 
-    Args:
-        name: Which one.
-        record: Measured.
-        dtype: Of the features.
-        points: At which residuals are compared and so many features told apart; up to ``BAND_MARGIN`` times the band is
-            then followed.
+    At so many points residuals are compared and so many features told apart; up to ``BAND_MARGIN`` times the band is
+    then followed.
     """
     if name == "none":
         return ScaledTime()
@@ -332,12 +323,7 @@ class Mlp(NetworkDesign):
     ) -> MlpNetwork:
         """See :meth:`NetworkDesign.build`; its weights are drawn from seed 0 until :meth:`MlpNetwork.reset`.
 
-        Args:
-            record: Measured.
-            dtype: Of weights and outputs.
-            functions: Outputs; None: the motion of every DOF.
-            points: At which residuals are compared; None: wherever it takes. See
-                :func:`embedding`.
+        Residuals are compared at so many points, see :func:`embedding`; None: wherever it takes.
         """
         amplitudes = motion_amplitudes(record)
         width = max(LEAST_WIDTH, UNITS_PER_DOF * record.ndof) if self.width is None else self.width

@@ -55,12 +55,7 @@ class Network(nn.Module, ABC):
 
     @abstractmethod
     def jet(self, time: Tensor, order: int) -> tuple[Tensor, ...]:
-        """Outputs and their time derivatives up to ``order`` (0, 1 or 2), each (N, channels * ndof).
-
-        Args:
-            time: (N,), s, in the network's dtype.
-            order: The highest derivative.
-        """
+        """Outputs and their derivatives by time (N,), s, up to ``order`` (0, 1 or 2), each (N, channels * ndof)."""
 
     def forward(self, time: Tensor) -> States:
         """Motion at the given times (N,), s."""

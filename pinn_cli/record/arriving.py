@@ -6,7 +6,6 @@ written. A file in another format is read again whenever it has changed.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -26,35 +25,51 @@ MOST_AT_ONCE = 2**24
 ENOUGH_LINES = 3
 
 
-class Reader(ABC):
-    """A file that may not be whole yet.
+class Reader:
+    """Rows of a file that may not be whole yet: it is read as a whole, as often as it changes.
 
-    Args:
-        path: Of the file.
-        wanted: Setting to the name of the column that it asks for.
+    What is wanted are settings, to the name of the column that each asks for.
     """
 
-    def __init__(self, path: Path, wanted: Mapping[str, str]) -> None:
-        self.path, self.wanted, self.rows = path, wanted, 0
+    def __init__(self, path: Path, wanted: Mapping[str, str], file_format: FileFormat) -> None:
+        self.path, self.wanted, self.format, self.rows = path, wanted, file_format, 0
+        self._seen: tuple[int, int] | None = None
+        self._error: InputError | None = None
 
-    @abstractmethod
     def more(self, complete: bool) -> Table | None:
         """The rows that have come since this was asked last; None where there are none.
 
-        Args:
-            complete: Whether nobody writes to the file any more.
+        A file is complete when nobody writes to it any more.
 
         Raises:
-            InputError: The file cannot be read.
+            InputError: The file cannot be read, and has not changed for a while.
         """
+        stat = self.path.stat()
+        state = stat.st_size, stat.st_mtime_ns
+        if state == self._seen and not (complete and self._error):
+            if self._error is not None:
+                raise self._error
+            return None
+        self._seen, self._error = state, None
+        try:
+            table = self.format.read(self.path, self.wanted)
+        except InputError as error:
+            if complete:
+                raise
+            self._error = error
+            return None
+        first, self.rows = self.rows, len(table)
+        return _rows_from(table, first) if len(table) > first else None
 
 
 class TextReader(Reader):
     """Rows of text, line by line."""
 
+    format: CsvFormat
+
     def __init__(self, path: Path, wanted: Mapping[str, str], text: CsvFormat) -> None:
-        super().__init__(path, wanted)
-        self.format, self.head, self.place = text, b"", 0
+        super().__init__(path, wanted, text)
+        self.head, self.place = b"", 0
 
     def more(self, complete: bool) -> Table | None:
         """See :meth:`Reader.more`."""
@@ -81,9 +96,8 @@ class TextReader(Reader):
                 file.seek(self.place)
                 content = file.read(MOST_AT_ONCE)
         except OSError as error:
-            raise InputError(
-                PATH_SETTING, self.path, "a file that can be read", error.strerror or str(error)
-            ) from error
+            reason = error.strerror or str(error)
+            raise InputError(PATH_SETTING, self.path, "a file that can be read", reason) from error
         whole = complete and self.place + len(content) == size
         end = len(content) if whole else content.rfind(b"\n") + 1
         content = content[:end]
@@ -91,45 +105,12 @@ class TextReader(Reader):
         return None if few or not content.strip() else content
 
 
-class WholeReader(Reader):
-    """Rows of a file that is read as a whole, as often as it changes."""
-
-    def __init__(self, path: Path, wanted: Mapping[str, str], file_format: FileFormat) -> None:
-        super().__init__(path, wanted)
-        self.format = file_format
-        self._seen: tuple[int, int] | None = None
-        self._error: InputError | None = None
-
-    def more(self, complete: bool) -> Table | None:
-        """See :meth:`Reader.more`; what cannot be read is an error once it has not changed for a while."""
-        stat = self.path.stat()
-        state = stat.st_size, stat.st_mtime_ns
-        if state == self._seen and not (complete and self._error):
-            if self._error is not None:
-                raise self._error
-            return None
-        self._seen, self._error = state, None
-        try:
-            table = self.format.read(self.path, self.wanted)
-        except InputError as error:
-            if complete:
-                raise
-            self._error = error
-            return None
-        first, self.rows = self.rows, len(table)
-        return _rows_from(table, first) if len(table) > first else None
-
-
 class Arriving:
     """Samples in the order in which they were taken, of which those that nobody needs any more are forgotten.
 
     Files of a folder follow each other by their names. A file whose clock begins anew goes on one step after the last
     sample of the one before; one whose clock has gone on is taken at its word. A file is complete when the next one is
-    there.
-
-    Args:
-        files: A file or a folder, and how its times are told.
-        wanted: Setting to the name of the column that it asks for, that of the times left out.
+    there. What is wanted are settings, to the name of the column that each asks for, that of the times left out.
     """
 
     def __init__(self, files: MeasuredFiles, wanted: Mapping[str, str]) -> None:
@@ -157,10 +138,10 @@ class Arriving:
                 column = self.files.time_column(path)
                 asked = self.wanted if column is None else {"data.time": column, **self.wanted}
                 file_format = format_of(path, self.files.format)
+                reader = Reader(path, asked, file_format)
                 if isinstance(file_format, CsvFormat):
-                    self.readers.append(TextReader(path, asked, file_format))
-                else:
-                    self.readers.append(WholeReader(path, asked, file_format))
+                    reader = TextReader(path, asked, file_format)
+                self.readers.append(reader)
                 self._begin_file()
             table = self.readers[i].more(complete=i + 1 < len(paths))
             if table is not None:

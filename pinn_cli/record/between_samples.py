@@ -55,14 +55,9 @@ MOST_BLOCKS, AT_CORNERS = 0.9, 0.75
 
 
 class BandLimited:
-    """A history without content above the Nyquist frequency of its samples.
+    """A history without content above the Nyquist frequency of its samples (N, ...) at even times (N,), s.
 
-    Args:
-        time: (N,), s, even.
-        values: (N, ...), its samples; of a force most columns are zero as a rule, and stay so.
-
-    Attributes:
-        hold: What a simulator calls it.
+    Of a force most columns are zero as a rule, and stay so. ``hold`` is a simulator's word for it.
     """
 
     hold: ClassVar[str] = "exact"
@@ -86,15 +81,7 @@ class BandLimited:
 
 
 class Held:
-    """A history that keeps the value of each sample until the next one: a zero-order hold.
-
-    Args:
-        time: (N,), s, even.
-        values: (N, ...), its samples.
-
-    Attributes:
-        hold: What a simulator calls it.
-    """
+    """A zero-order hold: the value of each sample (N, ...) until the next one of even times (N,), s."""
 
     hold: ClassVar[str] = "zero_order"
 
@@ -165,10 +152,7 @@ def refined(values: np.ndarray, refinement: int) -> tuple[np.ndarray, np.ndarray
 def _kriged(values: np.ndarray, refinement: int, noise: float) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """(N', n) histories by kriging alone; (N',) standard deviations over their rms as if exact, and as they are.
 
-    Args:
-        values: (N, n).
-        refinement: See :func:`refined`.
-        noise: White noise of the samples over their rms, which their ends allow for.
+    Their ends allow for white noise of the samples (N, n), over their rms.
     """
     samples, width = len(values), min(2 * REACH, len(values))
     exact, noisy = (_weights(width, refinement, max(level**2, LEAST_NOISE)) for level in (0.0, noise))
@@ -197,12 +181,8 @@ def _kriged(values: np.ndarray, refinement: int, noise: float) -> tuple[np.ndarr
 def _weights(width: int, refinement: int, nugget: float) -> tuple[np.ndarray, np.ndarray]:
     """(width - 1, refinement - 1, width), of all samples in the values between any two, and what they leave open.
 
-    That is (width - 1, refinement - 1) standard deviations over the rms of the process.
-
-    Args:
-        width: Samples that a value is told from.
-        refinement: See :func:`refined`.
-        nugget: Variance of a sample's own noise over that of the process.
+    That is (width - 1, refinement - 1) standard deviations over the rms of the process. The nugget is the variance of a
+    sample's own noise over that of the process.
     """
     parts = np.arange(1, refinement) / refinement
     weights, variance = _predicted_from(width, nugget, np.arange(width - 1)[:, None] + parts)

@@ -279,13 +279,9 @@ class Channel:
 
 
 def unknown_calibration(kind: str, time: np.ndarray, values: np.ndarray, both: bool = False) -> Calibration:
-    """Where an unknown number of a channel starts, and how wide its prior is.
+    """Where an unknown number of a channel, one of `CALIBRATION_UNITS`, starts, and how wide its prior is.
 
-    Args:
-        kind: One of `CALIBRATION_UNITS`.
-        time: (J,), s, of its samples.
-        values: (J,).
-        both: Whether offset and drift are both unknown: a straight line then goes through the samples.
+    Its samples (J,) are at times (J,), s. Where offset and drift are both unknown a straight line goes through them.
     """
     rms = float(np.std(values)) or float(np.abs(values).max()) or 1.0
     duration = float(time[-1] - time[0])

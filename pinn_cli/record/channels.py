@@ -110,9 +110,7 @@ def of_mains(line: float, step: float) -> str:
 def _steadiness(signal: np.ndarray, turns: float) -> tuple[float, float]:
     """How steady a line is, as F with 2 and 2 (`LINE_PARTS` - 1) degrees of freedom, and its share of the power.
 
-    Args:
-        signal: (N,).
-        turns: Of the line from sample to sample; beyond one half it shows where its samples put it.
+    It turns so often from sample to sample; beyond one half it shows where the samples of the signal (N,) put it.
     """
     turns, length = abs(turns - round(turns)), len(signal) // LINE_PARTS
     if min(turns, 0.5 - turns) * length < 2.0:  # no line of its own

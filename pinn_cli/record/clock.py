@@ -75,7 +75,7 @@ class Clock:
 
         Args:
             table: With that column.
-            column: Of the times.
+            column: Its name.
             unit: A key of `TIME_UNITS`; None: what the header says, if it is one of them, else s, or what of ms, us and
                 ns makes dates of numbers that are too large for s, or d of numbers of days.
 
@@ -108,10 +108,6 @@ class Clock:
     def dates(self) -> bool:
         """Whether the readings count from a date such as 1970, and not from the record's beginning."""
         return len(self.readings) > 0 and bool(self.time[0] > LATEST_BEGIN)
-
-    def from_beginning(self) -> Clock:
-        """The same with dates counted from the first."""
-        return replace(self, readings=self.readings - self.readings[0]) if self.dates else self
 
     def regular(self, first: int, last: int) -> tuple[np.ndarray, bool]:
         """Times of rows first..last (``last`` excluded), s, and whether they are even.
@@ -182,12 +178,7 @@ class MeasuredFiles:
 
     Attributes:
         paths: Of one file or more; those of several stand on one clock.
-        format: How numbers lie in them; a file whose suffix is that of another format is read as that.
-        time: Column of the times, in every file; None: that which is called so, unless ``sampling_rate`` is given or
-            the format tells times of its own.
-        sampling_rate: Hz, in place of a column of times; the first sample is then at 0 s.
-        time_unit: Of that column, see :meth:`Clock.by_column`.
-        missing: Numbers that mark missing values, or one; None: see :meth:`Table.with_gaps`.
+        format, time, sampling_rate, time_unit, missing: See :class:`pinn_cli.record.measured_data.MeasuredData`.
 
     Raises:
         InputError: Such a mark is none.
@@ -267,7 +258,9 @@ class MeasuredFiles:
             InputError: Nothing tells it, or a column of times cannot be used.
         """
         clock = self._clock(table, first_date)
-        return clock if len(self.paths) > 1 else clock.from_beginning()
+        if len(self.paths) > 1 or not clock.dates:
+            return clock
+        return replace(clock, readings=clock.readings - clock.readings[0])
 
     def _clock(self, table: Table, first_date: str | None) -> Clock:
         if self.sampling_rate is not None:
@@ -327,12 +320,7 @@ def _suffix(path: Path) -> str:
 
 
 def format_of(path: Path, chosen: FileFormat) -> FileFormat:
-    """The chosen format, unless the file's suffix is none of its own and that of another.
-
-    Args:
-        path: Of the file.
-        chosen: By ``data=...``.
-    """
+    """The format chosen by ``data=...``, unless the file's suffix is none of its own and that of another."""
     suffix = _suffix(path)
     if suffix in (*chosen.suffixes, *chosen.other_suffixes):
         return chosen

@@ -228,12 +228,9 @@ def piece_length(samples: int) -> int:
 
 
 def band_edges(first: int, stop: int, most: int | None = None) -> list[int]:
-    """First lines of groups that are wider the higher they lie, and the line behind the last one.
+    """First lines of groups, from ``first`` to below ``stop``, that are wider the higher they lie; at last ``stop``.
 
-    Args:
-        first: Line that the first group begins with.
-        stop: Line behind the last one's.
-        most: Groups at most; their relative width grows until they are no more.
+    Their relative width grows until they are no more than ``most``.
     """
     resolution = RELATIVE_RESOLUTION
     while True:

@@ -129,10 +129,8 @@ class DataChannel:
         numbers = range(1, len(connections) + 1)
         if is_whole_number(self.connection) and self.connection in numbers:
             return int(self.connection) - 1  # type: ignore[arg-type]
-        allowed = f"a connection: {', '.join(connections)}"
-        raise InputError(
-            f"{self.setting}.connection", self.connection, allowed, suggestion(str(self.connection), connections)
-        )
+        allowed, hint = f"a connection: {', '.join(connections)}", suggestion(str(self.connection), connections)
+        raise InputError(f"{self.setting}.connection", self.connection, allowed, hint)
 
 
 def data_channels(given: Any) -> tuple[DataChannel, ...]:
@@ -160,9 +158,8 @@ def _channel(name: str, node: Any) -> DataChannel:
     node = as_channel(setting, node)
     for key in node:
         if key not in KEYS:
-            raise InputError(
-                f"{setting}.{key}", node[key], f"one of the keys {', '.join(KEYS)}", suggestion(str(key), KEYS)
-            )
+            allowed = f"one of the keys {', '.join(KEYS)}"
+            raise InputError(f"{setting}.{key}", node[key], allowed, suggestion(str(key), KEYS))
     sensor = one_of(f"{setting}.sensor", node.get("sensor"), SENSORS)
     column = name if node.get("column") is None else node["column"]
     if not isinstance(column, str) or not column:
@@ -181,9 +178,8 @@ def _channel(name: str, node: Any) -> DataChannel:
     weights = weights if support is None else {support: 1.0}
     for kind in (kind for kind in calibration if support is not None):
         if not calibration[kind].is_known or kind not in ("gain", "offset", "drift"):
-            raise InputError(
-                f"{setting}.{kind}", given[kind], "left out, or a known gain, offset or drift of a support"
-            )
+            allowed = "left out, or a known gain, offset or drift of a support"
+            raise InputError(f"{setting}.{kind}", given[kind], allowed)
     channel = Channel(name, quantity, weights, NOTHING, NOTHING, calibration, filter_order=order)
     return DataChannel(setting, column, channel, connection, factor)
 

@@ -61,11 +61,7 @@ class Replay:
         """(M, H, n) at samples (M,) of the new record."""
         last = len(self.history) - 1
         place = (self.first + self.rate * samples[:, None]) % (2 * last)
-        place = np.minimum(place, 2 * last - place)
-        before = np.minimum(place.astype(np.int64), last - 1)
-        share = (place - before)[..., None]
-        out: np.ndarray = self.history[before] * (1.0 - share) + self.history[before + 1] * share
-        return self.sign[:, None] * out
+        return self.sign[:, None] * _between(self.history, np.minimum(place, 2 * last - place))
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,13 +155,7 @@ def _drawn(members: Members, random: np.random.Generator, first: int, stop: int)
 
 
 class _Ensemble:
-    """The members' common equation of motion.
-
-    Args:
-        structure: In whose coordinates it is.
-        parameters: Kind to those of each.
-        record: The force and the ground's motion.
-    """
+    """The members' common equation of motion, in a structure's coordinates, with the parameters of each."""
 
     def __init__(self, structure: Structure, parameters: Mapping[str, np.ndarray], record: Record) -> None:
         self.structure, self.parameters, self.record = structure, parameters, record
@@ -252,7 +242,7 @@ class _Ensemble:
 
 
 def _between(noise: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Samples (M, ...) at places between them, counted in samples."""
+    """Samples (M, ...) at places (...) between them, counted in samples."""
     before = np.clip(place.astype(np.int64), 0, len(noise) - 2)
-    share = (place - before).reshape(-1, *[1] * (noise.ndim - 1))
+    share = (place - before).reshape(*place.shape, *[1] * (noise.ndim - 1))
     return noise[before] * (1.0 - share) + noise[before + 1] * share

@@ -55,13 +55,9 @@ def has_modes(modes: Modes) -> bool:
 def linear_motion(
     modes: Modes, pushes: Sequence[Push], time: np.ndarray, start: Sequence[np.ndarray] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement and velocity of the coordinates at all samples, (N, n) each; not finite where they overflow.
+    """Displacement and velocity of the coordinates at even times (N,), s, (N, n) each; not finite where they overflow.
 
-    Args:
-        modes: Of the structure.
-        pushes: What acts.
-        time: (N,), s, even.
-        start: Displacement and velocity (n,) at the first sample; None: rest.
+    They start with a displacement and a velocity (n,); None: at rest.
     """
     u, v = (np.zeros(len(modes.m)),) * 2 if start is None else (np.asarray(x, dtype=float) for x in start)
     begins = modes.poles * (modes.inputs @ u) + modes.inputs @ ((modes.C @ u) / modes.m + v)

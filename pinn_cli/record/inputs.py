@@ -88,12 +88,7 @@ class SupportErrors:
 
     @classmethod
     def of(cls, record: Record, levels: Mapping[str, np.ndarray]) -> SupportErrors | None:
-        """Of a record; None where no support moves.
-
-        Args:
-            record: With their motion.
-            levels: Quantity to the noise of every support's sensor, (S,).
-        """
+        """Of a record, by the noise of every support's sensor, (S,) of each quantity; None where no support moves."""
         if not record.supports:
             return None
         orders = measured_orders(record)
@@ -101,13 +96,7 @@ class SupportErrors:
         return cls(np.nan_to_num(sigma), np.array([order for _, order in orders]), record.step)
 
     def drawn(self, random: np.random.Generator, samples: int, before: np.ndarray) -> np.ndarray:
-        """(M, H, 3, S), errors of displacement, velocity and acceleration at the next samples, behind those before.
-
-        Args:
-            random: Where they come from.
-            samples: M - 1.
-            before: (H, 3, S), at the sample before.
-        """
+        """(M, H, 3, S), errors of displacement, velocity and acceleration at M - 1 samples, behind those before."""
         noise = self.sigma * random.standard_normal((samples, len(before), len(self.sigma)))
         out = np.zeros((samples + 1, *before.shape))
         out[0] = before

@@ -107,9 +107,12 @@ class MeasuredData:
     def __post_init__(self) -> None:
         paths = [self.path] if isinstance(self.path, str) else entries(self.path)
         if not paths or not all(isinstance(path, str) and path for path in paths):
-            raise InputError(
-                "data.path", self.path, f"given: data={self.kind} reads a file of yours, or a list of files"
-            )
+            allowed = f"given: data={self.kind} reads a file of yours, or a list of files"
+            raise InputError("data.path", self.path, allowed)
+        for setting in ("time", GROUND):
+            column = getattr(self, setting)
+            if column is not None and (not isinstance(column, str) or not column):
+                raise InputError(f"data.{setting}", column, "null or the name of a column")
         self._check_clock()
         for quantity in QUANTITIES:
             object.__setattr__(self, quantity, _checked_columns(quantity, getattr(self, quantity)))
@@ -261,23 +264,18 @@ class MeasuredData:
         whole_number("data.decimate", self.decimate, least=1)
 
     def _check_clock(self) -> None:
-        if self.time is not None and (not isinstance(self.time, str) or not self.time):
-            raise InputError("data.time", self.time, "null or the name of a column")
         if self.time_unit is not None:
             one_of("data.time_unit", self.time_unit, list(TIME_UNITS))
         if self.sampling_rate is not None:
             positive_number("data.sampling_rate", self.sampling_rate)
             if self.time is not None:
                 allowed = "null where data.time names a column of times"
-                raise InputError(
-                    "data.sampling_rate", self.sampling_rate, allowed, "either says when samples were taken"
-                )
+                hint = "either says when samples were taken"
+                raise InputError("data.sampling_rate", self.sampling_rate, allowed, hint)
 
     def _check_ground(self) -> None:
-        column = self.ground_acceleration
-        if column is not None and (not isinstance(column, str) or not column):
-            raise InputError(f"data.{GROUND}", column, f"null, {UNMEASURED} or the name of a column")
-        moves = column == UNMEASURED or any(channel.sensor.quantity == GROUND for channel in self._every_channel)
+        unmeasured = self.ground_acceleration == UNMEASURED
+        moves = unmeasured or any(channel.sensor.quantity == GROUND for channel in self._every_channel)
         check_frame(self.frame, moves, f"data.{GROUND} is not given")
         if moves and self.intersample == "zero_order_hold":
             allowed = f"band_limited or {FIRST_ORDER_HOLD} with data.{GROUND}"

@@ -35,10 +35,6 @@ class OwnSensor(ABC):
 def as_channel(setting: str, channel: Mapping[str, Any]) -> Mapping[str, Any]:
     """A channel whose sensor is a class of somebody's own as one that feels a weighted sum; others as they are.
 
-    Args:
-        setting: ``data.channels.NAME``.
-        channel: Its node.
-
     Raises:
         InputError: The class is not registered, its settings are refused, or the channel says what it feels as well.
     """

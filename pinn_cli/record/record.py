@@ -325,12 +325,7 @@ class Measurements:
 
 
 def check_frame(frame: str, moves: bool, why: str) -> None:
-    """Refuse a frame that does not exist, or one relative to a ground at rest.
-
-    Args:
-        frame: ``data.frame``.
-        moves: Whether the record has a ground acceleration.
-        why: It has none, for the message.
+    """Refuse a frame that does not exist, or one relative to a ground that does not move, for this reason.
 
     Raises:
         InputError: Naming ``data.frame``.

@@ -45,15 +45,8 @@ def runge_kutta(
 ) -> np.ndarray:
     """The states at all samples (N, ...), by ``substeps`` steps per sample.
 
-    Args:
-        slope: Of a state under a load.
-        force: Load at any times.
-        time: (N,), s.
-        sampled: (N, ...), the load at those.
-        hold: ``exact`` or ``zero_order``.
-        substeps: Steps per sample.
-        start: The state at the first time.
-        corners: Of the laws; steps across one are divided. None: all laws are smooth.
+    Arguments are those of :func:`pinn_cli.record.steps.implicit_steps`. Steps across corners of the laws are divided;
+    None: all laws are smooth.
     """
     h = (time[-1] - time[0]) / ((len(time) - 1) * substeps)
     steps = (len(time) - 1) * substeps
@@ -115,11 +108,8 @@ def shot(
 ) -> np.ndarray | None:
     """The states at the ends of all steps (steps + 1, 2, n), the start included; None where single steps serve better.
 
-    Args:
-        slope: Of states (2, ..., n) under loads (..., n), smooth.
-        start: (2, n), displacement and velocity.
-        loads: At the beginnings, middles and ends of the steps, each (steps, n).
-        step: s.
+    The slope is of states (2, ..., n) under loads (..., n), and smooth; the start is displacement and velocity (2, n).
+    Loads are those at the beginnings, middles and ends of the steps, each (steps, n).
     """
     steps, n = loads[0].shape
     pieces = max(1, min(AT_ONCE // n, steps // LEAST_STEPS))
@@ -159,12 +149,9 @@ def _largest(gaps: np.ndarray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Pieces:
-    """Pieces of a record, as long as each other.
+    """Pieces of a record, all of one length.
 
-    Attributes:
-        loads: Of the steps' beginnings, middles and ends, each (length, count, n).
-        slope: See :func:`shot`.
-        step: s.
+    Loads of their steps' beginnings, middles and ends are (length, count, n) each.
     """
 
     loads: tuple[np.ndarray, ...]

@@ -30,10 +30,7 @@ class Sampled:
     Attributes:
         time: (N,), s, uniform: the times of the columns.
         columns: Quantity and number, counted from 0, to samples (N,); some as they are believed to be.
-        calibrated: Channels with samples or a calibration of their own.
-        intersample: How the columns of what acts behave between their samples.
-        assumed: Whether nobody said so, and nothing shows it.
-        band: What all channels are filtered by.
+        calibrated, intersample, assumed, band: See :class:`pinn_cli.record.record.Record`.
     """
 
     time: np.ndarray
@@ -119,10 +116,9 @@ def with_fewer(
     """
     setting, given = ("data.decimate", by) if isinstance(by, int) else ("data.band", "a band")
     if not whole:
-        allowed = f"{1 if isinstance(by, int) else 'null'} where samples are missing or uneven"
-        raise InputError(
-            setting, given, allowed, ("an anti-alias" if isinstance(by, int) else "its") + " filter needs every sample"
-        )
+        nothing, whose = (1, "an anti-alias") if isinstance(by, int) else ("null", "its")
+        allowed = f"{nothing} where samples are missing or uneven"
+        raise InputError(setting, given, allowed, f"{whose} filter needs every sample")
     columns = np.stack(values, axis=1)
     if isinstance(by, int):
         return time[::by], list(decimate(columns, by).T)

@@ -223,7 +223,8 @@ def guessed(signals: Sequence[Signal]) -> tuple[list[Signal], list[str]]:
     for quantity in (*MOTION, FORCE):
         indices = [i for i, other in enumerate(quantities) if other == quantity]
         named = [numbers[i] for i in indices]
-        if channels or len(set(named)) < len(named) or (None in named and len(named) > 1) or not _are_dofs(named):
+        no_dofs = any(number is not None and not 1 <= number <= _MOST_DOFS for number in named)
+        if channels or len(set(named)) < len(named) or (None in named and len(named) > 1) or no_dofs:
             named, counted = list(range(1, len(indices) + 1)), counted or len(indices) > 1
         for i, number in zip(indices, named, strict=True):
             places[i] = str(number or 1)
@@ -256,7 +257,3 @@ def number_of(signal: Signal) -> int | None:
     """That of the place, else that in the name."""
     match = re.search(r"\d+", signal.place)
     return number_in(signal.column) if match is None else int(match[0])
-
-
-def _are_dofs(numbers: Sequence[int | None]) -> bool:
-    return all(number is None or 1 <= number <= _MOST_DOFS for number in numbers)

@@ -219,9 +219,5 @@ def _check_steps(simulation: Simulation, structure: Structure, most: int) -> Non
     prescribed, least = abs(parameter.prescribed), float(structure.parameters["m"].min())
     rest = f"at rest its law adds {sizes.max() - prescribed:.3g}; " if sizes.max() > prescribed else ""
     hint = f"{rest}{takes}; a larger mass or a shorter simulation.duration makes them fewer, too"
-    raise InputError(
-        structure.labels.setting(parameter),
-        float(sizes.max()),
-        f"small enough for {least:.3g} kg not to have {allowed}",
-        hint,
-    )
+    allowed = f"small enough for {least:.3g} kg not to have {allowed}"
+    raise InputError(structure.labels.setting(parameter), float(sizes.max()), allowed, hint)

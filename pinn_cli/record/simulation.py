@@ -140,13 +140,7 @@ Ground = Callable[[np.ndarray], np.ndarray]
 
 
 class OverflowsError(InputError):
-    """A simulated response that leaves the numbers that a computer can hold.
-
-    Args:
-        time: When it does, s.
-        samples: Of the record.
-        nonlinearity: Name of the chain's.
-    """
+    """A simulated response that, at a time (s), leaves the numbers that a computer can hold."""
 
     def __init__(self, time: float, samples: int, nonlinearity: str) -> None:
         self.time, self.nonlinearity = time, nonlinearity

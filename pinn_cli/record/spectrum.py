@@ -169,14 +169,9 @@ def level_at_end(x: np.ndarray, step: float) -> float | None:
 def reaches_nyquist(x: np.ndarray, step: float, noise: float = 0.0) -> bool:
     """Whether a channel (N,) has content up to its Nyquist frequency, with power that falls off in the last parts.
 
-    White noise has as much between 0.8 and 1 of the Nyquist frequency as between 0.6 and 0.8, but for chance; in most
-    of the uppermost tenth of a channel whose content ends below it there is nothing else; and what stops to fall is
-    noise, whatever its level.
-
-    Args:
-        x: The channel.
-        step: From sample to sample, s.
-        noise: Standard deviation of its noise, where somebody knows it.
+    White noise, whose standard deviation somebody may know, has as much between 0.8 and 1 of the Nyquist frequency as
+    between 0.6 and 0.8, but for chance; in most of the uppermost tenth of a channel whose content ends below it there
+    is nothing else; and what stops to fall is noise, whatever its level.
     """
     lower, upper, last = _upper_parts(x, step)
     if min(len(lower), len(last)) < FEWEST_BINS or not upper.any():

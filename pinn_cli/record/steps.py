@@ -238,8 +238,7 @@ class PiecewiseLoad:
         if block != self._block:
             self._block, self._coefficients = block, self._of(block)
         of_piece = 2.0 * (place - int(place)) - 1.0
-        out: np.ndarray = (of_piece**self._powers).dot(self._coefficients[piece]).reshape(self._shape)
-        return out
+        return (of_piece**self._powers).dot(self._coefficients[piece]).reshape(self._shape)
 
     def _of(self, block: int) -> np.ndarray:
         """(pieces, powers, values), of a block."""
@@ -293,16 +292,9 @@ def implicit_steps(
 
 
 def made_in_a_sample(slope: Slope, sampled: np.ndarray, start: np.ndarray, step: float, coordinates: int) -> np.ndarray:
-    """(states,), what the loads make of displacements, of velocities and of hidden forces within a sample, at most.
+    """(states,), what loads (N, ...) make of displacements, velocities and hidden forces within a sample, at most.
 
     They make velocities at their rates from the start, and all else at the rates that follow from these.
-
-    Args:
-        slope: Of a state under a load.
-        sampled: (N, ...), the loads.
-        start: The state at the first time: displacements, velocities, hidden forces.
-        step: From sample to sample, s.
-        coordinates: n, as many displacements and velocities.
     """
     first = start + step * np.array([slope(start, load) for load in sampled])
     moved = start + step * np.array([slope(state, load) for state, load in zip(first, sampled, strict=True)])

@@ -35,16 +35,10 @@ def si_factor(setting: str, unit: Any, quantity: str) -> float:
 
 
 def factor(setting: str, unit: Any, base_unit: str, sensor: str) -> float:
-    """How many of a unit of its own one of a sensor's unit is.
-
-    Args:
-        setting: Whose unit it is, for errors.
-        unit: As of :func:`si_factor`.
-        base_unit: The unit that it is counted in.
-        sensor: What the sensor is called.
+    """How many of ``base_unit`` one unit of a sensor, called so, is; see :func:`si_factor`.
 
     Raises:
-        InputError: As of :func:`si_factor`.
+        InputError: An unknown unit, or one of another quantity.
     """
     if unit is None or unit == base_unit:
         return 1.0

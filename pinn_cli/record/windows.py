@@ -170,14 +170,6 @@ class RecordWindows(ABC):
         """
 
 
-def _measured(
-    data: MeasuredData, clock: Clock, window: Window, step: float, structure: tuple[int, list[str]]
-) -> Measurements:
-    """What was measured in a window of a file, from its columns, a step (s), DOFs and connections of the structure."""
-    ends = replace(data, start=window.start - 0.5 * step, stop=window.stop + 0.5 * step)
-    return ends.measure(*structure, clock)
-
-
 class MeasuredWindows(RecordWindows):
     """Windows of files; their columns are read once, and a window of them is used at a time.
 
@@ -192,28 +184,28 @@ class MeasuredWindows(RecordWindows):
         self.data, self.connections = data, connections
 
     @cached_property
-    def clock(self) -> Clock:
-        """The columns, and when they were sampled."""
-        return self.data.clock()
+    def _whole(self) -> tuple[Clock, np.ndarray]:
+        """The columns, and the times that are used (N,), s."""
+        clock = self.data.clock()
+        return clock, self.data.used(clock)
 
     def after(self, done: int) -> Iterator[Window]:
         """See :meth:`RecordWindows.after`."""
-        time = self.data.used(self.clock)
+        _, time = self._whole
         yield from Grid.of(*self.lengths, time).all(float(time[-1]))[done:]
 
     def measure(self, true: Structure, window: Window) -> Measurements:
         """See :meth:`RecordWindows.measure`."""
-        step = Grid.of(*self.lengths, self.data.used(self.clock)).step
-        return _measured(self.data, self.clock, window, step, (true.ndof, self.connections))
+        clock, time = self._whole
+        return self._measured(true, window, clock, Grid.of(*self.lengths, time))
+
+    def _measured(self, true: Structure, window: Window, clock: Clock, grid: Grid) -> Measurements:
+        start, stop = window.start - 0.5 * grid.step, window.stop + 0.5 * grid.step
+        return replace(self.data, start=start, stop=stop).measure(true.ndof, self.connections, clock)
 
 
 class SimulatedWindows(RecordWindows):
-    """Windows of a simulated record, which is simulated once.
-
-    Args:
-        simulated: How.
-        length, overlap: See :class:`RecordWindows`.
-    """
+    """Windows of a simulated record, which is simulated once."""
 
     def __init__(self, simulated: Simulated, length: float, overlap: float | None) -> None:
         super().__init__(length, overlap)
@@ -255,13 +247,11 @@ class Patience:
             positive_number("follow.until_idle", self.until_idle)
 
 
-class GrowingWindows(RecordWindows):
+class GrowingWindows(MeasuredWindows):
     """Windows of a file that grows, or of files that arrive in a folder.
 
     Args:
-        data: What is what in them.
-        connections: Names of the structure's.
-        length, overlap: See :class:`RecordWindows`.
+        data, connections, length, overlap: See :class:`MeasuredWindows`.
         patience: How the record is waited for.
         sleep: Called with seconds while there is nothing to do.
         now: A clock, s.
@@ -277,9 +267,8 @@ class GrowingWindows(RecordWindows):
         sleep: Callable[[float], None] = time.sleep,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(length, overlap)
-        self.data, self.connections, self.patience = data, connections, patience
-        self.sleep, self.now = sleep, now
+        super().__init__(data, connections, length, overlap)
+        self.patience, self.sleep, self.now = patience, sleep, now
         self._grid: Grid | None = None
 
     @cached_property
@@ -310,7 +299,7 @@ class GrowingWindows(RecordWindows):
     def measure(self, true: Structure, window: Window) -> Measurements:
         """See :meth:`RecordWindows.measure`."""
         assert self._grid is not None
-        return _measured(self.data, self.arriving.clock, window, self._grid.step, (true.ndof, self.connections))
+        return self._measured(true, window, self.arriving.clock, self._grid)
 
     @property
     def _time(self) -> np.ndarray:

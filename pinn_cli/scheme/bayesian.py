@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,11 +16,9 @@ from omegaconf import OmegaConf
 
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import calibrated_starts
-from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.missing_values import check_given
-from pinn_cli.scheme.problem import FREE, Problem
-from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, UnknownForce
+from pinn_cli.scheme.problem import FREE, GAUSSIAN_PROCESS, Problem
+from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, UnknownForce, check_given
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import Start, Starts
 from pinn_cli.scheme.unknowns import (
@@ -72,21 +70,6 @@ def checked_priors(given: Mapping[str, Any] | None) -> dict[str, Prior]:
     return {key: _prior(f"{PRIORS_SETTING}.{key}", node) for key, node in (given or {}).items() if node is not None}
 
 
-def with_defaults(
-    priors: Mapping[Parameter, Prior], scales: Mapping[Parameter, float], positive: Sequence[str]
-) -> dict[Parameter, Prior]:
-    """A prior for every unknown parameter: where none was chosen a wide one, on the scale of its start.
-
-    Args:
-        priors: Those that were chosen.
-        scales: Of every unknown parameter.
-        positive: Kinds of parameters that cannot be negative: HalfNormal, otherwise Normal around zero.
-    """
-    stds = {p: PRIOR_WIDTH * s for p, s in scales.items()}
-    wide = {p: HalfNormal(std) if p.kind in positive else Normal(0.0, std) for p, std in stds.items()}
-    return {parameter: priors.get(parameter, wide[parameter]) for parameter in scales}
-
-
 def _prior(setting: str, node: Any) -> Prior:
     if not isinstance(node, Mapping):
         raise InputError(setting, node, "a mapping such as {kind: gamma, shape: 2, rate: 0.1}, or null: a wide prior")
@@ -103,9 +86,8 @@ def _gamma(place: str, shape: Any = None, rate: Any = None, mean: Any = None, st
         return Gamma(positive_number(f"{place}.shape", shape), positive_number(f"{place}.rate", rate))
     if chosen == {"mean", "std"}:
         return Gamma.of_moments(positive_number(f"{place}.mean", mean), positive_number(f"{place}.std", std))
-    raise InputError(
-        place, f"gamma with {', '.join(sorted(chosen)) or 'nothing'}", "given shape and rate, or mean and std"
-    )
+    shown = f"gamma with {', '.join(sorted(chosen)) or 'nothing'}"
+    raise InputError(place, shown, "given shape and rate, or mean and std")
 
 
 def _half_normal(place: str, scale: Any) -> HalfNormal:
@@ -176,32 +158,25 @@ class Bayesian(EstimationScheme):
         check_given(prescribed, chosen)
         positive = positive_kinds(prescribed, self.positive)
         check_used(prescribed, chosen, None, self.positive)
-        given = _given(record, chosen)
+        # Of a simulated structure what is prescribed would be the truth.
+        given = {p: p.prescribed for p in chosen if math.isfinite(p.prescribed) and not record.simulated}
         (starts,) = Starts(prescribed, records, chosen, given, 1)
         values = {p: start.value for p, start in starts.items()}
         records = [calibrated_starts(each, values) for each in records]
-        scales = {parameter: starts[parameter].scale for parameter in chosen}
         given_priors = read_priors(self.priors, prescribed)
-        priors = with_defaults(given_priors, scales, positive)
+        stds = {p: PRIOR_WIDTH * starts[p].scale for p in chosen}
+        wide = {p: HalfNormal(std) if p.kind in positive else Normal(0.0, std) for p, std in stds.items()}
+        priors = {p: given_priors.get(p, wide[p]) for p in chosen}
         said = (replace(p, said=given.get(p, math.nan)) for p in chosen)
         unknown = tuple(_unknown(p, priors[p], starts[p], p in given_priors) for p in said)
         structure = at_starts(prescribed, unknown)
         return JointProblem.of(*map(_with_priors, self.joint_problem(structure, records, unknown)))
 
 
-def _given(record: Record, unknown: Collection[Parameter]) -> dict[Parameter, float]:
-    """What the user says of a measured structure's unknown parameters; of a simulated one it would be the truth."""
-    return {} if record.simulated else {p: p.prescribed for p in unknown if math.isfinite(p.prescribed)}
-
-
 def _unknown(parameter: Parameter, prior: Prior, start: Start, chosen_by_user: bool) -> Parameter:
     """A parameter under a Gaussian that is wider than its prior: Gauss-Newton is to find what the record says.
 
-    Args:
-        parameter: Which.
-        prior: Of it.
-        start: What the record says of it.
-        chosen_by_user: Whether the prior is; then the parameter begins at its mean.
+    Where the user has chosen the prior the parameter begins at its mean.
     """
     centre, width = prior.mean, prior.std
     chosen = chosen_by_user and np.isfinite(centre) and np.isfinite(width) and width > 0

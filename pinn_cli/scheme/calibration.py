@@ -27,9 +27,7 @@ PER_PERIOD = 8
 def calibrated_starts(record: Record, starts: Mapping[Parameter, float]) -> Record:
     """The record whose sensors' unknown gains and delays start where a screening has found them.
 
-    Args:
-        record: What was measured.
-        starts: Where parameters start, those of the structure among them.
+    Parameters of the structure may stand among the starts.
     """
     by_sensor: defaultdict[str, dict[str, float]] = defaultdict(dict)
     for parameter, value in starts.items():
@@ -49,19 +47,6 @@ def sensor_parameters(record: Record) -> tuple[Parameter, ...]:
         allowed = "one channel at least whose gain is a number: the reference"
         hint = "with every gain in doubt nothing tells how large motions and forces are"
         raise InputError("data.channels", "gain in doubt on all", allowed, hint)
-    return tuple(parameter for channel in record.calibrated for parameter in _in_doubt(channel))
-
-
-def calibrations(channels: Sequence[Channel]) -> dict[str, Tensor]:
-    """Kind to the numbers of channels as they are known or believed, (channels,); none without channels."""
-    if not channels:
-        return {}
-    values = {kind: [channel.number(kind).value for channel in channels] for kind in CALIBRATION_UNITS}
-    return {kind: torch.tensor(of_kind, dtype=torch.float64) for kind, of_kind in values.items()}
-
-
-def _in_doubt(channel: Channel) -> tuple[Parameter, ...]:
-    """Of one channel's calibration, the numbers that are not known."""
     return tuple(
         Parameter(
             kind,
@@ -73,9 +58,18 @@ def _in_doubt(channel: Channel) -> tuple[Parameter, ...]:
             positive=kind == HIGH_PASS,
             label=channel.key,
         )
+        for channel in record.calibrated
         for kind, unit in CALIBRATION_UNITS.items()
         if not (number := channel.number(kind)).is_known
     )
+
+
+def calibrations(channels: Sequence[Channel]) -> dict[str, Tensor]:
+    """Kind to the numbers of channels as they are known or believed, (channels,); none without channels."""
+    if not channels:
+        return {}
+    values = {kind: [channel.number(kind).value for channel in channels] for kind in CALIBRATION_UNITS}
+    return {kind: torch.tensor(of_kind, dtype=torch.float64) for kind, of_kind in values.items()}
 
 
 @dataclass(frozen=True)
@@ -115,12 +109,7 @@ class ChannelDoubts:
     """What every channel shows of what it feels, exp(gain - i omega delay), where that is in doubt.
 
     The unknowns are the logarithms of gains, and delays in their prior standard deviations; both are 0 where the record
-    was believed to be calibrated.
-
-    Args:
-        record: What was measured.
-        spectra: Of it.
-        doubts: Those of other records' sensors among them.
+    was believed to be calibrated. Doubts about other records' sensors may be among them.
     """
 
     def __init__(self, record: Record, spectra: CrossSpectra[Channel], doubts: Sequence[Doubt]) -> None:

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pinn_cli.model.knowledge import Model, ParameterKnowledge
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import sensor_parameters
-from pinn_cli.scheme.inputs import inputs_of
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.problem import JointPrior, Problem, inputs_of
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.parameters import MASS, Parameter
 from pinn_cli.system.priors import Prior
 from pinn_cli.system.quantities import CALIBRATION_UNITS, OF_ONE_CHANNEL
 from pinn_cli.system.structure import Structure
+
+log = logging.getLogger(__name__)
+
+MODEL_SETTING = "model"
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +60,7 @@ class JointProblem:
             uncertain: Of the structure.
             acceleration_through: See :class:`Problem`.
             initial_motion: Likewise.
-            unknown_force: See :func:`pinn_cli.scheme.inputs.inputs_of`.
+            unknown_force: See :func:`pinn_cli.scheme.problem.inputs_of`.
         """
         believed: dict[tuple[str, str], Parameter] = {}
         return cls.of(
@@ -71,6 +76,53 @@ class JointProblem:
                 for record in records
             )
         )
+
+    @classmethod
+    def of_model(
+        cls, model: Model, record: Record, updates: bool, acceleration_through: str, initial_motion: str,
+        unknown_force: str,
+    ) -> JointProblem:  # fmt: skip
+        """The problem of a new record of an identified structure.
+
+        Args:
+            model: What earlier records say.
+            record: The new one.
+            updates: Whether the parameters are to be known better afterwards. What the model leaves out then hides as
+                much of them in this record as in those before, and bounds cut off what they do of all records'
+                posterior; else misfit is one more reason for them to be off, and they are what the earlier run's table
+                says.
+            acceleration_through: See :class:`Problem`.
+            initial_motion: Likewise.
+            unknown_force: See :func:`pinn_cli.scheme.problem.inputs_of`.
+
+        Raises:
+            InputError: The run's training did not say how uncertain its parameters are.
+        """
+        known, count = model.known, len(model.parameters)
+        if not np.isfinite(known.covariance).all():
+            allowed = "a run whose training gives standard deviations of the parameters, as gauss_newton does"
+            raise InputError(MODEL_SETTING, model.directory, allowed)
+        within = (known.most_probable(model.lower), known.covariance) if updates else known.within(model.lower)
+        mean, covariance = within
+        std = np.sqrt(np.diag(covariance))
+        parameters = [
+            replace(p, prescribed=float(m), prior_std=float(s), scale=None, unknown=updates and p.unknown)
+            for p, m, s in zip(model.parameters, mean, std, strict=True)
+        ]
+        nothing = np.zeros(count)
+        before = known if updates else ParameterKnowledge(mean, covariance, nothing, nothing, std)
+        prior = JointPrior.of(before, model.levels)
+        sensors = sensor_parameters(record)
+        problem = Problem(
+            model.structure.with_values({p: p.prescribed for p in parameters}),
+            record,
+            (*parameters, *sensors),
+            acceleration_through,
+            initial_motion,
+            inputs=inputs_of(model.structure, record, unknown_force),
+            prior=prior.with_independent([p.prior_std for p in sensors]),
+        )
+        return cls.of(problem)
 
     def __iter__(self) -> Iterator[Problem]:
         return iter(self.by_record)
@@ -163,3 +215,44 @@ def _as_before(parameter: Parameter, believed: dict[tuple[str, str], Parameter])
         hint = "a sensor that was calibrated anew has another name"
         raise InputError("data.channels", f"{parameter.name}: {said}", "the same in all records", hint)
     return parameter
+
+
+def unreached_dofs(problem: Problem) -> list[int]:
+    """DOFs with a sensor, counted from 0, that no force reaches while one acts elsewhere; they can only swing freely.
+
+    A connection joins its ends if it has a force where it is stretched or moves, or may have: what is unknown. The
+    modes of a finite-element model are joined by their shapes.
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    structure, record = problem.structure, problem.record
+    if structure.is_modal:
+        return []
+    count = structure.incidence.shape[0]
+    parameters = structure.parameters_like(np.empty(0))
+    force = structure.connection_force(np.ones(count), np.ones(count), parameters)
+    joins = np.isnan(force) | (force != 0)
+    joins[structure.memory] = True
+    for parameter in (p for p in problem.uncertain if p.unknown and p.kind in structure.carriers and p.kind != MASS):
+        connections, which = structure.carriers[parameter.kind]
+        joins[connections[which == parameter.index]] = True
+    stretch = abs(structure.incidence.matrix[joins])
+    _, part = connected_components(stretch.T @ stretch, directed=False)
+    acting = ~record.unforced
+    if record.ground_acceleration is not None:
+        acting = acting | (structure.with_ground != 0)
+    if structure.by_supports is not None:
+        carried = (abs(structure.stretch.matrix[joins]).T @ abs(structure.stretch.matrix[joins]))[:, len(acting) :]
+        acting = acting | (carried.sum(axis=1).A1[: len(acting)] > 0.0)
+    reached = np.isin(part, part[acting])
+    return np.flatnonzero(record.observed & ~reached).tolist() if reached.any() else []
+
+
+def tell_if_unreached(problem: JointProblem) -> None:
+    """Say before anything is solved which sensors no force of the model can move."""
+    for number, record_problem in enumerate(problem, start=1):
+        dofs = unreached_dofs(record_problem)
+        if dofs:
+            of = f"record {number}: " if len(problem) > 1 else ""
+            text = "%sno force reaches %s, where there is a sensor: no connection joins it to where one acts; add the "
+            log.warning(text + "connection, or the force there (data.force)", of, record_problem.record.dof_names(dofs))

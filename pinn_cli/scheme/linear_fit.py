@@ -115,10 +115,7 @@ class LinearStructure:
 class LinearFit:
     """The misfit of one record's cross spectra, as a function of the structure's unknowns and of the channels'.
 
-    Args:
-        record: What was measured; see :func:`what_acts`.
-        structure: With its unknowns.
-        doubts: What is in doubt of the channels of this record, and of others.
+    What is in doubt of the channels of other records may be among the doubts. See :func:`what_acts`.
     """
 
     def __init__(self, record: Record, structure: LinearStructure, doubts: Sequence[Doubt] = ()) -> None:
@@ -199,8 +196,7 @@ class LinearFit:
 
     def residual(self, x: np.ndarray) -> np.ndarray:
         """(O, S, F) misfit of the cross spectra."""
-        misfit: np.ndarray = self.scale * self._smoothed(self._parts(x).sum(0)) - self.common
-        return misfit
+        return self.scale * self._smoothed(self._parts(x).sum(0)) - self.common
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """(O, S, F, p), of the residual by the unknowns of the structure and of the channels."""
@@ -232,11 +228,7 @@ class LinearFit:
 
 
 class JointFit:
-    """The misfits of several records of one structure: its unknowns, then gains and delays of their sensors.
-
-    Args:
-        fits: Of every record, with the same doubts.
-    """
+    """The misfits of several records: unknowns of their one structure, then gains and delays of their sensors."""
 
     def __init__(self, fits: Sequence[LinearFit]) -> None:
         self.fits, self.structure, self.doubts = fits, fits[0].structure, fits[0].doubts
@@ -291,5 +283,4 @@ class JointFit:
 
 def last_ends(stretch: np.ndarray) -> np.ndarray:
     """(C,), of every connection, a row of (C, n), the last coordinate that stretches it; of a chain its own mass."""
-    last: np.ndarray = stretch.shape[1] - 1 - np.argmax(stretch[:, ::-1] != 0, axis=1)
-    return last
+    return stretch.shape[1] - 1 - np.argmax(stretch[:, ::-1] != 0, axis=1)

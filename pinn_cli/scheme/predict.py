@@ -11,9 +11,7 @@ import numpy as np
 from pinn_cli.model.knowledge import Model
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.scheme.inputs import FREE as FREE_FORCE
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.of_model import given, problem_of_model
 from pinn_cli.scheme.problem import FREE, REST
 from pinn_cli.scheme.scheme import Scheme
 from pinn_cli.settings.errors import InputError
@@ -48,7 +46,7 @@ class Predict(Scheme):
         draws: int = 200,
         measured_input: bool = True,
     ) -> None:
-        self.model = given(model, self.name)
+        self.model = self.given(model)
         self.start = _checked_start(start, self.model.structure)
         self.draws = whole_number("scheme.draws", draws, least=20, most=100_000)
         self.measured_input = true_or_false("scheme.measured_input", measured_input)
@@ -76,7 +74,7 @@ class Predict(Scheme):
         known, misfit = self.model.known, self.model.misfit
         if misfit is not None:  # of it the parameters hide no more than there is at their frequencies
             known = replace(known, told=misfit.at_motion * known.told)
-        return problem_of_model(replace(self.model, known=known), record, False, "derivative", FREE, FREE_FORCE)
+        return JointProblem.of_model(replace(self.model, known=known), record, False, "derivative", FREE, FREE)
 
 
 def _checked_start(start: Any, structure: Structure) -> tuple[np.ndarray, np.ndarray]:

@@ -1,27 +1,40 @@
-"""What an estimator is given: a prescribed chain, a record, and which parameters may move. Never the truth."""
+"""What an estimator is given: a prescribed chain, a record, and which parameters may move. Never the truth.
+
+Beside the forces that were measured there act the ground, and forces that nobody measured.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import qr
 
 from pinn_cli.model.knowledge import EndState, Levels, ParameterKnowledge
-from pinn_cli.record.channels import motion_amplitudes
+from pinn_cli.record.channels import motion_amplitudes, record_band
 from pinn_cli.record.record import Record
 from pinn_cli.record.steps import has_stiff_law
+from pinn_cli.settings.errors import InputError
 from pinn_cli.system.dynamics import Dynamics
-from pinn_cli.system.functions import Inputs
+from pinn_cli.system.functions import FLAT, Inputs
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.priors import Prior
+from pinn_cli.system.quantities import FORCE
+from pinn_cli.system.shapes import Shapes
 from pinn_cli.system.structure import Structure
 
 # What measured accelerations can be compared with.
 THROUGH = ("derivative", "observer", "both")
 # How the motion of a record may begin: anyhow, or at rest.
 BEGINNINGS = FREE, REST = "free", "rest"
+# How a force that nobody measured is estimated: as a Gaussian process, or as whatever the motion takes.
+GAUSSIAN_PROCESS = "gaussian_process"
+UNKNOWN_FORCES = (GAUSSIAN_PROCESS, FREE)
+# Periods of the record's highest frequency that the correlation time of an unknown force starts at: its edge is there.
+FIRST_CORRELATION = FLAT / math.pi
 # A structure that somebody calls at rest still moves a little: so much of what it does later.
 RESIDUAL_MOTION = 1e-3
 # Speed below which contacts that stick creep in the equations of an estimator, over the record's rms velocity. With ten
@@ -53,8 +66,7 @@ class TurningPoints:
             return np.zeros(len(time), dtype=bool)
         after = np.searchsorted(self.time, time)
         distances = [np.abs(time - self.time[np.clip(after - k, 0, len(self.time) - 1)]) for k in (0, 1)]
-        close: np.ndarray = np.minimum(*distances) < RINGS * spacing
-        return close
+        return np.minimum(*distances) < RINGS * spacing
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +106,7 @@ class JointPrior:
     def precision(self) -> np.ndarray:
         """(p, p), the inverse of the correlation."""
         root = np.linalg.inv(np.linalg.cholesky(self.correlation))
-        inverse: np.ndarray = root.T @ root
-        return inverse
+        return root.T @ root
 
     def with_independent(self, std: Sequence[float]) -> JointPrior:
         """With parameters behind these that have nothing to do with them, and their standard deviations."""
@@ -211,3 +222,70 @@ class Problem:
     def identifies(self) -> bool:
         """Whether any parameter is unknown."""
         return any(parameter.unknown for parameter in self.uncertain)
+
+
+def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIAN_PROCESS) -> Inputs:
+    """What acts beside measured forces; how an unknown force is estimated is one of :data:`UNKNOWN_FORCES`.
+
+    Raises:
+        InputError: A record that a structure in modal coordinates cannot be asked about.
+    """
+    if structure.is_modal:
+        _check_modal(structure.shapes, record, unknown_force)
+    left_open = ~record.unforced & ~record.sensors("force")
+    forces = tuple(int(dof) for dof in np.flatnonzero(left_open)) if unknown_force == GAUSSIAN_PROCESS else ()
+    if forces and record.misses_ground:
+        allowed, hint = "measured where nobody measured the ground", "nothing tells one from the other"
+        raise InputError("data.force", f"null on {record.dof_names(forces)}", allowed, hint)
+    functions = structure.is_modal or any(channel.quantity == FORCE for channel in record.calibrated)
+    loads = tuple(int(dof) for dof in np.flatnonzero(record.sensors(FORCE))) if functions else ()
+    filters = tuple(channel.index for channel in record.calibrated if channel.filter_order)
+    together = bool(filters) or not all(channel.feels_one for channel in record.calibrated)
+    moved = record.ground_acceleration is not None or bool(record.supports)
+    if not (forces or loads or moved or len(structure.memory)):
+        return Inputs(together=together, filters=filters)
+    band = record_band(record)
+    return Inputs(
+        record.ground_acceleration is not None,
+        not record.misses_ground,
+        record.frame == "absolute",
+        forces,
+        FIRST_CORRELATION / band,
+        rate=math.pi * band,
+        edge=2.0 * math.pi * band,
+        loads=loads,
+        together=together,
+        filters=filters,
+        supports=tuple(record.supports),
+    )
+
+
+def with_every_force(problem: Problem) -> Problem:
+    """The same problem with a force that nobody measured on every coordinate, beside those that were.
+
+    Where these are modes, on as many DOFs, which they move in the most different ways.
+    """
+    band, shapes = record_band(problem.record), problem.structure.shapes.matrix
+    dofs = np.sort(qr(shapes.T, mode="r", pivoting=True)[1][: shapes.shape[1]])
+    forces = tuple(int(dof) for dof in dofs)
+    inputs = replace(
+        problem.inputs,
+        forces=forces,
+        correlation_time=FIRST_CORRELATION / band,
+        rate=math.pi * band,
+        edge=2.0 * math.pi * band,
+    )
+    return replace(problem, inputs=inputs)
+
+
+def _check_modal(shapes: Shapes, record: Record, unknown_force: str) -> None:
+    """What cannot be said of modes: forces on them are the same ones as on the DOFs."""
+    if record.intersample != "band_limited":
+        allowed, hint = "band_limited with system=matrices", "a held force is no force of a mode"
+        raise InputError("data.intersample", record.intersample, allowed, hint)
+    left_open = ~record.unforced & ~record.sensors("force")
+    if unknown_force == FREE and left_open.any():
+        hint = "the motion of a few modes leaves no force open"
+        raise InputError("scheme.unknown_force", FREE, f"{GAUSSIAN_PROCESS} with system=matrices", hint)
+    if record.ground_acceleration is not None:
+        shapes.check_ground()

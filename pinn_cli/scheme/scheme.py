@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -11,10 +13,8 @@ import numpy as np
 from pinn_cli.model.knowledge import Model
 from pinn_cli.record.channels import motion_amplitudes
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.inputs import UNKNOWN_FORCES
-from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.of_model import problem_going_on, problem_of_model
-from pinn_cli.scheme.problem import BEGINNINGS, THROUGH
+from pinn_cli.scheme.joint_problem import MODEL_SETTING, JointProblem
+from pinn_cli.scheme.problem import BEGINNINGS, FREE, THROUGH, UNKNOWN_FORCES
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of
@@ -64,12 +64,7 @@ class Scheme(ABC):
         return self.damped(prescribed, records)
 
     def damped(self, prescribed: Structure, records: Sequence[Record]) -> Structure:
-        """The structure with damping of its own accord where nobody has said a word of it; else as it is.
-
-        Args:
-            prescribed: As configured; NaN where a measured structure has no value.
-            records: As observed.
-        """
+        """The structure with damping of its own accord where nobody has said a word of it; else as it is."""
         return prescribed
 
     @abstractmethod
@@ -79,6 +74,17 @@ class Scheme(ABC):
         Raises:
             InputError: A setting does not fit, or the scheme has one record at a time.
         """
+
+    def given(self, model: Model | None) -> Model:
+        """The model of a scheme that cannot do without.
+
+        Raises:
+            InputError: There is none.
+        """
+        if model is None:
+            hint = f"pinn-run model=outputs/... scheme={self.name} data=..."
+            raise InputError(MODEL_SETTING, None, f"the directory of a finished run with scheme={self.name}", hint)
+        return model
 
     def only_one(self, records: Sequence[Record], where: str = "", hint: str = "") -> Record:
         """The record of a scheme that has one at a time.
@@ -99,25 +105,17 @@ class Scheme(ABC):
     def next_problem(self, model: Model, record: Record) -> JointProblem:
         """The problem of a record that goes on where an earlier one handed over: a window, and the next.
 
-        Args:
-            model: What is known there, of parameters, motion and noise.
-            record: Its first sample is that at which it was handed over.
+        Its first sample is that at which it was handed over; the model is what is known there, of parameters, motion
+        and noise.
 
         Raises:
             InputError: The scheme has one window at a time.
         """
-        raise InputError(
-            "data.window", record.duration, f"null with scheme={self.name}", "it solves a record as a whole"
-        )
+        hint = "it solves a record as a whole"
+        raise InputError("data.window", record.duration, f"null with scheme={self.name}", hint)
 
     def with_record(self, problem: JointProblem, prescribed: Structure, record: Record) -> JointProblem:
-        """The same problem from fewer sensors; what was unknown stays so, and nothing else becomes it.
-
-        Args:
-            problem: As it was posed.
-            prescribed: See :meth:`pose`.
-            record: In place of its own.
-        """
+        """The same problem from fewer sensors; what was unknown stays so, and nothing else becomes it."""
         return self.pose(prescribed, [record])
 
 
@@ -145,7 +143,8 @@ class EstimationScheme(Scheme):
 
     def next_problem(self, model: Model, record: Record) -> JointProblem:
         """See :meth:`Scheme.next_problem`."""
-        return problem_going_on(model, record, self.acceleration_through, self.unknown_force)
+        problem = JointProblem.of_model(model, record, True, self.acceleration_through, FREE, self.unknown_force)
+        return JointProblem.of(replace(problem.alone, initial_state=model.end))
 
     def joint_problem(
         self, structure: Structure, records: Sequence[Record], uncertain: tuple[Parameter, ...]
@@ -155,6 +154,38 @@ class EstimationScheme(Scheme):
         return JointProblem.of_records(structure, records, uncertain, *settings)
 
     def problem_of_model(self, model: Model, record: Record, updates: bool) -> JointProblem:
-        """See :func:`pinn_cli.scheme.of_model.problem_of_model`."""
+        """See :meth:`pinn_cli.scheme.joint_problem.JointProblem.of_model`."""
         settings = self.acceleration_through, self.initial_motion, self.unknown_force
-        return problem_of_model(model, record, updates, *settings)
+        return JointProblem.of_model(model, record, updates, *settings)
+
+
+def check_given(prescribed: Structure, unknown: Collection[Parameter] = ()) -> None:
+    """See that every parameter of a structure has a value, NaN is none, or is unknown.
+
+    Raises:
+        InputError: Naming ``system.<kind>`` of what is neither given nor unknown.
+    """
+    missing: dict[str, list[Parameter]] = {}
+    for parameter in prescribed.every_parameter():
+        if parameter not in unknown and math.isnan(parameter.prescribed):
+            missing.setdefault(parameter.kind, []).append(parameter)
+    if not missing:
+        return
+    all_missing = [parameter for parameters in missing.values() for parameter in parameters]
+    settings = ", ".join(dict.fromkeys(prescribed.labels.setting(parameter) for parameter in all_missing))
+    units = ", ".join(dict.fromkeys(f"{p.kind} in {p.unit}" for p in all_missing))
+    named = bool(prescribed.labels.connections)
+    names = ", ".join(_shown([p.name for p in ps], named) for ps in missing.values())
+    given = "a number" if named else f"a number or a list of {prescribed.ndof}"
+    of_whole = "c" in missing and not prescribed.supports
+    whole = "; system.damping={ratio: 0.02} says it of the whole, without a c" if of_whole else ""
+    how = f"name them in scheme.unknown of scheme=state_parameter or bayesian{whole}"
+    hint = f"a measured record takes no value of the demonstration's. If {names} are unknown, {how}"
+    raise InputError(settings, "(nothing)", f"your structure's own, each {given} ({units})", hint)
+
+
+def _shown(names: list[str], named: bool) -> str:
+    """Numbered parameters as a range; those that have names of their own one by one."""
+    if named:
+        return ", ".join(names)
+    return names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}" if len(names) > 2 else ", ".join(names)

@@ -43,12 +43,7 @@ SLOWEST, FASTEST = 0.5, 3.0
 
 
 class PowerFit(LinearFit):
-    """The unknowns of a :class:`LinearFit`, and the misfit of the logarithms of the sensors' power spectra.
-
-    Args:
-        record: Whose forces are not all measured.
-        structure: With its unknowns.
-    """
+    """A record whose forces are not all measured: the misfit of the logarithms of its sensors' power spectra."""
 
     def __init__(self, record: Record, structure: LinearStructure) -> None:
         super().__init__(record, structure)
@@ -200,14 +195,9 @@ def grid_of_starts(model: JointFit, records: Sequence[Record], guess: Mapping[st
 def common_factors(
     stretch: np.ndarray, mass: np.ndarray, stiffness: np.ndarray, records: Sequence[Record], per_decade: int
 ) -> np.ndarray:
-    """Factors on all stiffnesses at which records can tell a structure's frequencies; none where it has none.
+    """Factors on all stiffnesses (C,) at which records can tell a structure's frequencies; none where it has none.
 
-    Args:
-        stretch: (C, n), which coordinates stretch each connection.
-        mass: (n,).
-        stiffness: (C,).
-        records: Which.
-        per_decade: Of the factors, so many.
+    The coordinates that stretch each connection are (C, n), the masses (n,).
     """
     rates = np.linalg.eigvalsh(stretch.T @ (stiffness[:, None] * stretch) / np.sqrt(np.outer(mass, mass)))
     # A chain that is loose somewhere has frequencies of zero, which say nothing about its stiffness.

@@ -43,16 +43,11 @@ def unobserved_dofs(ndof: int, fraction: float, unobserved: str | Sequence[int] 
     else:
         dofs = entries(unobserved)
         if not all(is_whole_number(dof) and 1 <= dof <= ndof for dof in dofs):
-            raise InputError(
-                "scheme.unobserved",
-                list(unobserved),
-                f"DOFs from 1 to {ndof}",
-                "DOFs are counted from 1 at the fixed end",
-            )
+            hint = "DOFs are counted from 1 at the fixed end"
+            raise InputError("scheme.unobserved", list(unobserved), f"DOFs from 1 to {ndof}", hint)
     if len(set(dofs)) == ndof:
-        raise InputError(
-            "scheme.unobserved", unobserved, f"fewer than all {ndof} DOFs", "an estimator needs one observed DOF"
-        )
+        hint = "an estimator needs one observed DOF"
+        raise InputError("scheme.unobserved", unobserved, f"fewer than all {ndof} DOFs", hint)
     return sorted(set(dofs))
 
 
@@ -114,9 +109,8 @@ def sensor_quantities(sensors: Mapping[str, bool]) -> tuple[str, ...]:
             raise InputError(f"scheme.sensors.{name}", chosen, allowed)
     quantities = tuple(q for q in RESPONSE_QUANTITIES if sensors.get(q, False))
     if not quantities:
-        raise InputError(
-            "scheme.sensors", dict(sensors), "at least one of displacement, velocity, acceleration set to true"
-        )
+        allowed = "at least one of displacement, velocity, acceleration set to true"
+        raise InputError("scheme.sensors", dict(sensors), allowed)
     return quantities
 
 

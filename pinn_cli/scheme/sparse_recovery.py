@@ -7,11 +7,9 @@ from collections.abc import Mapping, Sequence
 from pinn_cli.model.knowledge import Model
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import calibrated_starts, sensor_parameters
-from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.missing_values import check_given
-from pinn_cli.scheme.problem import FREE
-from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, UnknownForce
+from pinn_cli.scheme.problem import FREE, GAUSSIAN_PROCESS
+from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, UnknownForce, check_given
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import Starts
 from pinn_cli.scheme.unknowns import believed_parameters, checked_uncertainty
@@ -22,8 +20,7 @@ class SparseRecovery(EstimationScheme):
     """States from sparse sensors and a prescribed model.
 
     Args:
-        unobserved_fraction: See :func:`pinn_cli.scheme.sensors.unobserved_dofs`.
-        unobserved: Likewise.
+        unobserved_fraction, unobserved: See :func:`pinn_cli.scheme.sensors.unobserved_dofs`.
         sensors: What an observed DOF of a simulated record has sensors for.
         parameter_uncertainty: Relative prior standard deviation of every prescribed parameter but the masses; 0 holds
             them fixed, as the paper does.

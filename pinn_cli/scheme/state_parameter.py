@@ -15,12 +15,9 @@ import torch
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import calibrated_starts
-from pinn_cli.scheme.inputs import FREE as FREE_FORCE
-from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.missing_values import check_given
-from pinn_cli.scheme.problem import FREE
-from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, UnknownForce
+from pinn_cli.scheme.problem import FREE, GAUSSIAN_PROCESS
+from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, UnknownForce, check_given
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import AUTO, Start, Starts, checked_starts
 from pinn_cli.scheme.unknowns import (
@@ -49,8 +46,7 @@ class StateParameter(EstimationScheme):
     """States and unknown parameters from sparse sensors.
 
     Args:
-        unobserved_fraction: See :func:`pinn_cli.scheme.sensors.unobserved_dofs`.
-        unobserved: Likewise.
+        unobserved_fraction, unobserved: See :func:`pinn_cli.scheme.sensors.unobserved_dofs`.
         sensors: What an observed DOF of a simulated record has sensors for.
         unknown: See :func:`pinn_cli.scheme.unknowns.unknown_parameters`.
         initial: What is said about unknown parameters, by kind, name or pattern, see :mod:`pinn_cli.scheme.starts`; of
@@ -149,7 +145,7 @@ class StateParameter(EstimationScheme):
 
     def _chosen(self, prescribed: Structure, records: Sequence[Record]) -> list[Parameter]:
         record, *further = records
-        return unknown_parameters(prescribed, record, self.unknown, further, self.unknown_force == FREE_FORCE)
+        return unknown_parameters(prescribed, record, self.unknown, further, self.unknown_force == FREE)
 
     def with_record(self, problem: JointProblem, prescribed: Structure, record: Record) -> JointProblem:
         """See :meth:`Scheme.with_record`: by default it is the sensors that say what is unknown."""

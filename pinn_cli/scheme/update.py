@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 
 from pinn_cli.model.knowledge import Model
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS
-from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.of_model import check_updatable, given
-from pinn_cli.scheme.problem import FREE
+from pinn_cli.scheme.joint_problem import MODEL_SETTING, JointProblem
+from pinn_cli.scheme.problem import FREE, GAUSSIAN_PROCESS
 from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, UnknownForce
 from pinn_cli.scheme.sensors import Sensors
+from pinn_cli.settings.errors import InputError
 from pinn_cli.system.structure import Structure
 
 
@@ -25,7 +24,7 @@ class Update(EstimationScheme):
         acceleration_through, initial_motion, unknown_force: See :class:`pinn_cli.scheme.scheme.EstimationScheme`.
 
     Raises:
-        InputError: A setting outside its range, or no model.
+        InputError: A setting outside its range, no model, or one that has nothing to update.
     """
 
     name = "update"
@@ -42,8 +41,11 @@ class Update(EstimationScheme):
         initial_motion: Beginning = FREE,
         unknown_force: UnknownForce = GAUSSIAN_PROCESS,
     ) -> None:
-        self.model = given(model, self.name)
-        check_updatable(self.model)
+        self.model = self.given(model)
+        if not self.model.parameters:
+            hint = "everything in that run was held fixed (scheme.parameter_uncertainty=0)"
+            allowed = "a run with uncertain parameters where scheme=update"
+            raise InputError(MODEL_SETTING, self.model.directory, allowed, hint)
         chosen = Sensors.chosen(sensors, unobserved_fraction, unobserved)
         super().__init__(chosen, acceleration_through, initial_motion, unknown_force)
 

@@ -100,7 +100,7 @@ def build_partial_chain(
 ) -> Structure:
     """The same where a value may be missing, None or left out, alone or in a list: it is NaN in the chain.
 
-    Of a measured structure nobody knows all; :func:`pinn_cli.scheme.missing_values.check_given` sees to it that only
+    Of a measured structure nobody knows all; :func:`pinn_cli.scheme.scheme.check_given` sees to it that only
     what is to be estimated is missing.
     """
     ndof = whole_number("system.ndof", ndof, least=1, most=MOST_DOFS)

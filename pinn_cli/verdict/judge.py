@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.record.channels import channels
-from pinn_cli.scheme.reach import unreached_dofs
+from pinn_cli.scheme.joint_problem import unreached_dofs
 from pinn_cli.system.parameters import MASS
 from pinn_cli.training.calibrated_record import as_run
 from pinn_cli.training.estimated_structure import estimated_structure

@@ -6,8 +6,8 @@ from wings import Wing, wing, wing_record
 
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import BandPass
-from pinn_cli.scheme.modal.modal_fit import BandSpectra, ModalFit
-from pinn_cli.scheme.modal.modal_search import missing_mode, searched
+from pinn_cli.scheme.modal_fit import BandSpectra, ModalFit
+from pinn_cli.scheme.modal_problem import missing_mode, searched
 
 BAND = (4.0, 12.0)
 SIX = (4.4, 5.19, 6.61, 6.88, 9.17, 11.0)

@@ -8,9 +8,8 @@ import pytest
 from independent_records import frame_record
 
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.joint_problem import JointProblem
+from pinn_cli.scheme.joint_problem import JointProblem, tell_if_unreached, unreached_dofs
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.scheme.reach import tell_if_unreached, unreached_dofs
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.topology import build_structure

@@ -16,7 +16,7 @@ from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme import starts as starting
 from pinn_cli.scheme.bayesian import Bayesian
-from pinn_cli.scheme.missing_values import check_given
+from pinn_cli.scheme.scheme import check_given
 from pinn_cli.scheme.starts import checked_starts
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.scheme.unknowns import parameters_called, unknown_parameters

@@ -350,10 +350,8 @@ def _rows(path: Path) -> tuple[list[str], list[list[float]]]:
             row = [np.nan]
         if not np.isfinite(row).all():
             if rows:
-                shown = f"{path.name}, line {number}"
-                raise InputError(
-                    MOTION_SETTING, path, "a file of finite numbers", f"{shown} reads {line.strip()[:SHOWN]!r}"
-                )
+                hint = f"{path.name}, line {number} reads {line.strip()[:SHOWN]!r}"
+                raise InputError(MOTION_SETTING, path, "a file of finite numbers", hint)
         elif row:
             first = first or number
             rows.append(row)

@@ -89,11 +89,7 @@ class CsvFormat(FileFormat):
         return self.table(path, read_text(path, encoding=self.encoding), wanted)
 
     def table(self, path: Path, text: str, wanted: Mapping[str, str] | None = None) -> Table:
-        """The columns of a text.
-
-        Raises:
-            InputError: See :meth:`read`.
-        """
+        """The columns of a text; see :meth:`FileFormat.read`."""
         lines = list(islice(StringIO(text, newline=""), max(self.names_line or 0, 1) + _SOUGHT))
         if len(lines) < (self.names_line or 0):
             allowed = f"a line of {path.name}, which has {len(lines)}"
@@ -105,14 +101,7 @@ class CsvFormat(FileFormat):
             raise InputError("data.path", path, "a readable file of comma-separated values", reason) from None
 
     def _columns(self, path: Path, text: str, lines: Sequence[str], wanted: Mapping[str, str] | None) -> Table:
-        """The columns of a text.
-
-        Args:
-            path: Of the file, for errors.
-            text: All of it.
-            lines: Its first ones, down to the names and beyond.
-            wanted: See :meth:`read`.
-        """
+        """The columns of a text, from all of it and from its first lines, down to the names and beyond."""
         heading = self._heading(lines)
         if heading.width < 2 and heading.numbers and not all(map(_is_number, heading.numbers[0])):
             reason = f"one history whose numbers fill its lines? Write one number a line; {_NAMES_LINE}"
@@ -191,13 +180,7 @@ class Heading:
 
     @classmethod
     def sought(cls, lines: Sequence[str], separator: str, names_line: int | None) -> Heading | None:
-        """Of a text with some separator; None: it has no table by it.
-
-        Args:
-            lines: Of the text.
-            separator: Between cells.
-            names_line: Where the names are; None: it is looked for.
-        """
+        """Of a text with some separator; None: it has no table by it. Where no line of names is given it is sought."""
         try:
             rows = _numbered(lines, separator, names_line or 0)
         except (csv.Error, ValueError):
@@ -311,11 +294,7 @@ def _is_units(row: Sequence[str]) -> bool:
 
 
 def _check_nameless(path: Path, heading: Heading) -> None:
-    """Refuse numbers in the place of names, which would be lost. Columns may be counted: 0, 1, 2.
-
-    Raises:
-        InputError: There are some.
-    """
+    """Refuse numbers in the place of names, which would be lost. Columns may be counted: 0, 1, 2."""
     (header,) = heading.names if len(heading.names) == 1 else ([],)
     cells = [cell for cell in header if cell]
     if heading.numbers and cells and all(map(_is_number, cells)) and not all(map(str.isdigit, cells)):
@@ -326,9 +305,8 @@ def _check_nameless(path: Path, heading: Heading) -> None:
 def _check_names(path: Path, heading: Heading, wanted: Mapping[str, str]) -> None:
     """Refuse names that do not fit the columns.
 
-    Raises:
-        InputError: A name that is asked for is there twice; or the first row of numbers, which may end with separators,
-            has more cells than there are names.
+    A name that is asked for is there twice; or the first row of numbers, which may end with separators, has more cells
+    than there are names.
     """
     (header,) = heading.names if len(heading.names) == 1 else ([],)
     for setting, column in wanted.items():
@@ -353,11 +331,7 @@ def _frame(text: str, dialect: dict[str, Any], **options: Any) -> pd.DataFrame:
 
 
 def rows_of(lines: Sequence[str], separator: str) -> list[list[str]]:
-    """Cells of lines, row by row.
-
-    Raises:
-        csv.Error: They are no table.
-    """
+    """Cells of lines, row by row."""
     if separator == BLANKS:
         return [line.split() for line in lines]
     return [list(map(str.strip, row)) for row in csv.reader(lines, delimiter=separator, skipinitialspace=True)]
@@ -369,12 +343,7 @@ def _filled(row: Sequence[str]) -> int:
 
 
 def rate_above(lines: Sequence[str], decimal: str) -> float | None:
-    """Hz, as lines above the names tell it: ``Sample rate [Hz]: 50``, ``dt = 0.02 s``; None: they do not.
-
-    Args:
-        lines: Those lines.
-        decimal: Of their numbers.
-    """
+    """Hz, as lines above the names tell it: ``Sample rate [Hz]: 50``, ``dt = 0.02 s``; None: they do not."""
     number = rf"(?P<number>\d+(?:[{decimal}]\d+)?(?:[eE][+-]?\d+)?|[{decimal}]\d+)"
     for found in re.finditer(rf"(?P<name>[^\d\n]*?){number}[ \t]*(?P<unit>[A-Za-z]*)", "".join(lines)):
         name = found["name"].strip(" \t,;:=#%\"'")

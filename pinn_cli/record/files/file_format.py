@@ -88,8 +88,25 @@ class ArrayFormat(FileFormat):
         if self.package and find_spec(self.package) is None:
             allowed = f"a format whose package is installed; {self.name} needs {self.package}"
             raise InputError("data.format", self.name, allowed, f"pip install 'pinn-cli[{self.name}]'")
-        tables = tables_apart(self, path, wanted)
+        tables = self._tables_apart(path, wanted)
         return tables[0] if len(tables) == 1 else joined(tables, [t.time for t in tables if t.time is not None])
+
+    def _tables_apart(self, path: Path, wanted: Mapping[str, str] | None) -> list[Table]:
+        """What :meth:`tables` reads in the other process, which may take no more memory or time than a file may."""
+        kind, memory = type(self), of_this_machine() // _PART_OF_MEMORY
+        asked = None if wanted is None else dict(wanted)
+        question = [kind.__module__, kind.__qualname__, vars(self), str(path), asked]
+        try:
+            [(layout, values)] = read_apart(answered, question, [path], memory)
+        except UnreadableError as error:
+            raise damaged(path, self.expected, str(error)) from None
+        arrays, tables = iter(values), []
+        for names, hints, timed, odd, first_line, notes in layout:
+            columns = {name: next(arrays) for name in names}
+            sensor_hints = {name: SensorHint(*texts) for name, texts in hints.items()}
+            cells = {name: {int(row): text for row, text in of_column.items()} for name, of_column in odd.items()}
+            tables.append(Table(path, columns, cells, sensor_hints, next(arrays) if timed else None, first_line, notes))
+        return tables
 
     def tables(self, path: Path, wanted: Mapping[str, str] | None) -> list[Table]:
         """The columns in one table for each clock, read in this process.
@@ -122,38 +139,6 @@ class ArrayFormat(FileFormat):
         return content.startswith(self.beginnings)
 
 
-def tables_apart(file_format: ArrayFormat, path: Path, wanted: Mapping[str, str] | None) -> list[Table]:
-    """What a format's ``tables`` reads in the other process.
-
-    Args:
-        file_format: The file's format.
-        path: Of the file.
-        wanted: Setting to name of a column; None: all.
-
-    Raises:
-        InputError: The file is damaged, lacks a column, or takes more memory or time than a file may.
-    """
-    kind, memory = type(file_format), of_this_machine() // _PART_OF_MEMORY
-    question = [
-        kind.__module__,
-        kind.__qualname__,
-        vars(file_format),
-        str(path),
-        wanted if wanted is None else dict(wanted),
-    ]
-    try:
-        [(layout, values)] = read_apart(answered, question, [path], memory)
-    except UnreadableError as error:
-        raise damaged(path, file_format.expected, str(error)) from None
-    arrays, tables = iter(values), []
-    for names, hints, timed, odd, first_line, notes in layout:
-        columns = {name: next(arrays) for name in names}
-        sensor_hints = {name: SensorHint(*texts) for name, texts in hints.items()}
-        cells = {name: {int(row): text for row, text in of_column.items()} for name, of_column in odd.items()}
-        tables.append(Table(path, columns, cells, sensor_hints, next(arrays) if timed else None, first_line, notes))
-    return tables
-
-
 def answered(
     module: str, name: str, settings: Mapping[str, Any], path: str, wanted: Mapping[str, str] | None
 ) -> Iterator[Answer]:
@@ -161,15 +146,9 @@ def answered(
     file_format = object.__new__(getattr(import_module(module), name))
     vars(file_format).update(settings)
     tables = file_format.tables(Path(path), wanted)
+    hints = ({name: astuple(hint) for name, hint in t.hints.items()} for t in tables)
     layout = [
-        (
-            list(t.columns),
-            {n: astuple(hint) for n, hint in t.hints.items()},
-            t.time is not None,
-            t.odd_cells,
-            t.first_line,
-            list(t.notes),
-        )
-        for t in tables
+        (list(t.columns), of_table, t.time is not None, t.odd_cells, t.first_line, list(t.notes))
+        for t, of_table in zip(tables, hints, strict=True)
     ]
     yield layout, [values for t in tables for values in (*t.columns.values(), *(() if t.time is None else (t.time,)))]

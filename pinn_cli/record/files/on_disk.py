@@ -126,13 +126,7 @@ def check_size(path: Path, size: float, setting: str = "data.path") -> None:
 
 
 def other_format(path: Path, content: bytes, expected: str) -> InputError:
-    """What to tell of a file that is not what it was taken for.
-
-    Args:
-        path: Of the file.
-        content: Its first bytes.
-        expected: What it should be, such as ``a MAT file``.
-    """
+    """What to tell of a file that is not ``expected``, such as ``a MAT file``, from its first bytes."""
     kind = _kind(content)
     if not kind and min(content, default=0) >= 9:  # no control characters but tabs and ends of lines
         kind = "text (data=csv?)"

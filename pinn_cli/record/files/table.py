@@ -128,14 +128,9 @@ class Table:
         cls, path: Path, cells: Mapping[str, pd.Series], units: Mapping[str, str], decimal: str = ".",
         first_line: int | None = None,
     ) -> Table:  # fmt: skip
-        """Of cells that pandas holds, of any type. Dates are s from the first of them, durations s.
+        """Of cells (N,) of any type by name, as pandas holds them, and units by name, of these columns or others.
 
-        Args:
-            path: Of the file, for errors.
-            cells: Name to cells (N,).
-            units: Name to unit, of columns or others.
-            decimal: Of cells that are text, ``.`` or ``,``.
-            first_line: See above.
+        Dates are s from the first of them, durations s; ``decimal``, of cells that are text, is ``.`` or ``,``.
         """
         read = {name: _numbers(column, decimal) for name, column in cells.items()}
         return cls(
@@ -221,17 +216,15 @@ class Table:
             return self
         return replace(self, columns={**self.columns, column: since[1:]}, odd_cells={**self.odd_cells, column: {}})
 
-    def refuse_gaps(self, column: str, values: np.ndarray, first: int = 0) -> None:
-        """Refuse NaN among the numbers of rows ``first`` and on.
+    def refuse_gaps(self, column: str, values: np.ndarray) -> None:
+        """Refuse NaN among all numbers (N,) of a column.
 
         Raises:
             InputError: At the first of them.
         """
         gaps = np.flatnonzero(np.isnan(values))
         if len(gaps):
-            raise InputError(
-                self.place(column, first + int(gaps[0])), "empty or NaN", "a finite number", _LEFT_OUT
-            )  # fmt: skip
+            raise InputError(self.place(column, int(gaps[0])), "empty or NaN", "a finite number", _LEFT_OUT)
 
     def place(self, column: str, row: int) -> str:
         """How an error names a cell: by the file, column and line that it comes from."""
@@ -343,13 +336,7 @@ def column_of_times(names: Collection[str]) -> str:
 
 
 def asked_for(path: Path, wanted: Mapping[str, str], names: Collection[str], otherwise: str = "") -> dict[str, str]:
-    """Setting to column, with that of the times by its own name where it is asked for as "".
-
-    Args:
-        path: Of the file.
-        wanted: Setting to the name of the column that it asks for.
-        names: Of the file's columns.
-        otherwise: See :func:`check_names`.
+    """Setting to column, with that of the times by its own name where it is asked for as ""; see :func:`check_names`.
 
     Raises:
         InputError: The file lacks a column.
@@ -362,11 +349,11 @@ def asked_for(path: Path, wanted: Mapping[str, str], names: Collection[str], oth
 def check_names(
     path: Path, wanted: Mapping[str, str], names: Collection[str], hint: str = "", otherwise: str = ""
 ) -> None:
-    """Refuse a file that lacks a column.
+    """Refuse a file that lacks a column of those that are asked for, setting by setting.
 
     Args:
         path: Of the file.
-        wanted: Setting to the name of the column that it asks for, e.g. ``{"data.force.1": "fp (N)"}``.
+        wanted: Such as ``{"data.force.1": "fp (N)"}``.
         names: Of the file's columns.
         hint: The likely cause, where it is known.
         otherwise: What it may be where no name is near.
@@ -378,20 +365,6 @@ def check_names(
         if column not in names:
             likely = hint or suggestion(column, list(names)) or otherwise
             raise InputError(setting, repr(column), f"a column of {path.name}, which has {listed(names)}", likely)
-
-
-def same_length(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Refuse columns of different lengths.
-
-    Raises:
-        InputError: Naming two columns and their lengths.
-    """
-    lengths = {name: len(values) for name, values in columns.items()}
-    if len(set(lengths.values())) > 1:
-        short, long = min(lengths, key=lengths.__getitem__), max(lengths, key=lengths.__getitem__)
-        shown = f"{lengths[short]} samples of {short!r}, {lengths[long]} of {long!r}"
-        hint = "channels of different rates? Put those of one rate into one file, with their times"
-        raise InputError(path.name, shown, "columns of one length", hint)
 
 
 def listed(names: Iterable[str]) -> str:

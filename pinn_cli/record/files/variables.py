@@ -21,7 +21,6 @@ from pinn_cli.record.files.table import (
     column_of_times,
     is_called_times,
     rate_of,
-    same_length,
 )
 from pinn_cli.settings.errors import InputError
 
@@ -128,12 +127,21 @@ def tables_of(path: Path, variables: Mapping[str, Variable], wanted: Mapping[str
     tables = []
     for clock, of_clock in clocks.items():
         columns = {name: np.ascontiguousarray(read[variable][places[name][1]]) for name, variable in of_clock.items()}
-        same_length(path, columns)
+        _check_lengths(path, columns)
         hints = {name: variable.hint for name, variable in of_clock.items() if variable.hint != NO_HINT}
         tables.append(Table(path, columns, {}, hints, np.frombuffer(clock) if clock else None))
     if rate is not None and len(tables) == 1 and tables[0].time is None:
         tables = [replace(tables[0], time=np.arange(len(tables[0])) / rate)]
     return tables or [Table(path, {})]
+
+
+def _check_lengths(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    lengths = {name: len(values) for name, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        short, long = min(lengths, key=lengths.__getitem__), max(lengths, key=lengths.__getitem__)
+        shown = f"{lengths[short]} samples of {short!r}, {lengths[long]} of {long!r}"
+        hint = "channels of different rates? Put those of one rate into one file, with their times"
+        raise InputError(path.name, shown, "columns of one length", hint)
 
 
 def _rate(variables: Mapping[str, Variable]) -> float | None:
@@ -159,16 +167,11 @@ def _of_usual_length(columns: Mapping[str, Variable]) -> list[str]:
 
 
 def _refuse(path: Path, setting: str, name: str, variables: Mapping[str, Variable], columns: list[str]) -> None:
-    """Say why there is no such column.
-
-    Raises:
-        InputError: Naming the setting.
-    """
+    """Say why there is no such column."""
     root, _, number = name.rpartition(".")
     if name in variables:
-        raise InputError(
-            setting, repr(name), "a column of numbers", f"in {path.name} it {variables[name].why_none(name)}"
-        )
+        hint = f"in {path.name} it {variables[name].why_none(name)}"
+        raise InputError(setting, repr(name), "a column of numbers", hint)
     if root in variables and number.isdecimal():
         hint = f"{root} has {variables[root].columns} columns of numbers, counted from 1"
         raise InputError(setting, repr(name), f"a column of {path.name}", hint)

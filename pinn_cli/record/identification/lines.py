@@ -165,11 +165,8 @@ def _interval(value: float, variance: float) -> tuple[float, float]:
 def widened(covariance: np.ndarray, pole: Pole, duration: float, factors: tuple[float, float]) -> np.ndarray:
     """A covariance (2, 2) of first order as wide as errors of simulated records were, and wider the fewer lines tell.
 
-    Args:
-        covariance: Of the logarithms of frequency and damping ratio.
-        pole: Of the mode.
-        duration: Of the record, s.
-        factors: On the variances of both, where a half-power width has many lines.
+    It is of the logarithms of a pole's frequency and damping ratio; the factors are on the variances of both, where a
+    half-power width has many lines in the record's duration, s.
     """
     lines = 2.0 * pole.damping * pole.frequency * duration
     factor = np.sqrt(np.array(factors) + FEW_LINES / max(lines, 0.5))

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pinn_cli.record.identification.fits import PowerFit, ResponseFit
 from pinn_cli.record.identification.lines import Lines, Pole, RecordMode
-from pinn_cli.record.identification.power_fit import PowerFit
-from pinn_cli.record.identification.response_fit import ResponseFit
 from pinn_cli.record.identification.subspace import MOST_DAMPED, Stabilisation, assurance, stabilisation
 
 # Logarithm of the probability that chance makes a mode; part of the motion at its peak that is its own, at least.

@@ -86,13 +86,7 @@ def assurance(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def stabilisation(outputs: np.ndarray, inputs: np.ndarray, step: float) -> Stabilisation:
-    """Poles of orders 2, 4, ... on all scales.
-
-    Args:
-        outputs: (N, S), sensors.
-        inputs: (N, F), what acts; F may be 0.
-        step: From sample to sample, s.
-    """
+    """Poles of orders 2, 4, ... on all scales, of sensors (N, S) and what acts (N, F), F perhaps 0, at a step, s."""
     values, sensors = np.concatenate((outputs, inputs), axis=1), outputs.shape[1]
     rows, orders = [], 0
     for scale, (part, its_step, bottom) in enumerate(_scales(values, step)):

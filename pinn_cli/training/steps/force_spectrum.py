@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, white_level
-from pinn_cli.scheme.inputs import with_every_force
+from pinn_cli.scheme.problem import with_every_force
 from pinn_cli.system.functions import FLAT, Inputs
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 

@@ -15,8 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pinn_cli.scheme.inputs import with_every_force
 from pinn_cli.scheme.joint_problem import JointProblem
+from pinn_cli.scheme.problem import with_every_force
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations

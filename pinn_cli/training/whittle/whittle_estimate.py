@@ -20,7 +20,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtrc
 
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.modal.modal_fit import IMPROBABLE_PART
+from pinn_cli.scheme.modal_fit import IMPROBABLE_PART
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.doubts.other_damping import DampingDoubt, damping_doubt, with_other_damping

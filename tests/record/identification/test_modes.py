@@ -19,9 +19,9 @@ from vibrating_records import (
     of_short_shaker,
 )
 
+from pinn_cli.record.identification.fits import PowerFit
 from pinn_cli.record.identification.lines import Lines, Pole, deviations, scatter
 from pinn_cli.record.identification.modes import Identified, identify
-from pinn_cli.record.identification.power_fit import PowerFit
 from pinn_cli.record.identification.subspace import assurance, stabilisation
 
 

@@ -11,8 +11,7 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.record.channel import CALIBRATED, Calibration, Channel
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import sensor_parameters
-from pinn_cli.scheme.inputs import inputs_of
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.problem import Problem, inputs_of
 from pinn_cli.training.estimator import built
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations

@@ -6,8 +6,7 @@ import torch
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.inputs import inputs_of
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.problem import Problem, inputs_of
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.training.estimator import built

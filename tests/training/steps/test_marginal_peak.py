@@ -12,8 +12,7 @@ from solved_records import by_spline
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.inputs import inputs_of
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.problem import Problem, inputs_of
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import BoucWen, Linear

@@ -10,8 +10,7 @@ from structures import modal
 
 from benchmarks.nearly_right.machines import measured
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.inputs import with_every_force
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.problem import Problem, with_every_force
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear

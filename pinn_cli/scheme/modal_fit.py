@@ -115,8 +115,7 @@ class Noise:
         """(B, S, S), inverses of the covariances' Cholesky factors, from frequency responses (B, S)."""
         of_force = self.force * response
         covariance = of_force[:, :, None] * of_force.conj()[:, None, :] + np.diag(self.sensors**2)
-        inverse: np.ndarray = np.linalg.inv(np.linalg.cholesky(covariance))
-        return inverse
+        return np.linalg.inv(np.linalg.cholesky(covariance))
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,8 +180,7 @@ class ModalFit:
         away = np.abs(self.spectra.frequency[:, None] - self.frequencies)
         widths = 2.0 * self.ratios * self.frequencies
         near = away <= np.maximum(2.0 * widths, np.sort(away, axis=0)[min(LINES_IN_PART, len(away) - 1)])
-        excess: np.ndarray = np.maximum(1.0, (power[:, None] * near).sum(0) / near.sum(0))
-        return excess
+        return np.maximum(1.0, (power[:, None] * near).sum(0) / near.sum(0))
 
     @property
     def misfit(self) -> float:
@@ -198,19 +196,13 @@ class ModalFit:
     def response(self, frequency: np.ndarray) -> np.ndarray:
         """(F, S), frequency responses in the sensors' units per newton."""
         s, (omega, zeta) = 2j * np.pi * frequency, self.every_mode
-        response: np.ndarray = (
-            s[:, None] ** self.spectra.orders * (self.residues @ (1.0 / _denominators(s, omega, zeta)).T).T
-        )
-        return response
+        return s[:, None] ** self.spectra.orders * (self.residues @ (1.0 / _denominators(s, omega, zeta)).T).T
 
 
 class BandModel:
-    """The rows of a band's spectra as a function of frequencies and damping ratios.
+    """The rows of a record's spectra in a band as a function of frequencies and damping ratios.
 
     The unknowns x (2 R,) are the logarithms of the frequencies and of the damping ratios.
-
-    Args:
-        spectra: Of the record.
     """
 
     def __init__(self, spectra: BandSpectra) -> None:
@@ -343,8 +335,7 @@ def _of_force(model: BandModel, x: np.ndarray, coefficients: np.ndarray) -> np.n
     s = model.spectra
     driven = np.einsum("sbp,sp->bs", model.columns(x)[:, :, :count], coefficients[:, :count])
     rms = np.sqrt(np.mean(np.abs(s.force) ** 2))
-    response: np.ndarray = driven / s.force[:, None] * rms
-    return response
+    return driven / s.force[:, None] * rms
 
 
 def _missed(model: BandModel, x: np.ndarray, solved: Solved) -> np.ndarray:
@@ -415,5 +406,4 @@ def _with_residual(omega: np.ndarray, zeta: np.ndarray, band: tuple[float, float
 
 def _denominators(s: np.ndarray, omega: np.ndarray, zeta: np.ndarray) -> np.ndarray:
     """(B, R)."""
-    denominators: np.ndarray = s[:, None] ** 2 + 2.0 * zeta * omega * s[:, None] + omega**2
-    return denominators
+    return s[:, None] ** 2 + 2.0 * zeta * omega * s[:, None] + omega**2
