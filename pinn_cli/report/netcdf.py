@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from pinn_cli.posterior.posterior import PosteriorSamples
-from pinn_cli.posterior.result import PosteriorResult
+from pinn_cli.posterior.posterior import PosteriorResult, PosteriorSamples
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
 from pinn_cli.report import estimates

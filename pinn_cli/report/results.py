@@ -15,7 +15,7 @@ from pinn_cli.training.calibrated_record import as_calibrated
 
 if TYPE_CHECKING:
     from pinn_cli.model.knowledge import Model
-    from pinn_cli.posterior.result import PosteriorResult
+    from pinn_cli.posterior.posterior import PosteriorResult
     from pinn_cli.record.record import Record, Truth
     from pinn_cli.record.response import Response
     from pinn_cli.record.validation_data import ValidationRecord

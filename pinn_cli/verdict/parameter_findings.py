@@ -20,7 +20,7 @@ from pinn_cli.verdict.finding import Finding, failed_if
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-    from pinn_cli.posterior.result import PosteriorResult
+    from pinn_cli.posterior.posterior import PosteriorResult
     from pinn_cli.record.record import Record
     from pinn_cli.scheme.problem import Problem
     from pinn_cli.system.structure import Structure

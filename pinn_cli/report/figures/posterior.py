@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
-from pinn_cli.posterior.result import ForcePredictive, two_chains
+from pinn_cli.posterior.posterior import ForcePredictive, two_chains
 from pinn_cli.record.record import Record
 from pinn_cli.report.estimates import Histories
 from pinn_cli.report.figures import histories, style
