@@ -117,12 +117,7 @@ class Results:
 
 
 def checked_times(setting: str, between: Any, time: np.ndarray) -> tuple[float, float]:
-    """From when to when figures are to show a record, s.
-
-    Args:
-        setting: What gives them, for the message.
-        between: As they are given.
-        time: (N,), s, of the record.
+    """From when to when figures are to show a record with times (N,), s; ``setting`` gives them, for the message.
 
     Raises:
         InputError: They are no two times of the record.
