@@ -27,8 +27,7 @@ from pinn_cli.cli.config import RunConfig
 from pinn_cli.posterior.conditional import Conditional
 from pinn_cli.posterior.laplace import Laplace
 from pinn_cli.posterior.marginal import Marginal
-from pinn_cli.posterior.posterior import PosteriorSamples
-from pinn_cli.posterior.result import diagnose
+from pinn_cli.posterior.posterior import PosteriorSamples, diagnose
 from pinn_cli.record.record import Truth
 from pinn_cli.report.parameters import true_value
 from pinn_cli.scheme.joint_problem import JointProblem

@@ -30,7 +30,7 @@ def carry_out(job: Job, watch: Watch) -> None:
     config, stages, problem = job.config, job.stages, job.prepared.problem
     with stages("imports"):
         from pinn_cli.baseline import baseline_estimate
-        from pinn_cli.posterior.result import posterior_result
+        from pinn_cli.posterior.posterior import posterior_result
         from pinn_cli.report.run_report import RunReport
     if not is_borrowed():
         keep_imported()

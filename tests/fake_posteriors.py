@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 from small_estimates import parameter_named
 
-from pinn_cli.posterior.posterior import PosteriorSamples
-from pinn_cli.posterior.result import ForcePredictive, PosteriorResult
+from pinn_cli.posterior.posterior import ForcePredictive, PosteriorResult, PosteriorSamples
 from pinn_cli.record.record import Record
 from pinn_cli.system.parameters import Parameter
 

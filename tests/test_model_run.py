@@ -12,7 +12,7 @@ from storeys import K, record, system, written
 
 from pinn_cli import load
 from pinn_cli.model.file import NAME, read_model
-from pinn_cli.report.figures import over_time_figure
+from pinn_cli.report.figures.parameters import over_time_figure
 
 UNDRAWN = "figures=false"
 FIRST = (*system(1.1 * K), "scheme=state_parameter", "scheme.unknown=[k_*]", "scheme.starts=given", UNDRAWN)

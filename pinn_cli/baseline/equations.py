@@ -92,12 +92,9 @@ class Equations:
         return out
 
     def moved(self, states: np.ndarray, force: np.ndarray, step: float) -> np.ndarray:
-        """(N, s), the states one sample later.
+        """(N, s), the states one sample, ``step`` s, later than states (N, s).
 
-        Args:
-            states: (N, s), at the beginning of each step.
-            force: (2 substeps + 1, N, F), at the ends and the middle of every substep, N.
-            step: From sample to sample, s.
+        ``force`` (2 substeps + 1, N, F), N, acts at the ends and the middle of every substep.
         """
         return flow(lambda x, f: self._slope(x, self.jet(x, f)), states, force, step)
 
@@ -140,13 +137,10 @@ class Equations:
 
 
 def flow(slope: Slope, start: np.ndarray, force: np.ndarray, step: float) -> np.ndarray:
-    """States one sample later, of many starts at once, by the classical method of Runge and Kutta.
+    """States one sample later, of many starts (N, ...) at once, by the classical method of Runge and Kutta.
 
-    Args:
-        slope: From states (N, ...) and forces (N, F) to the states' time derivative.
-        start: (N, ...), at the beginning of each step.
-        force: See :meth:`Equations.moved`.
-        step: From sample to sample, s.
+    ``slope`` leads from states and forces (N, F) to the states' time derivative; ``force`` and ``step`` are those of
+    :meth:`Equations.moved`.
     """
     substeps, state = len(force) // 2, start
     for i in range(substeps):

@@ -9,10 +9,8 @@ import numpy as np
 import pandas as pd
 from scipy.sparse import csr_matrix
 
-from pinn_cli.baseline.channels import check_channels
-from pinn_cli.baseline.iterated_smoother import IteratedSmoother, Pass
-from pinn_cli.baseline.noise_levels import most_probable, stiffened, widened
-from pinn_cli.baseline.state_space import StateSpace
+from pinn_cli.baseline.iterated_smoother import IteratedSmoother, Pass, most_probable, stiffened, widened
+from pinn_cli.baseline.state_space import StateSpace, check_channels
 from pinn_cli.model.truncated_gaussian import TruncatedGaussian
 from pinn_cli.network.network import States
 from pinn_cli.physics import estimated_response
@@ -69,8 +67,7 @@ class _Spread:
         through = of_state @ self.by_coefficient
         through[:, :, : past.shape[2]] += past
         variance += np.sum((through @ self.root) ** 2, axis=2)
-        deviation: np.ndarray = np.sqrt(variance.clip(min=0.0))
-        return deviation
+        return np.sqrt(variance.clip(min=0.0))
 
 
 def _deviations(space: StateSpace, last: Pass, response: Response, share: np.ndarray) -> Response:

@@ -54,8 +54,7 @@ class LinearGaussian:
     def step_covariance(self) -> np.ndarray:
         """(N, m + s, m + s), of observation and next state of each step for a known state: disturbance and noise."""
         root = self.disturbance * np.sqrt(self.disturbance_variance)
-        covariance: np.ndarray = root @ root.transpose(0, 2, 1) + self.noise
-        return covariance
+        return root @ root.transpose(0, 2, 1) + self.noise
 
     def filter(self) -> Filtered:
         """Predictions and innovations of every step, as functions of the coefficients.
@@ -137,8 +136,7 @@ class Filtered:
     def moments(self) -> np.ndarray:
         """(1 + p, 1 + p), weighted squares and products of the innovations' columns, summed over all steps."""
         flat = self.innovation.reshape(-1, self.innovation.shape[2])
-        moments: np.ndarray = flat.T @ self.weighted.reshape(flat.shape)
-        return moments
+        return flat.T @ self.weighted.reshape(flat.shape)
 
     @cached_property
     def log_spread(self) -> float:
@@ -154,9 +152,8 @@ class Filtered:
     def posterior(self) -> tuple[np.ndarray, np.ndarray]:
         """What all observations leave open about state and disturbance together.
 
-        Returns:
-            Their covariance at every step for known coefficients (N, s + d, s + d), and what each coefficient does to
-            their mean (N, s + d, p).
+        Their covariance at every step for known coefficients (N, s + d, s + d), and what each coefficient does to their
+        mean (N, s + d, p).
         """
         s, m = self.mean.shape[1], self.innovation.shape[1]
         columns = np.concatenate(self._smoothed(self.mean[..., 1:], self.weighted[..., 1:]), axis=1)
@@ -172,18 +169,13 @@ class Filtered:
         return prior - prior @ information @ prior, columns
 
     def information_on_noise(self, coefficients: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What the observations say of the noise of every sensor and state, and of every disturbance.
+        """Of the noise of every sensor, state and disturbance (N, m + s + d): what is found, and the information.
 
-        The derivative of their log probability by a variance is half of the squares less the information (Koopman and
-        Shephard 1992), with the squares of the noise found over the variance squared. The information is what is left
-        to find it by: the number of values that neither motion nor coefficients have taken up, over the variance.
-
-        Args:
-            coefficients: (p,), found.
-            covariance: (p, p), of these.
-
-        Returns:
-            (N, m + s + d), the noise found over its variance, and the information likewise.
+        The derivative of the log probability of the observations by a variance is half of the squares less the
+        information (Koopman and Shephard 1992), with the squares of the noise found over the variance squared. The
+        information is what is left to find it by: the number of values that neither motion nor coefficients have taken
+        up, over the variance. The noise found is over its variance, too. The coefficients found are (p,), their
+        covariance (p, p).
         """
         of_innovation, push = self._noise_rows
         _, later = self._scores(self.weighted)
@@ -194,14 +186,10 @@ class Filtered:
         return scores @ np.concatenate(([1.0], coefficients)), information
 
     def products(self, noise: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-        """(L, L), products of L histories of noise over the covariance of the observations, coefficients included.
+        """(L, L), products of L histories of noise (N, m + s + d, L) over the covariance of the observations.
 
-        Half of them are the average of expected and observed information on variances (Gilmour, Thompson and Cullis
-        1995), where the noise is what is found of each, times its variance.
-
-        Args:
-            noise: (N, m + s + d, L).
-            covariance: (p, p), of the coefficients.
+        That of the coefficients (p, p) is included. Half of them are the average of expected and observed information
+        on variances (Gilmour, Thompson and Cullis 1995), where the noise is what is found of each, times its variance.
         """
         of_innovation, push = self._noise_rows
         missed = driven(self.closed, np.zeros((self.mean.shape[1], noise.shape[2])), push @ noise)
@@ -209,8 +197,7 @@ class Filtered:
         weighted = np.linalg.solve(self.spread, innovation)
         gram = np.einsum("kmi,kmj->ij", innovation, weighted)
         shared = np.einsum("kmi,kmp->ip", weighted, self.innovation[..., 1:])
-        products: np.ndarray = gram - shared @ covariance @ shared.T
-        return products
+        return gram - shared @ covariance @ shared.T
 
     @property
     def _noise_rows(self) -> tuple[np.ndarray, np.ndarray]:

@@ -14,24 +14,29 @@ Nayek, Chakraborty and Narasimhan 2019); so are forces whose sensors are in doub
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
+from torch import Tensor
 
-from pinn_cli.baseline.channels import ChannelRows, channels_of
 from pinn_cli.baseline.equations import Equations
 from pinn_cli.baseline.linear_gaussian import LinearGaussian
 from pinn_cli.record.between_samples import between_samples
+from pinn_cli.record.channel import Channel
 from pinn_cli.record.channels import record_band
+from pinn_cli.record.record import Record
 from pinn_cli.record.steps import STEP_TIMES_RATE, substeps_needed
 from pinn_cli.scheme.calibration import calibrations
 from pinn_cli.scheme.problem import Problem, inputs_of
+from pinn_cli.settings.errors import InputError
 from pinn_cli.system.dynamics import Dynamics
+from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.system.quantities import FORCE
-from pinn_cli.training.factors.feels import felt_by
+from pinn_cli.training.factors.feels import Feels, felt_by
 from pinn_cli.training.record_scales import force_and_velocity_scale
 from pinn_cli.training.sensor_samples import SensorSamples
 
@@ -40,6 +45,8 @@ from pinn_cli.training.sensor_samples import SensorSamples
 WIDE_PRIOR = 10.0
 # The derivatives of a step need not be as exact as the step: off by a thousandth, passes settle as fast.
 TANGENT_TIMES_RATE = 3.0 * STEP_TIMES_RATE
+# Part of a step by which a sample may be off the record's times.
+ON_TIME = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,3 +325,94 @@ class StateSpace:
         structure, n = self.problem.structure, self.dynamics.ndof
         pull = structure.incidence.matrix[structure.added].toarray().T
         return pull if pull.shape[1] == n and np.linalg.matrix_rank(pull) == n else np.eye(n)
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelRows:
+    """One channel: gain times what it feels, an offset and a drift.
+
+    Attributes:
+        channel: Which.
+        samples: Its noise by itself.
+        feels: What it feels of the functions of time.
+        shown: (N,), what it shows; 0 where it has no sample.
+        present: (N,) bool, where it has one.
+        since: (N,), time from which its drift counts, s.
+    """
+
+    channel: Channel
+    samples: SensorSamples
+    feels: Feels
+    shown: np.ndarray
+    present: np.ndarray
+    since: np.ndarray
+
+    @classmethod
+    def of(cls, samples: SensorSamples, feels: Feels, time: np.ndarray) -> ChannelRows:
+        """Of a channel that :func:`check_channels` passes, at the record's times (N,), s."""
+        channel = samples.channel
+        place, off = channel.places(time)
+        shown, present = np.zeros(len(time)), np.zeros(len(time), dtype=bool)
+        late = channel.number("delay").value
+        if np.abs(off).max() > ON_TIME:  # it misses no sample, and a spline through them tells what it shows between
+            shown[:] = channel.history(time, {"gain": 1.0, "offset": 0.0, "drift": 0.0})
+            present[:] = (time + late >= channel.time[0]) & (time + late <= channel.time[-1])
+        else:
+            inside = (place >= 0) & (place < len(time))
+            shown[place[inside]], present[place[inside]] = channel.measured[inside], True
+        return cls(channel, samples, feels, np.where(present, shown, 0.0), present, time + late - channel.start)
+
+    def gain(self, parameters: Mapping[str, Tensor]) -> float:
+        """Of what it shows over what it feels."""
+        return float(parameters["gain"][self.channel.index])
+
+    def residual(self, jet: Jet, parameters: Mapping[str, Tensor]) -> np.ndarray:
+        """(N,), what it shows minus what it would show of functions (N, F); 0 where it has no sample."""
+        offset, drift = (float(parameters[kind][self.channel.index]) for kind in ("offset", "drift"))
+        measurand = self.feels.value(jet, parameters).numpy()
+        residual: np.ndarray = self.shown - (self.gain(parameters) * measurand + offset + drift * self.since)
+        return residual * self.present
+
+    def rows(self, jet: Jet, by: np.ndarray, equations: Equations) -> np.ndarray:
+        """(N, columns), derivatives of what it shows. A row of zeros, of a sample that is not there, tells nothing.
+
+        ``jet`` has functions (N, F), and ``by`` their derivatives, see :meth:`Equations.derivatives`.
+        """
+        parameters, vector = equations.parameters, equations.vector
+        gain, out = self.gain(parameters), np.zeros(by.shape[1:2] + by.shape[3:])
+        parts, of_model = self.feels.linearised(jet, parameters)
+        for function, order, weight in parts:
+            out += gain * np.atleast_1d(weight)[:, None] * by[order][:, function]
+        measurand = self.feels.value(jet, parameters).numpy()
+        by_kind = {"gain": measurand, "offset": np.ones_like(measurand), "drift": self.since}
+        places = zip(vector.moving, vector.column.tolist(), strict=True)
+        for column, (p, place) in enumerate(places, len(out[0]) - len(vector.moving)):
+            if place in of_model:
+                out[:, column] += gain * p.prior_std * of_model[place].numpy()
+            if p.kind in by_kind and p.index == self.channel.index:
+                out[:, column] += p.prior_std * by_kind[p.kind]
+        return out * self.present[:, None]
+
+
+def channels_of(record: Record, dynamics: Dynamics) -> list[Channel]:
+    """Its calibrated channels, and behind them its other columns as if they were such, with nothing in doubt."""
+    plain = [record.column(q, i) for q in dynamics.observed for i in np.flatnonzero(record.plain(q)).tolist()]
+    return [replace(channel, index=index) for index, channel in enumerate((*record.calibrated, *plain))]
+
+
+def check_channels(record: Record, name: str) -> None:
+    """Refuse sensors that the smoother has no rows for.
+
+    Raises:
+        InputError: A delay in doubt, a filter, samples between the record's times.
+    """
+    for channel in record.calibrated:
+        hint, whole = f"channel {channel.key} is such", channel.even_step or math.inf
+        if not channel.number("delay").is_known:
+            why = f"{hint}: the smoother knows the motion at samples only"
+            raise InputError("baseline", name, "none where a delay is in doubt", why)
+        if channel.filter_order:
+            why = f"{hint}: the smoother has no state of it"
+            raise InputError("baseline", name, "none where a sensor is behind a filter", why)
+        if whole >= (1.0 + ON_TIME) * record.step and np.abs(channel.places(record.time)[1]).max() > ON_TIME:
+            raise InputError("baseline", name, "none where samples lie between the record's times", hint)

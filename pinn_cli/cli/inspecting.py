@@ -113,8 +113,7 @@ def inspected_record(config: DictConfig, base: Path, said: Said) -> InspectionRe
     Raises:
         InputError: It has too few samples, or no column varies.
     """
-    from pinn_cli.inspection.against_structure import contradictions
-    from pinn_cli.inspection.inspection import inspect_record
+    from pinn_cli.inspection.inspection import contradictions, inspect_record
 
     (record,) = Inspected.read(config, base, "inspect", said)
     report = inspect_record(record.signals, record.time, record.said, record.frequencies)

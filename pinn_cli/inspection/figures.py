@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from pinn_cli.inspection.joined import JoinedMode, JoinedModes
-    from pinn_cli.inspection.modes import ModalRecord
+    from pinn_cli.inspection.modes import JoinedMode, JoinedModes, ModalRecord
     from pinn_cli.record.cross_spectra import CrossSpectra
     from pinn_cli.record.signal import Sampling, Signal
 
@@ -54,41 +53,37 @@ _MODE_MARKS = ("x", "+", "1", "2", "3", "4")
 _COLOURS = (style.VERMILLION, style.GREEN, style.PURPLE, style.ORANGE, style.BLACK, style.SKY)
 
 
+@style.look()
 def inspection_figure(
     sampling: Sampling, channels: pd.DataFrame, spectra: CrossSpectra[Signal], peaks: pd.DataFrame
 ) -> Figure:
     """Histories and power spectra; shaded, the band; dashed, the noise. Peaks are grey, the structure's dotted.
 
-    Args:
-        sampling: Of the record.
-        channels: See :class:`pinn_cli.inspection.report.InspectionReport`.
-        spectra: Of the columns that vary.
-        peaks: See there.
+    Arguments are those of :class:`pinn_cli.inspection.report.InspectionReport`.
     """
     shown = [*spectra.acting, *spectra.sensors][:CHANNELS_DRAWN]
     responses = bool(spectra.acting) and bool(spectra.sensors)
-    with style.look():
-        figure, panels = style.panels(
-            len(shown) + responses, 2, 0.95, margins=(0.66, 0.1, 0.56, 0.5), gaps=(0.6, 0.34), width_ratios=(1.2, 1.0)
-        )
-        for (left, right), signal in zip(panels, shown, strict=False):
-            _draw_history(left, sampling, signal)
-            row = channels[channels["column"] == signal.column].iloc[0].to_dict()
-            row["floor"] = 2.0 * row["noise"] ** 2 / sampling.rate
-            _draw_spectrum(right, spectra, signal, row, peaks)
-        rows = panels[: len(shown)]
-        rows[-1, 0].set_xlabel("Time $t$ (s)", labelpad=2)
-        rows[-1, 1].set_xlabel("Frequency (Hz)", labelpad=2)
-        if responses:
-            _draw_responses(panels[-1, 0], panels[-1, 1], spectra, peaks)
-            box = [axes.get_position() for axes in panels[-1]]
-            lower = 0.55 * (panels[-2, 0].get_position().y0 - box[0].y1)  # room for the labels of the rows above
-            for axes, place in zip(panels[-1], box, strict=True):
-                axes.set_position((place.x0, place.y0, place.width, place.height - 0.25 * lower))
-        for axes, title in zip(panels[0], ("History", "Power spectral density"), strict=True):
-            style.head(axes, title)
-        figure.align_ylabels(list(panels[:, 0]))
-        style.legend(figure, rows.flat)
+    figure, panels = style.panels(
+        len(shown) + responses, 2, 0.95, margins=(0.66, 0.1, 0.56, 0.5), gaps=(0.6, 0.34), width_ratios=(1.2, 1.0)
+    )
+    for (left, right), signal in zip(panels, shown, strict=False):
+        _draw_history(left, sampling, signal)
+        row = channels[channels["column"] == signal.column].iloc[0].to_dict()
+        row["floor"] = 2.0 * row["noise"] ** 2 / sampling.rate
+        _draw_spectrum(right, spectra, signal, row, peaks)
+    rows = panels[: len(shown)]
+    rows[-1, 0].set_xlabel("Time $t$ (s)", labelpad=2)
+    rows[-1, 1].set_xlabel("Frequency (Hz)", labelpad=2)
+    if responses:
+        _draw_responses(panels[-1, 0], panels[-1, 1], spectra, peaks)
+        box = [axes.get_position() for axes in panels[-1]]
+        lower = 0.55 * (panels[-2, 0].get_position().y0 - box[0].y1)  # room for the labels of the rows above
+        for axes, place in zip(panels[-1], box, strict=True):
+            axes.set_position((place.x0, place.y0, place.width, place.height - 0.25 * lower))
+    for axes, title in zip(panels[0], ("History", "Power spectral density"), strict=True):
+        style.head(axes, title)
+    figure.align_ylabels(list(panels[:, 0]))
+    style.legend(figure, rows.flat)
     return figure
 
 
@@ -179,19 +174,19 @@ def _label(signal: Signal) -> str:
     return f"{style.SYMBOLS[signal.quantity]}, {style.literal(signal.place or 'ground')}"
 
 
+@style.look()
 def stabilisation_figure(records: Sequence[ModalRecord]) -> Figure:
     """A panel for each record."""
     shown = records[:RECORDS]
-    with style.look():
-        figure, panels = style.panels(len(shown), 1, 2.3, margins=(0.5, 0.62, 0.34, 0.44), gaps=(0.0, 0.42))
-        for number, (axes, record) in enumerate(zip(panels[:, 0], shown, strict=True), start=1):
-            _draw_poles(axes, record)
-            if len(records) > 1:
-                axes.set_title(f"Record {number}", loc="left", pad=3)
-        panels[-1, 0].set_xlabel("Frequency (Hz)", labelpad=2)
-        style.legend(figure, handlelength=1.4, columnspacing=1.4)
-        if len(records) > RECORDS:
-            style.note(figure, f"{len(records) - RECORDS} further records are left out")
+    figure, panels = style.panels(len(shown), 1, 2.3, margins=(0.5, 0.62, 0.34, 0.44), gaps=(0.0, 0.42))
+    for number, (axes, record) in enumerate(zip(panels[:, 0], shown, strict=True), start=1):
+        _draw_poles(axes, record)
+        if len(records) > 1:
+            axes.set_title(f"Record {number}", loc="left", pad=3)
+    panels[-1, 0].set_xlabel("Frequency (Hz)", labelpad=2)
+    style.legend(figure, handlelength=1.4, columnspacing=1.4)
+    if len(records) > RECORDS:
+        style.note(figure, f"{len(records) - RECORDS} further records are left out")
     return figure
 
 
@@ -242,31 +237,27 @@ def _reach(record: ModalRecord) -> tuple[float, float]:
     return max(min(frequencies) / ROOM, float(f[1])), float(min(max(frequencies) * ROOM, f[-1]))
 
 
+@style.look()
 def shapes_figure(record: ModalRecord | JoinedModes, joined: Sequence[JoinedMode] = ()) -> Figure:
-    """A panel for each mode.
-
-    Args:
-        record: The modes.
-        joined: The same, where they are of several records: every record's own shape is drawn as points.
-    """
+    """A panel for each mode; of modes of several records, which are ``joined``, every record's own shape as points."""
     shown = min(len(record.modes), MODES)
     rows, across = -(-shown // ACROSS), min(shown, ACROSS)
-    with style.look():
-        figure, panels = style.panels(
-            rows, across, 1.25, margins=(0.42, 0.1, 0.46, 0.46), gaps=(0.34, 0.5), sharey=True
-        )
-        for number, axes in enumerate(panels.flat):
-            if number >= shown:
-                axes.set_axis_off()
-                continue
-            _draw_shape(axes, record, number)
-            for part in joined[number].parts if joined else ():
-                _draw_part(axes, joined[number], part.record)
-        for axes in panels[:, 0]:
-            axes.set_ylabel("displacement")
-        style.legend(figure, handlelength=1.4, columnspacing=1.2)
-        if len(record.modes) > MODES:
-            style.note(figure, f"{len(record.modes) - MODES} further modes are left to modes.csv")
+    figure, panels = style.panels(rows, across, 1.25, margins=(0.42, 0.1, 0.46, 0.46), gaps=(0.34, 0.5), sharey=True)
+    for number, axes in enumerate(panels.flat):
+        if number >= shown:
+            axes.set_axis_off()
+            continue
+        _draw_shape(axes, record, number)
+        for part, scale in zip(joined[number].parts, joined[number].scales, strict=True) if joined else ():
+            # A record's own shape, as large as the joined one.
+            look, shape = part.record % len(_MODE_MARKS), (part.shape / scale).real
+            axes.plot(part.places, shape, linestyle="none", marker=_MODE_MARKS[look], color=_COLOURS[look],
+                      markersize=4.0, zorder=3, label=f"record {part.record + 1}")  # fmt: skip
+    for axes in panels[:, 0]:
+        axes.set_ylabel("displacement")
+    style.legend(figure, handlelength=1.4, columnspacing=1.2)
+    if len(record.modes) > MODES:
+        style.note(figure, f"{len(record.modes) - MODES} further modes are left to modes.csv")
     return figure
 
 
@@ -283,12 +274,3 @@ def _draw_shape(axes: Axes, record: ModalRecord | JoinedModes, number: int) -> N
         axes.tick_params(axis="x", rotation=90)
     axes.set_xlim(-0.5, len(shape) - 0.5)
     axes.set_ylim(-1.4, 1.4)
-
-
-def _draw_part(axes: Axes, mode: JoinedMode, record: int) -> None:
-    """A record's own shape, as large as the joined one."""
-    i = next(i for i, part in enumerate(mode.parts) if part.record == record)
-    part, look = mode.parts[i], record % len(_MODE_MARKS)
-    shape = (part.shape / mode.scales[i]).real
-    axes.plot(part.places, shape, linestyle="none", marker=_MODE_MARKS[look], color=_COLOURS[look], markersize=4.0,
-              zorder=3, label=f"record {record + 1}")  # fmt: skip

@@ -1,4 +1,4 @@
-"""A look at a record: its tables, what is odd about it, and what to do next."""
+"""A look at a record: its tables, what is odd about it, beside a structure that was given, and what to do next."""
 
 from __future__ import annotations
 
@@ -15,10 +15,15 @@ from pinn_cli.record.channels import clipped_percent, constant_percent, dropouts
 from pinn_cli.record.cross_spectra import CrossSpectra
 from pinn_cli.record.files.table import told_mark
 from pinn_cli.record.identification.lines import RecordMode
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import QUANTITIES
 from pinn_cli.record.signal import Sampling, Signal, guessed, number_of, spectra_of
 from pinn_cli.record.spectrum import noise_level, signal_edges, visible_floor
+from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system.quantities import GROUND
+from pinn_cli.system.quantities import FORCE, GROUND
+from pinn_cli.system.structure import Structure
+from pinn_cli.verdict.causes import causes
 
 CHANNEL_COLUMNS = (
     "channel", "column", "quantity", "dof", "unit", "samples", "missing_percent", "longest_gap_s", "clipped_percent",
@@ -115,13 +120,10 @@ def longest_gap(values: np.ndarray, sampling: Sampling) -> float:
 def inspect_record(
     signals: Sequence[Signal], time: np.ndarray, said: Said, frequencies: np.ndarray | None
 ) -> InspectionReport:
-    """Look at a record.
+    """Look at a record's columns, (N,) each, at increasing times (N,), s.
 
-    Args:
-        signals: Its columns, (N,) each.
-        time: (N,), s, increasing.
-        said: What the command was given, for the one that is proposed.
-        frequencies: Natural frequencies of the structure, Hz; None: its parameters were not given.
+    ``said`` is what the command was given, for the one that is proposed; ``frequencies`` are natural ones of the
+    structure, Hz, None where its parameters were not given.
 
     Raises:
         InputError: There are too few samples, or no column varies.
@@ -346,3 +348,26 @@ def _against_the_ground(spectra: CrossSpectra[Signal], peaks: Sequence[RecordMod
                 f"far below {first:.3g} Hz {sensor.name} is {gain:.3g} times the ground's{_cause(gain)}"
                 " (or data.frame=relative)"
             )
+
+
+def contradictions(structure: Structure, signals: Sequence[Signal], sampling: Sampling) -> list[str]:
+    """Sentences of what the verdict would look for: a unit, a sign, a place, a mass; none where the structure fits.
+
+    All parameters of the structure are given. Columns whose place is no DOF are left out.
+    """
+    columns = {quantity: np.full((len(sampling.regular), structure.ndof), np.nan) for quantity in QUANTITIES}
+    unforced, ground = np.ones(structure.ndof, dtype=bool), None
+    for signal in (signal for signal in signals if signal.varies):
+        values = sampling.on_regular(signal.values)
+        dof = int(signal.place) - 1 if signal.place.isdigit() else -1
+        if signal.quantity == GROUND:
+            ground = values - values.mean()
+        elif signal.quantity in columns and 0 <= dof < structure.ndof:
+            columns[signal.quantity][:, dof] = values - values.mean()
+            unforced[dof] &= signal.quantity != FORCE
+    columns[FORCE] = np.nan_to_num(columns[FORCE])
+    if not any(np.isfinite(columns[quantity]).any() for quantity in columns if quantity != FORCE):
+        return []
+    u, v, a, f = (columns[quantity] for quantity in QUANTITIES)
+    record = Record(sampling.regular, u, v, a, f, unforced, ground_acceleration=ground)
+    return [finding.text for finding in causes(Problem(structure, record), structure, structure)]

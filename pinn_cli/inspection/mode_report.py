@@ -12,8 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import linear_sum_assignment
 
-from pinn_cli.inspection.joined import JoinedMode, JoinedModes
-from pinn_cli.inspection.modes import FEWEST_SENSORS, ModalRecord, mac_table
+from pinn_cli.inspection.modes import FEWEST_SENSORS, JoinedMode, JoinedModes, ModalRecord, mac_table
 from pinn_cli.inspection.report import LookReport, spectra_table
 from pinn_cli.record.identification.subspace import assurance
 from pinn_cli.report.text import Column, count, marked_lines, number, table_lines
@@ -107,9 +106,7 @@ class ModesReport(LookReport):
 def mode_table(record: ModalRecord | JoinedModes, structure: NaturalModes | None) -> pd.DataFrame:
     """A row for each mode, columns `MODE_COLUMNS`, then its displacement at every sensor with its 90 % interval.
 
-    Args:
-        record: With its modes.
-        structure: Whose modes stand beside; None: no parameters were given.
+    Modes of the structure stand beside, if its parameters were given.
     """
     partners = _partners(record, structure)
     rows = []

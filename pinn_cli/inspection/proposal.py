@@ -110,19 +110,14 @@ class Look:
 
 
 def proposed_settings(said: Said, look: Look) -> tuple[list[str], list[str]]:
-    """What to run next.
-
-    Args:
-        said: By the command that looked.
-        look: What it has found.
-
-    Returns:
-        Overrides; and sentences that stand beside them.
-    """
+    """What to run next: overrides, and sentences that stand beside them."""
     added = [f"data.time={text_value(said.time)}"] if said.time else []
     added += _assigned(look) if look.guessed else _with_offsets(said, look)
     structure, remarks, ndof = ([], [], 0) if look.has_structure else _structure(said, look)
-    if not look.has_structure and not _is_driven(said, look):
+    forces = (said.settings.get("data") or {}).get("force") or {}
+    # Something that acts is measured, or said to act unmeasured.
+    is_driven = any(signal.is_input for signal in look.identified) or bool(forces) or said.names("data.force")
+    if not look.has_structure and not is_driven:
         added.append("data.force={" + ", ".join(f"{dof}: null" for dof in range(1, ndof + 1)) + "}")
     added += [] if said.thins else _decimation(look)
     added += structure
@@ -171,12 +166,6 @@ def _ndof(said: Said, look: Look) -> int:
     dofs = look.dofs
     all_there = len(dofs) > 1 and len(dofs) == max(dofs)
     return max(dofs, default=1) if all_there else max(*dofs, look.frequencies, 1)
-
-
-def _is_driven(said: Said, look: Look) -> bool:
-    """Whether something that acts is measured, or said to act unmeasured."""
-    forces = (said.settings.get("data") or {}).get("force") or {}
-    return any(signal.is_input for signal in look.identified) or bool(forces) or said.names("data.force")
 
 
 def _assigned(look: Look) -> list[str]:

@@ -56,10 +56,7 @@ class LookReport(ABC):
         return self.tables["spectra"]
 
     def figure(self, name: str = "") -> Figure:
-        """A matplotlib figure, which a notebook shows.
-
-        Args:
-            name: Of `drawings`; "": the first of them.
+        """A matplotlib figure, which a notebook shows: one of `drawings`, by default the first of them.
 
         Raises:
             InputError: There is none of that name.
@@ -206,8 +203,8 @@ def _peak_lines(peaks: pd.DataFrame) -> list[str]:
         "frequency_std_hz": Column("+-", 10, lambda value: number(value, 2)),
         "damping_percent": Column("damping (%)", 13, lambda value: number(value, 3)),
         "damping_std_percent": Column("+-", 10, lambda value: number(value, 2)),
+        "explained": Column("explained", 11, lambda value: number(value, 2)),
     }
-    columns["explained"] = Column("explained", 11, lambda value: number(value, 2))
     if np.isfinite(peaks["structure_hz"]).any():
         columns["mode"] = Column("mode", 6, count)
         columns["structure_hz"] = Column("structure (Hz)", 16, lambda value: number(value, 5))

@@ -39,14 +39,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def make_paper(output: Path, runner: Runner = run_case) -> int:
-    """Make the runs that are missing, then tables, figures and report.
+    """Make the runs that are missing in ``<output>/runs``, then tables, figures and report.
 
-    Args:
-        output: Folder of all of it; the runs lie in ``<output>/runs``.
-        runner: Makes a run; by default `pinn-run` in a process of its own.
-
-    Returns:
-        0, or 1 if a run failed: what could be made without it is there nevertheless.
+    1 if a run failed: what could be made without it is there nevertheless; else 0.
     """
     runs, failures = _made(planned_runs(), output, runner)
     print(write_report(runs, failures, output))
@@ -77,15 +72,7 @@ def _made(planned: Sequence[PlannedRun], output: Path, runner: Runner) -> tuple[
 
 
 def make_seeds(output: Path, solver: Solver = solve) -> int:
-    """Solve the cases of Tables 2 and 5 over the noise seeds, where that is missing; rewrite the report.
-
-    Args:
-        output: As of `make_paper`; the results lie in ``<output>/seeds``.
-        solver: Solves one realisation; by default with network and smoother, in this process.
-
-    Returns:
-        0, or 1 if one failed.
-    """
+    """Solve what is missing of Tables 2 and 5 over the noise seeds, in ``<output>/seeds``; as `make_paper`."""
     scored = ScoredRealisations.made(seed_realisations(), output / "seeds" / "runs", solver)
     print(SeedScores.of(scored).write(output / "seeds"))
     _rewrite_report(output)

@@ -14,7 +14,7 @@ import pandas as pd
 from pinn_cli.baseline import baseline_estimate
 from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.config import RunConfig
-from pinn_cli.cli.prepare import PreparedProblem, prepare_problem
+from pinn_cli.cli.prepare import prepare_problem
 from pinn_cli.paper.runs import digest_of, kept, make_missing, run_digest
 from pinn_cli.report.run_report import below, estimator_tables
 from pinn_cli.runs.stages import Stages
@@ -82,7 +82,11 @@ def solve(realisation: Realisation) -> dict[str, Any]:
         config = RunConfig.read(compose_config(realisation.overrides))
         prepared = prepare_problem(config)
     record, truth, context = prepared.record, prepared.truth, RunContext(config.device, config.seed)
-    scores: dict[str, Any] = {"fitness": [], "parameters": [], "strength": _nonlinear_strength(prepared), "failure": ""}
+    true, strength = truth.parameters, None
+    if true is not None and "kappa" in true:
+        elongation = prepared.true.elongation(truth.response.displacement)
+        strength = float(np.max(true["kappa"] * np.mean(elongation**2, axis=0) / true["k"]))
+    scores: dict[str, Any] = {"fitness": [], "parameters": [], "strength": strength, "failure": ""}
     try:
         with stages("estimate"):
             estimate = config.estimator.solve(prepared.problem, context)
@@ -97,15 +101,6 @@ def solve(realisation: Realisation) -> dict[str, Any]:
     fitness = fitness[~fitness["group"].str.startswith("dof_")]
     rows = {"fitness": fitness.to_dict("records"), "parameters": parameters.to_dict("records")}
     return scores | rows | {"seconds": stages.seconds}
-
-
-def _nonlinear_strength(prepared: PreparedProblem) -> float | None:
-    """Of the true chain and its true motion."""
-    true = prepared.truth.parameters
-    if true is None or "kappa" not in true:
-        return None
-    elongation = prepared.true.elongation(prepared.truth.response.displacement)
-    return float(np.max(true["kappa"] * np.mean(elongation**2, axis=0) / true["k"]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,12 +124,8 @@ class ScoredRealisations:
         """What is there and up to date in a folder of ``<name>.json``, and why some were refused; nothing is solved."""
         contents = {realisation: kept(realisation, directory) for realisation in realisations}
         scored = {realisation: content for realisation, content in contents.items() if content is not None}
-        failures = [
-            f"{realisation.name}: {scores['failure']}" for realisation, scores in scored.items() if scores["failure"]
-        ]
-        return cls(
-            scored, [realisation for realisation in realisations if realisation not in scored], [*failures, *refused]
-        )
+        failures = [f"{item.name}: {scores['failure']}" for item, scores in scored.items() if scores["failure"]]
+        return cls(scored, [item for item in realisations if item not in scored], [*failures, *refused])
 
     @classmethod
     def made(cls, realisations: Sequence[Realisation], directory: Path, solver: Solver = solve) -> ScoredRealisations:

@@ -29,10 +29,8 @@ NEAR = 0.1  # of fitness in percent: as good as the smoother's, for telling nois
 def write_report(runs: Sequence[FinishedRun], failures: Sequence[str], output: Path) -> Path:
     """Write tables, figures and the report of what is there: styles and images are in it, and it loads nothing.
 
-    Args:
-        runs: Those that are there.
-        failures: What went wrong with the others.
-        output: The folder; seeds and nonlinearity are shown where their results lie in it.
+    ``failures`` say what went wrong with other runs. Seeds and nonlinearity are shown where their results lie in the
+    folder.
     """
     tables, images = paper_tables(runs), copy_figures(runs, output / "figures")
     seeds = SeedScores.of(ScoredRealisations.read(seed_realisations(), output / "seeds" / "runs"))
@@ -218,11 +216,8 @@ def parameter_reason(row: dict[Any, Any]) -> str:
 def over_seeds(summary: pd.DataFrame, key: Mapping[str, str], column: str, wanted: float) -> str:
     """What both estimators make of a cell on average over other draws of the noise; empty where there are none.
 
-    Args:
-        summary: Of the seeds, with ``column``.
-        key: Columns and values of the cell.
-        column: Its mean.
-        wanted: The published value where more is better; less the published error where less is better.
+    ``key`` are columns and values of the cell in the summary of the seeds, ``column`` has its mean. ``wanted`` is the
+    published value where more is better; less the published error where less is better.
     """
     cells = pd.DataFrame() if summary.empty else _where(summary, key).set_index("estimator")
     if PINN not in cells.index:

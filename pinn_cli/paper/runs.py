@@ -189,15 +189,10 @@ class FinishedRun:
 def make_runs(
     planned: Sequence[PlannedRun], directory: Path, runner: Runner = run_case, at_once: int = 1
 ) -> tuple[list[FinishedRun], list[str]]:
-    """Make the runs that are missing or out of date in ``<directory>/<case>_<variant>``.
-
-    The runs that are there, and what went wrong with the others.
-    """
-
-    def make(run: PlannedRun) -> dict[str, object]:
-        return {"process_seconds": runner(run, directory / run.name)}
-
-    failures = make_missing(planned, directory, make, at_once)
+    """Make what is missing or out of date in ``<directory>/<case>_<variant>``: all runs, and what went wrong."""
+    failures = make_missing(
+        planned, directory, lambda run: {"process_seconds": runner(run, directory / run.name)}, at_once
+    )
     return read_runs(planned, directory), failures
 
 
@@ -231,11 +226,8 @@ def make_missing(
 ) -> list[str]:
     """Make what is missing or out of date, and keep each as it comes; what went wrong with the others, a text each.
 
-    Args:
-        planned: In the order in which they are begun.
-        directory: Of the files ``<name>.json``; created where it is missing.
-        make: Makes the content of one; raises `CaseFailedError` or `InputError` where that fails.
-        at_once: How many.
+    The files are ``<name>.json``. ``make`` makes the content of one; it raises `CaseFailedError` or `InputError` where
+    that fails.
     """
     # Here: Hydra composes in one thread alone.
     tasks = [(number, item, item.digest) for number, item in enumerate(planned, start=1)]

@@ -245,36 +245,36 @@ class NonlinearityScores:
         return style.save(nonlinearity_figure(self.summary), directory, "nonlinearity")[0]
 
 
+@style.look()
 def nonlinearity_figure(summary: pd.DataFrame) -> Figure:
     """Draw the summary of `NonlinearityScores`; cells that it lacks are left empty."""
     positive = summary.loc[summary["strength"] > 0.0, "strength"]
     edge = 0.3 * float(positive.min()) if len(positive) else 1e-6  # where kappa = 0 stands on a logarithmic axis
     models = [name for name in MODEL_ERRORS if name in set(summary["model_error"])]
-    with style.look():
-        margins = (0.79, 0.72, 0.37, 3.0)  # inch; the curves stand below
-        figure, maps = style.panels(3, len(models), 1.47, margins=margins, gaps=(0.11, 0.19), sharex=True, sharey=True)
-        height = figure.get_figheight()
-        for column, model in zip(maps.T, models, strict=True):
-            of_model = summary[summary["model_error"] == model]
-            for axes, quantity in zip(column, RESPONSE_QUANTITIES, strict=True):
-                image = _heat_map(axes, of_model[of_model["quantity"] == quantity])
-            place = column[0].get_position()
-            curves = figure.add_axes((place.x0, 0.5 / height, place.width, 1.85 / height))
-            _against_strength(curves, of_model[of_model["quantity"] == "displacement"], edge)
-            curves.tick_params(labelleft=model == models[0])
-            column[0].set_title(MODEL_ERRORS[model])
-            column[-1].set_xlabel(r"$\kappa$ (N/m$^3$)", labelpad=1)
-        for axes, quantity in zip(maps[:, 0], RESPONSE_QUANTITIES, strict=True):
-            axes.set_ylabel(f"{quantity} {style.SYMBOLS[quantity]}\nforce rms (N)")
-        first = figure.axes[maps.size]
-        first.set_ylabel(r"error of $u$, 100 − fitness (%)")
-        first.legend(loc="center left", handletextpad=0.2, borderaxespad=0.2)
-        first.text(0.98, 100.0, "no better than the mean", transform=first.get_yaxis_transform(), ha="right",
-                   va="bottom", fontsize=6, color=style.GREY)  # fmt: skip
-        bar: Any = figure.colorbar(image, cax=maps[1, -1].inset_axes((1.06, -0.5, 0.06, 2.0)), extend="both")
-        bar.set_label("our error, 100 − fitness (%)")
-        bar.outline.set_linewidth(0.4)
-        bar.ax.set_yticks([0.1, 1.0, 10.0, 100.0], ["0.1", "1", "10", "100"])
+    margins = (0.79, 0.72, 0.37, 3.0)  # inch; the curves stand below
+    figure, maps = style.panels(3, len(models), 1.47, margins=margins, gaps=(0.11, 0.19), sharex=True, sharey=True)
+    height = figure.get_figheight()
+    for column, model in zip(maps.T, models, strict=True):
+        of_model = summary[summary["model_error"] == model]
+        for axes, quantity in zip(column, RESPONSE_QUANTITIES, strict=True):
+            image = _heat_map(axes, of_model[of_model["quantity"] == quantity])
+        place = column[0].get_position()
+        curves = figure.add_axes((place.x0, 0.5 / height, place.width, 1.85 / height))
+        _against_strength(curves, of_model[of_model["quantity"] == "displacement"], edge)
+        curves.tick_params(labelleft=model == models[0])
+        column[0].set_title(MODEL_ERRORS[model])
+        column[-1].set_xlabel(r"$\kappa$ (N/m$^3$)", labelpad=1)
+    for axes, quantity in zip(maps[:, 0], RESPONSE_QUANTITIES, strict=True):
+        axes.set_ylabel(f"{quantity} {style.SYMBOLS[quantity]}\nforce rms (N)")
+    first = figure.axes[maps.size]
+    first.set_ylabel(r"error of $u$, 100 − fitness (%)")
+    first.legend(loc="center left", handletextpad=0.2, borderaxespad=0.2)
+    first.text(0.98, 100.0, "no better than the mean", transform=first.get_yaxis_transform(), ha="right",
+               va="bottom", fontsize=6, color=style.GREY)  # fmt: skip
+    bar: Any = figure.colorbar(image, cax=maps[1, -1].inset_axes((1.06, -0.5, 0.06, 2.0)), extend="both")
+    bar.set_label("our error, 100 − fitness (%)")
+    bar.outline.set_linewidth(0.4)
+    bar.ax.set_yticks([0.1, 1.0, 10.0, 100.0], ["0.1", "1", "10", "100"])
     return figure
 
 

@@ -221,20 +221,13 @@ def parameter_sheet(table: CaseTable, comparison: pd.DataFrame) -> Sheet:
         columns = [(case, i) for case in parameters for i in range(len(_OF_A_CASE))]
         rows += block("/".join(dict.fromkeys(names.values())), flat, columns)
     groups = [(_CASES[str(case)], _OF_A_CASE) for case in parameters]
-    note = PARAMETER_NOTE + _intervals(table, comparison)
-    return Sheet(table.name, table.title, note, ("Parameter", "Estimate"), groups, rows)
-
-
-def _intervals(table: CaseTable, comparison: pd.DataFrame) -> str:
-    """How many intervals hold the truth, as a sentence."""
     judged = comparison.dropna(subset=["truth_inside"]).groupby("variant")["truth_inside"]
-    held = judged.sum().to_dict()
+    held = judged.agg(["sum", "size"]).to_dict("index")
     counts = [
-        f"{source.source}, {held[source.name]:.0f} of {judged.size()[source.name]}"
-        for source in table.sources
-        if source.name in held
+        f"{s.source}, {held[s.name]['sum']:.0f} of {held[s.name]['size']}" for s in table.sources if s.name in held
     ]
-    return f" 90 % intervals that hold the true value: {'; '.join(counts)}." if counts else ""
+    holding = f" 90 % intervals that hold the true value: {'; '.join(counts)}." if counts else ""
+    return Sheet(table.name, table.title, PARAMETER_NOTE + holding, ("Parameter", "Estimate"), groups, rows)
 
 
 def _published(row: Mapping[Any, Any] | None) -> list[Cell]:

@@ -77,15 +77,9 @@ def sample_chain(
 ) -> ChainDraws:
     """Draws of one chain: the same for the same (density, seed, chain, settings), whatever ran before.
 
-    Masses are one: on whitened coordinates learned ones give as many effective draws, at two thirds of the speed.
-    Torch's generator is left as it was.
-
-    Args:
-        density: Whitened, of unit width along every axis.
-        seed: Of the run.
-        chain: Its number.
-        settings: How long, and how carefully.
-        after_iteration: Called after each of the warmup + draws iterations.
+    Masses are one: on whitened coordinates, of unit width along every axis, learned ones give as many effective draws,
+    at two thirds of the speed. Torch's generator is left as it was. Something may be called after each of the warmup +
+    draws iterations.
 
     Raises:
         DivergenceError: The density is finite nowhere near its centre.

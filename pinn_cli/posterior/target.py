@@ -54,7 +54,10 @@ class Target:
         self.softplus = Softplus(self.width[self.positive])
         with np.errstate(all="ignore"):
             self.mode, self.precision = find_mode(self.log_density, *self._start())
-            self.whitening = self._whitening()
+            from_zero = (self.parameters(self.mode) / self.width)[self.positive]
+            by_distance = np.argsort(from_zero, kind="stable")
+            near = self.positive[by_distance[from_zero[by_distance] < NEAR_ZERO]]
+            self.whitening = Whitening(self.mode, self.precision, near, Softplus(self.width[near]))
 
     @property
     def size(self) -> int:
@@ -117,12 +120,6 @@ class Target:
             warmup=warmup,
             seconds=seconds,
         )
-
-    def _whitening(self) -> Whitening:
-        from_zero = (self.parameters(self.mode) / self.width)[self.positive]
-        by_distance = np.argsort(from_zero, kind="stable")
-        near = self.positive[by_distance[from_zero[by_distance] < NEAR_ZERO]]
-        return Whitening(self.mode, self.precision, near, Softplus(self.width[near]))
 
     def _start(self) -> tuple[np.ndarray, np.ndarray]:
         """Where the search for the mode starts, and how wide the density may be there, both in x (p + 1,)."""

@@ -247,8 +247,7 @@ def dissipated(structure: Structure, response: Response) -> np.ndarray:
     if z is not None:
         stored = stored_by_memory(structure, z[[0, -1]], parameters)
         np.add.at(energy, structure.memory, stored[0] - stored[1])
-    out: np.ndarray = energy[structure.added]
-    return out
+    return energy[structure.added]
 
 
 def energy_table(energy: Estimates) -> pd.DataFrame:

@@ -113,11 +113,8 @@ def write_uff(dataset: xr.Dataset, path: Path) -> None:
         pyuff.UFF(str(temporary)).write_sets(sets)
 
 
-_EVERY = (
-    Export("csv", write_csv), Export("mat", write_mat), Export("uff", write_uff, "pyuff", "uff"),
-    Export("xlsx", write_xlsx, "openpyxl", "excel"),
-)  # fmt: skip
-EXPORTS = {export.name: export for export in _EVERY}
+_EXCEL, _UFF = Export("xlsx", write_xlsx, "openpyxl", "excel"), Export("uff", write_uff, "pyuff", "uff")
+EXPORTS = {export.name: export for export in (Export("csv", write_csv), Export("mat", write_mat), _UFF, _EXCEL)}
 
 
 def report_settings(

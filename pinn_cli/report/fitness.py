@@ -47,18 +47,15 @@ def fitness_percent(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def both_formulas(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """The paper's printed formula, and 100 (1 - RMSE / (max x - min x)), that behind its tables, of every DOF.
+    """The paper's printed formula, and 100 (1 - RMSE / (max x - min x)), that behind its tables: (2, dof), %.
 
     Use the second only to compare with published numbers: it flatters, since the root mean square of a random signal is
-    a small part of its range.
+    a small part of its range. 100 is perfect; by the first, 0 is no better than the mean, below 0 is worse. NaN where
+    the truth is constant or unknown, or where the estimate is NaN at a known sample.
 
     Args:
         estimate: x~, (time, dof).
         truth: x, (time, dof); samples that are NaN are unknown and are left out of every sum.
-
-    Returns:
-        Percent, (2, dof). 100 is perfect; by the first, 0 is no better than the mean, below 0 is worse. NaN where the
-        truth is constant or unknown, or where the estimate is NaN at a known sample.
     """
     known = np.isfinite(truth)
     residual = np.where(known, estimate - truth, 0.0)
@@ -78,12 +75,7 @@ def fitness_table(estimate: Response, truth: Response, observed: np.ndarray) -> 
     The groups are ``all``, ``first``, ``last``, ``observed``, ``unobserved`` and ``dof_1`` to ``dof_n``. Both formulas
     are evaluated DOF by DOF and then averaged over those DOFs of the group whose cell is not empty. A cell is empty
     (NaN) where the truth is constant (the force of an unforced DOF) or unknown, where the estimator gives no such
-    quantity (its column is all NaN), and in a group without DOFs.
-
-    Args:
-        estimate: (time, dof) for each quantity.
-        truth: The same, NaN where unknown.
-        observed: (dof,) bool: DOFs with any response sensor.
+    quantity (its column is all NaN), and in a group without DOFs. ``observed`` (dof,) are those with a response sensor.
 
     Raises:
         ValueError: An estimated column is finite in one place and not in another: an average over what is left would
@@ -132,17 +124,12 @@ def residual_table(estimate: Estimate, record: Record, free_run: Response | None
     ``dof`` is counted from 1, 0 is the ground, and a sensor that feels something else has none; ``channel`` is what
     messages call it. In the unit of the quantity: ``signal_rms`` (about the mean), ``residual_rms`` and
     ``mean_residual`` of r = measured - estimated, ``sigma`` (noise found). In per cent: ``nmse_percent`` (see
-    `nmse_percent`), ``free_run_nmse_percent`` (the same of the free run; force and ground have none, being given),
-    ``band_share_percent`` (of the signal's power, between ``band_low_hz`` and ``band_high_hz``, where the signal stands
-    out of its noise), ``clipped_percent`` and ``constant_percent`` (see there). Of r about its mean: ``whiteness`` (the
-    probability that white noise would look less white; near 0, r is not white), ``spectrum_deviation`` (the distance
-    that this judges), ``largest_autocorrelation`` (with its sign, within `LAGS` lags; white noise stays within about
-    3 / sqrt(samples)).
-
-    Args:
-        estimate: Its response is compared with the sensors; its ``noise`` is what was found.
-        record: The sensors.
-        free_run: Of the estimated system under the measured force, (N, n) each; None where there is none.
+    `nmse_percent`), ``free_run_nmse_percent`` (the same of the free run, where there is one; force and ground have
+    none, being given), ``band_share_percent`` (of the signal's power, between ``band_low_hz`` and ``band_high_hz``,
+    where the signal stands out of its noise), ``clipped_percent`` and ``constant_percent`` (see there). Of r about its
+    mean: ``whiteness`` (the probability that white noise would look less white; near 0, r is not white),
+    ``spectrum_deviation`` (the distance that this judges), ``largest_autocorrelation`` (with its sign, within `LAGS`
+    lags; white noise stays within about 3 / sqrt(samples)).
     """
     rows = []
     for channel in every_channel(record):
@@ -182,8 +169,7 @@ def cumulated_periodogram(values: np.ndarray) -> np.ndarray:
     """(m,) share of the power of values (N,) up to each frequency j / N, j = 1 to m, below Nyquist's; NaN of none."""
     power = np.abs(np.fft.rfft(values - values.mean())[1 : (len(values) + 1) // 2]) ** 2
     total = power.sum()
-    shares: np.ndarray = np.cumsum(power) / total if total > 0.0 else np.full(len(power), np.nan)
-    return shares
+    return np.cumsum(power) / total if total > 0.0 else np.full(len(power), np.nan)
 
 
 def cumulated_deviation(values: np.ndarray) -> float:

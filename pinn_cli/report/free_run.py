@@ -82,13 +82,7 @@ def free_run(prescribed: Structure, estimate: Estimate, record: Record) -> FreeR
     """Simulate the estimated system from the estimated initial state under the measured force.
 
     No free run is an error: a force that is neither measured nor known to be zero, and a system too stiff or unstable,
-    are findings.
-
-    Args:
-        prescribed: The chain that the estimator was given.
-        estimate: Whose parameters and whose state at the first sample are taken.
-        record: Whose force acts, and the motion of whose ground and supports; what these do between the samples is its
-            ``intersample``.
+    are findings. Between the samples of the record force, ground and supports do what its ``intersample`` says.
     """
     structure = estimated_structure(prescribed, estimate.parameters)
     try:

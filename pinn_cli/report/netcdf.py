@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from pinn_cli.posterior.posterior import PosteriorSamples
-from pinn_cli.posterior.result import PosteriorResult
+from pinn_cli.posterior.posterior import PosteriorResult, PosteriorSamples
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
 from pinn_cli.report import estimates
@@ -125,20 +124,14 @@ def netcdf_attributes(given: Mapping[str, object]) -> dict[str, object]:
 def posterior_groups(
     findings: PosteriorResult, record: Record, parameters: Sequence[Parameter], attributes: Mapping[str, object]
 ) -> dict[str, xr.Dataset]:
-    """The groups, as ArviZ names them.
-
-    Args:
-        findings: The draws and, where there is one, the force's posterior predictive.
-        record: What the force is compared with.
-        parameters: Those that were drawn, in the order of the draws; one whose unit nobody knows is written without.
-        attributes: Of the run: text, numbers and booleans; those that are None are left out.
+    """The groups, as ArviZ names them. ``parameters`` are in the order of the draws.
 
     Returns:
-        ``/``: attributes only. ``posterior``: a variable per parameter over (chain, draw), and ``sigma_force`` over
-        (chain, draw, force_dof). ``prior``: the parameters over (chain, draw), one chain. With a posterior predictive:
-        ``posterior_predictive`` with ``force`` (chain, draw, time, dof), of the draws and at the times that were
-        predicted, in single precision, and ``observed_data`` with ``force`` (time, dof). ``sample_stats``: (chain,
-        draw), where something was sampled step by step.
+        ``/``: attributes only, those of the run that are not None. ``posterior``: a variable per parameter over (chain,
+        draw), and ``sigma_force`` over (chain, draw, force_dof). ``prior``: the parameters over (chain, draw), one
+        chain. With a posterior predictive: ``posterior_predictive`` with ``force`` (chain, draw, time, dof), of the
+        draws and at the times that were predicted, in single precision, and ``observed_data`` with ``force`` (time,
+        dof). ``sample_stats``: (chain, draw), where something was sampled step by step.
     """
     samples, version, predictive = findings.samples, package_version("pinn-cli"), findings.predictive
     library = {"inference_library": "pinn-cli", **({"inference_library_version": version} if version else {})}

@@ -15,8 +15,8 @@ from markupsafe import Markup
 
 from pinn_cli.report import text
 from pinn_cli.report.estimates import ModeEstimates, mode_table
+from pinn_cli.report.figures.structure import moving_modes
 from pinn_cli.report.fitness import FORMULAS
-from pinn_cli.report.layout import moving_modes
 from pinn_cli.report.results import Results
 from pinn_cli.report.sheet import Cell, Row, Sheet, render
 from pinn_cli.report.text import Column
@@ -109,13 +109,13 @@ def run_page(
     """
     fitness, parameters = tables
     modes = ModeEstimates.of(results.prescribed, results.estimate, results.true)
-    columns, sensors, note = text.sensors_shown(residuals, results.run.baseline)
     sheets = [*parameter_sheets(parameters), *fitness_sheets(fitness)]
-    if len(sensors):
-        sheets.append(sheet_of(("sensors", "Sensors", note), columns, sensors))
+    sensors = text.sensors_shown(residuals, results.run.baseline)
+    if len(sensors.rows):
+        sheets.append(sheet_of(("sensors", "Sensors", sensors.note), sensors.columns, sensors.rows))
     if tried is not None and tried[0].response is not None:
-        columns, shown, note = text.validation_shown(*tried)
-        sheets.append(sheet_of(("validation", "Validation on other data", note), columns, shown))
+        shown = text.validation_shown(*tried)
+        sheets.append(sheet_of(("validation", "Validation on other data", shown.note), shown.columns, shown.rows))
     if modes is not None:
         note = "Of the estimated structure, linearised about rest; the shapes stand in modes.csv."
         sheets.append(sheet_of(("modes", "Natural modes", note), _MODES, mode_table(modes).head(text.SENSORS_SHOWN)))
@@ -149,13 +149,17 @@ def sheet_of(titles: tuple[str, str, str], columns: Mapping[str, Column], table:
 def parameter_sheets(parameters: pd.DataFrame) -> list[Sheet]:
     """Of the unknown parameters, and of those that were prescribed."""
     tables, left_out = text.parameter_tables(parameters)
-    named = [(columns, rows.assign(parameter=rows["parameter"].str.removesuffix(" *"))) for columns, rows in tables]
+    unknown = "unknown", "Unknown parameters", "Identified from the record; start is where the search began."
     believed = " ".join(["What was given, and what the record makes of it.", *left_out])
-    titles = {
-        "start": ("unknown", "Unknown parameters", "Identified from the record; start is where the search began."),
-        "prescribed": ("prescribed", "Prescribed parameters", believed),
-    }
-    return [sheet_of(titles["start" if "start" in columns else "prescribed"], columns, rows) for columns, rows in named]
+    prescribed = "prescribed", "Prescribed parameters", believed
+    return [
+        sheet_of(
+            unknown if "start" in columns else prescribed,
+            columns,
+            rows.assign(parameter=rows["parameter"].str.removesuffix(" *")),
+        )
+        for columns, rows in tables
+    ]
 
 
 def fitness_sheets(fitness: pd.DataFrame) -> list[Sheet]:

@@ -27,11 +27,6 @@ ESTIMATE = ("estimate", "std", "lower_90", "upper_90")
 PARAMETER_COLUMNS = (
     "parameter", "true", "prescribed", "start", "estimate", "error_percent", "std", "lower_90", "upper_90",
 )  # fmt: skip
-IDENTIFIABILITY_COLUMNS = (
-    "parameter", "prior_std", "std", "std_ratio", "relative_std_percent", "largest_correlation", "correlated_with",
-    "verdict",
-)  # fmt: skip
-STORY_COLUMNS = ("story", "parameter", *ESTIMATE, "free_run_nmse_percent", "segments_nmse_percent")
 OVER_TIME = "parameters_over_time.csv"
 OVER_TIME_COLUMNS = (
     "record", "run", "parameter", "unit", *ESTIMATE, "alone", "alone_std", "change", "change_std", "chance", "changed",
@@ -111,7 +106,7 @@ def worst_sampled(diagnostics: pd.DataFrame, most: int) -> list[str]:
 
 
 def identifiability_table(parameters: Sequence[ParameterEstimate], correlation: np.ndarray | None) -> pd.DataFrame:
-    """One row per parameter, unknown or prescribed (the content of ``identifiability.csv``): `IDENTIFIABILITY_COLUMNS`.
+    """One row per parameter, unknown or prescribed (the content of ``identifiability.csv``).
 
     ``prior_std`` and ``std`` are in the parameter's unit, ``std_ratio`` is std / prior_std, ``relative_std_percent`` is
     100 std / |estimate|, ``largest_correlation`` has its sign and is that with the parameter ``correlated_with``. What
@@ -121,13 +116,15 @@ def identifiability_table(parameters: Sequence[ParameterEstimate], correlation: 
     for p, warning in _inseparable(parameters, correlation):
         warnings[p.name].append(warning)
     rows = [
-        (
-            p.name, p.prior_std, p.std, _ratio(p.std, p.prior_std), 100.0 * _ratio(p.std, p.estimate), value,
-            None if other is None else parameters[other].name, "; ".join(warnings[p.name]) or WELL_DETERMINED,
-        )
+        {
+            "parameter": p.name, "prior_std": p.prior_std, "std": p.std, "std_ratio": _ratio(p.std, p.prior_std),
+            "relative_std_percent": 100.0 * _ratio(p.std, p.estimate), "largest_correlation": value,
+            "correlated_with": None if other is None else parameters[other].name,
+            "verdict": "; ".join(warnings[p.name]) or WELL_DETERMINED,
+        }
         for p, (other, value) in zip(parameters, _nearest(correlation, len(parameters)), strict=True)
     ]  # fmt: skip
-    return pd.DataFrame(rows, columns=list(IDENTIFIABILITY_COLUMNS))
+    return pd.DataFrame(rows)
 
 
 def identifiability_warnings(parameters: Sequence[ParameterEstimate], correlation: np.ndarray | None) -> list[str]:
@@ -202,15 +199,14 @@ def _ratio(part: float, whole: float) -> float:
 def story_table(stories: Sequence[Story]) -> pd.DataFrame:
     """One row per story of a record and parameter, the story that is reported first (the content of ``stories.csv``).
 
-    The last two of `STORY_COLUMNS` are a story's own, the same for all its parameters.
+    The NMSE are a story's own, the same for all its parameters.
     """
-    tables = [
-        estimate_rows(story.parameters).assign(
-            story=story.name, free_run_nmse_percent=story.free_run, segments_nmse_percent=story.segments
-        )
-        for story in stories
-    ]
-    return pd.concat(tables, ignore_index=True)[list(STORY_COLUMNS)]
+    tables = []
+    for story in stories:
+        own = {"free_run_nmse_percent": story.free_run, "segments_nmse_percent": story.segments}
+        tables.append(estimate_rows(story.parameters).assign(**own))
+        tables[-1].insert(0, "story", story.name)
+    return pd.concat(tables, ignore_index=True)
 
 
 def parameters_over_time(model: Model, estimate: Estimate, run: str) -> pd.DataFrame | None:

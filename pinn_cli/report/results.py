@@ -15,7 +15,7 @@ from pinn_cli.training.calibrated_record import as_calibrated
 
 if TYPE_CHECKING:
     from pinn_cli.model.knowledge import Model
-    from pinn_cli.posterior.result import PosteriorResult
+    from pinn_cli.posterior.posterior import PosteriorResult
     from pinn_cli.record.record import Record, Truth
     from pinn_cli.record.response import Response
     from pinn_cli.record.validation_data import ValidationRecord
@@ -117,12 +117,7 @@ class Results:
 
 
 def checked_times(setting: str, between: Any, time: np.ndarray) -> tuple[float, float]:
-    """From when to when figures are to show a record, s.
-
-    Args:
-        setting: What gives them, for the message.
-        between: As they are given.
-        time: (N,), s, of the record.
+    """From when to when figures are to show a record with times (N,), s; ``setting`` gives them, for the message.
 
     Raises:
         InputError: They are no two times of the record.

@@ -31,7 +31,7 @@ from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
 if TYPE_CHECKING:
-    from pinn_cli.posterior.result import PosteriorResult
+    from pinn_cli.posterior.posterior import PosteriorResult
     from pinn_cli.record.record import Record
     from pinn_cli.report.results import Results, RunDescription
     from pinn_cli.verdict.finding import Verdict

@@ -36,10 +36,6 @@ if TYPE_CHECKING:
 
 # Parts that the figures are drawn in, side by side.
 _SHARES = 2
-RECORD_COLUMNS = (
-    "record", "folder", "samples", "duration_s", "sampling_rate_hz", "sensors", "sigma_discrepancy",
-    "largest_nmse_percent", "largest_free_run_nmse_percent", "verdict",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,11 +134,7 @@ class FigureShare:
 class RunReport:
     """Everything that a run leaves behind: first what it prints, then its files.
 
-    Args:
-        results: What came of the run.
-        directory: Of the run.
-        stages: The seconds so far; the report's own are added.
-        exports: Formats in which the response is written beside ``response.nc``.
+    Its seconds are added to ``stages``; ``exports`` are written beside ``response.nc``.
     """
 
     def __init__(self, results: Results, directory: Path, stages: Stages, exports: Sequence[Export] = ()) -> None:
@@ -312,7 +304,9 @@ class RunReport:
 
     def _draw_tables(self) -> None:
         """Draw what is not drawn of the results alone."""
-        from pinn_cli.report.figures import over_time_figure, save, validation_figure
+        from pinn_cli.report.figures.parameters import over_time_figure
+        from pinn_cli.report.figures.sensors import validation_figure
+        from pinn_cli.report.figures.style import save
 
         place = self.directory / "figures"
         if self.validation is not None and self.validation[0].response is not None:
@@ -350,19 +344,24 @@ def _with_posterior(results: Results) -> Results:
 
 
 def records_table(records: Sequence[tuple[Results, pd.DataFrame, Verdict | None]]) -> pd.DataFrame:
-    """One row per record, from 1: the content of ``records.csv``, `RECORD_COLUMNS`.
+    """One row per record, from 1: the content of ``records.csv``.
 
     The NMSE are the largest of any sensor, see :func:`pinn_cli.report.fitness.residual_table`, whose rows are given;
     ``verdict`` is that of the record alone.
     """
     rows = []
     for number, (results, residuals, verdict) in enumerate(records, start=1):
-        record, discrepancy = results.record, results.estimate.noise.discrepancy
-        largest = residuals[["nmse_percent", "free_run_nmse_percent"]].max()
-        counts = len(channels(record, MEASURED_QUANTITIES))
-        shape = (len(record.time), record.duration, record.sampling_rate, counts, discrepancy)
-        rows.append((number, record_folder(number), *shape, *largest, verdict.word if verdict else None))
-    return pd.DataFrame(rows, columns=list(RECORD_COLUMNS))
+        record = results.record
+        rows.append({
+            "record": number, "folder": record_folder(number), "samples": len(record.time),
+            "duration_s": record.duration, "sampling_rate_hz": record.sampling_rate,
+            "sensors": len(channels(record, MEASURED_QUANTITIES)),
+            "sigma_discrepancy": results.estimate.noise.discrepancy,
+            "largest_nmse_percent": residuals["nmse_percent"].max(),
+            "largest_free_run_nmse_percent": residuals["free_run_nmse_percent"].max(),
+            "verdict": verdict.word if verdict else None,
+        })  # fmt: skip
+    return pd.DataFrame(rows)
 
 
 def write_tables(results: Results, parameter_table: pd.DataFrame, directory: Path) -> None:

@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -133,25 +133,40 @@ _TITLES = ("fitness, 1 - error / deviation (%)", "fitness, 1 - error / range (%)
 _CELL_WIDTH, _GAP = 9, "   "
 
 
+class SensorTable(NamedTuple):
+    """Sensors one by one: the columns in which anything is known, the rows, and what they say."""
+
+    columns: dict[str, Column]
+    rows: pd.DataFrame
+    note: str
+
+    @classmethod
+    def of(cls, columns: Mapping[str, Column], rows: pd.DataFrame, says: str = "", more: str = "") -> SensorTable:
+        """What is said of it stands before and behind the meanings of its columns."""
+        filled = {name: column for name, column in columns.items() if rows[name].notna().any()}
+        meanings = [meaning for name, meaning in _OF_SENSORS.items() if name in filled]
+        return cls(filled, rows, "; ".join(filter(None, (says, *meanings, more))))
+
+    def text(self, file: str) -> str:
+        """Of many sensors those with the largest NMSE; the others are left to the file."""
+        shown, left_out = self.rows, []
+        if len(shown) > SENSORS_SHOWN:
+            shown = shown.loc[shown["nmse_percent"].nlargest(SENSORS_SHOWN).index.sort_values()]
+            left_out = [f"the {len(shown)} of {len(self.rows)} sensors with the largest NMSE; all: {file}"]
+        return "\n".join([*table_lines(self.columns, shown), *left_out, *textwrap.wrap(self.note, WIDTH)])
+
+
 def sensors_text(records: Sequence[Sequence[pd.DataFrame]], baseline: str = "") -> str:
-    """What is left of every sensor beside the noise found, sensor by sensor; of many, of those with the largest NMSE.
+    """What is left of every sensor beside the noise found; see :func:`sensors_shown`."""
+    table = sensors_shown(records, baseline)
+    return "" if table.rows.empty else table.text("residuals.csv")
 
-    Args:
-        records: Of one run, the rows of ``residuals.csv`` of every record; of the only one also those of a baseline,
-            whose NMSE stands beside ours.
-        baseline: Its name.
+
+def sensors_shown(records: Sequence[Sequence[pd.DataFrame]], baseline: str = "") -> SensorTable:
+    """``records`` are the rows of ``residuals.csv`` of every record.
+
+    Of the only one they are also those of a baseline, whose NMSE stands beside ours.
     """
-    columns, shown, note = sensors_shown(records, baseline)
-    if shown.empty:
-        return ""
-    lines, left_out = _sensor_lines(columns, shown, "residuals.csv")
-    return "\n".join([*lines, *left_out, *textwrap.wrap(note, WIDTH)])
-
-
-def sensors_shown(
-    records: Sequence[Sequence[pd.DataFrame]], baseline: str = ""
-) -> tuple[dict[str, Column], pd.DataFrame, str]:
-    """Its columns and rows, and what they say; arguments as of :func:`sensors_text`."""
     table = pd.concat([ours.assign(record=i) for i, (ours, *_) in enumerate(records, start=1)], ignore_index=True)
     # ``acceleration 3``, ``ground``, ``support 1`` or the name of a sensor that feels something else.
     quantity = table["quantity"].where(~table["quantity"].isin(list(SUPPORT)), "support")
@@ -165,45 +180,22 @@ def sensors_shown(
         for theirs in records[0][1:]:  # with the same sensors in the same order
             shown["baseline"] = theirs["nmse_percent"].to_numpy()
             columns["baseline"] = Column(f"{baseline} (%)", len(baseline) + 5, _THREE)
-    columns = _filled(columns, shown)
-    return columns, shown, "; ".join([*_meanings(columns), "more: residuals.csv"])
+    return SensorTable.of(columns, shown, more="more: residuals.csv")
 
 
 def validation_text(run: ValidationRun, table: pd.DataFrame) -> str:
     """Sensor by sensor how far the identified system is from other data, with the table of its run on them."""
     if run.response is None:
         return f"no validation on other data: {run.finding}"
-    columns, shown, note = validation_shown(run, table)
-    lines, left_out = _sensor_lines(columns, shown, "validation.csv")
-    return "\n".join([*lines, *textwrap.wrap(note, WIDTH), *left_out])
+    return validation_shown(run, table).text("validation.csv")
 
 
-def validation_shown(run: ValidationRun, table: pd.DataFrame) -> tuple[dict[str, Column], pd.DataFrame, str]:
-    """Columns and rows of the identified system on other data, and what they say; arguments as above."""
+def validation_shown(run: ValidationRun, table: pd.DataFrame) -> SensorTable:
+    """The same to be laid out."""
     times = f"{run.record.time[run.first]:.6g} to {run.record.time[-1]:.6g} s"
     begins = "at rest" if run.at_rest else "where the estimate ends"
     says = f"the identified system under the measured force, {times}, beginning {begins}"
-    shown = table.assign(sensor=table["quantity"] + " " + table["dof"].astype(str))
-    columns = _filled(_VALIDATION, shown)
-    return columns, shown, "; ".join([says, *_meanings(columns)])
-
-
-def _filled(columns: Mapping[str, Column], table: pd.DataFrame) -> dict[str, Column]:
-    """Those in which anything is known."""
-    return {name: column for name, column in columns.items() if table[name].notna().any()}
-
-
-def _meanings(columns: Mapping[str, Column]) -> list[str]:
-    return [meaning for name, meaning in _OF_SENSORS.items() if name in columns]
-
-
-def _sensor_lines(columns: dict[str, Column], sensors: pd.DataFrame, file: str) -> tuple[list[str], list[str]]:
-    """A table of sensors, and a note where some are left to the file."""
-    shown, notes = sensors, []
-    if len(sensors) > SENSORS_SHOWN:
-        shown = sensors.loc[sensors["nmse_percent"].nlargest(SENSORS_SHOWN).index.sort_values()]
-        notes = [f"the {len(shown)} of {len(sensors)} sensors with the largest NMSE; all: {file}"]
-    return table_lines(columns, shown), notes
+    return SensorTable.of(_VALIDATION, table.assign(sensor=table["quantity"] + " " + table["dof"].astype(str)), says)
 
 
 def parameters_text(table: pd.DataFrame, warnings: Sequence[str] = (), baseline: pd.DataFrame | None = None) -> str:
@@ -213,9 +205,6 @@ def parameters_text(table: pd.DataFrame, warnings: Sequence[str] = (), baseline:
         table: From `pinn_cli.report.parameters.parameter_table`, of one run: what has a ``start`` was unknown.
         warnings: From `pinn_cli.report.parameters.identifiability_warnings`, of the same run.
         baseline: Rows of another estimator, with its name. Where the truth is known it leaves no room for them.
-
-    Returns:
-        Text, or "" if there are no parameters.
     """
     tables, notes = parameter_tables(table, baseline)
     lines: list[str] = []
@@ -291,14 +280,12 @@ def fitness_text(table: pd.DataFrame, observed: np.ndarray | None = None, publis
     """The fitness table with groups as rows and quantities as columns, both formulas side by side, in percent.
 
     Groups and quantities of which nothing is known are left out: a measured record has a truth at held-out DOFs only.
+    Text, or "" if there is no number at all.
 
     Args:
         table: From `pinn_cli.report.fitness.fitness_table`, of one run.
         observed: (dof,) bool; marks the rows of unobserved DOFs with an asterisk.
         published: From `pinn_cli.report.fitness.published_fitness_of`; its rows are printed under their groups.
-
-    Returns:
-        Text, or "" if there is no number at all.
     """
     quantities, shown, left_out = fitness_shown(table, DOFS_SHOWN)
     if not shown:
@@ -405,7 +392,10 @@ def stories_text(stories: Sequence[Story]) -> str:
         return ""
     reported, *others = stories
     lines = [f"The model does not quite hold. The parameters are those of a story in which {_said(reported)}."]
-    lines += map(_scores_of, stories)
+    for story in stories:
+        scores = f"{story.name}: NMSE of a free run {story.free_run:.3g} %, of short ones {story.segments:.3g} %"
+        lasts = f" N on a DOF, with a correlation time of {story.correlation_time:.3g} s"
+        lines.append(f"{scores}{f'; {story.force_std:.3g}{lasts}' if np.isfinite(story.force_std) else ''}.")
     for story in others:
         unknown = [p for p in story.parameters if p.unknown][:PARAMETERS_OF_A_STORY]
         values = ", ".join(f"{p.name} {number(p.estimate)} +- {number(p.std, digits=2)}" for p in unknown)
@@ -415,14 +405,6 @@ def stories_text(stories: Sequence[Story]) -> str:
 
 def _said(story: Story) -> str:
     return SAID[story.name].format(place=f"{story.place} alone" if story.place else "every coordinate")
-
-
-def _scores_of(story: Story) -> str:
-    """How well it predicts the record; how large a smooth force is, and for how long it stays the same."""
-    scores = f"{story.name}: NMSE of a free run {story.free_run:.3g} %, of short ones {story.segments:.3g} %"
-    if not np.isfinite(story.force_std):
-        return f"{scores}."
-    return f"{scores}; {story.force_std:.3g} N on a DOF, with a correlation time of {story.correlation_time:.3g} s."
 
 
 def changes_text(changes: Changes | None) -> str:
@@ -448,8 +430,8 @@ def peaks_text(peaks: Sequence[Peak]) -> str:
     if not peaks:
         return ""
     lines = [
-        f"peak {peak.quantity.replace('_', ' ')} of connection {peak.of}: {number(peak.peak, digits=4)} {peak.unit}"
-        f" at {peak.time:.4g} s, 90 %: {number(peak.lower_90, digits=4)} to {number(peak.upper_90, digits=4)}"
+        f"peak {peak.quantity.replace('_', ' ')} of connection {peak.of}: {_FOUR(peak.peak)} {peak.unit}"
+        f" at {peak.time:.4g} s, 90 %: {_FOUR(peak.lower_90)} to {_FOUR(peak.upper_90)}"
         for peak in [peak for peak in peaks if peak.quantity in PEAKS_OF][:MOST_PEAKS]
     ]
     return "\n".join([*lines, f"{len(peaks)} peaks with intervals: peaks.csv"])

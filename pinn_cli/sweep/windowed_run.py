@@ -279,7 +279,8 @@ class WindowedRun:
         with stages("figures"):
             if self.drawn:
                 # Not above: matplotlib takes a while, and may not be wanted.
-                from pinn_cli.report.figures import over_time_figure, save
+                from pinn_cli.report.figures.parameters import over_time_figure
+                from pinn_cli.report.figures.style import save
                 from pinn_cli.report.page import IN_PYTHON, Page, fitness_sheets, parameter_sheets
 
                 over_time = over_time_figure(pd.read_csv(self.directory / OVER_TIME), "Window")

@@ -73,7 +73,7 @@ class Forecast(Withheld):
         return setup.scheme.with_record(problem, setup.prescribed, problem.alone.record.until(part))
 
     def in_words(self, part: int, record: Record) -> str:
-        """See :meth:`Withheld.told`."""
+        """See :meth:`Withheld.in_words`."""
         return f"with the record up to {record.time[part]:.4g} s"
 
     def rows(self, part: int, record: Record, estimate: Estimate, setup: Setup) -> Iterator[dict[str, Any]]:

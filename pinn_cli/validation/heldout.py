@@ -62,7 +62,7 @@ class HeldOut(Withheld):
         return setup.scheme.with_record(problem, setup.prescribed, remaining)
 
     def in_words(self, part: int, record: Record) -> str:
-        """See :meth:`Withheld.told`."""
+        """See :meth:`Withheld.in_words`."""
         return f"without the sensors of DOF {record.dof_name(part - 1)}"
 
     def rows(self, part: int, record: Record, estimate: Estimate, setup: Setup) -> Iterator[dict[str, Any]]:

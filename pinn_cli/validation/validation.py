@@ -83,13 +83,7 @@ class Validation(ABC):
 
     @abstractmethod
     def score(self, problem: JointProblem, estimate: Estimate, setup: Setup) -> Score | None:
-        """The score; None where none was asked for.
-
-        Args:
-            problem: That was solved.
-            estimate: Its solution.
-            setup: That found it, to find others.
-        """
+        """The score of a problem's solution, which ``setup`` found; None where none was asked for."""
 
 
 class Withheld(Validation):

@@ -1,21 +1,29 @@
-"""What is wrong with a sensor, the ground's too, or with the force, where other channels call the structure right."""
+"""What a channel says against itself, and what is wrong with one, or the force, where others call the structure right.
+
+By itself a channel is still, a copy, clipped, drops out, is off its zero, hums, or is far off at first.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.system.quantities import FORCE, GROUND
+from pinn_cli.record.channel import Channel
+from pinn_cli.record.channels import channels, dropouts, hum, of_mains
+from pinn_cli.record.files.table import told_mark
+from pinn_cli.record.response import MEASURED_QUANTITIES, RESPONSE_QUANTITIES
+from pinn_cli.record.spectrum import mean_deviation
+from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 from pinn_cli.verdict.finding import Finding
 from pinn_cli.verdict.prediction import Comparison, compare, comparisons
-from pinn_cli.verdict.record_faults import DEVIATIONS, LEAST_OFFSET
 
 if TYPE_CHECKING:
-    from pinn_cli.record.channel import Channel
+    from pinn_cli.record.record import Record
+    from pinn_cli.training.estimate import Estimate
     from pinn_cli.verdict.prediction import Prediction
 
 # NMSE up to which a channel counts as predicted. Sensors with 10 dB of noise are at 0.1 with a right chain; a lightly
@@ -47,13 +55,22 @@ _UNIT_FACTORS = {
     2 * math.pi: ("2 pi", "Hz and rad/s"),
 }
 
+# A clipped channel has this share of its samples exactly at an extreme value, and at least so many of them.
+CLIPPED_SHARE, CLIPPED_SAMPLES = 0.002, 8
+# A coarse converter puts many samples onto every level; onto the outermost no more than a few times as many as onto
+# the next (a sine wave: 2.4 times).
+CLIPPED_OVER_NEXT = 5
+# An offset, over the channel's rms and over what its lowest frequencies leave open.
+LEAST_OFFSET, DEVIATIONS = 0.05, 10.0
+# The beginning of a record, as a share of it. It is far off where what is left there is so large a part of the signal,
+# and so many times what is left of the rest.
+BEGINNING, FAR_OFF, ABOVE_REST = 0.02, 0.5, 5.0
+
 
 def channel_faults(prediction: Prediction, excused: Sequence[str] = ()) -> list[Finding]:
     """The one channel, pair of channels or force whose mending makes the structure predict every sensor; else nothing.
 
-    Args:
-        prediction: Of a structure that may be right.
-        excused: Names of channels whose fault is known already, which are not compared.
+    The prediction is of a structure that may be right. Channels whose fault is known already are ``excused``, by name.
     """
     compared = comparisons(prediction, excused)
     explanations = {c.channel.name: explained(c) for c in compared}
@@ -70,32 +87,41 @@ def channel_faults(prediction: Prediction, excused: Sequence[str] = ()) -> list[
     if moved is not None and (not complete or moved.misfit < max(finding.misfit for finding in mended)):
         return [moved]
     if complete and (len(mended) == 1 or len(mended) < len(compared)):
-        return mended if len(compared) > 1 else [_or_force(mended[0])]
-    return _odd_one_out(faulty, compared) if not mended else []
-
-
-def _or_force(finding: Finding) -> Finding:
-    """One sensor alone cannot say which of the two is off."""
-    if finding.kind == "offset":
-        return finding
-    return replace(finding, text=f"{finding.text}; with one sensor, the force may be what is off")
+        if len(compared) == 1 and mended[0].kind != "offset":
+            return [replace(mended[0], text=f"{mended[0].text}; with one sensor, the force may be what is off")]
+        return mended
+    if mended or len(faulty) != 1 or len(compared) < 3:
+        return []
+    # A structure that predicts at least two others does not predict this one.
+    name = faulty[0].channel.name
+    reason = f"the {name} alone is not what the structure does under the measured {faulty[0].acting}"
+    return [Finding("sensor", name, f"{reason}; check that sensor, or leave it out", misfit=faulty[0].misfit)]
 
 
 def explained(comparison: Comparison) -> Finding | None:
     """The fault of one channel that mends it best; None where it has none, or none that mends it."""
-    faults = [f for f in (_factor(comparison), _delay(comparison), _offset(comparison)) if f is not None]
-    best = min(faults, key=lambda finding: finding.misfit, default=None)
+    best = min(_faults_of(comparison), key=lambda finding: finding.misfit, default=None)
     if best is None or best.misfit > REPRODUCED or best.misfit > MENDS * comparison.misfit:
         return None
     return best
 
 
-def _factor(c: Comparison) -> Finding | None:
-    if not _off(c):
-        return None
-    moves = f"what the structure does under the measured {c.acting}"
-    finding = factor_finding(c.channel, c.factor.value, moves, c.factor.std)
-    return replace(finding, misfit=c.factor.misfit)
+def _faults_of(c: Comparison) -> Iterator[Finding]:
+    """A factor, a delay and an offset, as far as there are any."""
+    if _off(c):
+        moves = f"what the structure does under the measured {c.acting}"
+        finding = factor_finding(c.channel, c.factor.value, moves, c.factor.std)
+        yield replace(finding, misfit=c.factor.misfit)
+    if c.delay.differs(0.0, LEAST_DELAY_FAULT * c.record.step, DEVIATIONS):
+        yield replace(late_finding(c.channel, c.delay.value, c.record.step), misfit=c.delay.misfit)
+    rms = float(np.sqrt(c.power))
+    if c.offset.differs(0.0, LEAST_OFFSET * rms, DEVIATIONS):
+        yield replace(_offset_finding(c.channel, c.offset.value, rms), misfit=c.offset.misfit)
+
+
+def _offset_finding(channel: Channel, offset: float, rms: float) -> Finding:
+    text = f"the {channel.name} has an offset of {offset:.4g} ({100 * abs(offset) / rms:.0f} % of its rms)"
+    return Finding("offset", channel.name, f"{text}; subtract it from its column")
 
 
 def factor_finding(channel: Channel, value: float, of: str, std: float = 0.0) -> Finding:
@@ -130,26 +156,11 @@ def _remedy(kind: str, setting: str, value: float) -> str:
     return f"check the calibration of {setting}, or divide it by {value:.4g}"
 
 
-def _delay(c: Comparison) -> Finding | None:
-    if not c.delay.differs(0.0, LEAST_DELAY_FAULT * c.record.step, DEVIATIONS):
-        return None
-    return replace(late_finding(c.channel, c.delay.value, c.record.step), misfit=c.delay.misfit)
-
-
 def late_finding(channel: Channel, delay: float, step: float) -> Finding:
     """That a channel is late, or early, by s; of samples that are a step apart."""
     later = "late" if delay > 0 else "early"
     reason = f"the {channel.name} is {abs(delay):.4g} s ({abs(delay) / step:.2f} samples) {later}"
     return Finding("delay", channel.name, f"{reason}; shift its column in time")
-
-
-def _offset(c: Comparison) -> Finding | None:
-    rms = float(np.sqrt(c.power))
-    if not c.offset.differs(0.0, LEAST_OFFSET * rms, DEVIATIONS):
-        return None
-    share, name = 100 * abs(c.offset.value) / rms, c.channel.name
-    reason = f"the {name} has an offset of {c.offset.value:.4g} ({share:.0f} % of its rms)"
-    return Finding("offset", name, f"{reason}; subtract it from its column", misfit=c.offset.misfit)
 
 
 def _common_fault(compared: Sequence[Comparison]) -> Finding | None:
@@ -166,19 +177,15 @@ def _common_fault(compared: Sequence[Comparison]) -> Finding | None:
     if all(_off(c) for c in compared) and all(abs(f.value / value - 1) < SAME_FACTOR for f in factors):
         misfit = max(f.misfit for f in factors)
         kind, text = _factor_in_words(1 / value, factors[0].std)
-        reason = f"every sensor says that the {name} is {text} what acts"
-        remedy = _remedy(kind, setting, 1 / value)
-        return Finding(kind, name, f"{reason}; {remedy}", misfit=misfit) if misfit <= REPRODUCED else None
+        reason = f"every sensor says that the {name} is {text} what acts; {_remedy(kind, setting, 1 / value)}"
+        return Finding(kind, name, reason, misfit=misfit) if misfit <= REPRODUCED else None
     late = float(np.median([d.value for d in delays]))
     shifted = all(d.differs(0.0, LEAST_DELAY_FAULT * record.step, DEVIATIONS) for d in delays)
     if shifted and all(abs(d.value - late) < 0.2 * record.step for d in delays):
         misfit = max(d.misfit for d in delays)
-        reason = f"every sensor says that the {name} is {abs(late):.4g} s {'early' if late > 0 else 'late'}"
-        return (
-            Finding("delay", name, f"{reason}; shift its column in time", misfit=misfit)
-            if misfit <= REPRODUCED
-            else None
-        )
+        when = f"{abs(late):.4g} s {'early' if late > 0 else 'late'}"
+        reason = f"every sensor says that the {name} is {when}; shift its column in time"
+        return Finding("delay", name, reason, misfit=misfit) if misfit <= REPRODUCED else None
     return None
 
 
@@ -187,11 +194,8 @@ def _exchanged(faulty: Sequence[Comparison], prediction: Prediction) -> Finding 
     if len(faulty) != 2 or faulty[0].channel.quantity != faulty[1].channel.quantity:
         return None
     first, second = faulty
-    after = [
-        compare(first.channel, prediction, second.channel.dof),
-        compare(second.channel, prediction, first.channel.dof),
-    ]
-    misfit = max(c.misfit for c in after)
+    pairs = (first.channel, second.channel), (second.channel, first.channel)
+    misfit = max(compare(one, prediction, other.dof).misfit for one, other in pairs)
     if misfit > REPRODUCED or misfit > MENDS_BY_MOVING * max(first.misfit, second.misfit):
         return None
     return replace(swap_finding(first.channel, second.channel), misfit=misfit)
@@ -222,21 +226,10 @@ def misplaced_finding(channel: Channel, dof: str) -> Finding:
     return Finding("misplaced", channel.name, f"the {channel.name} fits DOF {dof}; {check}")
 
 
-def _odd_one_out(faulty: Sequence[Comparison], compared: Sequence[Comparison]) -> list[Finding]:
-    """The one sensor that is not predicted by a structure that predicts at least two others."""
-    if len(faulty) != 1 or len(compared) < 3:
-        return []
-    name = faulty[0].channel.name
-    reason = f"the {name} alone is not what the structure does under the measured {faulty[0].acting}"
-    return [Finding("sensor", name, f"{reason}; check that sensor, or leave it out", misfit=faulty[0].misfit)]
-
-
 def unit_of(factor: float, std: float = 0.0) -> str:
     """The factor and which two units were taken for each other: ``1/9.80665: g and m/s^2``; "" where no unit fits.
 
-    Args:
-        factor: Measured over expected.
-        std: Its standard deviation.
+    The factor is measured over expected, and known to within ``std``.
     """
     size, sign = abs(factor), "-" if factor < 0 else ""
     allowed = min(UNIT_WITHIN, max(0.01, 4.0 * std / size)) if size else 0.0
@@ -247,3 +240,89 @@ def unit_of(factor: float, std: float = 0.0) -> str:
             inverse = written[2:] if written.startswith("1/") else f"1/{written}"
             return f"{sign}{inverse}: {units}"
     return ""
+
+
+def record_faults(record: Record) -> list[Finding]:
+    """The faults of all channels, at most one of each."""
+    every = channels(record, (*RESPONSE_QUANTITIES, GROUND, *SUPPORT))
+    first = (next(_by_itself(every[: i + 1], record), None) for i in range(len(every)))
+    return [fault for fault in first if fault is not None]
+
+
+def _by_itself(seen: Sequence[Channel], record: Record) -> Iterator[Finding]:
+    """What is wrong with the last of some channels, the gravest first."""
+    *others, channel = seen
+    name, x = channel.name, channel.measured
+    if not np.ptp(x) > 0:
+        yield Finding("still", name, f"the {name} is {x[0]:.4g} throughout; leave that sensor out", "failed")
+    for other in others:  # noise alone would make them differ
+        if np.array_equal(other.measured, x):
+            text = f"the {name} is a copy of the {other.name}: all of its samples are the same"
+            yield Finding("copy", name, f"{text}; look for its own column, or leave it out")
+    if told := told_mark(x):
+        yield Finding("mark", name, f"the {name} {told}")
+    levels, counts = np.unique(x, return_counts=True)
+    least = max(CLIPPED_SAMPLES, CLIPPED_SHARE * len(x))
+    for end, step in ((-1, -1), (0, 1)):
+        if len(levels) > 2 and counts[end] >= least and counts[end] >= CLIPPED_OVER_NEXT * counts[end + step]:
+            exactly = f"{100 * counts[end] / len(x):.1f} % of its samples are exactly that"
+            text = f"the {name} is clipped at {levels[end]:.4g}: {exactly}"
+            yield Finding("clip", name, f"{text}; measure again with a wider range, or leave it out")
+    # Equal samples in a row for longer than the channel takes to move, while something else moves.
+    if runs := dropouts(x, [c.measured for c in channels(record, MEASURED_QUANTITIES, [name])]):
+        samples, first = sum(end - begin for begin, end in runs), record.time[runs[0][0]]
+        text = f"{samples} samples in {len(runs)} runs do not change, the first at {first:.4g} s"
+        remedy = "cut these out with data.start and data.stop, or leave it out"
+        yield Finding("dropout", name, f"the {name} drops out: {text}; {remedy}")
+    # A mean that no motion has: an acceleration's is the velocity won over the duration, a velocity's the way gone. A
+    # displacement may have one, under a force that has.
+    mean, rms = float(np.mean(x)), float(np.std(x))
+    if channel.order > 0 and abs(mean) >= LEAST_OFFSET * rms and abs(mean) >= DEVIATIONS * mean_deviation(x):
+        yield _offset_finding(channel, mean, rms)
+    acting = channels(record, (FORCE, GROUND, *SUPPORT), excused=[name])
+    if steady := hum(x, record.step, [input_channel.measured for input_channel in acting]):
+        line, share = steady
+        text = f"{100 * share:.0f} % of its power is a steady line at {of_mains(line, record.step)}"
+        remedy = "which nothing that acts has; filter it out, or leave that sensor out"
+        yield Finding("hum", name, f"the {name} hums: {text}, {remedy}")
+
+
+def first_sample_findings(record: Record, estimate: Estimate) -> list[Finding]:
+    """First samples that are far off: a filter that settles, a sensor that is switched on.
+
+    What is left of a good record is left everywhere. There, the estimate follows a few wrong samples or leaves them:
+    the sensor is told that is furthest off. Where none is, the model may leave out a force.
+    """
+    count, misfit = max(3, math.ceil(BEGINNING * len(record.time))), estimate.misfit
+    worst, fault, residual = 0.0, "", np.zeros(0)
+    for channel in channels(record, (*RESPONSE_QUANTITIES, FORCE, GROUND, *SUPPORT)):
+        estimated = channel.of(estimate.response)
+        gap = ~(np.isfinite(estimated) & channel.there)
+        off = np.where(gap, 0.0, channel.measured - estimated)
+        far = _far_off(off, np.where(gap, 0.0, channel.measured), channel.of(estimate.std), count)
+        if far > worst:
+            worst, residual, at = far, off, int(np.argmax(np.abs(off[:count])))
+            numbers = f"was measured as {channel.measured[at]:.3g} and estimated as {estimated[at]:.3g}"
+            fault = f"the {channel.name} {numbers} at {record.time[at]:.4g} s"
+    if not fault and misfit is not None and len(misfit.history) == len(record.time) and misfit.acting > 0.0:
+        force, ones = np.linalg.norm(misfit.history.astype(float), axis=1), np.ones(len(record.time))
+        if _far_off(force, misfit.acting * ones, misfit.rest * ones, count):
+            residual, at = force, int(np.argmax(force[:count]))
+            fault = f"the model leaves out a force of {force[at]:.3g} N at {record.time[at]:.4g} s"
+    if not fault:
+        return []
+    last = int(np.flatnonzero(np.abs(residual[:count]) > ABOVE_REST * np.std(residual[count:])).max(initial=0))
+    text = f"the first {last + 1} samples are far off: {fault}; leave them out (data.start={record.time[last + 1]:.4g})"
+    return [Finding("first_samples", "record", text)]
+
+
+def _far_off(residual: np.ndarray, signal: np.ndarray, std: np.ndarray, count: int) -> float:
+    """What is left of the first samples, over the signal; 0 where it is no more than the rest, or ``std``, allows.
+
+    All are (N,); ``std`` is that of what was estimated, NaN where it is unknown.
+    """
+    parts = residual[:count], residual[count:], signal[:count], np.nan_to_num(std[:count])
+    first, rest, begins, deviation = (float(np.sqrt(np.mean(part**2))) for part in parts)
+    size = max(float(np.std(signal)), begins)
+    allowed = max(FAR_OFF * size, ABOVE_REST * rest, ABOVE_REST * deviation)
+    return first / size if first > allowed > 0.0 else 0.0

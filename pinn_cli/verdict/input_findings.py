@@ -21,6 +21,8 @@ from pinn_cli.verdict.finding import Finding, failed_if
 from pinn_cli.verdict.prediction import predicted
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from pinn_cli.record.record import Record
     from pinn_cli.scheme.problem import Problem, SpectralEstimate
     from pinn_cli.system.structure import Structure
@@ -47,71 +49,61 @@ UPPER_END, FORCE_MATTERS = 0.9, 0.02
 def input_findings(problem: Problem, estimate: Estimate, structure: Structure) -> list[Finding]:
     """Every finding about what acts but those of :func:`sampling_findings` and :func:`resonance_findings`.
 
-    Args:
-        problem: For the record.
-        estimate: Of the motion.
-        structure: With the estimated parameters.
+    The structure has the estimated parameters.
     """
     if problem.spectral is not None:
-        return _driven(problem.record) + _modes(problem.spectral)
-    of_parameters = _spectra(estimate) + _under_forces(problem, estimate)
-    return _output_only(problem) + of_parameters + _untold(problem, estimate) + _energy(structure)
+        return [*_of_modes(problem.record, problem.spectral)]
+    return [
+        *_output_only(problem),
+        *_spectra(estimate),
+        *_under_forces(problem, estimate),
+        *_untold(problem, estimate),
+        *_energy(structure),
+    ]
 
 
-def _untold(problem: Problem, estimate: Estimate) -> list[Finding]:
+def _untold(problem: Problem, estimate: Estimate) -> Iterator[Finding]:
     """DOFs whose displacement the forces that nobody measured leave open."""
-    if not problem.inputs.unmeasured:
-        return []
     std, motion = (np.sqrt(np.mean(x.displacement**2, axis=0)) for x in (estimate.std, estimate.response))
     open_dofs = np.flatnonzero(std > UNTOLD * motion)
-    if not open_dofs.size:
-        return []
-    worst = 100.0 * float(np.max(std[open_dofs] / np.maximum(motion[open_dofs], np.finfo(float).tiny)))
-    names = problem.record.dof_names(open_dofs.tolist())
-    text = (
-        f"unmeasured forces leave the displacement of {names} open: its standard deviation is up to {worst:.0f} % of it"
-    )
-    return [Finding("untold", names, f"{text}; put sensors there, or measure the forces")]
+    if problem.inputs.unmeasured and open_dofs.size:
+        worst = 100.0 * float(np.max(std[open_dofs] / np.maximum(motion[open_dofs], np.finfo(float).tiny)))
+        names = problem.record.dof_names(open_dofs.tolist())
+        extent = f"its standard deviation is up to {worst:.0f} % of it; put sensors there, or measure the forces"
+        yield Finding("untold", names, f"unmeasured forces leave the displacement of {names} open: {extent}")
 
 
-def _driven(record: Record) -> list[Finding]:
-    """A driven point whose motion no sensor shows."""
+def _of_modes(record: Record, spectral: SpectralEstimate) -> Iterator[Finding]:
+    """A driven point whose motion no sensor shows; what the spectra of a band show beside the modes that were found."""
     dofs = np.flatnonzero(record.sensors("force") & ~record.observed)
-    if not len(dofs):
-        return []
-    text = (
-        f"no sensor is where the force acts, at {record.dof_names(dofs)}: what is shown of its motion is not to scale,"
-        " and every modal mass belongs to the sensor that moves most in its mode"
-    )
-    return [Finding("driven", record.dof_names(dofs), text, "sound")]
-
-
-def _modes(spectral: SpectralEstimate) -> list[Finding]:
-    """What the spectra of a band show beside the modes that were found."""
+    if len(dofs):
+        text = (
+            f"no sensor is where the force acts, at {record.dof_names(dofs)}: what is shown of its motion is not to"
+            " scale, and every modal mass belongs to the sensor that moves most in its mode"
+        )
+        yield Finding("driven", record.dof_names(dofs), text, "sound")
     if spectral.missing is not None:
         text = f"a mode at {spectral.missing:.4g} Hz is in the band and not in the model"
-        return [Finding("missing_mode", "system.modes", f"{text}; ask for more (system.modes)")]
-    if spectral.misfit <= LEFT_OF_POWER:
-        return []
-    share = f"{100.0 * spectral.misfit:.0f} %"
-    text = f"in a part of the band the modes leave {share} of the sensors' power, more than noise does"
-    remedy = (
-        "frequencies may be right, damping and masses not; check the force, the sensors and whether the level matters"
-    )
-    return [Finding("spectra", "parameters", f"{text}; {remedy}")]
+        yield Finding("missing_mode", "system.modes", f"{text}; ask for more (system.modes)")
+    elif spectral.misfit > LEFT_OF_POWER:
+        share = f"{100.0 * spectral.misfit:.0f} %"
+        text = (
+            f"in a part of the band the modes leave {share} of the sensors' power, more than noise does; frequencies"
+            " may be right, damping and masses not; check the force, the sensors and whether the level matters"
+        )
+        yield Finding("spectra", "parameters", text)
 
 
-def _spectra(estimate: Estimate) -> list[Finding]:
+def _spectra(estimate: Estimate) -> Iterator[Finding]:
     """A structure under unknown forces that does not show what the sensors show."""
     misfit = float(estimate.summary.get("spectral_misfit", 0.0))
-    if misfit <= MISSED:
-        return []
-    text = (
-        "under unmeasured forces of any smooth spectrum the estimated structure does not show the spectra of the"
-        f" sensors: in a part of the band their power is {100.0 * misfit:.0f} % off"
-    )
-    remedy = "do not trust parameters and intervals; check masses, sensors, connections, and whether forces have lines"
-    return [Finding("spectra", "parameters", f"{text}; {remedy}")]
+    if misfit > MISSED:
+        text = (
+            "under unmeasured forces of any smooth spectrum the estimated structure does not show the spectra of the"
+            f" sensors: in a part of the band their power is {100.0 * misfit:.0f} % off; do not trust parameters and"
+            " intervals; check masses, sensors, connections, and whether forces have lines"
+        )
+        yield Finding("spectra", "parameters", text)
 
 
 def resonance_findings(problem: Problem, structure: Structure) -> list[Finding]:
@@ -142,20 +134,19 @@ def resonance_findings(problem: Problem, structure: Structure) -> list[Finding]:
     return [Finding("resonances", "parameters", f"{text}; {remedy}", failed_if(len(off) == len(clear)))]
 
 
-def _output_only(problem: Problem) -> list[Finding]:
+def _output_only(problem: Problem) -> Iterator[Finding]:
     """Nothing that acts was measured: all that a record tells is relative."""
     record = problem.record
     measured = record.sensors("force").any() or record.measured_ground is not None or record.supports
-    if measured or not problem.inputs.unmeasured:
-        return []
-    text = (
-        "no force was measured: the record tells frequencies, damping and shapes, but no absolute mass or stiffness;"
-        " forces, and every stiffness, are as right as the prescribed masses"
-    )
-    return [Finding("output_only", "force", text, "sound")]
+    if not measured and record.unmeasured:
+        text = (
+            "no force was measured: the record tells frequencies, damping and shapes, but no absolute mass or"
+            " stiffness; forces, and every stiffness, are as right as the prescribed masses"
+        )
+        yield Finding("output_only", "force", text, "sound")
 
 
-def _under_forces(problem: Problem, estimate: Estimate) -> list[Finding]:
+def _under_forces(problem: Problem, estimate: Estimate) -> Iterator[Finding]:
     """Parameters that were found together with the most probable unknown forces, and not with these integrated out.
 
     What no equation holds, see :func:`_unheld`, is held by the spectrum of the forces alone, and the peak that
@@ -163,23 +154,22 @@ def _under_forces(problem: Problem, estimate: Estimate) -> list[Finding]:
     next to the ground, whose motion nobody measured, 30 to 50 % too soft).
     """
     if not problem.uncertain or not problem.inputs.unmeasured or "spectral_misfit" in estimate.summary:
-        return []
-    findings, unheld = [], _unheld(problem)
+        return
+    unheld = _unheld(problem)
     some_are_held = len(unheld) < len(problem.uncertain)
     if unheld and some_are_held:
         names = ", ".join(unheld)
         text = f"of {names} nothing is known but through the spectrum of a force that was not measured"
         remedy = "do not trust them and their intervals; measure the force, or prescribe them"
-        findings.append(Finding("output_only_parameters", names, f"{text}: {remedy}"))
-    if some_are_held and estimate.summary.get("at_marginal_peak"):
-        return findings
-    text = (
-        "some forces were not measured, parameters were uncertain, and the record was explained with the most probable"
-        " forces, not with all that are possible: damping comes out too small then, stiffnesses up to some per cent"
-        " off, and intervals too narrow"
-    )
-    remedy = "measure the forces, or prescribe the parameters (scheme.parameter_uncertainty=0)"
-    return [*findings, Finding("output_only_parameters", "parameters", f"{text}; {remedy}")]
+        yield Finding("output_only_parameters", names, f"{text}: {remedy}")
+    if not (some_are_held and estimate.summary.get("at_marginal_peak")):
+        text = (
+            "some forces were not measured, parameters were uncertain, and the record was explained with the most"
+            " probable forces, not with all that are possible: damping comes out too small then, stiffnesses up to some"
+            " per cent off, and intervals too narrow; measure the forces, or prescribe the parameters"
+            " (scheme.parameter_uncertainty=0)"
+        )
+        yield Finding("output_only_parameters", "parameters", text)
 
 
 def _unheld(problem: Problem) -> list[str]:
@@ -227,37 +217,27 @@ def _unmeasured_forces(problem: Problem) -> np.ndarray:
     return np.flatnonzero(abs(stretch[joined]).sum(axis=0).A1)
 
 
-def _energy(structure: Structure) -> list[Finding]:
+def _energy(structure: Structure) -> Iterator[Finding]:
     """Connections with memory whose parameters allow them to create energy."""
-    parameters, findings = structure.parameters_like(np.empty(0)), []
+    parameters = structure.parameters_like(np.empty(0))
     for group, part in zip(structure.groups, structure.parts, strict=True):
         if not isinstance(group.nonlinearity, Hysteresis):
             continue
         creates = group.nonlinearity.creates_energy(part.of_group(parameters))
         for connection in np.arange(part.connections.start, part.connections.stop)[creates]:
             name = structure.labels.connection(connection)
-            text = (
-                f"the hysteresis of connection {name} ({group.nonlinearity.name}) can create energy with its parameters"
-            )
-            text += "; where the record's amplitudes do not go, do not trust it"
-            findings.append(Finding("energy", f"connection {name}", text, "sound"))
-    return findings
+            text = f"the hysteresis of connection {name} ({group.nonlinearity.name}) can create energy with its"
+            text += " parameters; where the record's amplitudes do not go, do not trust it"
+            yield Finding("energy", f"connection {name}", text, "sound")
 
 
 def sampling_findings(problem: Problem, estimate: Estimate, structure: Structure) -> list[Finding]:
-    """What the samples of forces and of the ground leave open, and nobody said.
-
-    Args:
-        problem: For the record.
-        estimate: For the noise of its sensors.
-        structure: With the estimated parameters.
-    """
-    return _rare_forces(problem.record) + _rare_ground(problem.record, estimate, structure)
+    """What the samples of forces and of the ground leave open, and nobody said."""
+    return [*_rare_forces(problem.record), *_rare_ground(problem.record, estimate, structure)]
 
 
-def _rare_forces(record: Record) -> list[Finding]:
+def _rare_forces(record: Record) -> Iterator[Finding]:
     """Forces with content up to the Nyquist frequency, such as white ones, where nobody said how they go on."""
-    findings = []
     for channel in channels(record, (FORCE,)) if record.assumed else ():
         frequency, power = periodogram(channel.measured, record.step)
         share = float(power[frequency > UPPER_END * frequency[-1]].sum() / power.sum()) if power.any() else 0.0
@@ -268,39 +248,27 @@ def _rare_forces(record: Record) -> list[Finding]:
             " its samples is not known, and intervals may be too narrow"
         )
         remedy = "sample faster, or say what it does: data.intersample=zero_order_hold, first_order_hold, band_limited"
-        findings.append(Finding("intersample", channel.name, f"{text}; {remedy}"))
-    return findings
+        yield Finding("intersample", channel.name, f"{text}; {remedy}")
 
 
-def _rare_ground(record: Record, estimate: Estimate, structure: Structure) -> list[Finding]:
+def _rare_ground(record: Record, estimate: Estimate, structure: Structure) -> Iterator[Finding]:
     """That straight lines between the ground's samples would shake the structure differently, and nobody said."""
     ground = record.measured_ground
     if ground is None or not record.assumed or not is_linear(structure):
-        return []
+        return
     (channel,) = channels(record, (GROUND,))
     if not reaches_nyquist(ground, record.step, float(np.nan_to_num(estimate.noise.of(channel)))):
-        return []
-    deviations = _deviations_between(
-        structure, record, replace(record, ground_acceleration=held_by_lines(ground)), estimate
-    )
-    if deviations < TOLD_APART:
-        return []
-    text = (
-        f"the ground's acceleration has content up to the Nyquist frequency, {0.5 / record.step:.4g} Hz, and how it"
-        " goes on between its samples changes the response by more than the sensors' noise hides"
-    )
-    remedy = f"say what it does: data.intersample=band_limited, or {FIRST_ORDER_HOLD} if straight lines join them"
-    return [Finding("intersample", "ground", f"{text}; {remedy}")]
-
-
-def _deviations_between(structure: Structure, record: Record, other: Record, estimate: Estimate) -> float:
-    """Standard deviations by which responses to the inputs of two records differ, of the sensor that tells most."""
-    first, second = predicted(structure, record), predicted(structure, other)
+        return
+    held = replace(record, ground_acceleration=held_by_lines(ground))
+    first, second = predicted(structure, record), predicted(structure, held)
     if first is None or second is None:
-        return 0.0
-    deviations = [0.0]
-    for channel in channels(record):
-        noise = estimate.noise.of(channel)
-        if noise > 0:
-            deviations.append(float(np.linalg.norm(channel.of(first.response) - channel.of(second.response)) / noise))
-    return max(deviations)
+        return
+    between = {c: float(np.linalg.norm(c.of(first.response) - c.of(second.response))) for c in channels(record)}
+    # Of the sensor that tells most, in its standard deviations.
+    if any(far / noise >= TOLD_APART for c, far in between.items() if (noise := estimate.noise.of(c)) > 0):
+        text = (
+            f"the ground's acceleration has content up to the Nyquist frequency, {0.5 / record.step:.4g} Hz, and how it"
+            " goes on between its samples changes the response by more than the sensors' noise hides"
+        )
+        remedy = f"say what it does: data.intersample=band_limited, or {FIRST_ORDER_HOLD} if straight lines join them"
+        yield Finding("intersample", "ground", f"{text}; {remedy}")

@@ -12,21 +12,23 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from pinn_cli.record.channels import channels
 from pinn_cli.scheme.joint_problem import unreached_dofs
 from pinn_cli.system.parameters import MASS
 from pinn_cli.training.calibrated_record import as_run
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.causes import causes as fitted_causes
-from pinn_cli.verdict.channel_faults import LEAST_GAIN_FAULT, channel_faults
-from pinn_cli.verdict.doubt_findings import doubt_findings
+from pinn_cli.verdict.channel_faults import LEAST_GAIN_FAULT, channel_faults, first_sample_findings, record_faults
 from pinn_cli.verdict.finding import Finding, Verdict
 from pinn_cli.verdict.input_findings import input_findings, resonance_findings, sampling_findings
-from pinn_cli.verdict.parameter_findings import APART, LEAST_APART, baseline_findings, parameter_findings
+from pinn_cli.verdict.parameter_findings import (
+    APART,
+    LEAST_APART,
+    baseline_findings,
+    doubt_findings,
+    parameter_findings,
+)
 from pinn_cli.verdict.prediction import predicted, prediction_of, worst_misfit
-from pinn_cli.verdict.record_faults import first_sample_findings, record_faults
 from pinn_cli.verdict.sensor_findings import NOT_AT_ALL, noise_findings, sensor_findings
 
 if TYPE_CHECKING:
@@ -72,9 +74,7 @@ def contradictions(estimate: Estimate) -> list[Finding]:
 def verdict_of_records(by_record: Sequence[Verdict | None], among: Sequence[Finding] = ()) -> Verdict | None:
     """The worst of all; what every record says in the same words, as of the parameters, is told once.
 
-    Args:
-        by_record: Of every record; None where there is none.
-        among: What they say of each other, and what is said of all.
+    ``among`` is what records say of each other, and what is said of all.
     """
     verdicts = [verdict for verdict in by_record if verdict is not None]
     if len(verdicts) < 2:
@@ -84,12 +84,13 @@ def verdict_of_records(by_record: Sequence[Verdict | None], among: Sequence[Find
     findings = [*among]
     findings += [finding for finding in verdicts[0].reasons if finding.text in common]
     for number, verdict in enumerate(verdicts, start=1):
-        findings += [_of_record(finding, number) for finding in verdict.reasons if finding.text not in common]
+        name = f"record {number}: "
+        own = (finding for finding in verdict.reasons if finding.text not in common)
+        findings += [
+            replace(own_finding, suspect=name + own_finding.suspect, text=name + own_finding.text)
+            for own_finding in own
+        ]
     return Verdict.of(findings)
-
-
-def _of_record(finding: Finding, number: int) -> Finding:
-    return replace(finding, suspect=f"record {number}: {finding.suspect}", text=f"record {number}: {finding.text}")
 
 
 def change_findings(estimate: Estimate) -> list[Finding]:
@@ -122,18 +123,26 @@ def judge(
     free_run: Response | None = None,
     contradicted: float = math.nan,
 ) -> Verdict:
-    """Judge an estimate.
+    """Judge a problem's solution, beside another estimator's where there is one.
 
     Args:
         problem: That was solved.
         estimate: Its solution.
-        baseline: Another estimator's solution of the same problem, where there is one.
+        baseline: Another estimator's.
         free_run: The estimated structure's response to the measured force, where the caller has it already.
-        contradicted: Its agreement with the estimated displacements where noise and the start do not explain how far
-            it is off, %; NaN elsewhere.
+        contradicted: Its agreement with the estimated displacements where noise and the start do not explain how far it
+            is off, %; NaN elsewhere.
     """
     record, structure = problem.record, estimated_structure(problem.structure, estimate.parameters)
-    faults = record_faults(record) + _unreached(problem) + first_sample_findings(record, estimate)
+    # Of some sensors the model can say nothing: whatever they show is no fault of theirs, nor of any other sensor.
+    dofs = unreached_dofs(problem)
+    text = "cannot be explained: no force of the model reaches that sensor; add the connection that is missing, or the"
+    unreached = [
+        Finding("unreached", channel.name, f"the {channel.name} {text} force there (data.force)")
+        for channel in channels(record)
+        if channel.dof in dofs
+    ]
+    faults = record_faults(record) + unreached + first_sample_findings(record, estimate)
     excused = [finding.suspect for finding in faults]
     run = as_run(record, estimate)
     if free_run is None:
@@ -144,8 +153,13 @@ def judge(
     findings += parameter_findings(problem, estimate, structure) + baseline_findings(estimate, baseline, problem.record)
     findings += change_findings(estimate) + input_findings(problem, estimate, structure)
     findings += sampling_findings(problem, estimate, structure)
-    if not any(finding.kind == "free_run" for finding in findings):
-        findings += _contradicted(problem, contradicted)
+    if problem.identifies and not math.isnan(contradicted) and not any(f.kind == "free_run" for f in findings):
+        text = (
+            f"a free run with the estimated parameters agrees with the estimated displacements to"
+            f" {max(contradicted, 0):.0f} % only: the model, a sensor's scale or the parameters are wrong"
+        )
+        remedy = "do not trust displacements and parameters together"
+        findings.append(Finding("contradicted", "parameters", f"{text}; {remedy}"))
     # A free run that follows the sensors has their resonances.
     misfit = worst_misfit(prediction, excused)
     follows_well = misfit <= PREDICTED_WELL
@@ -165,37 +179,13 @@ def judge(
         causes = lacks
     if not causes and prediction is not None:
         causes = channel_faults(prediction, excused)
-    if not causes and not problem.identifies and _furthest(estimate) > LEAST_GAIN_FAULT / 4:
+    moved = [abs(p.estimate - p.prescribed) / abs(p.prescribed) for p in estimate.parameters if p.prescribed]
+    if not causes and not problem.identifies and max(moved, default=0.0) > LEAST_GAIN_FAULT / 4:
         # A gain that believed parameters have made up for shows against the prescribed ones.
         prescribed = predicted(_believed(problem, estimate), record)
         causes = [] if prescribed is None else channel_faults(prescribed, excused)
     # A fault that is named draws everything along.
     return Verdict.of(faults + (causes or ([] if faults else lacks)) + findings + missed)
-
-
-def _contradicted(problem: Problem, agreement: float) -> list[Finding]:
-    """Parameters that were asked for, and do not make the structure move as it was estimated to."""
-    if not problem.identifies or np.isnan(agreement):
-        return []
-    text = (
-        f"a free run with the estimated parameters agrees with the estimated displacements to {max(agreement, 0):.0f} %"
-        " only: the model, a sensor's scale or the parameters are wrong"
-    )
-    return [Finding("contradicted", "parameters", f"{text}; do not trust displacements and parameters together")]
-
-
-def _unreached(problem: Problem) -> list[Finding]:
-    """Sensors of which the model can say nothing: whatever they show is no fault of theirs, nor of any other sensor."""
-    dofs = unreached_dofs(problem)
-    text = "no force of the model reaches that sensor; add the connection that is missing, or the force there"
-    unreached = [channel for channel in channels(problem.record) if channel.dof in dofs]
-    return [Finding("unreached", c.name, f"the {c.name} cannot be explained: {text} (data.force)") for c in unreached]
-
-
-def _furthest(estimate: Estimate) -> float:
-    """Largest change of a parameter from where it was prescribed, over its prescribed value."""
-    moved = [abs(p.estimate - p.prescribed) / abs(p.prescribed) for p in estimate.parameters if p.prescribed]
-    return max(moved, default=0.0)
 
 
 def _believed(problem: Problem, estimate: Estimate) -> Structure:

@@ -1,7 +1,7 @@
 """What the estimated parameters say of an estimate: far from where they were believed, not determined, out of band.
 
-And where an estimate and the baseline's differ by more than their standard deviations allow, or where draws of a
-posterior failed their quality check.
+And what the model lacks, where an estimate and the baseline's differ by more than their standard deviations allow, or
+where draws of a posterior failed their quality check.
 """
 
 from __future__ import annotations
@@ -11,20 +11,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pinn_cli.system import left_out as lacking
 from pinn_cli.system.connection.nonlinearity import OVER
 from pinn_cli.system.coupling import loose_dofs
 from pinn_cli.system.modes import modes_of
+from pinn_cli.training.doubts.other_damping import DECISIVE_DAMPING
 from pinn_cli.training.estimated_structure import sought_laws
-from pinn_cli.verdict.finding import Finding, failed_if
+from pinn_cli.verdict.finding import Finding, Word, failed_if
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection, Iterator, Sequence
 
-    from pinn_cli.posterior.result import PosteriorResult
+    from pinn_cli.posterior.posterior import PosteriorResult
     from pinn_cli.record.record import Record
     from pinn_cli.scheme.problem import Problem
     from pinn_cli.system.structure import Structure
-    from pinn_cli.training.estimate import Estimate, ParameterEstimate
+    from pinn_cli.training.estimate import Doubt, Estimate, ParameterEstimate
 
 # Prior standard deviations that a parameter may move: one in 16 000 moves further by chance.
 MOST_MOVED = 4.0
@@ -44,31 +46,64 @@ NARROWED = 2.0
 # Standard deviations of a difference from a baseline, or of a record from all together, and the least one worth a word,
 # relative.
 APART, LEAST_APART, LEAST_RESPONSE_APART = 5.0, 0.02, 0.1
+# Standard deviations by which something that is reported moves once a doubt is freed: below it intervals still hold.
+MATTERS = 1.0
+# By so much a damping ratio in the band must differ with another model of damping: what is less needs none.
+RATIOS_APART = 0.1
+# Share of what is left that is worth a word.
+LEAST_SHARE = 0.05
+# What lets every mode have its own.
+OF_MODES = "try system.damping={ratio: [null, ...]}, a null for each mode in the band"
+# Numbers that are held.
+HELD = {"m": "mass", lacking.SPRING: "stiffness", lacking.DAMPER: "damping"}
+# What a connection lacks, with its size and its shape.
+LACKS = {
+    lacking.CUBIC: "a cubic term of {number}",
+    lacking.QUADRATIC: "a quadratic damping of {number}",
+    lacking.FRICTION: "friction of {number}",
+    lacking.STRIBECK: (
+        "a friction that differs by {number} where it turns round (Stribeck: larger at rest than in motion)"
+    ),
+    lacking.ONE_SIDED: "a one-sided spring of {number} (it is stiffer one way)",
+    lacking.BACKLASH: "a backlash: {number} are missing beyond a gap of about +-{shape:.2g} m",
+    lacking.HYSTERESIS: "a hysteresis: {number} that slip at about {shape:.2g} m",
+    lacking.DRIFT: "a drift: its stiffness changes by {number} from the first to the last sample",
+}
+# What acts from a sample to the next one, as a converter puts it out, acts half a sample later than it seems to.
+OF_DELAY = "check its clock (half a sample: data.intersample=zero_order_hold), or say delay: unknown (data.channels)"
+# Where the record contradicts the bound of its parameter, a law that has it lacks it all the same.
+OWN = {term.kind: term.parameter for term in lacking.LEFT_OUT if term.parameter}
+# The overrides that add it.
+_GIVE = "give {{of}} law: {law} with {parameters} unknown (system={law}, or in system.connections)"
+LAWS = {
+    lacking.CUBIC: _GIVE.format(law="duffing", parameters="kappa"),
+    lacking.QUADRATIC: _GIVE.format(law="power_damping", parameters="mu"),
+    lacking.FRICTION: _GIVE.format(law="friction", parameters="F_c"),
+    lacking.STRIBECK: "give {of} law: spline over its speed, of which no form is asked",
+    lacking.ONE_SIDED: _GIVE.format(law="polynomial", parameters="k_2 and k_3"),
+    lacking.BACKLASH: _GIVE.format(law="gap", parameters="k, k_g and gap") + ", or take the play out of it",
+    lacking.HYSTERESIS: _GIVE.format(law="jenkins", parameters="k_t and F_c") + ", or bouc_wen",
+    lacking.DRIFT: "solve the record in parts (data.start, data.stop), or look at what changes: temperature, loosening",
+}
 
 
 def parameter_findings(problem: Problem, estimate: Estimate, structure: Structure) -> list[Finding]:
-    """Every finding of this page.
-
-    Args:
-        problem: For the record and for which parameters were unknown.
-        estimate: Whose parameters are judged.
-        structure: With the estimated parameters.
-    """
+    """What is told of the parameters of an estimate; the structure has them."""
     kinds = {p.name: p.kind for p in problem.uncertain}
     unknown = [p for p in estimate.before_any_record if p.unknown]
-    believed = [p for p in estimate.parameters if not p.unknown]
     of_each = (f for p in unknown for f in (_far_from_believed(p), _undetermined(p, kinds.get(p.name, ""))))
     findings = [f for f in of_each if f is not None]
-    return (
-        _spans(structure, estimate, {f.suspect for f in findings if f.kind == "not_identified"})
-        + findings
-        + _narrowed(estimate)
-        + _beyond_bounds(estimate)
-        + _rivals(estimate)
-        + _moved(believed)
-        + _spread(estimate)
-        + _frequencies(structure, problem.record, loose_dofs(problem.structure))
-    )
+    undetermined = {finding.suspect for finding in findings if finding.kind == "not_identified"}
+    return [
+        *_spans(structure, estimate, undetermined),
+        *findings,
+        *_narrowed(estimate),
+        *_beyond_bounds(estimate),
+        *_rivals(estimate),
+        *_moved([p for p in estimate.parameters if not p.unknown]),
+        *_spread(estimate),
+        *_frequencies(structure, problem.record, loose_dofs(problem.structure)),
+    ]
 
 
 def _far_from_believed(p: ParameterEstimate) -> Finding | None:
@@ -111,76 +146,64 @@ def _undetermined(p: ParameterEstimate, kind: str) -> Finding | None:
     return Finding("not_identified", p.name, f"{text} of {of}; prescribe it, or measure nearer to it")
 
 
-def _beyond_bounds(estimate: Estimate) -> list[Finding]:
+def _beyond_bounds(estimate: Estimate) -> Iterator[Finding]:
     """Bounds that the record contradicts: without them the parameter would be far beyond; the furthest is named.
 
     Misfit is no excuse, which the bound itself may be the cause of.
     """
     if estimate.known is None:
-        return []
+        return
     free = zip(estimate.parameters, estimate.known.mean, np.sqrt(np.diag(estimate.known.covariance)), strict=False)
     far = [
         (mean / std, mean, std, p.name) for p, mean, std in free if p.parameter.positive and mean < -MOST_MOVED * std
     ]
-    if not far:
-        return []
-    away, mean, std, name = min(far)
-    text = (
-        f"{name} is held at its bound, 0: without it, it would be {mean:.3g} +- {std:.2g}, {-away:.0f} deviations away"
-    )
-    remedy = "check delays, gains and signs of the channels and the law, or let it be negative (scheme.positive)"
-    return [Finding("bound", name, f"{text}; {remedy}")]
+    for away, mean, std, name in sorted(far)[:1]:
+        beyond = f"without it, it would be {mean:.3g} +- {std:.2g}, {-away:.0f} deviations away"
+        remedy = "check delays, gains and signs of the channels and the law, or let it be negative (scheme.positive)"
+        yield Finding("bound", name, f"{name} is held at its bound, 0: {beyond}; {remedy}")
 
 
-def _narrowed(estimate: Estimate) -> list[Finding]:
+def _narrowed(estimate: Estimate) -> Iterator[Finding]:
     """Deviations that shrank when the features were last made finer: the same record cannot have told more."""
     times = float(estimate.summary.get("narrowed_by_refinement", 1.0))
-    if times < NARROWED:
-        return []
-    text = f"finer features made a parameter's deviation {times:.3g} times as small: how fine they are decides it"
-    remedy = "compare with runs of fewer network.intervals; a higher sampling rate decides it"
-    return [Finding("parameter", "parameters", f"{text}; {remedy}")]
+    if times >= NARROWED:
+        text = f"finer features made a parameter's deviation {times:.3g} times as small: how fine they are decides it"
+        remedy = "compare with runs of fewer network.intervals; a higher sampling rate decides it"
+        yield Finding("parameter", "parameters", f"{text}; {remedy}")
 
 
-def _rivals(estimate: Estimate) -> list[Finding]:
+def _rivals(estimate: Estimate) -> Iterator[Finding]:
     """Other solutions that the record cannot tell from the one that is reported."""
-    findings = []
     for rival in estimate.rivals:
         values = ", ".join(f"{name} = {x:.4g}" for name, x in rival.values.items())
         more, fewer = math.exp(max(rival.log_odds, 0.0)), math.exp(max(-rival.log_odds, 0.0))
         odds = f"{more:.3g} times as probable" if rival.log_odds > 0 else f"1/{fewer:.3g} as probable"
         text = f"another structure explains the record as well ({odds}): {values}; the nearest to the start is reported"
         remedy = "measure at another DOF, or prescribe a parameter of which you know something"
-        findings.append(Finding("rival", "parameters", f"{text}; {remedy}"))
-    return findings
+        yield Finding("rival", "parameters", f"{text}; {remedy}")
 
 
-def _moved(believed: Sequence[ParameterEstimate]) -> list[Finding]:
+def _moved(believed: Sequence[ParameterEstimate]) -> Iterator[Finding]:
     """Together: one wrong parameter draws others along."""
-    moves = sorted(
-        ((abs(p.estimate - p.prescribed) / p.prior_std, p) for p in believed if p.prior_std > 0),
-        key=lambda pair: -pair[0],
-    )
-    far = [(move, p) for move, p in moves if move > MOST_MOVED]
-    if not far:
-        return []
-    moves_named = ", ".join(f"{p.name} by {move:.3g}" for move, p in far[:PARAMETERS_NAMED])
-    more = f" and {len(far) - PARAMETERS_NAMED} more" if len(far) > PARAMETERS_NAMED else ""
-    text = f"prescribed parameters moved by many of their prior standard deviations: {moves_named}{more}"
-    return [Finding("moved", far[0][1].name, f"{text}; check them, or declare them unknown")]
+    moves = [(abs(p.estimate - p.prescribed) / p.prior_std, p.name) for p in believed if p.prior_std > 0]
+    if far := sorted((move for move in moves if move[0] > MOST_MOVED), key=lambda move: -move[0]):
+        named = ", ".join(f"{name} by {move:.3g}" for move, name in far[:PARAMETERS_NAMED])
+        more = f" and {len(far) - PARAMETERS_NAMED} more" if len(far) > PARAMETERS_NAMED else ""
+        text = f"prescribed parameters moved by many of their prior standard deviations: {named}{more}"
+        yield Finding("moved", far[0][1], f"{text}; check them, or declare them unknown")
 
 
-def _spread(estimate: Estimate) -> list[Finding]:
+def _spread(estimate: Estimate) -> Iterator[Finding]:
     spread = estimate.summary.get("parameter_spread")
-    if not isinstance(spread, int | float) or not spread > LARGE_SPREAD:
-        return []
-    text = f"the prescribed parameters are off by {spread:.3g} times what was believed (scheme.parameter_uncertainty)"
-    return [Finding("spread", "parameters", f"{text}; check them, the masses and the units")]
+    if isinstance(spread, int | float) and spread > LARGE_SPREAD:
+        off = f"off by {spread:.3g} times what was believed (scheme.parameter_uncertainty)"
+        text = f"the prescribed parameters are {off}; check them, the masses and the units"
+        yield Finding("spread", "parameters", text)
 
 
-def _spans(structure: Structure, estimate: Estimate, undetermined: Collection[str]) -> list[Finding]:
+def _spans(structure: Structure, estimate: Estimate, undetermined: Collection[str]) -> Iterator[Finding]:
     """Connections that move further than their law goes, a guess there, or less, which leaves terms undetermined."""
-    findings, untold = [], sought_laws(structure, [p for p in estimate.parameters if p.name in undetermined])
+    untold = sought_laws(structure, [p for p in estimate.parameters if p.name in undetermined])
     for place, law in enumerate(structure.laws):
         for over, span in law.spans.items():
             motion = estimate.response.stretching[OVER.index(over)]
@@ -191,47 +214,36 @@ def _spans(structure: Structure, estimate: Estimate, undetermined: Collection[st
                 name = structure.labels.connection(place)
                 text = f"the {over} of connection {name} goes from {low:.3g} to {high:.3g}, its law from {span[0]:.3g}"
                 text += f" to {span[1]:.3g}; give it {over}: [{SPARE * low:.3g}, {SPARE * high:.3g}]"
-                findings.append(Finding("law", f"connection {name}", text, "sound"))
-    return findings
+                yield Finding("law", f"connection {name}", text, "sound")
 
 
-def _frequencies(structure: Structure, record: Record, loose: Sequence[int]) -> list[Finding]:
+def _frequencies(structure: Structure, record: Record, loose: Sequence[int]) -> Iterator[Finding]:
     """Of the estimated structure; frequencies of zero are as they should be where DOFs are loose, from 0."""
     frequencies = modes_of(structure).natural_frequencies
     nyquist, least = 0.5 / record.step, 1.0 / record.duration
-    above, below = (
-        int(np.sum(frequencies > nyquist)),
-        int(np.sum(frequencies[frequencies > 0 if loose else ...] < least)),
-    )
+    held = frequencies[frequencies > 0] if loose else frequencies
+    above, below = int(np.sum(frequencies > nyquist)), int(np.sum(held < least))
     of_structure, suspect = "natural frequencies of the estimated structure are", "natural frequencies"
-    findings = []
     # Modes beyond the record are there for what they bend under slow forces: those of a light part on stiff springs.
     if above == len(frequencies):
         text = f"{above} of {len(frequencies)} {of_structure} above the Nyquist frequency, {nyquist:.4g} Hz"
         text += f" (the highest: {frequencies[-1]:.4g} Hz); check the time axis and the units"
-        findings.append(Finding("frequencies", suspect, text, "failed"))
+        yield Finding("frequencies", suspect, text, "failed")
     if below:
         text = f"{below} {of_structure} below one period per record, {least:.4g} Hz; check the time axis and the units"
-        findings.append(Finding("frequencies", suspect, text, failed_if(below == len(frequencies))))
+        yield Finding("frequencies", suspect, text, failed_if(below == len(frequencies)))
     if loose and not record.sensors("displacement")[[dof for dof in loose if dof < record.ndof]].any():
         text = f"the structure is not held: {record.dof_names(loose)} can move as a rigid body; without a displacement"
-        findings.append(
-            Finding("held", suspect, f"{text} sensor there, displacements are known up to a drift", "sound")
-        )
+        yield Finding("held", suspect, f"{text} sensor there, displacements are known up to a drift", "sound")
     if np.isnan(frequencies).any():
         text = "the estimated structure is unstable: it has a negative stiffness"
-        findings.append(Finding("frequencies", suspect, text, "failed"))
-    return findings
+        yield Finding("frequencies", suspect, text, "failed")
 
 
 def baseline_findings(estimate: Estimate, baseline: Estimate | None, record: Record) -> list[Finding]:
     """Parameters and displacements that the two do not agree on; nothing without a baseline."""
     if baseline is None:
         return []
-    return _parameters_apart(estimate, baseline) + _displacements_apart(estimate, baseline, record)
-
-
-def _parameters_apart(estimate: Estimate, baseline: Estimate) -> list[Finding]:
     of_baseline, findings = {p.name: p for p in baseline.parameters}, []
     for p in estimate.parameters:
         other = of_baseline.get(p.name)
@@ -242,22 +254,18 @@ def _parameters_apart(estimate: Estimate, baseline: Estimate) -> list[Finding]:
             baseline_text = f"the baseline's {other.estimate:.4g} +- {other.std:.2g}"
             text = f"{p.name} is {p.estimate:.4g} +- {p.std:.2g}, and {baseline_text}"
             findings.append(Finding("baseline", p.name, f"{text}: one of them is wrong; look at the free run of each"))
-    return findings
-
-
-def _displacements_apart(estimate: Estimate, baseline: Estimate, record: Record) -> list[Finding]:
-    displacement, of_baseline = estimate.response.displacement, baseline.response.displacement
-    difference = np.sqrt(np.mean((displacement - of_baseline) ** 2, axis=0))
+    displacement, theirs = estimate.response.displacement, baseline.response.displacement
+    difference = np.sqrt(np.mean((displacement - theirs) ** 2, axis=0))
     allowed = APART * np.sqrt(np.mean(estimate.std.displacement**2 + baseline.std.displacement**2, axis=0))
-    size = np.maximum(np.std(displacement, axis=0), np.std(of_baseline, axis=0))
+    size = np.maximum(np.std(displacement, axis=0), np.std(theirs, axis=0))
     dofs = np.flatnonzero((difference > allowed) & (difference > LEAST_RESPONSE_APART * size))
-    if not dofs.size:
-        return []
-    worst = int(dofs[np.argmax(difference[dofs] / size[dofs])])
-    text = f"the displacement of {record.dof_names(dofs)} is not the baseline's"
-    place = f"DOF {record.dof_name(worst)}"
-    extent = f"{100 * difference[worst] / size[worst]:.0f} % of its rms apart on {place}"
-    return [Finding("baseline", f"displacement of {place}", f"{text}: {extent}; look at the free run")]
+    if dofs.size:
+        worst = int(dofs[np.argmax(difference[dofs] / size[dofs])])
+        text = f"the displacement of {record.dof_names(dofs)} is not the baseline's"
+        place = f"DOF {record.dof_name(worst)}"
+        extent = f"{100 * difference[worst] / size[worst]:.0f} % of its rms apart on {place}"
+        findings.append(Finding("baseline", f"displacement of {place}", f"{text}: {extent}; look at the free run"))
+    return findings
 
 
 def posterior_findings(posterior: PosteriorResult | None) -> list[Finding]:
@@ -267,3 +275,88 @@ def posterior_findings(posterior: PosteriorResult | None) -> list[Finding]:
     first, *more = posterior.verdict
     text = f"the sampling failed its quality check, intervals may be wrong: {first}"
     return [Finding("sampling", "posterior", f"{text} (and {len(more)} more, see above)" if more else text)]
+
+
+def doubt_findings(estimate: Estimate) -> list[Finding]:
+    """One of each doubt that makes the record far more probable; those that move nothing are told of a sound run."""
+    held, findings = {p.name for p in estimate.parameters if p.held}, []
+    for doubt in estimate.doubts:
+        what, remedy = _said(doubt)
+        parameter = f"{OWN.get(doubt.kind)}_{doubt.of.removeprefix('connection ')}"
+        if parameter in held:
+            remedy = f"{parameter} is held at its bound, 0: check the channels, or let it be negative (scheme.positive)"
+        share = f", {100.0 * doubt.share:.0f} % of what it leaves out" if doubt.share > LEAST_SHARE else ""
+        odds = f"the record is exp({doubt.log_odds:.0f}) times as probable with it"
+        odds += " as with one on every DOF" if doubt.kind == lacking.PLACE else ""
+        moved = f"{doubt.moved} moves by {doubt.moves:.1f} standard deviations"
+        word: Word = "questionable" if doubt.moves > MATTERS else "sound"
+        findings.append(Finding(doubt.kind, doubt.of, f"{what}{share}: {odds}, and {moved}; {remedy}", word))
+    return findings + _other_damping(estimate)
+
+
+def _other_damping(estimate: Estimate) -> list[Finding]:
+    """Another model of damping with which the record is far more probable, and the ratios are others."""
+    doubt = estimate.damping_doubt
+    if doubt is None or not len(doubt.ratios) or doubt.log_odds < DECISIVE_DAMPING:
+        return []
+    ratios = np.stack((doubt.ratios, doubt.other_ratios))
+    difference = np.abs(ratios[1] - ratios[0]) / np.abs(ratios).max(axis=0)
+    worst = int(np.argmax(difference))
+    if difference[worst] < RATIOS_APART:
+        return []
+    model, remedy = (
+        ("a damping ratio for each mode", OF_MODES)
+        if doubt.of_modes
+        else ("dampers of the connections beside its ratios", "let c be unknown as well")
+    )
+    text = (
+        f"with {model} the record is e^{doubt.log_odds:.0f} times as probable, and mode {worst + 1} has about"
+        f" {100 * doubt.other_ratios[worst]:.2g} % damping instead of {100 * doubt.ratios[worst]:.2g} %"
+    )
+    return [Finding("damping", "parameters", f"{text}: the model of damping is wrong; {remedy}")]
+
+
+def _said(doubt: Doubt) -> tuple[str, str]:
+    """What was found, and what to do."""
+    number = f"{doubt.value:.3g} +- {doubt.std:.2g} {doubt.unit}".rstrip()
+    percent = f"{100.0 * doubt.value:.2g} +- {100.0 * doubt.std:.1g} %"
+    unmeasured = f"data.force={{{doubt.of.removeprefix('DOF ')}: null}}, beside the others, finds what acts there"
+    changed = f"{doubt.value:+.3g} +- {doubt.std:.2g} {doubt.unit}".rstrip()
+    if doubt.kind in LAWS:
+        return f"the model of {doubt.of} lacks {LACKS[doubt.kind].format(number=number, shape=doubt.shape)}", (
+            LAWS[doubt.kind].format(of=doubt.of)
+        )
+    said = {
+        lacking.MODE: (
+            f"a mode at {doubt.shape:.3g} Hz is not in the model: as if {abs(doubt.value):.2g} kg swung on {doubt.of}",
+            "add its mass and spring (system=structure), or keep to the band below (data.decimate)",
+        ),
+        lacking.DAMPED_MODE: (f"the damping ratio of {doubt.of} is another one, by {changed}", OF_MODES),
+        lacking.SLIDING: (
+            f"{number} on {doubt.of} slide, beyond about {doubt.shape:.2g} m/s^2",
+            "fasten what lies there, or record a smaller motion",
+        ),
+        **{kind: (f"the {word} of {doubt.of} is another one, by {changed}", "check it") for kind, word in HELD.items()},
+        "gain": (
+            f"the {doubt.of} shows {1.0 + doubt.value:.4g} +- {doubt.std:.2g} times what the model does",
+            "check its gain",
+        ),
+        "delay": (f"the {doubt.of} is {number} late", OF_DELAY),
+        "tilt": (
+            f"the {doubt.of} follows the displacement by {number}, as that of a sensor which tilts and feels gravity",
+            "say tilt: unknown (data.channels)",
+        ),
+        lacking.ROCKING: (
+            f"the base rocks: if storeys are of one height, it is {percent} of what gives way to a turning moment",
+            "give the model its angle, a DOF that stretches every storey (weights)",
+        ),
+        lacking.PLACE: (
+            f"what the model leaves out acts on {doubt.of} alone, as a force of {doubt.value:.2g} N would",
+            f"look for a support that moves, or a joint or load cell that is else than said; {unmeasured}",
+        ),
+        "high_pass": (
+            f"the {doubt.of} lacks slow motion, as behind a high-pass filter of about {doubt.value:.2g} Hz",
+            f"say high_pass: {doubt.value:.2g} (data.channels)",
+        ),
+    }
+    return said[doubt.kind]

@@ -50,35 +50,35 @@ class Prediction:
     _decays: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict)
 
     def decays(self, channel: Channel) -> np.ndarray:
-        """See :func:`decays`; channels that feel the same modes share theirs."""
-        seen = felt_modes(self.modes, channel)
-        if seen not in self._decays:
-            self._decays[seen] = decays(self.modes, seen, self.record)
-        return self._decays[seen]
+        """Orthonormal histories (N, p), p <= 2n: all that a free motion can put into a channel.
+
+        Whatever the structure did before the record began lies in their span. Channels that feel the same modes, one of
+        every pair, share theirs.
+        """
+        upper = np.flatnonzero(self.modes.poles.imag >= 0)
+        shape = self.modes.shapes[channel.dof, upper]
+        felt = tuple(upper[np.abs(shape) > 1e-9 * np.max(np.abs(self.modes.shapes))].tolist())
+        if felt not in self._decays:
+            poles, time = self.modes.poles[list(felt)], self.record.time - self.record.time[0]
+            waves = np.exp(np.minimum(poles.real, 0.0) * time[:, None] + 1j * poles.imag * time[:, None])
+            basis, triangle = np.linalg.qr(np.hstack([waves.real, waves.imag]))
+            size = np.abs(np.diag(triangle))
+            self._decays[felt] = basis[:, size > 1e-8 * np.max(size, initial=1e-300)]
+        return self._decays[felt]
 
 
 def predicted(structure: Structure, record: Record, start: Sequence[np.ndarray] | None = None) -> Prediction | None:
     """The free run of a structure through as much of a record as is affordable; None where it has none.
 
-    That of a linear structure whose free motion grows is none either.
-
-    Args:
-        structure: Any.
-        record: For what acts.
-        start: See :func:`pinn_cli.record.free_run.free_run`. Of a linear structure it does not matter.
+    That of a linear structure whose free motion grows is none either. Of a linear structure the start does not matter.
     """
     try:
         part = affordable(structure, record)
-        response = free_run(structure, part, start)
+        prediction = prediction_of(structure, part, free_run(structure, part, start))
     except NoFreeRunError:
         return None
-    prediction = prediction_of(structure, part, response)
-    short = (
-        prediction is not None
-        and part is not record
-        and len(part.time) < SAMPLES_PER_POLE * len(prediction.modes.poles)
-    )
-    return None if short else prediction
+    too_short = prediction and part is not record and len(part.time) < SAMPLES_PER_POLE * len(prediction.modes.poles)
+    return None if too_short else prediction
 
 
 def prediction_of(structure: Structure, record: Record, response: Response) -> Prediction | None:
@@ -87,26 +87,6 @@ def prediction_of(structure: Structure, record: Record, response: Response) -> P
     # A body that nothing holds moves away, and is no less stable for it.
     grows = is_linear(structure) and not modes.stable and not loose_dofs(structure)
     return None if grows else Prediction(response, record, modes)
-
-
-def felt_modes(modes: Modes, channel: Channel) -> tuple[int, ...]:
-    """Numbers of the modes, one of every pair, that move where a channel's sensor is."""
-    upper = np.flatnonzero(modes.poles.imag >= 0)
-    shape = modes.shapes[channel.dof, upper]
-    return tuple(upper[np.abs(shape) > 1e-9 * np.max(np.abs(modes.shapes))].tolist())
-
-
-def decays(modes: Modes, mode_numbers: Sequence[int], record: Record) -> np.ndarray:
-    """Orthonormal histories (N, p), p <= 2n: all that a free motion can put into a channel that feels some modes.
-
-    Whatever the structure did before the record began lies in their span.
-    """
-    poles = modes.poles[list(mode_numbers)]
-    time = record.time - record.time[0]
-    waves = np.exp(np.minimum(poles.real, 0.0) * time[:, None] + 1j * poles.imag * time[:, None])
-    basis, triangle = np.linalg.qr(np.hstack([waves.real, waves.imag]))
-    size = np.abs(np.diag(triangle))
-    return basis[:, size > 1e-8 * np.max(size, initial=1e-300)]
 
 
 @dataclass(frozen=True)
@@ -189,7 +169,9 @@ class Comparison:
         """How much later the channel is than its prediction, s."""
         angular = 2 * np.pi * rfftfreq(len(self.measured), self.record.step)
         crossed = rfft(self.measured) * np.conj(self._predicted_lines)
-        value = self._best_lag(crossed) * self.record.step
+        longest = max(4, int(LONGEST_DELAY * len(self.measured)))
+        lags = np.arange(-longest, longest + 1)
+        value = int(lags[np.argmax(irfft(crossed, len(self.measured))[lags])]) * self.record.step
         for _ in range(NEWTON_STEPS):
             turned = crossed * np.exp(1j * angular * value)
             curvature = float(np.sum(angular**2 * turned.real))
@@ -214,13 +196,6 @@ class Comparison:
     @cached_property
     def _predicted_lines(self) -> np.ndarray:
         return np.asarray(rfft(self.predicted))
-
-    def _best_lag(self, crossed: np.ndarray) -> int:
-        count = len(self.measured)
-        correlation = irfft(crossed, count)
-        longest = max(4, int(LONGEST_DELAY * count))
-        lags = np.arange(-longest, longest + 1)
-        return int(lags[np.argmax(correlation[lags])])
 
     def _nmse(self, residual: np.ndarray) -> float:
         return float(residual @ residual / (len(residual) * self.power))
@@ -251,11 +226,9 @@ def worst_misfit(prediction: Prediction | None, excused: Sequence[str] = ()) -> 
 
 
 def _sandwich(lines: np.ndarray, residual: np.ndarray) -> float:
-    """Standard deviation of a least-squares coefficient whose residual is coloured.
+    """Standard deviation of a least-squares coefficient whose residual is coloured, of power (K,).
 
-    Args:
-        lines: (K,), squared size of what it multiplies.
-        residual: (K,), power of the residual.
+    ``lines`` (K,) are the squared size of what it multiplies.
     """
     weight = float(lines.sum())
     return float(np.sqrt(np.sum(lines * residual) / 2)) / weight if weight > 0 else np.inf

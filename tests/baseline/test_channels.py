@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from small_problems import measured, relative_error, small_chain
 
-from pinn_cli.baseline.channels import check_channels
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
-from pinn_cli.baseline.state_space import StateSpace
+from pinn_cli.baseline.state_space import StateSpace, check_channels
 from pinn_cli.record.channel import Calibration, Channel, unknown_calibration
 from pinn_cli.record.record import Measurements, Record
 from pinn_cli.scheme.calibration import sensor_parameters

@@ -12,9 +12,8 @@ from small_problems import sped_up as faster
 from structures import hysteretic, modal
 
 from pinn_cli.baseline import baseline_estimate
-from pinn_cli.baseline.iterated_smoother import IteratedSmoother
+from pinn_cli.baseline.iterated_smoother import IteratedSmoother, most_probable
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother, _parameters
-from pinn_cli.baseline.noise_levels import most_probable
 from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
 from pinn_cli.record.excitation import BandedNoise
 from pinn_cli.record.record import Record

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from small_problems import QUANTITIES, excitation, relative_error, small_chain
 
-from pinn_cli.baseline.iterated_smoother import IteratedSmoother
-from pinn_cli.baseline.noise_levels import begun, most_probable, widened
+from pinn_cli.baseline.iterated_smoother import IteratedSmoother, begun, most_probable, widened
 from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
 from pinn_cli.record.excitation import BandedNoise
 from pinn_cli.record.record import Record

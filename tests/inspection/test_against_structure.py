@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pinn_cli.inspection.against_structure import contradictions
+from pinn_cli.inspection.inspection import contradictions
 from pinn_cli.record.signal import Sampling, Signal
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear

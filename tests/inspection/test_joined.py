@@ -8,9 +8,8 @@ import pandas as pd
 import pytest
 from vibrating_records import Vibrating, ambient
 
-from pinn_cli.inspection.joined import JoinedModes
 from pinn_cli.inspection.mode_report import ModesReport
-from pinn_cli.inspection.modes import ModalRecord
+from pinn_cli.inspection.modes import JoinedModes, ModalRecord
 from pinn_cli.record.identification.lines import RecordMode, normalised
 from pinn_cli.record.identification.modes import Identified
 from pinn_cli.record.identification.subspace import assurance, stabilisation

@@ -15,8 +15,7 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.posterior.conditional import Conditional
 from pinn_cli.posterior.laplace import Laplace
 from pinn_cli.posterior.marginal import Marginal
-from pinn_cli.posterior.posterior import PosteriorSamples
-from pinn_cli.posterior.result import diagnose
+from pinn_cli.posterior.posterior import PosteriorSamples, diagnose
 from pinn_cli.posterior.target import S_STD
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.training.estimate import RunContext

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from fake_posteriors import make_samples
 
-from pinn_cli.posterior.posterior import PosteriorSamples
-from pinn_cli.posterior.result import (
+from pinn_cli.posterior.posterior import (
     PREDICTED_DRAWS,
     PREDICTED_SAMPLES,
+    PosteriorSamples,
     diagnose,
     divergences,
     force_predictive,

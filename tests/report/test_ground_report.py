@@ -11,8 +11,8 @@ from pinn_cli.record.record import Truth
 from pinn_cli.record.response import Response
 from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
-from pinn_cli.report.figures import residuals_figure
 from pinn_cli.report.figures.histories import response_figure
+from pinn_cli.report.figures.sensors import residuals_figure
 from pinn_cli.report.fitness import residual_table
 from pinn_cli.report.free_run import free_run
 from pinn_cli.report.netcdf import response_dataset

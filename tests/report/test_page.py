@@ -10,8 +10,9 @@ from small_estimates import results_of
 
 from pinn_cli.report import figures
 from pinn_cli.report.estimates import ModeEstimates
-from pinn_cli.report.figures import history_figure, save
-from pinn_cli.report.layout import MOST_MOVING, moving_modes
+from pinn_cli.report.figures.sensors import history_figure
+from pinn_cli.report.figures.structure import MOST_MOVING, moving_modes
+from pinn_cli.report.figures.style import save
 from pinn_cli.report.page import CAPTIONS, Page, figures_in, next_steps, sheet_of
 from pinn_cli.report.run_report import RunReport
 from pinn_cli.report.text import Column

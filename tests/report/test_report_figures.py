@@ -13,19 +13,11 @@ from small_estimates import other_estimate, results_of
 
 from pinn_cli.record.record import Truth
 from pinn_cli.record.response import QUANTITIES, Response
-from pinn_cli.report.figures import (
-    correlation_figure,
-    error_map_figure,
-    history_figure,
-    parameters_figure,
-    response_figure,
-    save,
-    style,
-    write_figures,
-)
-from pinn_cli.report.figures.histories import shown_dofs
-from pinn_cli.report.figures.sensors import compared_channels
-from pinn_cli.report.figures.style import line_indices
+from pinn_cli.report.figures import style, write_figures
+from pinn_cli.report.figures.histories import error_map_figure, response_figure, shown_dofs
+from pinn_cli.report.figures.parameters import correlation_figure, parameters_figure
+from pinn_cli.report.figures.sensors import compared_channels, history_figure
+from pinn_cli.report.figures.style import line_indices, save
 from pinn_cli.report.results import checked_times
 from pinn_cli.settings.errors import InputError
 

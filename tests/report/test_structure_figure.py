@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from pinn_cli.report.figures.structure import structure_figure
-from pinn_cli.report.layout import layout
+from pinn_cli.report.figures.structure import layout, structure_figure
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.topology import build_structure
 

@@ -11,7 +11,7 @@ from frame_records import altered, measure
 from storeys import K, record, system, written
 
 from pinn_cli.model.knowledge import Misfit
-from pinn_cli.verdict.record_faults import first_sample_findings, record_faults
+from pinn_cli.verdict.channel_faults import first_sample_findings, record_faults
 
 
 def zeros(x):

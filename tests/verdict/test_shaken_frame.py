@@ -19,11 +19,10 @@ from pinn_cli.system.connection import Duffing, Linear
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.found_noise import FoundNoise
 from pinn_cli.verdict.causes import causes
-from pinn_cli.verdict.channel_faults import channel_faults
+from pinn_cli.verdict.channel_faults import channel_faults, record_faults
 from pinn_cli.verdict.input_findings import sampling_findings
 from pinn_cli.verdict.judge import judge
 from pinn_cli.verdict.prediction import predicted
-from pinn_cli.verdict.record_faults import record_faults
 
 LINEAR = build_chain(3, Linear(), m=[2e3, 2e3, 1.5e3], c=6e3, k=[8e5, 7.2e5, 5.6e5])
 DUFFING = build_chain(3, Duffing(), m=[2e3, 2e3, 1.5e3], c=6e3, k=[8e5, 7.2e5, 5.6e5], kappa=2e8)

@@ -11,29 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pinn_cli.report.estimates import ModeEstimates, connection_forces, drifts, restoring_curves
-from pinn_cli.report.figures.connections import (
-    Discrepancy,
-    discrepancy_figure,
-    drift_figure,
-    hysteresis_figure,
-    restoring_figure,
-)
-from pinn_cli.report.figures.histories import error_map_figure, response_figure, shown_dofs
-from pinn_cli.report.figures.parameters import correlation_figure, modes_figure, over_time_figure, parameters_figure
-from pinn_cli.report.figures.posterior import (
-    IN_TRACES,
-    force_predictive_figure,
-    posterior_pairs_figure,
-    rank_figure,
-    trace_figure,
-)
-from pinn_cli.report.figures.sensors import (
-    compared_channels,
-    frequency_response_figure,
-    history_figure,
-    residuals_figure,
-    validation_figure,
-)
+from pinn_cli.report.figures import connections, histories, posterior, sensors
+from pinn_cli.report.figures import parameters as of_parameters
 from pinn_cli.report.figures.structure import structure_figure
 from pinn_cli.report.figures.style import save
 from pinn_cli.report.parameters import worst_sampled
@@ -43,12 +22,6 @@ from pinn_cli.training.estimated_structure import estimated_structure
 
 if TYPE_CHECKING:
     import xarray as xr
-
-__all__ = [
-    "correlation_figure", "error_map_figure", "history_figure", "over_time_figure", "parameters_figure",
-    "record_figures", "residuals_figure", "response_figure", "run_figures", "save", "validation_figure",
-    "write_figures", "write_posterior_figures",
-]  # fmt: skip
 
 # Figures that a run has something for, by name: of about how many panels, and how each is built.
 Builders = dict[str, tuple[int, Callable[[], Figure]]]
@@ -75,41 +48,41 @@ def run_figures(results: Results) -> Builders:
     parameters, modes = estimate.parameters, ModeEstimates.of(prescribed, estimate, results.true)
     builders: Builders = {}
     if modes is not None:
-        builders["modes"] = modes.count, partial(modes_figure, modes, results.run.truth_label)
+        builders["modes"] = modes.count, partial(of_parameters.modes_figure, modes, results.run.truth_label)
     if prescribed.labels.connections and not prescribed.is_modal:
         builders["structure"] = 2, partial(structure_figure, prescribed)
     if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):
-        builders["history"] = 5, partial(history_figure, estimate.history)
+        builders["history"] = 5, partial(sensors.history_figure, estimate.history)
     if any(given.prescribed or given.unknown for given in parameters):
-        builders["parameters"] = 4, partial(parameters_figure, parameters, true)
+        builders["parameters"] = 4, partial(of_parameters.parameters_figure, parameters, true)
     if estimate.correlation is not None and len(parameters) > 1 and any(p.unknown for p in parameters):
-        builders["correlation"] = 2, partial(correlation_figure, parameters, estimate.correlation)
+        builders["correlation"] = 2, partial(of_parameters.correlation_figure, parameters, estimate.correlation)
     return builders
 
 
 def record_figures(results: Results) -> Builders:
     """Those that are about one record."""
     estimate, record, truth, prescribed = results.estimate, results.record, results.truth, results.prescribed
-    rows, label = len(shown_dofs(record.ndof)), results.run.truth_label
+    rows, label = len(histories.shown_dofs(record.ndof)), results.run.truth_label
     builders: Builders = {
-        "response": (5 * rows, partial(response_figure, results)),
-        "error_map": (8, partial(error_map_figure, estimate, record, truth.response)),
+        "response": (5 * rows, partial(histories.response_figure, results)),
+        "error_map": (8, partial(histories.error_map_figure, estimate, record, truth.response)),
     }
-    if compared_channels(estimate, record):
-        builders["residuals"] = 12, partial(residuals_figure, estimate, record)
+    if sensors.compared_channels(estimate, record):
+        builders["residuals"] = 12, partial(sensors.residuals_figure, estimate, record)
     if record.band is not None:
         estimated = estimated_structure(prescribed, estimate.parameters)
-        builders["frequency_response"] = 6, partial(frequency_response_figure, record, estimated)
+        builders["frequency_response"] = 6, partial(sensors.frequency_response_figure, record, estimated)
     stretched, forces = drifts(prescribed, estimate, truth.response), connection_forces(prescribed, estimate, truth)
     if stretched.places:
-        builders["drift"] = 2 * rows, partial(drift_figure, stretched, label, results.shown)
-    if (discrepancy := Discrepancy.of(results)) is not None:
-        builders["discrepancy"] = 4, partial(discrepancy_figure, discrepancy)
+        builders["drift"] = 2 * rows, partial(connections.drift_figure, stretched, label, results.shown)
+    if (discrepancy := connections.Discrepancy.of(results)) is not None:
+        builders["discrepancy"] = 4, partial(connections.discrepancy_figure, discrepancy)
     if curves := restoring_curves(results):
-        builders["restoring"] = len(curves), partial(restoring_figure, curves, label)
+        builders["restoring"] = len(curves), partial(connections.restoring_figure, curves, label)
     if forces is not None and len(prescribed.memory):
         memory = np.searchsorted(prescribed.added, np.unique(prescribed.memory))
-        builders["hysteresis"] = rows, partial(hysteresis_figure, stretched, forces, memory, label)
+        builders["hysteresis"] = rows, partial(connections.hysteresis_figure, stretched, forces, memory, label)
     return builders
 
 
@@ -119,16 +92,16 @@ def write_posterior_figures(results: Results, groups: Mapping[str, xr.Dataset], 
     Traces and ranks are those of the parameters with the fewest effective draws; draws that did not come step by step
     have neither. ``groups`` are those of ``posterior.nc``.
     """
-    posterior, draws = results.posterior, groups["posterior"]
-    assert posterior is not None
+    sampled, draws = results.posterior, groups["posterior"]
+    assert sampled is not None
     parameters = [p.parameter for p in results.estimate.parameters]
-    figures = {"posterior_pairs": posterior_pairs_figure(draws, parameters, results.truth.parameters)}
+    figures = {"posterior_pairs": posterior.posterior_pairs_figure(draws, parameters, results.truth.parameters)}
     if "sample_stats" in groups:
-        worst = worst_sampled(posterior.diagnostics.head(len(parameters)), IN_TRACES)
+        worst = worst_sampled(sampled.diagnostics.head(len(parameters)), posterior.IN_TRACES)
         shown = [parameter for parameter in parameters if parameter.name in worst]
-        figures["trace"] = trace_figure(draws, groups["sample_stats"], shown, len(parameters))
-        figures["ranks"] = rank_figure(draws, shown, len(parameters))
-    if posterior.predictive is not None:
-        force_dofs = posterior.samples.force_dofs
-        figures["fitted_force"] = force_predictive_figure(posterior.predictive, results.record, force_dofs)
+        figures["trace"] = posterior.trace_figure(draws, groups["sample_stats"], shown, len(parameters))
+        figures["ranks"] = posterior.rank_figure(draws, shown, len(parameters))
+    if sampled.predictive is not None:
+        force_dofs = sampled.samples.force_dofs
+        figures["fitted_force"] = posterior.force_predictive_figure(sampled.predictive, results.record, force_dofs)
     return [path for name, figure in figures.items() for path in save(figure, directory, name)]

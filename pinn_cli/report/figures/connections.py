@@ -37,6 +37,7 @@ _TRUE_PEAK: style.Look = {
 }  # fmt: skip
 
 
+@style.look()
 def drift_figure(drifts: Histories, truth_label: str = "truth", shown_s: tuple[float, float] | None = None) -> Figure:
     """A row for each connection, its drift over time with its 95 % band; on the right the peaks with 90 % intervals.
 
@@ -49,26 +50,25 @@ def drift_figure(drifts: Histories, truth_label: str = "truth", shown_s: tuple[f
     window = histories.window_about(int(sample[np.argmax(peaks)]), np.diff(estimate, axis=0, prepend=0.0))
     if shown_s is not None:
         window = histories.window_between(drifts.time, shown_s)
-    with style.look():
-        figure, panels = style.panels(
-            len(shown), 2, 0.75, margins=(0.75, 0.08, 0.5, 0.42), gaps=(0.75, 0.12), width_ratios=(2.4, 1.0)
-        )
-        factor = histories.draw_column(panels[:, 0], drifts, shown, window, histories.looks(true=truth_label))
-        for axes, place in zip(panels[:, 0], shown, strict=True):
-            if window.start <= sample[place] < window.stop:
-                axes.plot(drifts.time[sample[place]], factor * estimate[sample[place], place], **_PEAK_MARK)
-            name = drifts.places[place]
-            axes.set_ylabel(f"connection {name}" if name.isdecimal() else name)  # a number alone would not say of what
-        figure.align_ylabels(list(panels[:, 0]))
-        top, bottom = panels[0, 1].get_position(), panels[-1, 1].get_position()
-        for axes in panels[:, 1]:
-            axes.remove()
-        peak_axes = figure.add_axes((bottom.x0, bottom.y0, top.width, top.y1 - bottom.y0))
-        _draw_peaks(peak_axes, drifts, factor)
-        peak_axes.set_xlabel(panels[0, 0].get_title().replace("Drift", "Peak drift"), labelpad=2)
-        style.legend(figure)
-        if len(shown) < len(peaks):
-            style.note(figure, f"histories: the {len(shown)} of {len(peaks)} connections with the largest peaks")
+    figure, panels = style.panels(
+        len(shown), 2, 0.75, margins=(0.75, 0.08, 0.5, 0.42), gaps=(0.75, 0.12), width_ratios=(2.4, 1.0)
+    )
+    factor = histories.draw_column(panels[:, 0], drifts, shown, window, histories.looks(true=truth_label))
+    for axes, place in zip(panels[:, 0], shown, strict=True):
+        if window.start <= sample[place] < window.stop:
+            axes.plot(drifts.time[sample[place]], factor * estimate[sample[place], place], **_PEAK_MARK)
+        name = drifts.places[place]
+        axes.set_ylabel(f"connection {name}" if name.isdecimal() else name)  # a number alone would not say of what
+    figure.align_ylabels(list(panels[:, 0]))
+    top, bottom = panels[0, 1].get_position(), panels[-1, 1].get_position()
+    for axes in panels[:, 1]:
+        axes.remove()
+    peak_axes = figure.add_axes((bottom.x0, bottom.y0, top.width, top.y1 - bottom.y0))
+    _draw_peaks(peak_axes, drifts, factor)
+    peak_axes.set_xlabel(panels[0, 0].get_title().replace("Drift", "Peak drift"), labelpad=2)
+    style.legend(figure)
+    if len(shown) < len(peaks):
+        style.note(figure, f"histories: the {len(shown)} of {len(peaks)} connections with the largest peaks")
     return figure
 
 
@@ -92,6 +92,7 @@ def _draw_peaks(axes: Axes, drifts: Histories, factor: float) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(4))
 
 
+@style.look()
 def hysteresis_figure(drifts: Histories, forces: Histories, memory: np.ndarray, truth_label: str = "truth") -> Figure:
     """A panel for each connection with memory: its force over its elongation, the 95 % band of the force, the truth.
 
@@ -102,32 +103,32 @@ def hysteresis_figure(drifts: Histories, forces: Histories, memory: np.ndarray, 
     factor, prefix = style.unit_prefix(float(np.abs(elongation[:, shown]).max()))
     of_force, force_prefix = style.unit_prefix(float(np.abs(estimate[:, shown]).max()))
     looks = histories.looks(true=truth_label)
-    with style.look():
-        columns = min(3, len(shown))
-        rows = -(-len(shown) // columns)
-        figure, panels = style.panels(rows, columns, 2.1, margins=(0.62, 0.1, 0.42, 0.42), gaps=(0.62, 0.45))
-        for axes, place in zip(panels.flat, shown.tolist(), strict=False):
-            middle = int(np.argmax(np.abs(elongation[:, place])))
-            first = max(0, min(middle - SAMPLES_SHOWN // 2, len(elongation) - SAMPLES_SHOWN))
-            window = slice(first, first + SAMPLES_SHOWN)
-            for source in ("true", "estimate"):
-                e, r = factor * drifts.of(source)[window, place], of_force * forces.of(source)[window, place]
-                if np.isfinite(r).any():
-                    axes.plot(e, r, **looks[source])
-            # A band about a loop: its edges are loops too, drawn as bars at the samples.
-            low, high = (of_force * edge for edge in histories.band(forces, place, window))
-            axes.vlines(e, low, high, **{**looks["band"], "linewidth": 1.2})
-            axes.set_title(forces.places[place], pad=3)
-        for axes in panels.flat[len(shown) :]:
-            axes.set_visible(False)
-        for axes in panels[:, 0]:
-            axes.set_ylabel(f"Force ({style.unit('force', force_prefix)})", labelpad=2)
-        for axes in panels[-1]:
-            axes.set_xlabel(f"Elongation ({style.unit('displacement', prefix)})", labelpad=2)
-        style.legend(figure)
+    columns = min(3, len(shown))
+    rows = -(-len(shown) // columns)
+    figure, panels = style.panels(rows, columns, 2.1, margins=(0.62, 0.1, 0.42, 0.42), gaps=(0.62, 0.45))
+    for axes, place in zip(panels.flat, shown.tolist(), strict=False):
+        middle = int(np.argmax(np.abs(elongation[:, place])))
+        first = max(0, min(middle - SAMPLES_SHOWN // 2, len(elongation) - SAMPLES_SHOWN))
+        window = slice(first, first + SAMPLES_SHOWN)
+        for source in ("true", "estimate"):
+            e, r = factor * drifts.of(source)[window, place], of_force * forces.of(source)[window, place]
+            if np.isfinite(r).any():
+                axes.plot(e, r, **looks[source])
+        # A band about a loop: its edges are loops too, drawn as bars at the samples.
+        low, high = (of_force * edge for edge in histories.band(forces, place, window))
+        axes.vlines(e, low, high, **{**looks["band"], "linewidth": 1.2})
+        axes.set_title(forces.places[place], pad=3)
+    for axes in panels.flat[len(shown) :]:
+        axes.set_visible(False)
+    for axes in panels[:, 0]:
+        axes.set_ylabel(f"Force ({style.unit('force', force_prefix)})", labelpad=2)
+    for axes in panels[-1]:
+        axes.set_xlabel(f"Elongation ({style.unit('displacement', prefix)})", labelpad=2)
+    style.legend(figure)
     return figure
 
 
+@style.look()
 def restoring_figure(curves: Sequence[RestoringCurve], truth_label: str = "truth") -> Figure:
     """A row for each connection whose law was sought: its force over its elongation and over its speed, 95 % bands.
 
@@ -140,28 +141,25 @@ def restoring_figure(curves: Sequence[RestoringCurve], truth_label: str = "truth
     of_force, prefix = style.unit_prefix(float(largest[shown].max()), kilo=True)
     has_truth = bool(np.isfinite(curves[0].force.true).all())
     looks = histories.with_truth(histories.looks(true=truth_label), has_truth)
-    with style.look():
-        figure, panels = style.panels(len(shown), 2, 1.5, margins=(0.62, 0.1, 0.42, 0.42), gaps=(0.62, 0.45))
-        for row, place in zip(panels, shown, strict=True):
-            for axes, curve in zip(row, rows[place], strict=True):
-                factor, at_prefix = style.unit_prefix(float(np.abs(curve.at).max()))
-                at, force = factor * curve.at, curve.force
-                spread = HALF_WIDTH_95 * force.std
-                axes.axvspan(*(factor * x for x in curve.usual), color=style.GREY, alpha=0.12, linewidth=0)
-                if has_truth:
-                    axes.plot(at, of_force * force.true, **looks["true"])
-                axes.plot(at, of_force * force.estimate, **looks["estimate"])
-                limits = axes.get_ylim()
-                axes.fill_between(
-                    at, *(of_force * (force.estimate + side * spread) for side in (-1, 1)), **looks["band"]
-                )
-                axes.set_ylim(limits)
-                quantity = dict(zip(OVER, ("displacement", "velocity"), strict=True))[curve.over]
-                axes.set_xlabel(f"{curve.over.capitalize()} ({style.unit(quantity, at_prefix)})", labelpad=2)
-            row[0].set_title(curve.connection, pad=3)
-            row[0].set_ylabel(f"Force ({style.unit('force', prefix)})", labelpad=2)
-        style.legend(figure)
-        style.note(figure, "grey: nine tenths of the samples")
+    figure, panels = style.panels(len(shown), 2, 1.5, margins=(0.62, 0.1, 0.42, 0.42), gaps=(0.62, 0.45))
+    for row, place in zip(panels, shown, strict=True):
+        for axes, curve in zip(row, rows[place], strict=True):
+            factor, at_prefix = style.unit_prefix(float(np.abs(curve.at).max()))
+            at, force = factor * curve.at, curve.force
+            spread = HALF_WIDTH_95 * force.std
+            axes.axvspan(*(factor * x for x in curve.usual), color=style.GREY, alpha=0.12, linewidth=0)
+            if has_truth:
+                axes.plot(at, of_force * force.true, **looks["true"])
+            axes.plot(at, of_force * force.estimate, **looks["estimate"])
+            limits = axes.get_ylim()
+            axes.fill_between(at, *(of_force * (force.estimate + side * spread) for side in (-1, 1)), **looks["band"])
+            axes.set_ylim(limits)
+            quantity = dict(zip(OVER, ("displacement", "velocity"), strict=True))[curve.over]
+            axes.set_xlabel(f"{curve.over.capitalize()} ({style.unit(quantity, at_prefix)})", labelpad=2)
+        row[0].set_title(curve.connection, pad=3)
+        row[0].set_ylabel(f"Force ({style.unit('force', prefix)})", labelpad=2)
+    style.legend(figure)
+    style.note(figure, "grey: nine tenths of the samples")
     return figure
 
 
@@ -228,10 +226,10 @@ def _slow(force: np.ndarray, velocity: np.ndarray, step: float) -> np.ndarray:
     edge = HARMONICS * float(frequency[min(int(np.searchsorted(share, MOVING)), len(frequency) - 1)])
     lines = np.fft.rfft(force)
     lines[np.fft.rfftfreq(len(force), step) > edge] = 0.0
-    slow: np.ndarray = np.fft.irfft(lines, len(force))
-    return slow
+    return np.fft.irfft(lines, len(force))
 
 
+@style.look()
 def discrepancy_figure(discrepancy: Discrepancy) -> Figure:
     """Four panels: dots and class means of the force over elongation and over velocity, its history, its spectrum.
 
@@ -239,32 +237,31 @@ def discrepancy_figure(discrepancy: Discrepancy) -> Figure:
     stands the share of the force that a function of that alone explains.
     """
     of_force, force_prefix = style.unit_prefix(float(np.abs(discrepancy.slow).max()), kilo=True)
-    with style.look():
-        figure, panels = style.panels(2, 2, 1.9, margins=(0.62, 0.12, 0.5, 0.42), gaps=(0.62, 0.6))
-        (over_elongation, over_velocity), (over_time, spectrum) = panels
-        kept, named = style.line_indices(discrepancy.slow), f"force left out, connection {discrepancy.connection}"
-        over_time.plot(
-            discrepancy.time[kept], of_force * discrepancy.slow[kept], color=style.BLUE, linewidth=0.6, label=named
-        )
-        over_time.set_xlabel("Time $t$ (s)", labelpad=2)
-        over_time.set_xlim(discrepancy.time[0], discrepancy.time[-1])
-        for axes, history, quantity, name in (
-            (over_elongation, discrepancy.elongation, "displacement", "Elongation"),
-            (over_velocity, discrepancy.velocity, "velocity", "Velocity"),
-        ):
-            factor, prefix = style.unit_prefix(float(np.abs(history).max()))
-            stride = max(1, len(history) // MOST_DOTS)
-            x, y, share = discrepancy.explained_by(history)
-            dots = style.DOTS | {"markersize": 2.0, "color": style.SKY}
-            axes.plot(factor * history[::stride], of_force * discrepancy.slow[::stride], **dots)
-            axes.plot(factor * x, of_force * y, color=style.VERMILLION, linewidth=1.2, label="mean")
-            axes.axhline(0.0, color=style.GREY, linewidth=0.5, zorder=0)
-            axes.set_title(f"explains {100.0 * share:.0f} %", loc="right", fontsize=7, pad=2)
-            axes.set_xlabel(f"{name} ({style.unit(quantity, prefix)})", labelpad=2)
-        _draw_spectrum(spectrum, discrepancy)
-        for axes in panels[:, 0]:
-            axes.set_ylabel(f"Force left out ({style.unit('force', force_prefix)})", labelpad=2)
-        style.legend(figure, [over_time, *panels.flat])
+    figure, panels = style.panels(2, 2, 1.9, margins=(0.62, 0.12, 0.5, 0.42), gaps=(0.62, 0.6))
+    (over_elongation, over_velocity), (over_time, spectrum) = panels
+    kept, named = style.line_indices(discrepancy.slow), f"force left out, connection {discrepancy.connection}"
+    over_time.plot(
+        discrepancy.time[kept], of_force * discrepancy.slow[kept], color=style.BLUE, linewidth=0.6, label=named
+    )
+    over_time.set_xlabel("Time $t$ (s)", labelpad=2)
+    over_time.set_xlim(discrepancy.time[0], discrepancy.time[-1])
+    for axes, history, quantity, name in (
+        (over_elongation, discrepancy.elongation, "displacement", "Elongation"),
+        (over_velocity, discrepancy.velocity, "velocity", "Velocity"),
+    ):
+        factor, prefix = style.unit_prefix(float(np.abs(history).max()))
+        stride = max(1, len(history) // MOST_DOTS)
+        x, y, share = discrepancy.explained_by(history)
+        dots = style.DOTS | {"markersize": 2.0, "color": style.SKY}
+        axes.plot(factor * history[::stride], of_force * discrepancy.slow[::stride], **dots)
+        axes.plot(factor * x, of_force * y, color=style.VERMILLION, linewidth=1.2, label="mean")
+        axes.axhline(0.0, color=style.GREY, linewidth=0.5, zorder=0)
+        axes.set_title(f"explains {100.0 * share:.0f} %", loc="right", fontsize=7, pad=2)
+        axes.set_xlabel(f"{name} ({style.unit(quantity, prefix)})", labelpad=2)
+    _draw_spectrum(spectrum, discrepancy)
+    for axes in panels[:, 0]:
+        axes.set_ylabel(f"Force left out ({style.unit('force', force_prefix)})", labelpad=2)
+    style.legend(figure, [over_time, *panels.flat])
     return figure
 
 

@@ -158,6 +158,7 @@ def shown_dofs(ndof: int) -> list[int]:
     return list(range(ndof)) if ndof <= DOFS_IN_FULL else [0, 1, ndof - 2, ndof - 1]
 
 
+@style.look()
 def response_figure(results: Results) -> Figure:
     """Rows are DOFs, an asterisk marks those without a response sensor; columns are u, its two time derivatives, and f.
 
@@ -177,29 +178,28 @@ def response_figure(results: Results) -> Figure:
     stride = thinned(len(record.time[window]))
     seen = "observations" + (f" (one in {stride} shown)" if stride > 1 else "")
     labelled = looks(true=run.truth_label, baseline=run.baseline.replace("_", " "), observed=seen)
-    with style.look():
-        count, margins = len(rows) + (ground is not None), (0.62, 0.08, 0.48, 0.46)
-        figure, panels = style.panels(count, len(QUANTITIES), 0.645, margins=margins, gaps=(0.36, 0.077))
-        of_dofs = panels[: len(rows)]
-        for column, histories in zip(of_dofs.T, dof_histories(results), strict=True):
-            draw_column(column, _with_others(histories, results), rows, window, labelled)
-        for (first, *_, last), dof in zip(of_dofs, rows, strict=True):
-            name = record.dof_name(dof) if record.dofs else f"DOF {dof + 1}"
-            first.set_ylabel(name + ("" if record.observed[dof] else "*"))
-            if record.unforced[dof]:
-                _write_rms(last, estimate.force[window, dof])
-        if ground is not None:
-            _draw_ground(panels[-2:], _with_others(ground, results), window, labelled)
-        for axes in panels.flat:
-            axes.xaxis.set_major_locator(MaxNLocator(4))  # panels are narrow
-        figure.align_ylabels(list(of_dofs[:, 0]))
-        crowded = results.linear_response is not None
-        room: style.Look = {"handlelength": 1.8, "columnspacing": 0.8} if crowded else {"handlelength": 2.2}
-        style.legend(figure, markerscale=1.5, **room)
-        notes = [] if record.observed[rows].all() else ["* no response sensor"]
-        if len(record.time[window]) < len(record.time):
-            notes.append(f"part of the record from {record.time[0]:g} s to {record.time[-1]:g} s")
-        style.note(figure, "; ".join(notes))
+    count, margins = len(rows) + (ground is not None), (0.62, 0.08, 0.48, 0.46)
+    figure, panels = style.panels(count, len(QUANTITIES), 0.645, margins=margins, gaps=(0.36, 0.077))
+    of_dofs = panels[: len(rows)]
+    for column, histories in zip(of_dofs.T, dof_histories(results), strict=True):
+        draw_column(column, _with_others(histories, results), rows, window, labelled)
+    for (first, *_, last), dof in zip(of_dofs, rows, strict=True):
+        name = record.dof_name(dof) if record.dofs else f"DOF {dof + 1}"
+        first.set_ylabel(name + ("" if record.observed[dof] else "*"))
+        if record.unforced[dof]:
+            _write_rms(last, estimate.force[window, dof])
+    if ground is not None:
+        _draw_ground(panels[-2:], _with_others(ground, results), window, labelled)
+    for axes in panels.flat:
+        axes.xaxis.set_major_locator(MaxNLocator(4))  # panels are narrow
+    figure.align_ylabels(list(of_dofs[:, 0]))
+    crowded = results.linear_response is not None
+    room: style.Look = {"handlelength": 1.8, "columnspacing": 0.8} if crowded else {"handlelength": 2.2}
+    style.legend(figure, markerscale=1.5, **room)
+    notes = [] if record.observed[rows].all() else ["* no response sensor"]
+    if len(record.time[window]) < len(record.time):
+        notes.append(f"part of the record from {record.time[0]:g} s to {record.time[-1]:g} s")
+    style.note(figure, "; ".join(notes))
     return figure
 
 
@@ -246,6 +246,7 @@ def _write_rms(axes: Axes, estimate: np.ndarray) -> None:
         axes.text(0.97, 0.93, text, transform=axes.transAxes, ha="right", va="top", fontsize=7, bbox=paper)
 
 
+@style.look()
 def error_map_figure(estimate: Estimate, record: Record, truth: Response | None) -> Figure:
     """One panel per quantity: |estimate - truth| with time to the right and DOFs downwards.
 
@@ -253,23 +254,22 @@ def error_map_figure(estimate: Estimate, record: Record, truth: Response | None)
     DOF with neither is hatched. A column of pixels shows the largest value of its stretch of time. The dashed red lines
     frame the DOFs with a response sensor (paper, figure of the 20-DOF case).
     """
-    with style.look():
-        height = min(max(0.16 * record.ndof, 1.2), 2.4)
-        figure, panels = style.panels(2, 2, height, margins=(0.45, 0.5, 0.3, 0.5), gaps=(0.95, 0.5))
-        for axes, quantity in zip(panels.flat, QUANTITIES, strict=True):
-            values, meaning = getattr(estimate.std, quantity), "standard deviation, no truth"
-            error = np.abs(getattr(estimate.response, quantity) - getattr(truth, quantity, np.nan))
-            if np.isfinite(error).any():
-                values, meaning = error, "absolute error"
-            prefix = _draw_map(figure, axes, record, values, quantity)
-            axes.set_title(f"{quantity.capitalize()}: {meaning} ({style.unit(quantity, prefix)})", pad=4)
-            _frame_observed(axes, record)
-        for axes in panels[1]:
-            axes.set_xlabel(r"Time $t$ (s)")
-        for axes in panels[:, 0]:
-            axes.set_ylabel("DOF")
-        if any(axes.patch.get_hatch() for axes in panels.flat):
-            style.note(figure, "hatched: no truth")
+    height = min(max(0.16 * record.ndof, 1.2), 2.4)
+    figure, panels = style.panels(2, 2, height, margins=(0.45, 0.5, 0.3, 0.5), gaps=(0.95, 0.5))
+    for axes, quantity in zip(panels.flat, QUANTITIES, strict=True):
+        values, meaning = getattr(estimate.std, quantity), "standard deviation, no truth"
+        error = np.abs(getattr(estimate.response, quantity) - getattr(truth, quantity, np.nan))
+        if np.isfinite(error).any():
+            values, meaning = error, "absolute error"
+        prefix = _draw_map(figure, axes, record, values, quantity)
+        axes.set_title(f"{quantity.capitalize()}: {meaning} ({style.unit(quantity, prefix)})", pad=4)
+        _frame_observed(axes, record)
+    for axes in panels[1]:
+        axes.set_xlabel(r"Time $t$ (s)")
+    for axes in panels[:, 0]:
+        axes.set_ylabel("DOF")
+    if any(axes.patch.get_hatch() for axes in panels.flat):
+        style.note(figure, "hatched: no truth")
     return figure
 
 

@@ -44,6 +44,7 @@ _SHAPES: dict[str, style.Look] = {
 }  # fmt: skip
 
 
+@style.look()
 def parameters_figure(estimates: Sequence[ParameterEstimate], true: Truth) -> Figure:
     """One panel per kind, over the connections, with 90 % intervals; unknown parameters above prescribed ones.
 
@@ -55,22 +56,21 @@ def parameters_figure(estimates: Sequence[ParameterEstimate], true: Truth) -> Fi
     kinds = [{kind: [p for p in row if p.kind == kind] for kind in dict.fromkeys(p.kind for p in row)} for row in rows]
     kinds = [row for row in kinds if row]
     longest = max(len(p.parameter.label) for row in rows for p in row)
-    with style.look():
-        width = float(np.clip(1.2 + 2.0 * max(map(len, kinds)), LEGEND, style.PAGE_WIDTH))
-        bottom = 0.12 + 0.056 * longest if longest else 0.39  # inch, with room for upright names
-        height = 1.91 + bottom
-        figure = Figure(figsize=(width, height * len(kinds)))
-        grid = {"left": 0.55 / width, "right": 1.0 - 0.08 / width, "wspace": 0.28}
-        grid |= {"bottom": bottom / height, "top": 1.0 - 0.5 / height}
-        places = [figure] if len(kinds) == 1 else np.asarray(figure.subfigures(len(kinds), 1)).tolist()
-        for place, row in zip(places, kinds, strict=True):
-            panels = place.subplots(1, len(row), squeeze=False, gridspec_kw=grid)[0]
-            for axes, (kind, group) in zip(panels, row.items(), strict=True):
-                unit = (_draw_values if group[0].unknown else _draw_changes)(axes, group, true)
-                title = f"{group[0].parameter.title} ${letter(kind)}$".strip()
-                axes.set_title(title + (f" ({style.raised(unit)})" if unit else ""), pad=4)
-            panels[0].set_ylabel("Identified value" if group[0].unknown else "Change from prescribed (%)")
-            style.legend(place, panels)
+    width = float(np.clip(1.2 + 2.0 * max(map(len, kinds)), LEGEND, style.PAGE_WIDTH))
+    bottom = 0.12 + 0.056 * longest if longest else 0.39  # inch, with room for upright names
+    height = 1.91 + bottom
+    figure = Figure(figsize=(width, height * len(kinds)))
+    grid = {"left": 0.55 / width, "right": 1.0 - 0.08 / width, "wspace": 0.28}
+    grid |= {"bottom": bottom / height, "top": 1.0 - 0.5 / height}
+    places = [figure] if len(kinds) == 1 else np.asarray(figure.subfigures(len(kinds), 1)).tolist()
+    for place, row in zip(places, kinds, strict=True):
+        panels = place.subplots(1, len(row), squeeze=False, gridspec_kw=grid)[0]
+        for axes, (kind, group) in zip(panels, row.items(), strict=True):
+            unit = (_draw_values if group[0].unknown else _draw_changes)(axes, group, true)
+            title = f"{group[0].parameter.title} ${letter(kind)}$".strip()
+            axes.set_title(title + (f" ({style.raised(unit)})" if unit else ""), pad=4)
+        panels[0].set_ylabel("Identified value" if group[0].unknown else "Change from prescribed (%)")
+        style.legend(place, panels)
     return figure
 
 
@@ -142,6 +142,7 @@ def _draw_group(axes: Axes, group: Sequence[ParameterEstimate], values: np.ndarr
     return place
 
 
+@style.look()
 def correlation_figure(estimates: Sequence[ParameterEstimate], correlation: np.ndarray) -> Figure:
     """The posterior correlation (p, p) of two parameters or more, unknown ones first; a line parts them from others."""
     count = len(estimates)
@@ -149,30 +150,29 @@ def correlation_figure(estimates: Sequence[ParameterEstimate], correlation: np.n
     unknown, parameters = sum(p.unknown for p in estimates), [estimates[i].parameter for i in order]
     matrix, few = np.asarray(correlation)[np.ix_(order, order)], count <= ANNOTATED
     side = float(np.clip(0.34 * count, 1.2, style.PAGE_WIDTH - 1.25))  # inch
-    with style.look():
-        figure, ((axes,),) = style.panels(1, 1, side, width=side + 1.25, margins=(0.5, 0.75, 0.3, 0.4), gaps=(0, 0))
-        # A parameter's correlation with itself says nothing and would be the darkest of all cells.
-        shown = np.ma.masked_where(np.eye(count, dtype=bool) | ~np.isfinite(matrix), matrix)
-        axes.patch.set_facecolor("#E6E6E6")
-        image = axes.imshow(shown, cmap=colormaps["RdBu_r"], vmin=-1.0, vmax=1.0, interpolation="nearest")
-        bar = figure.colorbar(image, cax=axes.inset_axes((1.0 + 0.1 / side, 0.0, 0.12 / side, 1.0)))
-        bar.outline.set_linewidth(0.4)
-        bar.set_label("Posterior correlation")
-        kept = range(0, count, -(-count // LABELLED))
-        labels = [parameters[i].symbol for i in kept]
-        level = few and not any(p.label for p in parameters)
-        axes.set_xticks(kept, labels, fontsize=8.0 if few else 6.0, rotation=0 if level else 90)
-        axes.set_yticks(kept, labels, fontsize=8.0 if few else 6.0)
-        axes.tick_params(length=0)
-        for line in (axes.axhline, axes.axvline) if 0 < unknown < count else ():
-            line(unknown - 0.5, color=style.BLACK, linewidth=0.9)
-        for label, first, end in (("unknown", 0, unknown), ("prescribed", unknown, count)):
-            if end > first:
-                place, look = ((first + end) / 2 - 0.5, 1.0), style.Look(textcoords="offset points", ha="center")
-                axes.annotate(label, place, xytext=(0, 4), xycoords=axes.get_xaxis_transform(), **look)
-        for (row, column), value in np.ndenumerate(shown.filled(np.nan) if few else np.zeros((0, 0))):
-            if np.isfinite(value):
-                write_correlation(axes, (column, row), value, f"{round(value, 2) + 0.0:.2f}", fontsize=6)
+    figure, ((axes,),) = style.panels(1, 1, side, width=side + 1.25, margins=(0.5, 0.75, 0.3, 0.4), gaps=(0, 0))
+    # A parameter's correlation with itself says nothing and would be the darkest of all cells.
+    shown = np.ma.masked_where(np.eye(count, dtype=bool) | ~np.isfinite(matrix), matrix)
+    axes.patch.set_facecolor("#E6E6E6")
+    image = axes.imshow(shown, cmap=colormaps["RdBu_r"], vmin=-1.0, vmax=1.0, interpolation="nearest")
+    bar = figure.colorbar(image, cax=axes.inset_axes((1.0 + 0.1 / side, 0.0, 0.12 / side, 1.0)))
+    bar.outline.set_linewidth(0.4)
+    bar.set_label("Posterior correlation")
+    kept = range(0, count, -(-count // LABELLED))
+    labels = [parameters[i].symbol for i in kept]
+    level = few and not any(p.label for p in parameters)
+    axes.set_xticks(kept, labels, fontsize=8.0 if few else 6.0, rotation=0 if level else 90)
+    axes.set_yticks(kept, labels, fontsize=8.0 if few else 6.0)
+    axes.tick_params(length=0)
+    for line in (axes.axhline, axes.axvline) if 0 < unknown < count else ():
+        line(unknown - 0.5, color=style.BLACK, linewidth=0.9)
+    for label, first, end in (("unknown", 0, unknown), ("prescribed", unknown, count)):
+        if end > first:
+            place, look = ((first + end) / 2 - 0.5, 1.0), style.Look(textcoords="offset points", ha="center")
+            axes.annotate(label, place, xytext=(0, 4), xycoords=axes.get_xaxis_transform(), **look)
+    for (row, column), value in np.ndenumerate(shown.filled(np.nan) if few else np.zeros((0, 0))):
+        if np.isfinite(value):
+            write_correlation(axes, (column, row), value, f"{round(value, 2) + 0.0:.2f}", fontsize=6)
     return figure
 
 
@@ -182,6 +182,7 @@ def write_correlation(axes: Axes, place: tuple[float, float], value: float, text
     axes.text(*place, text.replace("-", "\N{MINUS SIGN}"), ha="center", va="center", color=colour, **look)
 
 
+@style.look()
 def over_time_figure(table: pd.DataFrame, of: str = "Record") -> Figure:
     """A panel for every parameter: its estimate after each record with its 90 % band, and what the record says alone.
 
@@ -194,16 +195,15 @@ def over_time_figure(table: pd.DataFrame, of: str = "Record") -> Figure:
     names = list(dict.fromkeys(table["parameter"]))
     best = sorted(names, key=lambda name: (name not in changed, relative.get(name, np.inf)))[:MOST_OVER_TIME]
     shown = [name for name in names if name in best]
-    with style.look():
-        rows = -(-len(shown) // PANELS_IN_A_ROW)
-        figure, panels = style.panels(rows, PANELS_IN_A_ROW, 1.05, margins=(0.6, 0.08, 0.45, 0.4), gaps=(0.6, 0.32))
-        for axes in panels.flat[len(shown) :]:
-            axes.remove()
-        for axes, name in zip(panels.flat, shown, strict=False):
-            _draw_over_records(axes, table[table["parameter"] == name], name)
-        for axes in panels[-1]:
-            axes.set_xlabel(of, labelpad=2)
-        style.legend(figure)
+    rows = -(-len(shown) // PANELS_IN_A_ROW)
+    figure, panels = style.panels(rows, PANELS_IN_A_ROW, 1.05, margins=(0.6, 0.08, 0.45, 0.4), gaps=(0.6, 0.32))
+    for axes in panels.flat[len(shown) :]:
+        axes.remove()
+    for axes, name in zip(panels.flat, shown, strict=False):
+        _draw_over_records(axes, table[table["parameter"] == name], name)
+    for axes in panels[-1]:
+        axes.set_xlabel(of, labelpad=2)
+    style.legend(figure)
     return figure
 
 
@@ -227,6 +227,7 @@ def _draw_over_records(axes: Axes, rows: pd.DataFrame, name: str) -> None:
     axes.set_title(f"{name} ({prefix}{style.raised(unit)})" if unit else name, pad=3)
 
 
+@style.look()
 def modes_figure(modes: ModeEstimates, truth_label: str = "truth") -> Figure:
     """A panel per mode: its shape over the DOFs; above it frequency and damping ratio with their 90 % intervals.
 
@@ -237,22 +238,21 @@ def modes_figure(modes: ModeEstimates, truth_label: str = "truth") -> Figure:
     columns = min(shown, IN_A_ROW)
     width = style.PAGE_WIDTH if columns > 2 else 2.6 + 1.3 * columns
     left = 0.42 + 0.055 * min(max(map(len, dofs)), 16)  # inch, with room for the names of the DOFs
-    with style.look():
-        figure, panels = style.panels(
-            -(-shown // columns), columns, float(np.clip(0.16 * len(dofs), 1.3, 2.6)), width=width,
-            margins=(left, 0.1, 0.72, 0.32), gaps=(0.16, 0.74), sharey=True,
-        )  # fmt: skip
-        for axes in panels.flat[shown:]:
-            axes.set_axis_off()
-        for mode, axes in enumerate(panels.flat[:shown]):
-            _draw_shape(axes, modes, mode, truth_label)
-        places = range(1, len(dofs) + 1, -(-len(dofs) // MOST_DOF_LABELS))
-        for axes in panels[:, 0]:
-            axes.set_yticks(list(places), [dofs[i - 1] for i in places])
-            axes.set_ylabel("DOF", labelpad=2)
-        style.legend(figure)
-        if shown < modes.count:
-            style.note(figure, f"the {shown} lowest of {modes.count} modes")
+    figure, panels = style.panels(
+        -(-shown // columns), columns, float(np.clip(0.16 * len(dofs), 1.3, 2.6)), width=width,
+        margins=(left, 0.1, 0.72, 0.32), gaps=(0.16, 0.74), sharey=True,
+    )  # fmt: skip
+    for axes in panels.flat[shown:]:
+        axes.set_axis_off()
+    for mode, axes in enumerate(panels.flat[:shown]):
+        _draw_shape(axes, modes, mode, truth_label)
+    places = range(1, len(dofs) + 1, -(-len(dofs) // MOST_DOF_LABELS))
+    for axes in panels[:, 0]:
+        axes.set_yticks(list(places), [dofs[i - 1] for i in places])
+        axes.set_ylabel("DOF", labelpad=2)
+    style.legend(figure)
+    if shown < modes.count:
+        style.note(figure, f"the {shown} lowest of {modes.count} modes")
     return figure
 
 

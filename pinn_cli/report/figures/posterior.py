@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
-from pinn_cli.posterior.result import ForcePredictive, two_chains
+from pinn_cli.posterior.posterior import ForcePredictive, two_chains
 from pinn_cli.record.record import Record
 from pinn_cli.report.estimates import Histories
 from pinn_cli.report.figures import histories, style
@@ -44,6 +44,7 @@ _BLUES = [to_hex(colour) for colour in colormaps["Blues"](np.linspace(0.22, 0.95
 _TAILS, _BARS = _BLUES[0], _BLUES[2]
 
 
+@style.look()
 def posterior_pairs_figure(
     draws: xr.Dataset, parameters: Sequence[Parameter], true: Mapping[str, np.ndarray] | None = None
 ) -> Figure:
@@ -63,34 +64,33 @@ def posterior_pairs_figure(
     side = min((style.PAGE_WIDTH - 0.7) / len(shown), 1.7) - 0.05  # inch
     width = max(0.7 + len(shown) * (side + 0.05), 3.0)
     left = 0.62 + (width - 0.7 - len(shown) * (side + 0.05)) / 2.0
-    with style.look():
-        figure, panels = style.panels(
-            len(shown), len(shown), side, width=width, margins=(left, left - 0.54, 0.3, 0.42), gaps=(0.05, 0.05)
-        )
-        for row, vertical in enumerate(shown):
-            _draw_histogram(panels[row, row], pooled[vertical])
-            for column, horizontal in enumerate(shown[: row + 1]):
-                if column < row:
-                    _draw_density(panels[row, column], pooled[horizontal], pooled[vertical])
-                    panels[column, row].remove()
-                _dress_axis(panels[row, column].xaxis, pooled[horizontal], horizontal, *limits[horizontal])
-                if column < row:
-                    _dress_axis(panels[row, column].yaxis, pooled[vertical], vertical, *limits[vertical])
-                    value = correlation[order[row], order[column]]
-                    panel = figure.add_subplot(panels[0, 0].get_gridspec()[column, row])
-                    panel.set(xticks=[], yticks=[], facecolor=colormaps["RdBu_r"](0.5 + 0.5 * value))
-                    # Two decimals; more, up to four, rather than a 1 that is none.
-                    decimals = next((n for n in (2, 3, 4) if abs(round(value, n)) < 1.0), 2)
-                    text = f"{round(value, decimals) + 0.0:.{decimals}f}"  # + 0.0: no minus before a 0
-                    write_correlation(panel, (0.5, 0.5), value, text, transform=panel.transAxes)
-                panels[row, column].label_outer()
-        handles: list[Line2D | Patch] = [Patch(color=_BARS, linewidth=0, label="90 % interval")]
-        if len(shown) > 1:
-            regions = f"regions holding {', '.join(f'{100 * share:.0f}' for share in reversed(REGIONS))} %"
-            handles.append(Patch(facecolor=_BLUES[1], edgecolor=style.BLUE, linewidth=0.5, label=regions))
-        handles += [Line2D([], [], **_TRUE_LINE)] if any(math.isfinite(value) for _, value in limits.values()) else []
-        note = f"the {len(shown)} of {len(moving)} parameters that are most correlated with another"
-        _finish(figure, handles, note if len(shown) < len(moving) else "")
+    figure, panels = style.panels(
+        len(shown), len(shown), side, width=width, margins=(left, left - 0.54, 0.3, 0.42), gaps=(0.05, 0.05)
+    )
+    for row, vertical in enumerate(shown):
+        _draw_histogram(panels[row, row], pooled[vertical])
+        for column, horizontal in enumerate(shown[: row + 1]):
+            if column < row:
+                _draw_density(panels[row, column], pooled[horizontal], pooled[vertical])
+                panels[column, row].remove()
+            _dress_axis(panels[row, column].xaxis, pooled[horizontal], horizontal, *limits[horizontal])
+            if column < row:
+                _dress_axis(panels[row, column].yaxis, pooled[vertical], vertical, *limits[vertical])
+                value = correlation[order[row], order[column]]
+                panel = figure.add_subplot(panels[0, 0].get_gridspec()[column, row])
+                panel.set(xticks=[], yticks=[], facecolor=colormaps["RdBu_r"](0.5 + 0.5 * value))
+                # Two decimals; more, up to four, rather than a 1 that is none.
+                decimals = next((n for n in (2, 3, 4) if abs(round(value, n)) < 1.0), 2)
+                text = f"{round(value, decimals) + 0.0:.{decimals}f}"  # + 0.0: no minus before a 0
+                write_correlation(panel, (0.5, 0.5), value, text, transform=panel.transAxes)
+            panels[row, column].label_outer()
+    handles: list[Line2D | Patch] = [Patch(color=_BARS, linewidth=0, label="90 % interval")]
+    if len(shown) > 1:
+        regions = f"regions holding {', '.join(f'{100 * share:.0f}' for share in reversed(REGIONS))} %"
+        handles.append(Patch(facecolor=_BLUES[1], edgecolor=style.BLUE, linewidth=0.5, label=regions))
+    handles += [Line2D([], [], **_TRUE_LINE)] if any(math.isfinite(value) for _, value in limits.values()) else []
+    note = f"the {len(shown)} of {len(moving)} parameters that are most correlated with another"
+    _finish(figure, handles, note if len(shown) < len(moving) else "")
     return figure
 
 
@@ -168,16 +168,13 @@ def most_correlated(correlation: np.ndarray, most: int) -> list[int]:
     return sorted([*dict.fromkeys((*pairs, *range(len(correlation))))][:most])
 
 
+@style.look()
 def trace_figure(draws: xr.Dataset, statistics: xr.Dataset, parameters: Sequence[Parameter], number: int) -> Figure:
     """One row per parameter: its density and its draws over the iterations after warm-up, chain by chain.
 
-    Divergent iterations are marked at the foot of every trace.
-
-    Args:
-        draws: The group ``posterior``, whose attribute ``tuning_steps`` counts the iterations of the warm-up.
-        statistics: The group ``sample_stats``.
-        parameters: That have a row, of so many in all.
-        number: Of all parameters.
+    Divergent iterations are marked at the foot of every trace. ``draws`` and ``statistics`` are the groups
+    ``posterior``, whose attribute ``tuning_steps`` counts the iterations of the warm-up, and ``sample_stats``;
+    ``parameters`` have a row, of ``number`` in all.
     """
     count, shown = draws.sizes["chain"], _moving(draws, parameters)
     iteration = draws["draw"].to_numpy() + 1 + draws.attrs.get("tuning_steps", 0)
@@ -185,28 +182,28 @@ def trace_figure(draws: xr.Dataset, statistics: xr.Dataset, parameters: Sequence
         iteration[np.nonzero(statistics["diverging"].to_numpy())[1]] if "diverging" in statistics else iteration[:0]
     )
     mark: style.Look = {"color": "k", "marker": "|", "linestyle": "none", "markersize": 6}
-    with style.look():
-        figure, panels = _rows(len(shown), 0.8, width_ratios=(1, 3))
-        for (density, trace), parameter in zip(panels, shown, strict=True):
-            chains = draws[parameter.name].to_numpy()[:CHAINS_SHOWN]
-            for chain, colour in zip(chains, cycle(style.CYCLE), strict=False):
-                if chain.min() < chain.max():
-                    places = np.linspace(chain.min(), chain.max(), DENSITY_GRID)
-                    density.plot(places, scipy.stats.gaussian_kde(chain)(places), color=colour, linewidth=0.8)
-                trace.plot(iteration, chain, color=colour, alpha=0.8, linewidth=0.4, rasterized=True)
-            for axis in (trace.yaxis, density.xaxis):
-                _dress_axis(axis, chains, parameter)
-            density.set(yticks=[], ylim=(0.0, None), xlabel="", ylabel=trace.get_ylabel())
-            trace.set(ylabel="", xlim=(iteration[0], iteration[-1]))
-            trace.tick_params(labelbottom=trace is panels[-1, 1])
-            trace.plot(divergent, np.full(len(divergent), trace.get_ylim()[0]), **mark)
-        panels[-1, 1].set_xlabel("Iteration")
-        named = [Line2D([], [], color=c, label=f"chain {i}") for i, c in enumerate(style.CYCLE[:count], start=1)]
-        marked = Line2D([], [], **mark, label=f"{len(divergent)} divergent")
-        _finish(figure, [*named, *[marked][: len(divergent)]], _left_out(shown, number))
+    figure, panels = _rows(len(shown), 0.8, width_ratios=(1, 3))
+    for (density, trace), parameter in zip(panels, shown, strict=True):
+        chains = draws[parameter.name].to_numpy()[:CHAINS_SHOWN]
+        for chain, colour in zip(chains, cycle(style.CYCLE), strict=False):
+            if chain.min() < chain.max():
+                places = np.linspace(chain.min(), chain.max(), DENSITY_GRID)
+                density.plot(places, scipy.stats.gaussian_kde(chain)(places), color=colour, linewidth=0.8)
+            trace.plot(iteration, chain, color=colour, alpha=0.8, linewidth=0.4, rasterized=True)
+        for axis in (trace.yaxis, density.xaxis):
+            _dress_axis(axis, chains, parameter)
+        density.set(yticks=[], ylim=(0.0, None), xlabel="", ylabel=trace.get_ylabel())
+        trace.set(ylabel="", xlim=(iteration[0], iteration[-1]))
+        trace.tick_params(labelbottom=trace is panels[-1, 1])
+        trace.plot(divergent, np.full(len(divergent), trace.get_ylim()[0]), **mark)
+    panels[-1, 1].set_xlabel("Iteration")
+    named = [Line2D([], [], color=c, label=f"chain {i}") for i, c in enumerate(style.CYCLE[:count], start=1)]
+    marked = Line2D([], [], **mark, label=f"{len(divergent)} divergent")
+    _finish(figure, [*named, *[marked][: len(divergent)]], _left_out(shown, number))
     return figure
 
 
+@style.look()
 def rank_figure(draws: xr.Dataset, parameters: Sequence[Parameter], number: int) -> Figure:
     """One panel per parameter: where each chain's draws stand among those of all, as one histogram per chain.
 
@@ -219,16 +216,15 @@ def rank_figure(draws: xr.Dataset, parameters: Sequence[Parameter], number: int)
     shown, kind = _moving(draws, parameters), "half" if draws.sizes["chain"] == 1 else "chain"
     compared = {p.name: two_chains(draws[p.name].to_numpy())[:CHAINS_SHOWN] for p in shown}
     chains = len(compared[shown[0].name])
-    with style.look():
-        figure, panels = _rows(-(-len(shown) // 2), 0.3 + 0.2 * chains)
-        for panel, parameter in zip(panels.ravel(), shown, strict=False):
-            _draw_ranks(panel, compared[parameter.name])
-            panel.set(ylabel=f"{parameter.symbol}, {kind}")
-        for panel in panels.ravel()[len(shown) :]:
-            panel.remove()
-        figure.supxlabel("Rank among all draws", fontsize=8, y=0.01)
-        flat = Line2D([], [], color=style.BLACK, linewidth=0.6, linestyle="--", label="chains that agree")
-        _finish(figure, [flat], _left_out(shown, number))
+    figure, panels = _rows(-(-len(shown) // 2), 0.3 + 0.2 * chains)
+    for panel, parameter in zip(panels.ravel(), shown, strict=False):
+        _draw_ranks(panel, compared[parameter.name])
+        panel.set(ylabel=f"{parameter.symbol}, {kind}")
+    for panel in panels.ravel()[len(shown) :]:
+        panel.remove()
+    figure.supxlabel("Rank among all draws", fontsize=8, y=0.01)
+    flat = Line2D([], [], color=style.BLACK, linewidth=0.6, linestyle="--", label="chains that agree")
+    _finish(figure, [flat], _left_out(shown, number))
     return figure
 
 
@@ -263,6 +259,7 @@ def _draw_ranks(panel: Axes, chains: np.ndarray) -> None:
     panel.set_yticks(feet + chains.shape[1] / RANK_BINS, [f"{i}" for i in range(1, len(chains) + 1)])
 
 
+@style.look()
 def force_predictive_figure(predictive: ForcePredictive, record: Record, dofs: np.ndarray) -> Figure:
     """One row per measured force: observed dots, predictive median and central 90 % band, on a stretch of the record.
 
@@ -280,15 +277,14 @@ def force_predictive_figure(predictive: ForcePredictive, record: Record, dofs: n
     window = histories.window_about(len(median) // 2, median[:, rows], FORCE_PERIODS_SHOWN, FORCE_PERIODS_SHOWN)
     looks = histories.looks(estimate="predictive median", band="90 % band", observed="observed")
     looks["observed"] |= {"color": style.BLACK, "zorder": 2.3}
-    with style.look():
-        figure, panels = style.panels(len(rows), 1, 1.25, margins=(0.55, 0.1, 0.5, 0.4), gaps=(0.0, 0.12), sharex=True)
-        histories.draw_column(panels[:, 0], forces, rows, window, looks)
-        for axes, row in zip(panels[:, 0], rows, strict=True):
-            low, high = axes.get_ylim()
-            axes.set_ylim(low, high + 0.15 * (high - low))  # room for the text above
-            axes.set_ylabel(f"DOF {places[row]}")
-            share = f"band holds {100.0 * held[row]:.0f} % of the observations"
-            axes.text(0.995, 0.96, share, transform=axes.transAxes, ha="right", va="top", fontsize=7)
-        figure.align_ylabels(list(panels[:, 0]))
-        style.legend(figure, markerscale=1.5)
+    figure, panels = style.panels(len(rows), 1, 1.25, margins=(0.55, 0.1, 0.5, 0.4), gaps=(0.0, 0.12), sharex=True)
+    histories.draw_column(panels[:, 0], forces, rows, window, looks)
+    for axes, row in zip(panels[:, 0], rows, strict=True):
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high + 0.15 * (high - low))  # room for the text above
+        axes.set_ylabel(f"DOF {places[row]}")
+        share = f"band holds {100.0 * held[row]:.0f} % of the observations"
+        axes.text(0.995, 0.96, share, transform=axes.transAxes, ha="right", va="top", fontsize=7)
+    figure.align_ylabels(list(panels[:, 0]))
+    style.legend(figure, markerscale=1.5)
     return figure

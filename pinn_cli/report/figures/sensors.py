@@ -44,6 +44,7 @@ _SIGNAL: style.Look = {"color": style.GREY, "alpha": 0.55, "linewidth": 0.6, "zo
 _NOISE: style.Look = {"color": style.VERMILLION, "linewidth": 0.9, "linestyle": "--", "zorder": 3}
 
 
+@style.look()
 def residuals_figure(estimate: Estimate, record: Record) -> Figure:
     """A row for each sensor, measured less estimated: over time, over frequency (Hann periodogram), and over the lag.
 
@@ -56,28 +57,27 @@ def residuals_figure(estimate: Estimate, record: Record) -> Figure:
     errors = [nmse_percent(c.measured - c.of(estimate.response), c.measured) for c in sensors]
     shown = [sensors[i] for i in style.largest(errors, ROWS_IN_FULL)]
     labels = "measured less estimated", r"noise found ($\pm$1.96 $\sigma$; level)"
-    with style.look():
-        figure, panels = style.panels(
-            len(shown), 3, 1.05, margins=(0.62, 0.08, 0.56, 0.42), gaps=(0.5, 0.26), width_ratios=(1.3, 1.0, 0.8)
-        )
-        for (history, spectrum, correlation), channel in zip(panels, shown, strict=True):
-            signal, sigma = channel.measured, estimate.noise.of(channel)
-            residual = signal - channel.of(estimate.response)
-            largest = float(np.max(np.abs(residual)))
-            reach = max(largest, 1.2 * HALF_WIDTH_95 * sigma) if sigma <= 10.0 * largest else largest
-            factor, prefix = style.unit_prefix(reach, kilo=channel.quantity == FORCE)
-            edge = np.full(len(residual), factor * HALF_WIDTH_95 * sigma)
-            _draw_residual(history, record.time, factor * residual, edge, labels)
-            history.set_ylim(-1.1 * factor * (reach or 1.0), 1.1 * factor * (reach or 1.0))
-            history.set_title(f"({style.unit(channel.quantity, prefix)})", loc="left", fontsize=7, pad=2)
-            _draw_spectrum(spectrum, residual, signal, sigma, record.step)
-            spectrum.set_title(f"({style.unit(channel.quantity)})\N{SUPERSCRIPT TWO}", loc="left", fontsize=7, pad=2)
-            _draw_correlation(correlation, residual)
-            _name(history, channel, record)
-            _write_nmse(correlation, residual, signal, digits=2)
-        _finish(figure, panels, ("Residual", "Periodogram", "Autocorrelation"), len(sensors))
-        for axes, label in zip(panels[-1], ("Time $t$ (s)", "Frequency (Hz)", "Lag (samples)"), strict=True):
-            axes.set_xlabel(label, labelpad=2)
+    figure, panels = style.panels(
+        len(shown), 3, 1.05, margins=(0.62, 0.08, 0.56, 0.42), gaps=(0.5, 0.26), width_ratios=(1.3, 1.0, 0.8)
+    )
+    for (history, spectrum, correlation), channel in zip(panels, shown, strict=True):
+        signal, sigma = channel.measured, estimate.noise.of(channel)
+        residual = signal - channel.of(estimate.response)
+        largest = float(np.max(np.abs(residual)))
+        reach = max(largest, 1.2 * HALF_WIDTH_95 * sigma) if sigma <= 10.0 * largest else largest
+        factor, prefix = style.unit_prefix(reach, kilo=channel.quantity == FORCE)
+        edge = np.full(len(residual), factor * HALF_WIDTH_95 * sigma)
+        _draw_residual(history, record.time, factor * residual, edge, labels)
+        history.set_ylim(-1.1 * factor * (reach or 1.0), 1.1 * factor * (reach or 1.0))
+        history.set_title(f"({style.unit(channel.quantity, prefix)})", loc="left", fontsize=7, pad=2)
+        _draw_spectrum(spectrum, residual, signal, sigma, record.step)
+        spectrum.set_title(f"({style.unit(channel.quantity)})\N{SUPERSCRIPT TWO}", loc="left", fontsize=7, pad=2)
+        _draw_correlation(correlation, residual)
+        _name(history, channel, record)
+        _write_nmse(correlation, residual, signal, digits=2)
+    _finish(figure, panels, ("Residual", "Periodogram", "Autocorrelation"), len(sensors))
+    for axes, label in zip(panels[-1], ("Time $t$ (s)", "Frequency (Hz)", "Lag (samples)"), strict=True):
+        axes.set_xlabel(label, labelpad=2)
     return figure
 
 
@@ -91,6 +91,7 @@ def compared_channels(estimate: Estimate, record: Record) -> list[Channel]:
     return out
 
 
+@style.look()
 def validation_figure(run: ValidationRun, estimate: Estimate) -> Figure:
     """A row for each response sensor: its history beside the run's with its 95 % band, and what is between them.
 
@@ -105,29 +106,28 @@ def validation_figure(run: ValidationRun, estimate: Estimate) -> Figure:
     window = histories.window_about(len(simulated), np.diff(simulated, axis=0, prepend=0.0))
     time = run.record.time[run.first :]
     looks = histories.looks(true="measured", estimate="identified system")
-    with style.look():
-        figure, panels = style.panels(
-            len(shown), 2, 0.95, margins=(0.62, 0.08, 0.56, 0.42), gaps=(0.5, 0.28), width_ratios=(1.25, 1.0)
-        )
-        for (history, error), channel in zip(panels, shown, strict=True):
-            measured, response, std = (x[:, None] for x in run.of_channel(channel))
-            name, sources = channel.quantity, {"estimate": response, "std": std, "true": measured}
-            compared = Histories(name, "", (channel.where,), time, sources)
-            factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(measured[window]), initial=0.0)))
-            histories.draw(history, compared, 0, window, factor, looks)
-            history.set_title(f"({style.unit(name, prefix)})", loc="left", fontsize=7, pad=2)
-            residual, sampled = (measured - response)[:, 0], np.isfinite(measured[:, 0])
-            noise = estimate.noise.of(channel)
-            edge = HALF_WIDTH_95 * np.hypot(std[:, 0], np.nan_to_num(noise))
-            labels = "error", WITH_NOISE if np.isfinite(noise) else WITHOUT_NOISE
-            factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(residual), initial=0.0)))
-            _draw_residual(error, time[sampled], factor * residual[sampled], factor * edge[sampled], labels)
-            error.set_title(f"({style.unit(name, prefix)})", loc="left", fontsize=7, pad=2)
-            _name(history, channel, run.record)
-            _write_nmse(error, residual[sampled], measured[sampled, 0], digits=3)
-        _finish(figure, panels, ("Validation data", "Error"), len(sensors))
-        for axes in panels[-1]:
-            axes.set_xlabel("Time $t$ (s)", labelpad=2)
+    figure, panels = style.panels(
+        len(shown), 2, 0.95, margins=(0.62, 0.08, 0.56, 0.42), gaps=(0.5, 0.28), width_ratios=(1.25, 1.0)
+    )
+    for (history, error), channel in zip(panels, shown, strict=True):
+        measured, response, std = (x[:, None] for x in run.of_channel(channel))
+        name, sources = channel.quantity, {"estimate": response, "std": std, "true": measured}
+        compared = Histories(name, "", (channel.where,), time, sources)
+        factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(measured[window]), initial=0.0)))
+        histories.draw(history, compared, 0, window, factor, looks)
+        history.set_title(f"({style.unit(name, prefix)})", loc="left", fontsize=7, pad=2)
+        residual, sampled = (measured - response)[:, 0], np.isfinite(measured[:, 0])
+        noise = estimate.noise.of(channel)
+        edge = HALF_WIDTH_95 * np.hypot(std[:, 0], np.nan_to_num(noise))
+        labels = "error", WITH_NOISE if np.isfinite(noise) else WITHOUT_NOISE
+        factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(residual), initial=0.0)))
+        _draw_residual(error, time[sampled], factor * residual[sampled], factor * edge[sampled], labels)
+        error.set_title(f"({style.unit(name, prefix)})", loc="left", fontsize=7, pad=2)
+        _name(history, channel, run.record)
+        _write_nmse(error, residual[sampled], measured[sampled, 0], digits=3)
+    _finish(figure, panels, ("Validation data", "Error"), len(sensors))
+    for axes in panels[-1]:
+        axes.set_xlabel("Time $t$ (s)", labelpad=2)
     return figure
 
 
@@ -205,6 +205,7 @@ def _finish(figure: Figure, panels: np.ndarray, titles: tuple[str, ...], count: 
         style.note(figure, f"the {len(panels)} of {count} sensors with the largest NMSE")
 
 
+@style.look()
 def frequency_response_figure(record: Record, structure: Structure) -> Figure:
     """Amplitude and phase of every sensor over the measured force, within the band of a record, and as estimated."""
     assert record.band is not None
@@ -218,24 +219,22 @@ def frequency_response_figure(record: Record, structure: Structure) -> Figure:
         (spectra.response[..., 0], style.DOTS | {"color": style.GREY, "label": "measured"}),
         (estimated, {"color": style.BLUE, "label": "estimated"}),
     )
-    with style.look():
-        figure, panels = style.panels(
-            2, len(sensors), 1.5, margins=(0.55, 0.08, 0.45, 0.4), gaps=(0.5, 0.12), sharex="col"
-        )
-        for i, ((above, below), sensor) in enumerate(zip(panels.T, sensors, strict=True)):
-            for values, look in shown:
-                above.semilogy(spectra.frequency, np.abs(values[:, i]), **look)
-                below.plot(spectra.frequency, np.degrees(np.angle(values[:, i])), **look)
-            title = f"{style.SYMBOLS[sensor.quantity]} of {record.dof_names([sensor.dof])}"
-            above.set_title(f"{title}, {style.unit(sensor.quantity)}/N", pad=3)
-            below.set_yticks([-180, -90, 0, 90, 180])
-            below.set_xlabel("Frequency (Hz)", labelpad=2)
-        panels[0, 0].set_ylabel("Amplitude")
-        panels[1, 0].set_ylabel("Phase (°)")
-        style.legend(figure)
+    figure, panels = style.panels(2, len(sensors), 1.5, margins=(0.55, 0.08, 0.45, 0.4), gaps=(0.5, 0.12), sharex="col")
+    for i, ((above, below), sensor) in enumerate(zip(panels.T, sensors, strict=True)):
+        for values, look in shown:
+            above.semilogy(spectra.frequency, np.abs(values[:, i]), **look)
+            below.plot(spectra.frequency, np.degrees(np.angle(values[:, i])), **look)
+        title = f"{style.SYMBOLS[sensor.quantity]} of {record.dof_names([sensor.dof])}"
+        above.set_title(f"{title}, {style.unit(sensor.quantity)}/N", pad=3)
+        below.set_yticks([-180, -90, 0, 90, 180])
+        below.set_xlabel("Frequency (Hz)", labelpad=2)
+    panels[0, 0].set_ylabel("Amplitude")
+    panels[1, 0].set_ylabel("Phase (°)")
+    style.legend(figure)
     return figure
 
 
+@style.look()
 def history_figure(history: pd.DataFrame) -> Figure:
     """Columns ``loss_*`` in the upper panel, ``weight_*`` in the lower one, over ``iteration``, on logarithmic scales.
 
@@ -247,31 +246,25 @@ def history_figure(history: pd.DataFrame) -> Figure:
     shown = [start for start in titles if columns[start]]
     terms = list(dict.fromkeys(name.removeprefix(start) for start in shown for name in columns[start]))
     iterations, margins = history["iteration"].to_numpy(), (0.08 * style.PAGE_WIDTH, 0.3 * style.PAGE_WIDTH, 0.1, 0.38)
-    with style.look():
-        figure, panels = style.panels(len(shown), 1, 1.68, margins=margins, gaps=(0.0, 0.17), sharex=True)
-        for axes, start in zip(panels[:, 0], shown, strict=True):
-            for name in columns[start]:
-                values, term = history[name].to_numpy(dtype=float), name.removeprefix(start)
-                kept = np.flatnonzero(np.isfinite(values) & (values > 0.0))
-                if not kept.size:
-                    continue
-                kept = kept[style.line_indices(np.log(values[kept]))]
-                place, marker = terms.index(term), "o" if len(iterations) <= MARKED_ITERATIONS else "none"
-                look: style.Look = {
-                    "color": style.CYCLE[place % len(style.CYCLE)],
-                    "linestyle": LINES[place % len(LINES)],
-                }
-                label = TERM_LABELS.get(term, term.replace("_", " "))
-                axes.plot(iterations[kept], values[kept], **look, marker=marker, markersize=2.2, label=label)
-            axes.set_yscale("log")
-            axes.set_ylabel(titles[start])
-            axes.yaxis.set_minor_locator(NullLocator())
-            axes.grid(True, axis="y")
-            axes.set_axisbelow(True)
-        axes.set_xlabel("Iteration")
-        axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
-        figure.align_ylabels(list(panels[:, 0]))
-        style.legend(
-            figure, loc="upper left", bbox_to_anchor=(0.71, 0.98), ncols=1, borderaxespad=0.0, handlelength=2.8
-        )
+    figure, panels = style.panels(len(shown), 1, 1.68, margins=margins, gaps=(0.0, 0.17), sharex=True)
+    for axes, start in zip(panels[:, 0], shown, strict=True):
+        for name in columns[start]:
+            values, term = history[name].to_numpy(dtype=float), name.removeprefix(start)
+            kept = np.flatnonzero(np.isfinite(values) & (values > 0.0))
+            if not kept.size:
+                continue
+            kept = kept[style.line_indices(np.log(values[kept]))]
+            place, marker = terms.index(term), "o" if len(iterations) <= MARKED_ITERATIONS else "none"
+            look: style.Look = {"color": style.CYCLE[place % len(style.CYCLE)], "linestyle": LINES[place % len(LINES)]}
+            label = TERM_LABELS.get(term, term.replace("_", " "))
+            axes.plot(iterations[kept], values[kept], **look, marker=marker, markersize=2.2, label=label)
+        axes.set_yscale("log")
+        axes.set_ylabel(titles[start])
+        axes.yaxis.set_minor_locator(NullLocator())
+        axes.grid(True, axis="y")
+        axes.set_axisbelow(True)
+    axes.set_xlabel("Iteration")
+    axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
+    figure.align_ylabels(list(panels[:, 0]))
+    style.legend(figure, loc="upper left", bbox_to_anchor=(0.71, 0.98), ncols=1, borderaxespad=0.0, handlelength=2.8)
     return figure

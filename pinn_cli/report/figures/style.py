@@ -92,14 +92,8 @@ def panels(
 ) -> tuple[Figure, np.ndarray]:  # fmt: skip
     """A figure and its grid of panels (rows, columns); fixed margins take a tenth of the time of a computed layout.
 
-    Args:
-        rows: Number of them.
-        columns: Number of them.
-        height: Of a panel, inch.
-        width: Of the figure, inch.
-        margins: Left, right, top, bottom, inch.
-        gaps: Between neighbours, across and down, inch.
-        options: Of `matplotlib.figure.Figure.subplots`, ``gridspec_kw`` apart.
+    In inch: the ``height`` of a panel, the figure's ``width``, ``margins`` left, right, top, bottom, and ``gaps``
+    between neighbours, across and down. ``options`` are those of `matplotlib.figure.Figure.subplots`.
     """
     left, right, top, bottom = margins
     total = top + rows * height + (rows - 1) * gaps[1] + bottom
