@@ -265,6 +265,7 @@ def _columns(data: Mapping[str, Any], base: Path) -> tuple[list[Signal], np.ndar
 def _channels(data: Mapping[str, Any]) -> list[DataChannel]:
     """The columns that the settings name, in the short form and in the long one."""
     from pinn_cli.record.data_channels import DataChannel, data_channels
+    from pinn_cli.record.measured_data import UNMEASURED
     from pinn_cli.record.response import QUANTITIES
     from pinn_cli.system.quantities import GROUND
 
@@ -279,7 +280,7 @@ def _channels(data: Mapping[str, Any]) -> list[DataChannel]:
             if column is not None:
                 setting = f"data.{quantity}.{dof}"
                 channels.append(DataChannel.of_column(setting, str(column), quantity, int(dof)))
-    if data.get(GROUND) is not None:
+    if data.get(GROUND) not in (None, UNMEASURED):
         channels.append(DataChannel.of_column(f"data.{GROUND}", str(data[GROUND]), GROUND))
     return [*channels, *data_channels(data.get("channels"))]
 

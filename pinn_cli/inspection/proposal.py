@@ -114,9 +114,10 @@ def proposed_settings(said: Said, look: Look) -> tuple[list[str], list[str]]:
     added = [f"data.time={text_value(said.time)}"] if said.time else []
     added += _assigned(look) if look.guessed else _with_offsets(said, look)
     structure, remarks, ndof = ([], [], 0) if look.has_structure else _structure(said, look)
-    forces = (said.settings.get("data") or {}).get("force") or {}
+    data = said.settings.get("data") or {}
     # Something that acts is measured, or said to act unmeasured.
-    is_driven = any(signal.is_input for signal in look.identified) or bool(forces) or said.names("data.force")
+    is_said = bool(data.get("force") or data.get(GROUND)) or said.names("data.force")
+    is_driven = is_said or any(signal.is_input for signal in look.identified)
     if not look.has_structure and not is_driven:
         added.append("data.force={" + ", ".join(f"{dof}: null" for dof in range(1, ndof + 1)) + "}")
     added += [] if said.thins else _decimation(look)
