@@ -1,5 +1,6 @@
 """NUTS and the posteriors that it samples: closed forms, quadrature, what they hand over, and chains that are kept."""
 
+import contextlib
 import logging
 import os
 import shutil
@@ -43,7 +44,7 @@ def test_each_samples_its_own_likelihood(posterior, likelihood):
     assert (samples.method, samples.names) == (posterior.name, NAMES)
 
 
-def test_shapes_of_what_is_sampled():
+def test_shapes_of_what_is_sampled_and_the_order_of_the_prior():
     samples = Marginal(chains=3, warmup=20, draws=10).sample(WIDE, PRIORS, RunContext())
     assert samples.draws.shape == (3, 10, 2)
     assert samples.sigma_force.shape == (3, 10, 2)
@@ -55,9 +56,6 @@ def test_shapes_of_what_is_sampled():
     samples = Laplace(50).sample(WIDE, PRIORS, RunContext())
     assert (samples.draws.shape, samples.sigma_force.shape, samples.prior.shape) == ((1, 50, 2), (1, 50, 2), (50, 2))
     assert (samples.statistics, samples.warmup, samples.seconds.shape) == ({}, 0, (1,))
-
-
-def test_draws_from_the_prior_are_in_the_likelihoods_order():
     prior = Laplace(4000).sample(WIDE, PRIORS, RunContext()).prior
     np.testing.assert_allclose(prior.mean(0), [HalfNormal(5.0).mean, 20.0], rtol=0.1)
     np.testing.assert_allclose(prior.std(0), [HalfNormal(5.0).std, Gamma(2.0, 0.1).std], rtol=0.1)
@@ -230,19 +228,18 @@ def run(directory, likelihood=LIKELIHOOD, priors=POSITIVE, count=4, settings=FEW
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """The directory of a run whose four chains are there, and its samples."""
+    """The directory of a run whose four chains are there, and its samples; without one nothing is written."""
     directory = tmp_path_factory.mktemp("finished")
-    return directory, run(directory)
-
-
-@pytest.fixture
-def undisturbed(finished):
-    return finished[1]
+    with contextlib.chdir(directory):
+        undisturbed = run(None)
+    assert not list(directory.iterdir())
+    assert_same(run(directory), undisturbed)
+    return directory, undisturbed
 
 
 @pytest.fixture
 def numbers(monkeypatch) -> list[int]:
-    """The numbers of the chains that are numbers."""
+    """The numbers of the chains that are sampled."""
     numbers = []
 
     def noting(density, seed, chain, *rest):
@@ -261,7 +258,7 @@ def assert_same(samples, expected) -> None:
         assert samples.statistics[name].dtype == values.dtype
 
 
-def test_a_killed_run_goes_on_after_its_last_finished_chain(tmp_path, monkeypatch, undisturbed):
+def test_a_killed_run_goes_on_after_its_last_finished_chain(tmp_path, monkeypatch, finished):
     def killed_in_the_third(density, seed, chain, settings, after_iteration):
         if chain == 3:
             raise KeyboardInterrupt
@@ -274,7 +271,7 @@ def test_a_killed_run_goes_on_after_its_last_finished_chain(tmp_path, monkeypatc
 
     again = []
     monkeypatch.setattr(nuts, "sample_chain", lambda *a: again.append(a[2]) or sample_chain(*a))
-    assert_same(run(tmp_path), undisturbed)
+    assert_same(run(tmp_path), finished[1])
     assert again == [3, 4]
 
 
@@ -288,19 +285,14 @@ def test_a_finished_run_samples_nothing_and_more_chains_only_those(tmp_path, num
     assert "3 of 4 chains were finished before" in caplog.text
 
 
-def truncate(place) -> None:
-    place.write_bytes(place.read_bytes()[:300])
+HARM = {
+    "cut short": lambda place: place.write_bytes(place.read_bytes()[:300]),
+    "empty": lambda place: place.write_bytes(b""),
+    "of another chain": lambda place: shutil.copy(place.with_name("chain_1.npz"), place),
+}
 
 
-def empty(place) -> None:
-    place.write_bytes(b"")
-
-
-def swap(place) -> None:
-    shutil.copy(place.with_name("chain_1.npz"), place)
-
-
-@pytest.mark.parametrize("harm", [truncate, empty, swap])
+@pytest.mark.parametrize("harm", HARM.values(), ids=HARM)
 def test_a_file_that_is_not_what_it_should_be_is_sampled_again(harm, tmp_path, numbers, finished, caplog):
     directory, undisturbed = finished
     shutil.copytree(directory, tmp_path, dirs_exist_ok=True)
@@ -309,7 +301,7 @@ def test_a_file_that_is_not_what_it_should_be_is_sampled_again(harm, tmp_path, n
         assert_same(run(tmp_path), undisturbed)
     assert numbers == [2]
     (message,) = (record.getMessage() for record in caplog.records)
-    assert "chain 2 is numbers again" in message
+    assert "chain 2 is sampled again" in message
     assert "\n" not in message
     numbers.clear()
     run(tmp_path)
@@ -332,9 +324,3 @@ def test_chains_of_another_posterior_are_not_taken_over(other, tmp_path, numbers
     shutil.copytree(finished[0], tmp_path, dirs_exist_ok=True)
     run(tmp_path, count=1, **other)
     assert numbers == [1]
-
-
-def test_a_run_without_a_directory_writes_nothing(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    run(None, count=1)
-    assert not list(tmp_path.iterdir())

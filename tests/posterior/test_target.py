@@ -86,7 +86,7 @@ def test_flat_directions_of_the_likelihood_are_held_by_the_prior():
     np.testing.assert_allclose(target.mode[:2], 5.0, rtol=1e-6)
 
 
-def test_where_the_likelihood_fails_the_density_is_zero():
+def test_where_the_likelihood_fails_the_density_is_zero_and_no_start_without_a_value_is_taken():
     class Failing(GaussianLikelihood):
         def evaluate(self, theta, s):
             if theta[0] > 2.0:
@@ -97,30 +97,12 @@ def test_where_the_likelihood_fails_the_density_is_zero():
     for theta in (1.7, 2.5):
         assert target.log_density(np.array([theta, 0.0]))[0] == -np.inf
 
-
-def test_a_posterior_without_a_value_at_its_start_is_told():
     class Nowhere(GaussianLikelihood):
         def evaluate(self, theta, s):
             return np.nan, theta, 0.0
 
     with pytest.raises(DivergenceError, match="cannot be evaluated at its start"):
         Target(Nowhere([0.0], [[1.0]]), [Normal(0.0, 10.0)])
-
-
-def test_softplus_is_its_own_inverse_and_has_these_slopes():
-    softplus = Softplus(np.array([0.1, 1.0, 20.0]))
-    x = np.array([-0.7, 3.0, 5.0])
-    theta = softplus.parameters(x)
-    assert np.all(theta > 0)
-    np.testing.assert_allclose(softplus.coordinates(theta), x, rtol=1e-10)
-    steps = np.full(3, 1e-6)
-    by_x, log_by_x, bend = softplus.slopes(theta)
-    total = slopes(lambda x: softplus.parameters(x).sum(), x, steps)
-    np.testing.assert_allclose(by_x, total, rtol=1e-6)
-    np.testing.assert_allclose(log_by_x, np.log(total), rtol=1e-5, atol=1e-9)
-    np.testing.assert_allclose(
-        bend, slopes(lambda x: softplus.slopes(softplus.parameters(x))[1].sum(), x, steps), rtol=1e-5
-    )
 
 
 MODE = np.array([0.5, 3.0, -1.0, 0.2])
@@ -140,28 +122,23 @@ def jacobian(whitening: Whitening, q: np.ndarray) -> np.ndarray:
     return np.array([(whitening.coordinates(q + h) - whitening.coordinates(q - h)) / 2e-5 for h in steps]).T
 
 
-def test_the_origin_is_the_mode_and_white(whitening):
+@pytest.mark.parametrize("seed", range(4))
+def test_the_origin_is_white_and_the_determinant_constant(whitening, seed):
     np.testing.assert_allclose(whitening.coordinates(np.zeros(4)), MODE)
     at_mode = jacobian(whitening, np.zeros(4))
     np.testing.assert_allclose(at_mode @ at_mode.T, COVARIANCE, rtol=1e-6)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_slope_is_the_chain_rules_and_the_determinant_constant(whitening, seed):
     generator = np.random.default_rng(seed)
-    q, by_x = 2 * generator.standard_normal(4), generator.standard_normal(4)
-    there = jacobian(whitening, q)
-    np.testing.assert_allclose(whitening.slope(whitening.coordinates(q), by_x), by_x @ there, rtol=1e-6, atol=1e-8)
+    several, by_x = 2 * generator.standard_normal((2, 3, 4)), generator.standard_normal(4)
+    q = several[1, 2]
+    there, x = jacobian(whitening, q), whitening.coordinates(q)
+    np.testing.assert_allclose(whitening.coordinates(several)[1, 2], x, rtol=1e-14)
+    np.testing.assert_allclose(whitening.slope(x, by_x), by_x @ there, rtol=1e-6, atol=1e-8)
     assert np.linalg.det(there) ** 2 == pytest.approx(np.linalg.det(COVARIANCE), rel=1e-6)
 
 
-def test_many_at_once(whitening):
-    q = np.random.default_rng(0).standard_normal((2, 3, 4))
-    together = whitening.coordinates(q)
-    np.testing.assert_allclose(together[1, 2], whitening.coordinates(q[1, 2]), rtol=1e-14)
-
-
-def test_far_below_zero_nothing_else_moves():
+def test_softplus_is_its_own_inverse_and_far_below_zero_nothing_else_moves():
+    of_three, x = Softplus(np.array([0.1, 1.0, 20.0])), np.array([-0.7, 3.0, 5.0])
+    np.testing.assert_allclose(of_three.coordinates(of_three.parameters(x)), x, rtol=1e-10)
     softplus = Softplus(np.array([1.0]))
     whitening = Whitening(MODE, np.linalg.inv(COVARIANCE), np.array([0]), softplus)
     far, further = (whitening.coordinates(np.array([q, 0.0, 0.0, 0.0])) for q in (-30.0, -31.0))
@@ -176,8 +153,11 @@ NAMES, SIGMA = ("c_1", "k_1", "kappa_2"), np.array([0.1, np.nan])
 
 
 def table() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    return tabulated(np.linspace(-1.0, 1.0, S_POINTS) * S_RANGE * S_STD)
+
+
+def tabulated(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """S, level, peak and precision of a likelihood all of which depends on s, and not in a polynomial way."""
-    s = np.linspace(-1.0, 1.0, S_POINTS) * S_RANGE * S_STD
     gram = np.linalg.inv(correlated(STD, 0.6))
     level = -1.5 * np.log(0.2 + 0.8 * np.exp(2.0 * s))
     peak = PEAK + STD * np.sin(3.0 * s)[:, None]
@@ -236,28 +216,19 @@ def test_peak_and_curvature_are_those_at_the_noise_that_was_found(make):
     likelihood = make()
     _, by_theta, _ = likelihood.evaluate(likelihood.peak, 0.0)
     np.testing.assert_allclose(STD * by_theta, 0.0, atol=1e-9)
-    steps = [0.1 * width * unit for width, unit in zip(STD, np.eye(3), strict=True)]
-    for step in steps:
+    for step in np.diag(0.1 * STD):
         change = likelihood.evaluate(likelihood.peak + step, 0.0)[1]
         np.testing.assert_allclose(change, -likelihood.curvature @ step, rtol=1e-9, atol=1e-12)
 
 
-def test_the_marginal_is_its_table_at_the_tables_points():
-    likelihood = marginal()
-    theta = PEAK + STD
-    for s, level, peak, precision in zip(*table(), strict=True):
-        away = theta - peak
-        expected = level - 0.5 * away @ precision @ away + told(s)
-        assert likelihood.evaluate(theta, s)[0] == pytest.approx(expected, rel=1e-9)
-
-
-def test_between_the_points_it_is_as_smooth_as_what_was_tabulated():
+def test_the_marginal_is_its_table_and_between_its_points_as_smooth_as_what_was_tabulated():
     likelihood, theta = marginal(), PEAK + STD * [1.0, -1.0, 0.5]
-    for s in np.linspace(-5.5, 5.5, 12) * S_STD:
-        level = told(s) - 1.5 * np.log(0.2 + 0.8 * np.exp(2.0 * s))
-        away = theta - PEAK - STD * np.sin(3.0 * s)
-        gram = np.linalg.inv(correlated(STD, 0.6)) / (0.2 + 0.8 * np.exp(2.0 * s))
-        assert likelihood.evaluate(theta, s)[0] == pytest.approx(level - 0.5 * away @ gram @ away, abs=2e-3)
+    between = np.linspace(-5.5, 5.5, 12) * S_STD
+    for places, tolerance in ((table()[0], {"rel": 1e-9}), (between, {"abs": 2e-3})):
+        for s, level, peak, precision in zip(*tabulated(places), strict=True):
+            away = theta - peak
+            expected = level - 0.5 * away @ precision @ away + told(s)
+            assert likelihood.evaluate(theta, s)[0] == pytest.approx(expected, **tolerance)
 
 
 def test_beyond_the_table_it_falls_as_a_gaussian_and_never_rises_again():
@@ -269,12 +240,8 @@ def test_beyond_the_table_it_falls_as_a_gaussian_and_never_rises_again():
     left = [likelihood.evaluate(PEAK, -s * S_STD)[0] for s in (6.0, 8.0, 50.0, 1e6)]
     assert np.all(np.diff(left) < 0)
     assert np.isfinite(left).all()
-
-
-def test_without_a_force_sensor_the_noise_tells_nothing():
-    likelihood = unforced()
-    values = [likelihood.evaluate(PEAK, s)[0] for s in (-0.5, 0.0, 0.5)]
-    assert values == pytest.approx([values[0]] * 3)
+    unseen = [unforced().evaluate(PEAK, s)[0] for s in (-0.5, 0.0, 0.5)]
+    assert unseen == pytest.approx([unseen[0]] * 3)  # without a force sensor the noise tells nothing
 
 
 def test_a_direction_that_hardly_anything_holds_stays_held_between_two_scales():

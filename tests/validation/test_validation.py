@@ -164,8 +164,7 @@ def test_what_cannot_be_scored_is_refused(one: JointProblem, two: JointProblem) 
 
 def test_a_run_is_scored_and_its_estimate_stays_as_it_is(pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch) -> None:
     without_figures(monkeypatch)
-    plain, scored = pinn_run(*TWO), pinn_run(*TWO, "validation=heldout")
-    assert scored.status == 0, scored.err
+    plain, scored = pinn_run(*TWO), pinn_run(*TWO, "validation=heldout").done()
     for name in ("fitness.csv", "parameters.csv", "free_run.csv"):
         assert (plain.directory / name).read_bytes() == (scored.directory / name).read_bytes()
     kept = scored.record["validation"]
@@ -221,30 +220,20 @@ def shown(response: np.ndarray) -> np.ndarray:
     return response + NOISE * np.random.default_rng(1).normal(size=SAMPLES)
 
 
-def test_the_true_response_scores_nothing(response: np.ndarray, shown: np.ndarray) -> None:
+def test_the_truth_scores_nothing_and_the_right_spread_best(response: np.ndarray, shown: np.ndarray) -> None:
     agreement = compared(shown, response, np.zeros(SAMPLES), NOISE)
     assert agreement["score"] == pytest.approx(0.0, abs=0.01)
     assert agreement["standardised_error_rms"] == pytest.approx(1.0, abs=0.01)
     assert agreement["coverage_95_percent"] == pytest.approx(95.0, abs=0.5)
-
-
-def test_the_right_spread_scores_best(response: np.ndarray, shown: np.ndarray) -> None:
     predicted = response + 0.3 * np.random.default_rng(2).normal(size=SAMPLES)
     spreads = [0.05, 0.15, 0.3, 0.6, 1.2]
     scores = [compared(shown, predicted, np.full(SAMPLES, spread), NOISE)["score"] for spread in spreads]
     assert spreads[int(np.argmin(scores))] == 0.3
     # Of a normal distribution: half the logarithm of the variances' ratio.
     assert min(scores) == pytest.approx(0.5 * np.log(0.1 / 0.01), rel=0.01)
-
-
-def test_without_a_spread_it_is_the_logarithm_of_the_error(response: np.ndarray, shown: np.ndarray) -> None:
-    predicted = response + 0.3 * np.random.default_rng(2).normal(size=SAMPLES)
     agreement = compared(shown, predicted, np.full(SAMPLES, np.nan), NOISE)
     assert agreement["score"] == pytest.approx(np.log(agreement["error_rms"] / NOISE))
     assert np.isnan(agreement["coverage_95_percent"])
-
-
-def test_no_prediction_has_no_score(shown: np.ndarray) -> None:
     assert np.isnan(compared(shown, np.full(SAMPLES, np.nan), np.zeros(SAMPLES), NOISE)["score"])
 
 

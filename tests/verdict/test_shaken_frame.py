@@ -96,13 +96,6 @@ def test_a_ruined_ground_sensor_is_named(record, kind, change, told):
     assert told in found.text
 
 
-def test_a_ruined_accelerometer_is_named(record):
-    ruined = record.acceleration * [1.0, 1.2, 1.0]
-    (found,) = faults(LINEAR, replace(record, acceleration=ruined))
-    assert (found.kind, found.suspect) == ("gain", "acceleration of DOF 2")
-    assert "under the measured ground acceleration" in found.text
-
-
 @pytest.mark.parametrize(
     ("kind", "change"),
     [
@@ -117,7 +110,10 @@ def test_the_ground_s_channel_is_looked_at_by_itself(record, kind, change):
     assert (found.kind, found.suspect) == (kind, "ground acceleration")
 
 
-def test_a_wrong_mass_is_found_under_an_earthquake(record):
+def test_a_ruined_accelerometer_and_a_wrong_mass_are_found_under_an_earthquake(record):
+    (found,) = faults(LINEAR, replace(record, acceleration=record.acceleration * [1.0, 1.2, 1.0]))
+    assert (found.kind, found.suspect) == ("gain", "acceleration of DOF 2")
+    assert "under the measured ground acceleration" in found.text
     wrong = LINEAR.with_parameters(m=LINEAR.parameters["m"] * LINEAR.parameters["m"].new_tensor([1.0, 3.0, 1.0]))
     (found,) = causes(Problem(wrong, record, ()), wrong, wrong)
     assert found.suspect == "m_2"
@@ -139,15 +135,12 @@ def test_a_right_estimate_is_sound_and_a_large_discrepancy_is_told():
     problem = Problem(LINEAR, found.record, ())
     sound = estimate(found, 1.0, acceleration=noise, ground_acceleration=[0.02])
     assert judge(problem, sound).word == "sound"
+    (ground,) = channels(found.record, ["ground_acceleration"])
+    assert sound.noise.of(ground) == 0.02
+    assert np.isnan(estimate(found).noise.of(ground))
     loud = estimate(found, 0.4 * 2e3 * 0.6, acceleration=noise)
     (reason,) = judge(problem, loud).reasons
     assert "of what acts" in reason.text
-
-
-def test_the_noise_found_of_the_ground(record):
-    (ground,) = channels(record, ["ground_acceleration"])
-    assert estimate(measured(), ground_acceleration=[0.02]).noise.of(ground) == 0.02
-    assert np.isnan(estimate(measured()).noise.of(ground))
 
 
 # Of a sensor, m/s^2.
@@ -174,9 +167,6 @@ def test_it_is_asked_where_it_matters_and_nobody_said(rare):
     (text,) = asked(rare)
     assert "25 Hz" in text
     assert "data.intersample" in text
-
-
-def test_it_is_not_asked_elsewhere(rare):
     assert asked(replace(rare, assumed=False)) == []
     assert asked(rare, LOUD) == []
     assert asked(replace(measured().record, assumed=True)) == []
@@ -199,9 +189,7 @@ def test_a_force_up_to_the_nyquist_frequency_is_asked_about():
     (text,) = asked(forced(40.0, low_pass=1))
     assert "the force of DOF 3 has content up to the Nyquist frequency, 25 Hz" in text
     assert "data.intersample=" in text
-
-
-def test_it_is_not_asked_of_a_poor_load_cell_or_where_it_was_said():
+    # But not of a poor load cell, or where it was said.
     assert asked(forced(10.0, low_pass=6)) == []
     assert asked(forced(40.0, low_pass=1, assumed=False)) == []
 
