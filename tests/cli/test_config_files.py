@@ -68,11 +68,8 @@ def folder(tmp_path: Path) -> Path:
 def test_a_file_that_is_none(pinn_run: PinnRun, folder: Path, text: str, told: list[str]) -> None:
     (folder / "mine.yaml").write_text(text, encoding="utf-8")
     begun = time.monotonic()
-    outcome = pinn_run("--config-dir", "own", "network=mine")
+    pinn_run("--config-dir", "own", "network=mine").refused(*told)
     assert time.monotonic() - begun < 20
-    assert (outcome.status, outcome.err.count("\n")) == (2, 1), outcome.err
-    for part in told:
-        assert part in outcome.err
     assert not (folder.parents[1] / "outputs").exists()
 
 
@@ -104,11 +101,8 @@ def test_stored_files_of_somebody_else(pinn_run: PinnRun, tmp_path: Path, stored
     (tmp_path / "theirs" / stored).write_text(BOMB)
     asked = "collect" if stored == "multirun.yaml" else "resume"
     begun = time.monotonic()
-    outcome = pinn_run(f"{asked}=theirs")
+    pinn_run(f"{asked}=theirs").refused(f"pinn-run: {asked}=", f"{Path(stored).name}, line 2")
     assert time.monotonic() - begun < 20
-    assert (outcome.status, outcome.err.count("\n")) == (2, 1), outcome.err
-    assert outcome.err.startswith(f"pinn-run: {asked}=")
-    assert f"{Path(stored).name}, line 2" in outcome.err
 
 
 def test_folders_of_one_s_own_work_in_every_way(pinn_run: PinnRun, folder: Path) -> None:
@@ -158,15 +152,12 @@ strict: false
 """
 
 
-def test_settings_of_a_file_are_overrides(tmp_path: Path) -> None:
+def test_settings_of_a_file_are_overrides(tmp_path: Path, pinn_run: PinnRun) -> None:
     (tmp_path / "my.yaml").write_text(TEXT)
     assert overrides_of(str(tmp_path / "my.yaml"), ["system.ndof=4", "~case"]) == [
         "system=linear", "scheme=state_parameter", "system.k=[1.0,null,3]", "scheme.unknown=k_2",
         'data.path="my rig.csv"', 'data.force={1: "F (1)", 2: null}', "strict=false",
     ]  # fmt: skip
-
-
-def test_a_command_with_a_file(pinn_run: PinnRun, tmp_path: Path) -> None:
     (tmp_path / "my.yaml").write_text(
         "system: linear\nsystem.ndof: 3\nnoise: {snr_db: 20.0}\nexcitation.dofs: [1, 2]\n"
     )
@@ -198,8 +189,8 @@ def test_a_file_that_no_command_can_use(pinn_run: PinnRun, tmp_path: Path, text,
 
 
 def test_quiet_and_json(pinn_run: PinnRun) -> None:
-    outcome = pinn_run(*SMALL, "--quiet", "figures=false", "hydra.run.dir=mine")
-    assert (outcome.status, outcome.err) == (0, "")
+    outcome = pinn_run(*SMALL, "--quiet", "figures=false", "hydra.run.dir=mine").done()
+    assert outcome.err == ""
     assert len(outcome.out.splitlines()) == 1
     assert (outcome.directory / "pinn-run.log").read_text()
     again = pinn_run(*SMALL, "--json", "figures=false", "hydra.run.dir=mine", "resume=auto")
@@ -208,12 +199,9 @@ def test_quiet_and_json(pinn_run: PinnRun) -> None:
     run = outcome.record
     assert (found["verdict"], found["reasons"]) == (run["verdict"], run["reasons"])
     assert {row["parameter"] for row in found["parameters"]} >= {"k_1", "kappa_3"}
-
-
-def test_quiet_with_a_sweep(pinn_run: PinnRun) -> None:
-    """Of its jobs those alone that failed."""
-    outcome = pinn_run(*SMALL, "--quiet", "--multirun", "seed=1,x", "hydra.sweep.dir=mine").refused()
-    assert outcome.out == "mine\n"
+    # Of its jobs those alone that failed.
+    outcome = pinn_run(*SMALL, "--quiet", "--multirun", "seed=1,x", "hydra.sweep.dir=sweep").refused()
+    assert outcome.out == "sweep\n"
     (line,) = outcome.err.splitlines()
     assert line.endswith("failed: seed=x: must be a whole number >= 0")
 

@@ -7,6 +7,7 @@ import sys
 import time
 
 import pytest
+from interrupted_runs import gone
 
 from pinn_cli.runs import interruption
 from pinn_cli.runs import side_by_side as page
@@ -29,6 +30,23 @@ def test_elsewhere_a_signal_stops_at_once_and_handlers_are_put_back():
         stopped()
     assert [signal.getsignal(number) for number in interruption.SIGNALS] == before
 
+    # Libraries whose import is broken off raise anything.
+    def broken_off() -> None:
+        with watched():
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+            except Interruption:
+                raise AttributeError("half imported") from None
+
+    with pytest.raises(Interruption, match="SIGINT"):
+        broken_off()
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with watched():
+            os.kill(os.getpid(), signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
 
 def test_ctrl_c_while_the_program_imports_is_one_line(tmp_path):
     (tmp_path / "omegaconf.py").write_text("import time\nprint('importing', flush=True)\ntime.sleep(60)")
@@ -39,29 +57,6 @@ def test_ctrl_c_while_the_program_imports_is_one_line(tmp_path):
         process.send_signal(signal.SIGINT)
         assert process.communicate() == ("", "pinn-run: interrupted\n")
     assert process.returncode == 130
-
-
-def test_an_error_that_a_signal_led_to_is_no_error():
-    """Libraries whose import is broken off raise anything."""
-
-    def broken_off() -> None:
-        with watched():
-            try:
-                os.kill(os.getpid(), signal.SIGINT)
-            except Interruption:
-                raise AttributeError("half imported") from None
-
-    with pytest.raises(Interruption, match="SIGINT"):
-        broken_off()
-
-
-def test_an_ignored_signal_stays_ignored():
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        with watched():
-            os.kill(os.getpid(), signal.SIGINT)
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def test_a_second_ctrl_c_does_not_wait_for_the_step():
@@ -107,16 +102,13 @@ def test_nothing_holds_a_signal_up_for_long(block: str) -> None:
     assert time.monotonic() - began < 5.0
 
 
-def test_stages_add_up_and_the_total_goes_on() -> None:
+def test_stages_add_up_from_the_run_s_beginning() -> None:
     stages = Stages()
     for _ in range(2):
         with stages("record"):
             time.sleep(0.01)
     assert 0.02 <= stages.seconds["record"] <= stages.seconds["total"]
     assert list(stages.seconds) == ["record", "total", "processor"]
-
-
-def test_a_run_counts_from_its_beginning() -> None:
     stages = Stages(time.perf_counter() - 5.0)
     stages.reached("table_at")
     seconds = stages.seconds
@@ -164,20 +156,23 @@ def size_and_process(size: int, more: int) -> tuple[int, int]:
     return size + more, os.getpid()
 
 
-def fail(item: object, error: Exception | None) -> int:
-    if error is not None:
-        raise error
-    return 1
+def niceness(_item: object, _more: int) -> int:
+    return os.nice(0)
 
 
 def end_itself(item: object) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+def fail(item: object, error: Exception | None) -> int:
+    if error is not None:
+        raise error
+    return 1
+
+
 @pytest.mark.parametrize("copies", [2, 3])
 def test_answers_come_in_the_order_of_the_items(copies):
-    shared = SharedOutItems((5, 50, 7, 9), copies)
-    answers = shared.each(size_and_process, (1, 2, 3, 4))
+    answers = SharedOutItems((5, 50, 7, 9), copies).each(size_and_process, (1, 2, 3, 4))
     assert [size for size, _ in answers] == [6, 52, 10, 13]
     processes = {process for _, process in answers}
     assert len(processes) == copies
@@ -207,12 +202,6 @@ def test_what_nobody_holds_is_forgotten():
         shared.map(len, same)
 
 
-def test_shares_are_of_about_the_same_size():
-    assert shared_out([1, 10, 2, 9], 2) == [[0, 1], [2, 3]]
-    assert shared_out([1, 1, 1, 1, 1, 1, 1, 1], 2) == [[0, 2, 4, 6], [1, 3, 5, 7]]
-    assert shared_out([100, 1, 1, 1], 2) == [[0], [1, 2, 3]]
-
-
 @pytest.mark.parametrize(
     "error",
     [
@@ -229,27 +218,15 @@ def test_an_error_comes_back_as_it_is(error):
     assert str(raised.value) == str(error)
 
 
-def test_a_defect_comes_back_with_its_place():
+def test_a_defect_comes_back_with_its_place_and_a_copy_that_was_killed_is_told():
     with pytest.raises(RuntimeError, match="in fail"):
         SharedOutItems((1, 1), 2).each(fail, (ZeroDivisionError("odd"), None))
-
-
-def test_a_copy_that_was_killed_is_told():
-    shared = SharedOutItems((1, 1), 2)
     with pytest.raises(MemoryError, match="killed"):
-        shared.each(end_itself)
+        SharedOutItems((1, 1), 2).each(end_itself)
 
 
 def processes_of(shared: SharedOutItems) -> list[int]:
     return [process for _, process in shared.each(size_and_process, (0, 0))]
-
-
-def gone(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return True
-    return False
 
 
 def test_copies_end_with_what_they_are_copies_of():
@@ -269,7 +246,9 @@ def note(item: list[int], number: int) -> list[int]:
 def test_what_changes_of_an_item_stays_changed_with_its_copy():
     items = [[0], [1], [2]]
     shared = SharedOutItems(items, 2, sizes=(3, 2, 1))
-    assert shared.shares == [[0], [1, 2]]
+    assert shared.shares == [[0], [1, 2]]  # of about the same size
+    assert shared_out([1, 10, 2, 9], 2) == [[0, 1], [2, 3]]
+    assert shared_out([1] * 8, 2) == [[0, 2, 4, 6], [1, 3, 5, 7]]
     shared.each(note, (5, 6, 7))
     assert shared.each(note, (8, 8, 8)) == [[0, 5, 8], [1, 6, 8], [2, 7, 8]]
     assert items == [[0], [1], [2]]
@@ -283,10 +262,6 @@ def test_one_core_or_what_cannot_be_copied_stays_here(monkeypatch):
     assert len(side_by_side((1, 1, 1)).shares) == 2
 
 
-def sleep(_item: object) -> None:
-    time.sleep(30.0)
-
-
 def test_copies_work_while_this_process_does_something_else():
     shared = SharedOutItems((1, 2), 2, behind=True)
     answers = shared.begin(size_and_process, (1, 1))
@@ -296,8 +271,8 @@ def test_copies_work_while_this_process_does_something_else():
     assert [size for size, _ in late()] == [2, 3]
 
 
-def niceness(_item: object, _more: int) -> int:
-    return os.nice(0)
+def sleep(_item: object) -> None:
+    time.sleep(30.0)
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux tells of a parent's death")

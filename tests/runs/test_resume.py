@@ -142,15 +142,14 @@ def test_a_diverging_run_says_where_and_keeps_a_good_checkpoint(pinn_run: PinnRu
     assert pinn_run("resume=run").err == outcome.err
 
 
-def test_interrupted_before_it_begins_a_run_leaves_nothing(pinn_run, tmp_path, monkeypatch):
+def test_interrupted_before_it_begins_or_in_its_report_a_run_leaves_nothing_half_written(
+    pinn_run, tmp_path, monkeypatch
+):
     with monkeypatch.context() as patch:
         patch.setattr(Simulated, "measure", lambda *args: os.kill(os.getpid(), signal.SIGTERM))
         stopped = pinn_run(*SMALL, "hydra.run.dir=run")
     assert (stopped.status, stopped.out, stopped.err) == (143, "", "pinn-run: interrupted\n")
     assert not list(tmp_path.iterdir())
-
-
-def test_interrupted_in_the_report_a_run_leaves_nothing_half_written(pinn_run, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(pd.DataFrame, "to_csv", lambda *args, **kwargs: os.kill(os.getpid(), signal.SIGINT))
         stopped = pinn_run(*SMALL, "hydra.run.dir=run")
@@ -275,6 +274,7 @@ def test_where_and_how_it_is_made_makes_no_other_run(composed: Compose, override
 def test_a_change_is_named(composed: Compose, override: str, told: str) -> None:
     now, was = Identity.of(composed(override)), Identity.of(composed())
     assert now.changes_from(was) == [told]
+    assert Identity({"a": "1"}, {}).changes_from(Identity({}, {})) == ["a=1 (was (none))"]
     assert now.configuration != was.configuration
 
 

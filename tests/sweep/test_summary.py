@@ -47,15 +47,12 @@ def test_mean_spread_and_number_of_seeds() -> None:
     assert table.groupby("noise.snr_db", sort=False)["failed"].first().to_dict() == {"50": 1, "20": 0}
 
 
-def test_one_seed_has_no_spread_and_no_truth_no_row() -> None:
+def test_one_seed_no_truth_and_nothing_but_seeds_or_failures() -> None:
     rows = fitness(a=["x"], seed=["0"])
     rows.loc[rows["quantity"] == "force", "fitness_percent"] = np.nan
     table = summarise(rows, ["a", "seed"])
     assert table["quantity"].tolist() == ["displacement"]
     assert table["fitness_percent_std"].isna().all()
-
-
-def test_nothing_but_seeds_and_nothing_but_failures() -> None:
     table = summarise(fitness(seed=["0", "1"]), ["seed"])
     assert table["seeds"].tolist() == [2, 2]
     assert table["failed"].tolist() == [1, 1]
@@ -85,13 +82,10 @@ def test_a_figure_has_a_column_per_numeric_setting_and_lines_for_the_others() ->
     assert [tick for tick in axes[0].get_yticks() if low <= tick <= high]
 
 
-def test_many_lines_are_told_by_their_median() -> None:
+def test_many_lines_are_told_by_their_median_and_no_number_has_no_figure() -> None:
     table = summarise(fitness(a=["1", "2"], b=[str(n) for n in range(12)], seed=["0"]), ["a", "b", "seed"])
     figure = sweep_figure(table, ["a", "b"])
     assert figure.axes[0].get_legend_handles_labels()[1] == ["median of 12 other settings"]
-
-
-def test_without_a_numeric_setting_there_is_no_figure() -> None:
     table = summarise(fitness(scheme=["x", "y"], seed=["0"]), ["scheme", "seed"])
     assert sweep_figure(table, ["scheme"]) is None
 
@@ -194,24 +188,16 @@ def test_the_true_law_wins(record: Any, tmp_path: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.slow
-def test_the_evidence_is_that_of_the_model_not_of_the_features(record: Any) -> None:
-    every = [
-        run("system=duffing", f"network.knots_per_period={knots}", *RIG, data=record, keep=False).run_record["training"]
-        for knots in (6, 10)
-    ]
-    coarse, fine = (found["model_log_evidence"] for found in every)
-    assert abs(every[0]["log_evidence"] - every[1]["log_evidence"]) > 100.0  # what it is not
-    assert fine == pytest.approx(coarse, abs=6.0)
+def test_the_evidence_is_that_of_the_model_and_its_prior_not_of_the_features(record: Any) -> None:
+    def trained(*overrides: str) -> dict[str, Any]:
+        return run(*overrides, *RIG, data=record, keep=False).run_record["training"]
 
-
-@pytest.mark.slow
-def test_a_wider_prior_costs_what_it_is_wider(record: Any) -> None:
-    evidence = [
-        run("system=linear", f"scheme.prior_width={width}", *RIG, data=record, keep=False).run_record["training"]
-        for width in (10.0, 100.0)
-    ]
-    narrow, wide = (found["model_log_evidence"] for found in evidence)
-    assert narrow - wide == pytest.approx(2.0 * np.log(10.0), abs=0.5)  # of c and k
+    coarse, fine = (trained("system=duffing", f"network.knots_per_period={knots}") for knots in (6, 10))
+    assert abs(coarse["log_evidence"] - fine["log_evidence"]) > 100.0  # what it is not
+    assert fine["model_log_evidence"] == pytest.approx(coarse["model_log_evidence"], abs=6.0)
+    narrow, wide = (trained("system=linear", f"scheme.prior_width={width}") for width in (10.0, 100.0))
+    costs = narrow["model_log_evidence"] - wide["model_log_evidence"]
+    assert costs == pytest.approx(2.0 * np.log(10.0), abs=0.5)  # of c and k
 
 
 @pytest.mark.slow
