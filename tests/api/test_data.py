@@ -109,7 +109,7 @@ def test_several_frames_are_several_records(frame: pd.DataFrame) -> None:
     assert result.table("records")["samples"].tolist() == [400, 300]
 
 
-def test_times_may_be_the_index() -> None:
+def test_times_may_be_the_index_and_columns_matrices() -> None:
     for index in (
         pd.Index([0.0, 0.5, 1.0]),
         pd.to_timedelta([0, 500, 1000], unit="ms"),
@@ -118,6 +118,15 @@ def test_times_may_be_the_index() -> None:
         table = table_of(pd.DataFrame({"a": [1, 2, 3]}, index=index))
         np.testing.assert_allclose(table.columns["t"], [0.0, 0.5, 1.0])
     assert "t" not in table_of(pd.DataFrame({"a": [1, 2, 3]})).columns
+    table = table_of({"acceleration": np.arange(6.0).reshape(3, 2)})
+    np.testing.assert_array_equal(table.columns["acceleration.2"], [1.0, 3.0, 5.0])
+    frame = pd.DataFrame({("force", 1): [1.0], ("force", 2): [2.0]})
+    assert list(table_of(frame).columns) == ["force.1", "force.2"]
+    table = table_of(pd.DataFrame({"a": ["1.5", "off", None, True]}))
+    np.testing.assert_array_equal(table.columns["a"], [1.5, np.nan, np.nan, np.nan])
+    assert table.odd_cells["a"] == {1: "off", 3: "True"}
+    with pytest.raises(InputError, match=r"column 'a', sample 2=.*off"):
+        table.numbers("a")
 
 
 def test_units_are_kept(frame: pd.DataFrame) -> None:
@@ -134,18 +143,6 @@ def test_units_are_kept(frame: pd.DataFrame) -> None:
         found = measured(data)
         np.testing.assert_allclose(found.acceleration, expected.acceleration, rtol=1e-12)
         np.testing.assert_array_equal(found.force, expected.force)
-
-
-def test_matrices_columns_of_several_levels_and_cells_that_are_no_numbers() -> None:
-    table = table_of({"acceleration": np.arange(6.0).reshape(3, 2)})
-    np.testing.assert_array_equal(table.columns["acceleration.2"], [1.0, 3.0, 5.0])
-    frame = pd.DataFrame({("force", 1): [1.0], ("force", 2): [2.0]})
-    assert list(table_of(frame).columns) == ["force.1", "force.2"]
-    table = table_of(pd.DataFrame({"a": ["1.5", "off", None, True]}))
-    np.testing.assert_array_equal(table.columns["a"], [1.5, np.nan, np.nan, np.nan])
-    assert table.odd_cells["a"] == {1: "off", 3: "True"}
-    with pytest.raises(InputError, match=r"column 'a', sample 2=.*off"):
-        table.numbers("a")
 
 
 def test_the_name_says_the_content(frame: pd.DataFrame) -> None:

@@ -242,8 +242,6 @@ def test_what_cannot_be_looked_at(building: pd.DataFrame) -> None:
     for data, overrides, told in (
         ("none.csv", (), "data.path=none.csv: must be a file that exists"),
         (["a.csv", "b.csv"], (), "must be the path of one file, or frames"),
-        (None, (), "must be csv or another format of files with inspect"),
-        (building, ("resume=auto",), "resume=auto: must be left out with inspect"),
         (building, ("data=csv",), "the record is in memory"),
         (building, ("hydra.run.dir=x",), r"left out of inspect\(...\)"),
         (building.iloc[:5], (), "5 samples"),

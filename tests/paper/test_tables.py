@@ -11,7 +11,7 @@ from pinn_cli.cli.config import RunConfig
 from pinn_cli.paper.__main__ import make_table
 from pinn_cli.paper.realisations import ScoredRealisations
 from pinn_cli.paper.runs import TABLES, CaseFailedError
-from pinn_cli.paper.studies import SeedScores, nonlinearity_realisations, seed_realisations, spread_text
+from pinn_cli.paper.studies import SeedScores, seed_realisations, spread_text
 from pinn_cli.paper.tables import (
     FITNESS_COLUMNS,
     PAPER_PARAMETER_COLUMNS,
@@ -27,9 +27,6 @@ from pinn_cli.report.sheet import Cell, written
 
 TABLE1, TABLE2, TABLE3, *_ = TABLES
 NAN = float("nan")
-
-
-NOTHING = pd.DataFrame(columns=RUN)
 
 
 def _found(case: str, variant: str, rows: pd.DataFrame) -> pd.DataFrame:
@@ -66,11 +63,12 @@ def test_table1_agrees_with_the_paper():
 
 
 def test_without_runs_there_are_the_published_values():
-    table = compare_wrong_values(TABLE1, NOTHING)
+    nothing = pd.DataFrame(columns=RUN)
+    table = compare_wrong_values(TABLE1, nothing)
     assert table["drawn"].isna().all()
     assert "| k | prescribed | 15.00 |" in wrong_values_sheet(TABLE1, table).markdown
-    assert list(compare_fitness(TABLE2, NOTHING)) == list(FITNESS_COLUMNS)
-    assert list(compare_parameters(TABLE3, NOTHING)) == list(PAPER_PARAMETER_COLUMNS)
+    assert list(compare_fitness(TABLE2, nothing)) == list(FITNESS_COLUMNS)
+    assert list(compare_parameters(TABLE3, nothing)) == list(PAPER_PARAMETER_COLUMNS)
 
 
 def test_fitness_is_marked_where_it_is_below():
@@ -184,12 +182,6 @@ def test_symbols_and_escapes():
     assert written("‖x − x̃‖", "latex") == r"$\|$x $-$ $\tilde{x}$$\|$"
     assert written("<b>", "html") == "&lt;b&gt;"
     assert Cell.number(math.nan, ".2f", "better").mark == ""
-
-
-def test_every_realisation_is_one_of_its_own():
-    for realisations in (seed_realisations(), nonlinearity_realisations()):
-        assert len(realisations) == len({one.name for one in realisations}) == 120
-        assert len({one.overrides for one in realisations}) == 120
 
 
 @pytest.mark.usefixtures("quick")

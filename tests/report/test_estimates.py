@@ -52,7 +52,7 @@ def found(structure=CHAIN, known=(0, 1, 2), std: np.ndarray | None = None) -> Hi
     return drifts(structure, estimate, Response(TIME, true, STILL, STILL, STILL))
 
 
-def test_peaks_and_their_times():
+def test_peaks_of_drifts_their_times_and_intervals():
     table = drift_table(found())
     assert table["connection"].tolist() == ["1", "2", "3"]
     np.testing.assert_allclose(table["peak"], [1.1e-3, 2.2e-3, 4.4e-3], rtol=1e-9)
@@ -64,9 +64,6 @@ def test_peaks_and_their_times():
     table = drift_table(found(known=(0, 2)))  # the truth of a drift takes both ends
     for name in ("true_peak", "true_time_of_peak", "error_percent"):
         assert table[name].notna().tolist() == [True, False, False]
-
-
-def test_the_interval_is_that_of_the_drift_at_its_peak():
     spread = np.linspace(1e-4, 1.1e-3, len(TIME))[:, None] * np.ones(3)
     table = drift_table(found(NAMED, std=spread))
     assert table["connection"].tolist() == ["base", "middle", "brace"]
@@ -104,7 +101,7 @@ def texts(figure) -> list[str]:
     return [text.get_text() for text in figure.legends[0].get_texts()]
 
 
-def test_the_figure_shows_histories_and_peaks():
+def test_the_figure_of_drifts_shows_histories_and_peaks_of_the_largest():
     figure = drift_figure(found(std=np.full(STILL.shape, 2e-4)))
     histories, peaks = figure.axes[:-1], figure.axes[-1]
     assert [axes.get_ylabel() for axes in histories] == ["connection 1", "connection 2", "connection 3"]
@@ -113,9 +110,6 @@ def test_the_figure_shows_histories_and_peaks():
     assert peaks.get_xlim() == (0.0, pytest.approx(1.06 * max(line.get_xdata()[-1] for line in peaks.get_lines())))
     assert texts(figure) == ["truth", "estimate", "95 % band", "peak, 90 % interval"]
     assert texts(drift_figure(found(known=()))) == ["estimate", "peak"]
-
-
-def test_many_connections_and_many_periods_are_cut_down():
     time, size = np.linspace(0.0, 400.0, 40001), np.linspace(1.0, 2.0, 30)
     waves = 1e-3 * size * np.sin(2.0 * np.pi * time)[:, None] * np.exp(-(((time - 300.0) / 60.0) ** 2))[:, None]
     names = tuple(f"storey_{i}" for i in range(1, 31))
@@ -240,15 +234,22 @@ def test_intervals_are_those_of_draws():
         np.testing.assert_allclose(interval / width, drawn / width, atol=0.06)
 
 
-def test_beside_a_bound_an_interval_is_lopsided():
+def test_beside_a_bound_an_interval_is_lopsided_and_a_sensor_has_no_part_in_it():
     structure = build_chain(1, Linear(), m=2.0, c=4.0, k=800.0)
     estimate = estimated(structure, {"c": 0.5})
     beside = replace(estimate.parameters[0], lower_90=3.9, upper_90=8.0)
     modes = ModeEstimates.of(structure, replace(estimate, parameters=[beside]))
     np.testing.assert_allclose(modes.damping_interval[:, 0], np.array([3.9, 8.0]) / (2 * np.sqrt(2.0 * 800.0)))
+    structure = chain()
+    estimate = estimated(structure, {"k": 0.01})
+    gain = ParameterEstimate(Parameter("gain", 0, 1.0, label="a1"), 1.1, 0.1, 0.9, 1.3)
+    beside = replace(estimate, parameters=[gain, *estimate.parameters], correlation=np.eye(4))
+    alone, together = (ModeEstimates.of(structure, each) for each in (estimate, beside))
+    np.testing.assert_array_equal(alone.frequency_interval, together.frequency_interval)
+    np.testing.assert_array_equal(alone.frequencies, together.frequencies)
 
 
-def test_the_table():
+def test_the_table_of_modes():
     structure, true = chain(), chain(882.0)
     estimate = estimated(structure, {"k": 0.01})
     table = mode_table(ModeEstimates.of(structure, estimate, true))
@@ -262,9 +263,6 @@ def test_the_table():
     np.testing.assert_allclose(table["frequency_error_percent"], 100 * 0.05 / 1.05)
     np.testing.assert_allclose(table["true_damping_ratio"], table["damping_ratio"] / 1.05)
     assert table[["damping_ratio_lower_90"]].notna().all(axis=None)  # zeta goes with 1 / sqrt(k)
-
-
-def test_what_is_not_known_is_empty():
     structure = chain()
     nothing = replace(make_estimate().estimate, parameters=[], correlation=None)
     held = mode_table(ModeEstimates.of(structure, nothing))
@@ -302,13 +300,3 @@ def test_the_figure(named):
 )
 def test_digits_that_an_interval_leaves(value, interval, text):
     assert interval_text(value, np.array(interval), "Hz") == text
-
-
-def test_a_sensor_has_no_part_in_it():
-    structure = chain()
-    estimate = estimated(structure, {"k": 0.01})
-    gain = ParameterEstimate(Parameter("gain", 0, 1.0, label="a1"), 1.1, 0.1, 0.9, 1.3)
-    beside = replace(estimate, parameters=[gain, *estimate.parameters], correlation=np.eye(4))
-    alone, together = (ModeEstimates.of(structure, each) for each in (estimate, beside))
-    np.testing.assert_array_equal(alone.frequency_interval, together.frequency_interval)
-    np.testing.assert_array_equal(alone.frequencies, together.frequencies)

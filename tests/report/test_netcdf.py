@@ -38,7 +38,7 @@ def written(make_case, tmp_path):
         yield case, read
 
 
-def test_every_quantity_comes_in_four(written):
+def test_every_quantity_comes_in_four_with_its_labels(written):
     case, read = written
     for quantity in QUANTITIES:
         sources = {"": case.estimate.response, "_std": case.estimate.std, "_true": case.truth.response}
@@ -50,10 +50,6 @@ def test_every_quantity_comes_in_four(written):
     assert read["displacement_observed"].isnull().all()
     # The zeros of unforced DOFs are knowledge, not measurements.
     assert read["force_observed"].notnull().all("time").values.tolist() == [True, False, False]
-
-
-def test_coordinates_and_attributes(written):
-    case, read = written
     assert read["dof"].values.tolist() == [1, 2, 3]
     np.testing.assert_array_equal(read["time"], case.record.time)
     assert read["observed"].values.tolist() == [True, True, False]
@@ -62,7 +58,7 @@ def test_coordinates_and_attributes(written):
     assert netcdf_attributes({"a": None, "b": False, "c": "x"}) == {"b": 0, "c": "x"}
 
 
-def test_a_free_run_is_of_the_motion_only_and_variables_of_a_baseline_carry_its_name(make_case):
+def test_a_free_run_is_of_the_motion_only_and_what_is_unknown_is_left_out(make_case):
     case = make_case(ndof=2, observed=1)
     free = case.truth.response
     dataset = response_dataset(results_of(case, baseline=case.estimate), free)
@@ -71,10 +67,6 @@ def test_a_free_run_is_of_the_motion_only_and_variables_of_a_baseline_carry_its_
         assert dataset[f"{quantity}_kalman_smoother"].attrs["units"] == UNITS[quantity]
         assert dataset[f"{quantity}_kalman_smoother_std"].shape == dataset[quantity].shape
     assert "force_free_run" not in dataset
-
-
-def test_unknown_truth_is_left_out(make_case):
-    case = make_case(ndof=2, observed=1)
     nothing = Truth(Response.unknown(case.record.time, 2), None)
     dataset = response_dataset(results_of(case, truth=nothing))
     assert not [name for name in dataset if str(name).endswith(("_true", "_free_run"))]
