@@ -30,6 +30,14 @@ def limit_files(size: int) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 
 
+def register(folder: Path, name: str, entry_points: str) -> None:
+    """Have Python take a package for installed that has these entry points of pinn-run, as pip does."""
+    information = folder / f"{name}-1.dist-info"
+    information.mkdir(parents=True)
+    (information / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name.replace('_', '-')}\nVersion: 1\n")
+    (information / "entry_points.txt").write_text(f"[pinn_cli.plugins]\n{entry_points}\n")
+
+
 class Outcome:
     """What a call of `pinn-run` ended with."""
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -41,6 +42,14 @@ def made_sweep(directory: Path, overrides: Sequence[str], tables: Mapping[str, s
             (job / "fitness.csv").write_text(table)
             (job / "run.json").write_text(json.dumps({"seconds": {"total": 1.5}}))
     return Sweep.read(directory)
+
+
+def mlflow_runs(database: Path) -> list[Any]:
+    """The runs in MLflow's SQLite store."""
+    from mlflow.tracking import MlflowClient
+
+    client = MlflowClient(tracking_uri=f"sqlite:///{database}")
+    return list(client.search_runs([e.experiment_id for e in client.search_experiments()]))
 
 
 def start(folder: Path, *arguments: str, env: Mapping[str, str] | None = None) -> subprocess.Popen[str]:

@@ -42,11 +42,15 @@ def test_tables_are_those_of_the_files(result: Result) -> None:
         result.table("drfit")
 
 
-def test_the_response_is_labelled(result: Result) -> None:
+def test_the_response_is_labelled_and_a_notebook_shows_it(result: Result) -> None:
     of_dof = result.response.sel(dof=2)
     assert np.isnan(of_dof["acceleration_observed"]).all()
     error = np.abs(of_dof["displacement"] - of_dof["displacement_true"]).max()
     assert error < 0.1 * np.abs(of_dof["displacement_true"]).max()
+    shown = result._repr_html_()
+    assert "k_2" in shown
+    assert str(result.directory) in shown
+    assert "small" in repr(result)
 
 
 @pytest.mark.slow
@@ -70,13 +74,6 @@ def test_figures_are_those_that_the_run_drew(tmp_path: Path) -> None:
         result.plot.response(between=(2, 1))
     with pytest.raises(InputError, match="response and drift take it"):
         result.plot.modes(between=(1.0, 2.0))
-
-
-def test_a_notebook_shows_them(result: Result) -> None:
-    shown = result._repr_html_()
-    assert "k_2" in shown
-    assert str(result.directory) in shown
-    assert "small" in repr(result)
 
 
 def test_a_directory_that_is_none(result: Result, tmp_path: Path) -> None:

@@ -88,7 +88,7 @@ def test_noise_is_that_of_the_ratio(chain: Structure) -> None:
 
 
 def test_what_cannot_be_built_or_simulated(chain: Structure) -> None:
-    cases = [
+    for build, told in (
         (lambda: Structure.chain(m=1.0, c=[1.0, 2.0], k=[1.0, 2.0, 3.0]), "system.c"),
         (lambda: Structure.chain("duffin", m=1.0, c=1.0, k=1.0), "law=duffin"),
         (lambda: Structure.chain(m=-1.0, c=1.0, k=1.0), "system.m"),
@@ -98,7 +98,6 @@ def test_what_cannot_be_built_or_simulated(chain: Structure) -> None:
         (lambda: chain.simulate(TIME, {1: FORCE[:-1]}), r"force\[1\]"),
         (lambda: chain.simulate(TIME, FORCE), r"force=an array of shape"),
         (lambda: chain.simulate(TIME).with_noise(1e9), "noise.snr_db"),
-    ]
-    for build, told in cases:
+    ):
         with pytest.raises(InputError, match=told):
             build()

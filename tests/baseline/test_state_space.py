@@ -1,15 +1,27 @@
-"""A problem as a state-space model: derivatives by finite differences, and a true motion leaves no residual."""
+"""A problem as a state-space model: its steps, derivatives, sensors in doubt and missing samples."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from random_problems import generators, problems
-from small_problems import NONLINEARITIES, measured, small_chain
+from refusals import refusal
+from scipy.linalg import expm
+from small_problems import NONLINEARITIES, measured, relative_error, small_chain
 
-from pinn_cli.baseline.state_space import StateSpace, Trajectory
+from pinn_cli.baseline.equations import flow
+from pinn_cli.baseline.kalman_smoother import KalmanSmoother
+from pinn_cli.baseline.state_space import StateSpace, Trajectory, check_channels
+from pinn_cli.record.channel import Calibration, Channel, unknown_calibration
+from pinn_cli.record.record import Measurements, Record
+from pinn_cli.record.response import QUANTITIES
 from pinn_cli.record.steps import has_stiff_law, substeps_needed
+from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.sparse_recovery import SparseRecovery
+from pinn_cli.training.estimate import RunContext
 
 FIXED = settings(derandomize=True, database=None, deadline=None, suppress_health_check=list(HealthCheck))
 
@@ -72,3 +84,125 @@ def test_a_force_held_through_a_step_moves_it_as_the_disturbance_says() -> None:
     change = before - space.residuals(at)
     expected = linearised.rows[:, :, space.size : space.size + 3] @ push
     np.testing.assert_allclose(expected, change, rtol=1e-5, atol=1e-10 * np.abs(change[:, :m]).max())
+
+
+def test_the_motion_of_a_linear_chain_is_that_of_its_exponential() -> None:
+    structure, step = small_chain("linear"), 0.05
+    parameters = structure.parameters_like(np.empty(0))
+
+    def slope(z: np.ndarray, f: np.ndarray) -> np.ndarray:
+        return np.stack((z[1], structure.acceleration(z[0], z[1], f, parameters)))
+
+    identity = np.eye(6)
+    start = np.stack((identity[:, :3], identity[:, 3:]))
+    rates = np.concatenate(tuple(slope(start, np.zeros((6, 3)))), axis=1).T
+    errors = []
+    for substeps in (1, 2, 4):
+        moved = flow(slope, start, np.zeros((2 * substeps + 1, 6, 3)), step)
+        errors.append(np.abs(np.concatenate(tuple(moved), axis=1).T - expm(rates * step)).max())
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    np.testing.assert_allclose(orders, 4.0, atol=0.2)
+
+
+def test_the_force_between_the_samples_is_held_or_a_spline() -> None:
+    structure = small_chain()
+    record = measured(structure).record
+    held = StateSpace(Problem(structure, replace(record, intersample="zero_order_hold"))).between
+    np.testing.assert_array_equal(held, np.broadcast_to(record.force[:-1], held.shape))
+    between = StateSpace(Problem(structure, record)).between
+    np.testing.assert_allclose(between[0], record.force[:-1], atol=1e-14)
+    np.testing.assert_allclose(between[-1], record.force[1:], atol=1e-12)
+    # Seen at every second sample, the spline finds the others.
+    sparse = replace(record, **{name: getattr(record, name)[::2] for name in ("time", *QUANTITIES)})
+    found = StateSpace(Problem(structure, sparse)).between
+    middle = found[len(found) // 2, 5:-5, 0]
+    np.testing.assert_allclose(middle, record.force[1::2, 0][5:-5], atol=1e-3 * np.abs(record.force).max())
+
+
+GAIN, OFFSET, LOAD_GAIN, LOAD_OFFSET = 1.3, 0.4, 0.8, 0.2
+
+
+def made(snr_db: float | None = None) -> Measurements:
+    return measured(small_chain("linear"), snr_db=snr_db, duration=24.0, samples=513)
+
+
+def unknown(time: np.ndarray, shown: np.ndarray, *kinds: str) -> dict[str, Calibration]:
+    return {kind: unknown_calibration(kind, time, shown) for kind in kinds}
+
+
+def in_doubt(record: Record, kinds: tuple[str, ...] = ("gain", "offset")) -> Record:
+    """Half of the samples of an accelerometer, and the load cell, with other gains and offsets."""
+    time = record.time
+    there = np.random.default_rng(0).random(len(time)) < 0.5
+    shown = GAIN * record.acceleration[:, 1] + OFFSET
+    load = LOAD_GAIN * record.force[:, 0] + LOAD_OFFSET
+    calibrated = (
+        Channel("a2", "acceleration", {1: 1.0}, time[there], shown[there], unknown(time, shown, *kinds)),
+        Channel("drift", "displacement", {2: 1.0, 0: -1.0}, time, record.displacement @ [-1.0, 0.0, 1.0]),
+        Channel("f", "force", {0: 1.0}, time, load, unknown(time, load, *kinds)),
+    )
+    acceleration, force, nothing = record.acceleration.copy(), record.force.copy(), np.full(record.force.shape, np.nan)
+    acceleration[:, 1], force[:, 0] = calibrated[0].history(time), calibrated[2].history(time)
+    return replace(
+        record, acceleration=acceleration, force=force, displacement=nothing, velocity=nothing, calibrated=calibrated
+    )
+
+
+def test_a_sample_that_is_missing_tells_nothing() -> None:
+    record = in_doubt(made().record)
+    problem = Problem(small_chain("linear"), record, sensor_parameters(record))
+    space = StateSpace(problem)
+    row = [sensor.channel.key for sensor in space.sensors].index("a2")
+    gone = ~space.present[:, row]
+    assert 0.4 < gone.mean() < 0.6
+    linearised = space.linearise(space.start())
+    for rows in (linearised.rows, linearised.residuals):
+        assert not rows[gone, row].any()
+        assert rows[~gone, row].any()
+
+
+@pytest.mark.slow
+def test_gains_and_offsets_are_found_beside_the_motion() -> None:
+    measurements = made(snr_db=40.0)
+    record = in_doubt(measurements.record)
+    problem = SparseRecovery().pose(small_chain("linear"), [record]).alone
+    smoother = KalmanSmoother()
+    smoother.check(problem)
+    estimate = smoother.solve(JointProblem.of(problem), RunContext())
+    true = {"gain_a2": GAIN, "offset_a2": OFFSET, "gain_f": LOAD_GAIN, "offset_f": LOAD_OFFSET}
+    found = {p.name: p for p in estimate.parameters}
+    for name, value in true.items():
+        assert abs(found[name].estimate - value) < 4.0 * found[name].std, name
+    assert found["gain_a2"].std < 0.02
+    assert found["gain_f"].std < 0.02
+    truth = measurements.truth.response
+    assert relative_error(estimate.response.acceleration, truth.acceleration) < 0.05
+    assert relative_error(estimate.response.force[:, 0], truth.force[:, 0]) < 0.1
+
+
+def test_a_delay_that_is_known_is_taken_out() -> None:
+    record = made().record
+    time, late = record.time, {"delay": Calibration(2.4 * record.step)}
+    shown = np.interp(time - 2.4 * record.step, time, record.acceleration[:, 1])
+    channel = Channel("a2", "acceleration", {1: 1.0}, time, shown, late)
+    channel = StateSpace(Problem(small_chain("linear"), replace(record, calibrated=(channel,)))).sensors[0]
+    seen = channel.present & (np.arange(len(time)) > 5)
+    assert relative_error(channel.shown[seen], record.acceleration[seen, 1]) < 0.02
+    assert not channel.present[-1]
+
+
+def test_what_it_has_no_rows_for_is_refused_in_one_line() -> None:
+    record = made().record
+    there = np.random.default_rng(0).random(len(record.time)) < 0.5
+    plain = Channel("x", "acceleration", {1: 1.0}, record.time, record.acceleration[:, 1])
+    aside = Channel(
+        "x", "acceleration", {0: 1.0}, record.time[there] + 0.3 * record.step, record.acceleration[there, 0]
+    )
+    for channel, expected in (
+        (replace(plain, calibration={"delay": Calibration(0.0, 0.1, unknown=True)}), "none where a delay is in doubt"),
+        (replace(plain, filter_order=1), "none where a sensor is behind a filter"),
+        (aside, "between the record's times"),
+    ):
+        said = refusal(check_channels, replace(record, calibrated=(channel,)), "kalman_smoother")
+        assert said.startswith("baseline=kalman_smoother: must be none where")
+        assert expected in said

@@ -1,4 +1,4 @@
-"""What families of the referee draw: the same case again, records that begin with their truth, exact motions."""
+"""What families of the referee draw, and the bar of the comparison with the smoother."""
 
 from dataclasses import replace
 
@@ -7,11 +7,13 @@ import pandas as pd
 import pytest
 from scipy.linalg import eigh
 
+from benchmarks.against_smoother import compared
 from benchmarks.trust.case import plain
 from benchmarks.trust.families import degrading, drawn, nonlinear
 from benchmarks.trust.families.finite_elements import Mesh, assembled
 from benchmarks.trust.structures import Connection, Structure, damping_matrix, linear_motion, simulated, sinusoids
 from benchmarks.trust.waves import random_waves
+from pinn_cli.record.response import QUANTITIES
 from pinn_cli.system.connection.baber_noori import BaberNoori
 from pinn_cli.system.connection.bouc_wen import BoucWen
 from pinn_cli.system.connection.duffing import Duffing
@@ -128,3 +130,18 @@ def test_a_cantilever_has_the_frequency_of_the_textbook() -> None:
         M, K = assembled(mesh)
         first = np.sqrt(eigh(K.sum(0), M, eigvals_only=True)[0])
         assert first == pytest.approx(1.8751**2 / length**2, rel=1e-3)
+
+
+def test_ours_is_compared_with_the_best_level_of_each_quantity():
+    means = {"uncertain": 1.1, "fixed": 1.0, "evidence": 1.2, "process noise 0.1 N": 1.0, "process noise 1 N": 2.0}
+    rows = pd.DataFrame(
+        {"estimator": name, "snr_db": 20, "seed": seed, **dict.fromkeys(QUANTITIES, value + 0.1 * (2 * seed - 1))}
+        for name, value in means.items()
+        for seed in (0, 1)
+    )
+    rows.loc[rows["estimator"] == "process noise 1 N", "force"] = 0.5
+    table = compared(rows).set_index(["estimator", "quantity"])
+    assert table.loc[("uncertain", "velocity"), "ratio"] == pytest.approx(1.1)
+    assert table.loc[("uncertain", "velocity"), "hand_tuned_level"] == "0.1 N"
+    assert table.loc[("fixed", "force"), "ratio"] == pytest.approx(2.0)
+    assert table.loc[("fixed", "force"), "hand_tuned_level"] == "1 N"

@@ -1,6 +1,7 @@
 """Exit statuses, one line per error, nothing left behind: the command line alone, with a stand-in for the task."""
 
 import csv
+import logging
 import os
 import subprocess
 import sys
@@ -8,11 +9,16 @@ from pathlib import Path
 
 import pytest
 import yaml
-from calls import PinnRun
+from calls import PinnRun, register
+from interrupted_runs import contents
 from omegaconf import DictConfig
 
+from pinn_cli.cli.command_line import Terminal
 from pinn_cli.cli.options import OPTIONS
+from pinn_cli.runs.claim import RunLog
 from pinn_cli.settings.errors import DivergenceError, InputError
+from pinn_cli.sweep.jobs import DEFECT, Failure, Sweep
+from pinn_cli.sweep.running import Progress
 
 
 def judge(config: DictConfig) -> None:
@@ -42,11 +48,11 @@ def test_unusable_input_is_2_in_one_line_and_changes_nothing(pinn_run: PinnRun, 
     pinn_run(task=judge)
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("keep")
-    before = {entry: entry.is_file() and entry.read_bytes() for entry in tmp_path.rglob("*")}
+    before = contents(tmp_path), sorted(tmp_path.rglob("*"))
     for directory in ((), ("hydra.run.dir=elsewhere",), ("hydra.run.dir=mine",)):
         outcome = pinn_run("seed=2", *directory, task=judge)
         assert (outcome.status, outcome.err) == (2, "pinn-run: seed=2: must be another number\n")
-    assert {entry: entry.is_file() and entry.read_bytes() for entry in tmp_path.rglob("*")} == before
+    assert (contents(tmp_path), sorted(tmp_path.rglob("*"))) == before
 
 
 def test_divergence_is_3_and_keeps_the_run(pinn_run: PinnRun, tmp_path: Path) -> None:
@@ -56,13 +62,10 @@ def test_divergence_is_3_and_keeps_the_run(pinn_run: PinnRun, tmp_path: Path) ->
     assert "diverged at iteration 7" in (directory / "pinn-run.log").read_text()
 
 
-def test_interrupt_is_130_and_a_defect_keeps_its_traceback(pinn_run: PinnRun) -> None:
+def test_interrupt_is_130_and_a_defect_keeps_its_traceback(pinn_run: PinnRun, monkeypatch) -> None:
     assert pinn_run("seed=4", task=judge).status == 130
     with pytest.raises(RuntimeError, match="a defect"):
         pinn_run("seed=5", task=judge)
-
-
-def test_full_error_adds_the_traceback(pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
     outcome = pinn_run("seed=2", task=judge)
     assert (outcome.status, "Traceback" in outcome.err) == (2, True)
@@ -242,15 +245,45 @@ class Mine(Callback):
 
 
 def test_callbacks_of_an_installed_package_are_called(pinn_run, tmp_path, monkeypatch):
-    information = tmp_path / "own" / "of_callbacks-1.dist-info"
-    information.mkdir(parents=True)
-    (information.parent / "of_callbacks.py").write_text(CALLBACK)
-    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: of-callbacks\nVersion: 1\n")
-    (information / "entry_points.txt").write_text("[pinn_cli.plugins]\nhydra.callbacks.mine = of_callbacks:Mine\n")
-    monkeypatch.syspath_prepend(information.parent)
+    register(tmp_path / "own", "of_callbacks", "hydra.callbacks.mine = of_callbacks:Mine")
+    (tmp_path / "own" / "of_callbacks.py").write_text(CALLBACK)
+    monkeypatch.syspath_prepend(tmp_path / "own")
     given = "+hydra.callbacks.mine={_target_: of_callbacks.Mine}"
     assert pinn_run(given, "seed=1", task=judge).out.splitlines() == ["run 1", "run 1", "done", "ended 1"]
     with pytest.warns(UserWarning, match=r"Mine.on_multirun_end: ValueError\('odd'\)"):
         assert "run 7\ndone\nended 7\nrun 6\n" in pinn_run(given, "--multirun", "seed=7,6", task=judge).out
     two = "+hydra.callbacks={a: {_target_: of_callbacks.Mine, name: a}, b: {_target_: of_callbacks.Mine, name: b}}"
     assert pinn_run(two, task=judge).out.splitlines()[-2:] == ["ended 0 b", "ended 0 a"]
+
+
+def test_no_control_character_reaches_a_terminal_or_a_log(
+    capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture, tmp_path: Path
+) -> None:
+    reason = "\x1b]0;title\x07\x1b[2Jå\u202e\x9b31m µ\r\nm\tN"
+    Terminal().say(reason)
+    Terminal().complain(reason)
+    captured = capsys.readouterr()
+    shown = "\\x1b]0;title\\x07\\x1b[2Jå\\u202e\\x9b31m µ"
+    assert captured.out == f"{shown}\\r\nm\tN\n"
+    assert captured.err == f"pinn-run: {shown} m N\n"
+    log, run_log = logging.getLogger("pinn_cli.test"), RunLog()
+    run_log.attach()
+    log.warning("%s is gone", "\x1b[2J")
+    run_log.open(tmp_path / "pinn-run.log")
+    run_log.close()
+    assert caplog.messages == ["\\x1b[2J is gone"]
+    assert (tmp_path / "pinn-run.log").read_text().endswith("\\x1b[2J is gone\n")
+    log.warning("\x1b")  # what a process logs afterwards is its own
+    assert caplog.messages[-1] == "\x1b"
+    progress = Progress(Sweep(tmp_path, (), {"seed=0": ("seed=0",)}, is_search=False), 0.0)
+    Failure(DEFECT, "\x1b[2J", "").write(tmp_path / "seed=0", [])
+    progress.stop()
+    assert capsys.readouterr().err == "1 of 1  seed=0  failed: \\x1b[2J\n"
+
+
+def test_a_process_ends_with_2(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "pinn_cli.main", "system.ndof=0"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert done.stderr.startswith("pinn-run: system.ndof=0: must be")
+    assert list(tmp_path.iterdir()) == []

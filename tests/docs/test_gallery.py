@@ -24,21 +24,15 @@ def alike(quoted: str, printed: str) -> bool:
     )
 
 
-def test_there_are_twelve_examples_and_all_stand_in_the_index() -> None:
-    listed = re.findall(r"\]\((\w[\w-]*)\.md\)", (GALLERY / "index.md").read_text(encoding="utf-8"))
+def test_there_are_twelve_examples_and_the_index_shows_a_figure_of_each() -> None:
+    index = (GALLERY / "index.md").read_text(encoding="utf-8")
+    listed = re.findall(r"\]\((\w[\w-]*)\.md\)", index)
     assert sorted(set(listed)) == [page.stem for page in pages()]
     assert len(listed) >= 12
-
-
-def test_the_index_shows_a_figure_of_every_example() -> None:
-    index = (GALLERY / "index.md").read_text(encoding="utf-8")
     shown = re.findall(r"\[!\[[^]]+\]\((figures/[\w-]+\.png)\)\]\(([\w-]+)\.md\)", index)
     assert {page: GALLERY / figure for figure, page in shown} == {
         page.stem: next(iter(figures(page))) for page in pages()
     }
-
-
-def test_every_figure_is_shown() -> None:
     shown = {file for page in all_pages() for file in figures(page)}
     assert shown == set((GALLERY / "figures").glob("*.png"))
 

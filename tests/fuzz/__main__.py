@@ -14,10 +14,9 @@ from pathlib import Path
 from statistics import median
 
 import pandas as pd
-from fuzz import bombs, directories, files, launchers, overrides
+from fuzz import directories, files, overrides
 from fuzz.judge import Judge, Outcome, import_everything
-from fuzz.starts import Starts
-from fuzz.trial import Trial
+from fuzz.trial import Starts, Trial
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
@@ -31,8 +30,8 @@ FAMILIES: dict[str, st.SearchStrategy[Trial]] = {
     "physics": overrides.physics(),
     "directories": directories.directories(),
     "terminal": directories.terminal(),
-    "bombs": bombs.bombs(),
-    "launchers": launchers.launchers(),
+    "bombs": files.bombs(),
+    "launchers": overrides.launchers(),
 }
 # Of each family so many go through the real executable.
 BY_EXECUTABLE = 3

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from fuzz.changes import HISTORIES
-from fuzz.starts import FINISHED, MEASURED, QUICK, SEARCHED, STOPPED, SWEPT, WINDOWED, rig
-from fuzz.trial import Trial
+from fuzz.trial import FINISHED, MEASURED, QUICK, SEARCHED, STOPPED, SWEPT, WINDOWED, Trial, rig
 from hypothesis import strategies as st
 
 Form = tuple[str, Any]

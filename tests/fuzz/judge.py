@@ -19,8 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calls import ALIVE, limit_files
-from fuzz.starts import Starts
-from fuzz.trial import Trial
+from fuzz.trial import Starts, Trial
 
 DONE, REFUSED, DIVERGED, NOT_SOUND = 0, 2, 3, 4
 LONGEST_LINE = 1500

@@ -4,14 +4,19 @@ import base64
 import hashlib
 import io
 import json
+import math
 import os
 import pickle
+import shutil
+import subprocess
+import sys
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from calls import SMALL
 from fuzz import changes
 
 NEW = ("text", "bytes", "folder", "pipe", "gone", "link", "forged", "repeated", "sparse", "bomb")
@@ -26,7 +31,7 @@ class Trial:
         family: The kind of input: one of `fuzz.__main__.FAMILIES`.
         arguments: Of `pinn-run`; after ``load`` a directory, which `pinn_cli.load` opens.
         files: Path, from the folder on, to the form of what is put there and its content, see :func:`put`.
-        start: What lies in the folder before: ``empty``, or one of `starts.STARTS`.
+        start: What lies in the folder before: ``empty``, or one of `STARTS`.
         largest_file: Bytes that a file may have, as on a disk that is nearly full; None: no limit.
     """
 
@@ -153,3 +158,69 @@ def _forged(kind: str, marker: Path) -> bytes:
 
 def _plain(content: Any) -> Any:
     return base64.b64encode(content).decode() if isinstance(content, bytes) else content
+
+
+MEASURED = (
+    "data=csv", "data.path=rig.csv", "data.time=t", "data.force={1: f}", "data.acceleration={1: a}", "system=linear",
+    "system.ndof=1", "system.m=1", "system.c=0.4", "system.k=40", "figures=false", "threads=1",
+)  # fmt: skip
+ROWS = 160
+QUICK = (*SMALL, "figures=false")
+STEPS = (*QUICK, "network=mlp", "training=adam", "network.depth=2", "network.width=8", "training.iterations=3")
+STEPPED = (*STEPS, "training.collocation_points=48", "training.checkpoint_every_s=1e-6")
+FINISHED = (*QUICK, "hydra.run.dir=run")
+STOPPED = (*STEPPED, "hydra.run.dir=run")
+SWEPT = (*QUICK, "--multirun", "seed=0,1", "hydra.sweep.dir=sweep")
+SEARCHED = (
+    *QUICK, "--multirun", "hydra/sweeper=search", "validation=heldout", "scheme.unobserved_fraction=0.3",
+    "network.degree=3,4,5", "hydra.sweeper.n_trials=3", "hydra.sweep.dir=sweep",
+)  # fmt: skip
+WINDOWED = (
+    *MEASURED, "scheme=state_parameter", "scheme.unknown=[k_1]", "data.window=4", "data.overlap=1", "hydra.run.dir=run",
+)  # fmt: skip
+STARTS = {"finished": FINISHED, "stopped": STOPPED, "swept": SWEPT, "searched": SEARCHED, "windowed": WINDOWED}
+# Of a run that was killed: what it would have written next.
+UNWRITTEN = {"stopped": ("run.json",), "windowed": ("run.json", "windows/0002/window.json")}
+
+
+def rig() -> list[list[str]]:
+    """A mass on a spring and a damper under a sum of sines, as cells; the header first."""
+    step, rows, state = 0.05, [["t", "f", "a"]], [0.0, 0.0]
+    for index in range(ROWS):
+        force = sum(math.sin(0.9 * n * step * index + n) for n in range(1, 9))
+        acceleration = force - 0.4 * state[1] - 40.0 * state[0]
+        rows.append([f"{step * index:.2f}", f"{force:.6f}", f"{acceleration:.6f}"])
+        for _ in range(50):
+            state[1] += step / 50 * (force - 0.4 * state[1] - 40.0 * state[0])
+            state[0] += step / 50 * state[1]
+    return rows
+
+
+class Starts:
+    """Folders to copy, made when they are first asked for.
+
+    Args:
+        folder: Where they are kept.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def lay(self, start: str, place: Path) -> None:
+        """Put a start into a new folder."""
+        if start == "empty":
+            place.mkdir()
+            return
+        if not (self.folder / start).is_dir():
+            self._make(start)
+        shutil.copytree(self.folder / start, place, symlinks=True)
+
+    def _make(self, start: str) -> None:
+        made = self.folder / f".{start}"
+        made.mkdir(parents=True)
+        (made / "rig.csv").write_text("\n".join(",".join(row) for row in rig()), encoding="utf-8")
+        command = [sys.executable, "-m", "pinn_cli.main", *STARTS[start]]
+        subprocess.run(command, cwd=made, check=True, capture_output=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
+        for name in UNWRITTEN.get(start, ()):
+            (made / "run" / name).unlink()
+        made.rename(self.folder / start)

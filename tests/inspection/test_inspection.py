@@ -47,7 +47,7 @@ def test_a_sound_record_is_told_without_a_note(record):
     assert max(len(line) for line in found.text().splitlines()) <= 100
 
 
-def test_gaps(record):
+def test_gaps_missing_rows_clipped_held_and_dead_channels(record):
     _, f, _, a = record
     gapped = a[:, 0].copy()
     gapped[700:750] = np.nan
@@ -56,9 +56,6 @@ def test_gaps(record):
     assert row["missing_percent"] == pytest.approx(100.0 * 50 / len(f))
     assert row["longest_gap_s"] == pytest.approx(51 / RATE)
     assert "1.7 % of the samples of acceleration of DOF 1 are missing, at most 1.02 s at a time" in found.notes
-
-
-def test_missing_rows_and_scattered_times(record):
     time, f, _, a = record
     kept = np.delete(np.arange(len(time)), slice(1000, 1200))
     jitter = time + np.random.default_rng(0).uniform(-0.1, 0.1, len(time)) / RATE
@@ -68,10 +65,6 @@ def test_missing_rows_and_scattered_times(record):
     assert "1 times rows are missing, at most 4" in found.notes[0]
     assert found.notes[1].startswith("steps in time scatter by ")
     assert len(found.sampling.regular) == pytest.approx(len(time), abs=2)
-
-
-def test_clipped_held_and_dead_channels(record):
-    _, f, _, a = record
     clipped = np.clip(a[:, 0], -1.5 * a[:, 0].std(), 1.5 * a[:, 0].std())
     held = np.repeat(a[::10, 4], 10)[: len(a)]
     said = notes(
@@ -81,6 +74,9 @@ def test_clipped_held_and_dead_channels(record):
     assert "of acceleration of DOF 1 sits at its largest or least value: clipped?" in said
     assert "% of acceleration of DOF 5 are repeated values: held, or a slower sensor?" in said
     assert "displacement of DOF 2 reads 0.25 throughout: a dead sensor?" in said
+    marked = np.where(np.arange(len(f)) % 500 == 3, -7999.0, a[:, 0])
+    text = "acceleration of DOF 1 is -7999 in 6 samples, far from all others: if it marks gaps, name it in data.missing"
+    assert text in notes(record, a1=Signal("a1", marked, "acceleration", "1"))
 
 
 @pytest.mark.parametrize(
@@ -238,39 +234,32 @@ def test_nothing_to_look_at(samples, expected):
         inspect_record(still, np.arange(samples) / RATE, Said(), None)
 
 
-def test_a_constant_far_from_all_others_is_told(record):
-    _, f, _, a = record
-    marked = np.where(np.arange(len(f)) % 500 == 3, -7999.0, a[:, 0])
-    text = "acceleration of DOF 1 is -7999 in 6 samples, far from all others: if it marks gaps, name it in data.missing"
-    assert text in notes(record, a1=Signal("a1", marked, "acceleration", "1"))
-
-
-def test_fewer_samples_are_looked_at_where_the_run_would_have_them(record, pinn_run, tmp_path):
+@pytest.fixture
+def rig_csv(record, tmp_path):
     time, f, _, a = record
     pd.DataFrame({"t": time, "f5": f, "a1": a[:, 0], "a5": a[:, 4]}).to_csv(tmp_path / "rig.csv", index=False)
+    return tmp_path / "rig.csv"
+
+
+def test_fewer_samples_are_looked_at_where_the_run_would_have_them(pinn_run, rig_csv):
     look = pinn_run("inspect", "rig.csv", "data.decimate=2", "data.start=0.98", "figures=false")
     assert look.err == ""
     assert "1476 samples from 0.98 to 59.98 s, at 25 Hz" in look.out
     assert look.out.count("data.decimate") == 1
-    assert (tmp_path / "rig.csv").write_text("t,f5,a1\n" + "0,1,2\n1,,3\n2,3,4\n" * 1)
-    assert (
-        "data.decimate=2: must be 1 where samples are missing" in pinn_run("inspect", "rig.csv", "data.decimate=2").err
-    )
+    rig_csv.write_text("t,f5,a1\n0,1,2\n1,,3\n2,3,4\n")
+    pinn_run("inspect", "rig.csv", "data.decimate=2").refused("data.decimate=2: must be 1 where samples are missing")
 
 
-def test_the_command_inspect(record, pinn_run, tmp_path):
-    time, f, _, a = record
-    pd.DataFrame({"t": time, "f5": f, "a1": a[:, 0], "a5": a[:, 4]}).to_csv(tmp_path / "rig.csv", index=False)
+@pytest.mark.usefixtures("rig_csv")
+def test_the_command_inspect(pinn_run):
     settings = ["data=csv", "data.path=rig.csv", "data.force={5: f5}", "data.acceleration={1: a1, 5: a5}"]
-    outcome = pinn_run(
-        "inspect", *settings, "system=linear", "system.ndof=5", "system.m=1", "system.k=386.4", "system.c=0"
-    )
-    assert (outcome.status, outcome.err) == (0, "")
-    *_, last = outcome.out.strip().splitlines()
-    files = {str(file.relative_to(last)) for file in tmp_path.glob("outputs/default/*/**/*") if file.is_file()}
+    chain = ("system=linear", "system.ndof=5", "system.m=1", "system.k=386.4", "system.c=0")
+    outcome = pinn_run("inspect", *settings, *chain).done()
+    assert outcome.err == ""
+    files = {str(file.relative_to(outcome.directory)) for file in outcome.directory.rglob("*") if file.is_file()}
     assert files >= {"inspect.csv", "peaks.csv", "pinn-run.log", "figures/inspect.png", "figures/inspect.pdf",
                      ".hydra/config.yaml"}  # fmt: skip
-    peaks = pd.read_csv(f"{last}/peaks.csv")
+    peaks = pd.read_csv(outcome.directory / "peaks.csv")
     np.testing.assert_allclose(peaks["difference_percent"], 0.0, atol=0.3)
     assert "run.json" not in files
 
@@ -280,19 +269,32 @@ def test_the_command_inspect(record, pinn_run, tmp_path):
     [
         (["inspect", "data=csv"], "data.path=None: must be given: data=csv reads a file of yours"),
         (["inspect"], "data=simulated: must be csv or another format of files with inspect"),
+        (["inspect"], "pinn-run inspect FILE"),
         (["inspect", "data=csv", "data.path=no.csv"], "must be a file that exists"),
+        (["inspect", "no.csv"], "data.path=no.csv: must be a file that exists"),
+        (["inspect", "."], "data.path=.: must be a readable file; it is a folder"),
+        (["inspect", "rig.xyz"], "must be a file in one of the formats csv (.csv, .txt"),
         (["inspect", "resume=auto"], "resume=auto: must be left out with inspect"),
         (["inspect", "--multirun", "seed=1,2"], "--multirun=inspect: must be left out with inspect"),
         (["inspect", "data=csv", "data.path=no.csv", "data.force=f"], "data.force=f: must be a map of DOF: column"),
         (["inspect", "data=csv", "data.pth=no.csv"], "data.pth"),
         (["inspct"], "override=inspct"),
+        (["inspct", "force.csv"], "did you mean inspect?"),
+        (["force.csv"], "pinn-run inspect force.csv looks at a record"),
+        (["modes"], "data=simulated: must be csv or another format of files with modes"),
+        (["modes", "data=csv", "data.path=no.csv"], "must be a file that exists"),
+        (["modes", "data=csv", "data.records=[{path: no.csv}, {path: b.csv}]"], "record 1: data.path"),
+        (["modes", "resume=auto"], "resume=auto: must be left out with modes"),
+        (["modes", "data=csv", "data.path=force.csv", "data.force={1: f}"], "a record with a sensor of the motion"),
+        (["modes", "data=csv", "data.path=short.csv"], "data.start, data.stop=5 samples"),
     ],
 )
 def test_a_look_that_cannot_be_had(pinn_run, tmp_path, arguments, expected):
-    outcome = pinn_run(*arguments)
-    assert outcome.status == 2
-    assert expected in outcome.err
-    assert outcome.err.count("\n") == 1
+    (tmp_path / "rig.xyz").write_bytes(bytes(range(256)))
+    random = np.random.default_rng(0)
+    pd.DataFrame({"t": np.arange(500) / 50.0, "f": random.normal(size=500)}).to_csv(tmp_path / "force.csv", index=False)
+    pd.DataFrame({"t": np.arange(5) / 50.0, "a1": np.arange(5.0)}).to_csv(tmp_path / "short.csv", index=False)
+    pinn_run(*arguments).refused(expected)
     assert not list(tmp_path.glob("outputs/*/*"))
 
 
@@ -304,8 +306,8 @@ def test_channels_in_the_long_form_and_names_of_dofs(record, pinn_run, tmp_path)
         "data.channels={f5: {sensor: force, dof: 5, unit: kN}, lvdt: {sensor: displacement, between: [2, 1], unit: mm},"
         " top: {sensor: acceleration, dof: 5, unit: g, column: acc, gain: unknown}}"
     )
-    outcome = pinn_run("inspect", "data=csv", "data.path=rig.csv", channels, "figures=false")
-    assert (outcome.status, outcome.err) == (0, "")
+    outcome = pinn_run("inspect", "data=csv", "data.path=rig.csv", channels, "figures=false").done()
+    assert outcome.err == ""
     table = pd.read_csv(outcome.directory / "inspect.csv").set_index("column")
     assert table["channel"].to_dict() == {"f5": "force of DOF 5", "acc": "acceleration of DOF 5", "lvdt": "'lvdt'"}
     assert table.loc["f5", "rms"] == pytest.approx(f.std())
@@ -318,6 +320,4 @@ def test_a_million_rows_are_inspected(pinn_run, tmp_path):
     columns = {"t": rows / 1000.0, "f1": random.normal(size=10**6)}
     columns |= {f"a{i}": np.cumsum(columns["f1"]) + random.normal(size=10**6) for i in range(1, 5)}
     pd.DataFrame(columns).round(6).to_csv(tmp_path / "big.csv", index=False)
-    outcome = pinn_run("inspect", "data=csv", "data.path=big.csv")
-    assert outcome.status == 0, outcome.err
-    assert outcome.out.startswith("1000000 samples")
+    assert pinn_run("inspect", "data=csv", "data.path=big.csv").done().out.startswith("1000000 samples")

@@ -70,24 +70,18 @@ def test_intervals_hold(count, spread, std):
     assert outliers <= 2
 
 
-def test_what_says_nothing_is_another_structure():
+def test_what_says_nothing_is_another_structure_and_what_says_much_stays_where_it_is():
     runs = drawn(0, 12, 5.0, 1.0)[1]
     runs[0] = replace(runs[0], mean=np.full(3, 500.0), covariance=np.eye(3) * WIDE**2)
     found = population(runs)
     for name in ("estimate", "lower", "upper"):
         np.testing.assert_allclose(getattr(found.structures, name)[0], getattr(found.another, name), atol=0.1)
     assert (np.abs(found.off[0]) < 1.0).all()
-
-
-def test_what_says_much_stays_where_it_is():
     runs = [replace(each, covariance=each.covariance * 1e-8) for each in drawn(1, 12, 5.0, 1.0)[1][1:]]
     found = population(runs)
     np.testing.assert_allclose(found.structures.estimate, found.alone, rtol=1e-6)
     np.testing.assert_allclose(found.structures.std, found.alone_std, rtol=1e-3)
     np.testing.assert_allclose(found.spread.estimate, np.std(found.alone, axis=0, ddof=1), rtol=0.1)
-
-
-def test_equal_structures_are_told_as_equal():
     found = population(drawn(2, 20, 0.0, 2.0)[1])
     assert (found.spread.lower == 0.0).all()
     assert (found.spread.estimate < 1.0).all()

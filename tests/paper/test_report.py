@@ -12,7 +12,7 @@ from pinn_cli.paper.report import copy_figures, fitness_reason, over_seeds, pape
 from pinn_cli.paper.runs import CaseFailedError
 
 
-def test_report_is_well_formed_and_loads_nothing(paper):
+def test_the_report_is_well_formed_loads_nothing_and_says_what_was_run(paper):
     text = (paper / "report.html").read_text(encoding="utf-8")
     checked = Checked(text)
     assert text.count("<img") == len(paper_figures()) + 1 == 15
@@ -23,10 +23,6 @@ def test_report_is_well_formed_and_loads_nothing(paper):
     assert "@import" not in text
     assert "nan" not in re.sub(r"base64,[^\"]*", "", text)
     assert str(paper.parent) not in text
-
-
-def test_report_says_what_was_run(paper):
-    text = (paper / "report.html").read_text(encoding="utf-8")
     assert all(
         told in text
         for told in (
@@ -38,9 +34,6 @@ def test_report_says_what_was_run(paper):
     )  # fmt: skip
     assert "Barely identifiable" not in text
     assert (paper / "seeds" / "seeds_table2.tex").exists()
-
-
-def test_every_figure_as_a_picture_for_screens_and_one_for_print(paper):
     names = {f"figure{number:02d}.{'svg' if number < 4 else 'png'}" for number in range(1, 15)}
     names |= {f"figure{number:02d}.pdf" for number in range(1, 15)}
     assert {file.name for file in (paper / "figures").iterdir()} == names

@@ -17,7 +17,7 @@ from pinn_cli.paper import realisations as realised
 from pinn_cli.paper import runs
 from pinn_cli.paper.realisations import Realisation, ScoredRealisations, solve
 from pinn_cli.paper.runs import TABLES, CaseFailedError, PlannedRun, Variant, make_runs, planned_runs, run_case
-from pinn_cli.paper.studies import seed_realisations
+from pinn_cli.paper.studies import nonlinearity_realisations, seed_realisations
 from pinn_cli.runs.writing import write_json
 from pinn_cli.settings.override_syntax import quoted
 
@@ -34,10 +34,13 @@ def realisations(quick):
     return seed_realisations()[:3]
 
 
-def test_every_case_once_per_variant():
+def test_every_case_once_per_variant_and_every_realisation_once():
     names = [run.name for run in planned_runs()]
     assert len(names) == len(set(names)) == 6 * 2 + 6 * 2 + 2 * 3
     assert names[:3] == ["sr_6dof_perturbed_uncertain", "sr_6dof_snr50_uncertain", "sr_6dof_snr50_fixed"]
+    for realisations in (seed_realisations(), nonlinearity_realisations()):
+        assert len(realisations) == len({one.name for one in realisations}) == 120
+        assert len({one.overrides for one in realisations}) == 120
 
 
 def test_runs_are_made_at_once(tmp_path, runner, planned):

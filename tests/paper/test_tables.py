@@ -1,4 +1,4 @@
-"""Published values beside ours, with stand-ins for the runs."""
+"""Published values beside ours, with stand-ins for the runs; noise seeds and nonlinearity."""
 
 import math
 import re
@@ -9,7 +9,9 @@ import pytest
 from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.paper.__main__ import make_table
+from pinn_cli.paper.realisations import ScoredRealisations
 from pinn_cli.paper.runs import TABLES, CaseFailedError
+from pinn_cli.paper.studies import SeedScores, seed_realisations, spread_text
 from pinn_cli.paper.tables import (
     FITNESS_COLUMNS,
     PAPER_PARAMETER_COLUMNS,
@@ -25,9 +27,6 @@ from pinn_cli.report.sheet import Cell, written
 
 TABLE1, TABLE2, TABLE3, *_ = TABLES
 NAN = float("nan")
-
-
-NOTHING = pd.DataFrame(columns=RUN)
 
 
 def _found(case: str, variant: str, rows: pd.DataFrame) -> pd.DataFrame:
@@ -64,11 +63,12 @@ def test_table1_agrees_with_the_paper():
 
 
 def test_without_runs_there_are_the_published_values():
-    table = compare_wrong_values(TABLE1, NOTHING)
+    nothing = pd.DataFrame(columns=RUN)
+    table = compare_wrong_values(TABLE1, nothing)
     assert table["drawn"].isna().all()
     assert "| k | prescribed | 15.00 |" in wrong_values_sheet(TABLE1, table).markdown
-    assert list(compare_fitness(TABLE2, NOTHING)) == list(FITNESS_COLUMNS)
-    assert list(compare_parameters(TABLE3, NOTHING)) == list(PAPER_PARAMETER_COLUMNS)
+    assert list(compare_fitness(TABLE2, nothing)) == list(FITNESS_COLUMNS)
+    assert list(compare_parameters(TABLE3, nothing)) == list(PAPER_PARAMETER_COLUMNS)
 
 
 def test_fitness_is_marked_where_it_is_below():
@@ -182,3 +182,60 @@ def test_symbols_and_escapes():
     assert written("‖x − x̃‖", "latex") == r"$\|$x $-$ $\tilde{x}$$\|$"
     assert written("<b>", "html") == "&lt;b&gt;"
     assert Cell.number(math.nan, ".2f", "better").mark == ""
+
+
+@pytest.mark.usefixtures("quick")
+def test_seeds_are_summarised_as_mean_and_spread(tmp_path, solver):
+    seeds = SeedScores.of(ScoredRealisations.made(seed_realisations(), tmp_path / "runs", solver))
+    cells = seeds.summary[(seeds.summary["case"] == "sr_6dof_snr50") & (seeds.summary["group"] == "all")]
+    ours = cells[(cells["estimator"] == "pinn") & (cells["quantity"] == "displacement")].iloc[0]
+    assert ours["seeds"] == 3
+    assert ours["range_fitness_mean"] == pytest.approx(ours["published"] + 0.2 - 0.1)
+    assert ours["error_percent_mean"] == pytest.approx(ours["range_error_percent_mean"] + 5.0)
+    assert ours["error_percent_std"] == pytest.approx(0.1 * pd.Series(range(3)).std())
+    parameters = seeds.parameter_summary.set_index(["case", "estimator", "parameter"])
+    assert parameters.loc[("sp_5dof_snr50", "pinn", "k_2"), "error_percent_mean"] == pytest.approx(1.0)
+    assert parameters.loc[("sp_5dof_snr50", "pinn", "k_2"), "inside_90_percent"] == 100.0
+    assert parameters.loc[("sp_5dof_snr50", "kalman_smoother", "k_2"), "inside_90_percent"] == 0.0
+    sheets = seeds.sheets
+    assert [sheet.name for sheet in sheets] == ["seeds_table2", "seeds_table5", "seeds_parameters"]
+    text = sheets[0].markdown
+    assert "| 6 DOFs, Duffing, no error, 50 dB | published | 1.43 |" in text
+    assert "|  | ours | 1.33 ± 0.10 ▲ |" in text
+    assert "over 3 draws" in text
+    assert all(sheet.latex.isascii() for sheet in sheets)
+    seeds.write(tmp_path)
+    names = {file.name for file in tmp_path.glob("*.csv")}
+    assert names == {"seeds.csv", "seeds_parameters.csv", "summary.csv", "summary_parameters.csv"}
+    written = pd.read_csv(tmp_path / "seeds.csv")
+    assert not written.duplicated(["case", "seed", "estimator", "group", "quantity"]).any()
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_part_of_the_seeds_is_a_table_too(tmp_path, solver):
+    solver.interrupted_after = 5
+    with pytest.raises(KeyboardInterrupt):
+        SeedScores.of(ScoredRealisations.made(seed_realisations(), tmp_path / "runs", solver))
+    seeds = SeedScores.of(ScoredRealisations.read(seed_realisations(), tmp_path / "runs"))
+    assert "over 2 to 3 (of 3) draws" in seeds.sheets[0].markdown
+    assert len(seeds.scored.missing) == 31
+
+
+@pytest.mark.parametrize(
+    ("mean", "std", "text"),
+    [(0.0123, 0.0041, "0.012 ± 0.004"), (1.234, 0.5, "1.23 ± 0.50"), (44.12, 25.0, "44.1 ± 25.0"),
+     (0.5, float("nan"), "0.50"), (float("nan"), 1.0, "-")],
+)  # fmt: skip
+def test_decimals_of_a_mean(mean, std, text):
+    assert spread_text(mean, std) == text
+
+
+def test_the_nonlinearity_is_averaged_and_drawn(paper):
+    place = paper / "nonlinearity"
+    table = pd.read_csv(place / "nonlinearity.csv")
+    assert set(table["quantity"]) == {"displacement", "velocity", "acceleration"}
+    assert table["fitness_percent"].between(91.0, 93.0).all()
+    assert len(table) == (3 * 2 * 2 - 1) * 2 * 3  # one has diverged
+    assert (place / "nonlinearity.png").read_bytes().startswith(b"\x89PNG")
+    assert (place / "nonlinearity.pdf").read_bytes().startswith(b"%PDF")
+    assert "none_kappa10000_force10_seed0: loss is not finite" in (paper / "report.html").read_text()

@@ -1,4 +1,4 @@
-"""The whitened posterior density: its gradient, its mode, its coordinates."""
+"""The whitened posterior density and the likelihoods of parameters: gradients, modes, coordinates."""
 
 import numpy as np
 import pytest
@@ -8,6 +8,13 @@ from toy_likelihoods import Everywhere, GaussianLikelihood, RegressionLikelihood
 from pinn_cli.posterior.target import Softplus, Target, Whitening
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal
+from pinn_cli.training.likelihood import ParameterLikelihood
+from pinn_cli.training.reported.parameter_likelihoods import (
+    S_POINTS,
+    S_RANGE,
+    ConditionalLikelihood,
+    MarginalLikelihood,
+)
 
 PRIORS = [Gamma(2.0, 0.1), Normal(0.0, 5.0), HalfNormal(30.0), LogNormal(10.0, 0.5)]
 LIKELIHOOD = RegressionLikelihood([1.0, -0.5, 15.0, 9.0], correlated([0.3, 0.2, 0.5, 2.0], 0.8))
@@ -79,7 +86,7 @@ def test_flat_directions_of_the_likelihood_are_held_by_the_prior():
     np.testing.assert_allclose(target.mode[:2], 5.0, rtol=1e-6)
 
 
-def test_where_the_likelihood_fails_the_density_is_zero():
+def test_where_the_likelihood_fails_the_density_is_zero_and_no_start_without_a_value_is_taken():
     class Failing(GaussianLikelihood):
         def evaluate(self, theta, s):
             if theta[0] > 2.0:
@@ -90,30 +97,12 @@ def test_where_the_likelihood_fails_the_density_is_zero():
     for theta in (1.7, 2.5):
         assert target.log_density(np.array([theta, 0.0]))[0] == -np.inf
 
-
-def test_a_posterior_without_a_value_at_its_start_is_told():
     class Nowhere(GaussianLikelihood):
         def evaluate(self, theta, s):
             return np.nan, theta, 0.0
 
     with pytest.raises(DivergenceError, match="cannot be evaluated at its start"):
         Target(Nowhere([0.0], [[1.0]]), [Normal(0.0, 10.0)])
-
-
-def test_softplus_is_its_own_inverse_and_has_these_slopes():
-    softplus = Softplus(np.array([0.1, 1.0, 20.0]))
-    x = np.array([-0.7, 3.0, 5.0])
-    theta = softplus.parameters(x)
-    assert np.all(theta > 0)
-    np.testing.assert_allclose(softplus.coordinates(theta), x, rtol=1e-10)
-    steps = np.full(3, 1e-6)
-    by_x, log_by_x, bend = softplus.slopes(theta)
-    total = slopes(lambda x: softplus.parameters(x).sum(), x, steps)
-    np.testing.assert_allclose(by_x, total, rtol=1e-6)
-    np.testing.assert_allclose(log_by_x, np.log(total), rtol=1e-5, atol=1e-9)
-    np.testing.assert_allclose(
-        bend, slopes(lambda x: softplus.slopes(softplus.parameters(x))[1].sum(), x, steps), rtol=1e-5
-    )
 
 
 MODE = np.array([0.5, 3.0, -1.0, 0.2])
@@ -133,30 +122,137 @@ def jacobian(whitening: Whitening, q: np.ndarray) -> np.ndarray:
     return np.array([(whitening.coordinates(q + h) - whitening.coordinates(q - h)) / 2e-5 for h in steps]).T
 
 
-def test_the_origin_is_the_mode_and_white(whitening):
+@pytest.mark.parametrize("seed", range(4))
+def test_the_origin_is_white_and_the_determinant_constant(whitening, seed):
     np.testing.assert_allclose(whitening.coordinates(np.zeros(4)), MODE)
     at_mode = jacobian(whitening, np.zeros(4))
     np.testing.assert_allclose(at_mode @ at_mode.T, COVARIANCE, rtol=1e-6)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_slope_is_the_chain_rules_and_the_determinant_constant(whitening, seed):
     generator = np.random.default_rng(seed)
-    q, by_x = 2 * generator.standard_normal(4), generator.standard_normal(4)
-    there = jacobian(whitening, q)
-    np.testing.assert_allclose(whitening.slope(whitening.coordinates(q), by_x), by_x @ there, rtol=1e-6, atol=1e-8)
+    several, by_x = 2 * generator.standard_normal((2, 3, 4)), generator.standard_normal(4)
+    q = several[1, 2]
+    there, x = jacobian(whitening, q), whitening.coordinates(q)
+    np.testing.assert_allclose(whitening.coordinates(several)[1, 2], x, rtol=1e-14)
+    np.testing.assert_allclose(whitening.slope(x, by_x), by_x @ there, rtol=1e-6, atol=1e-8)
     assert np.linalg.det(there) ** 2 == pytest.approx(np.linalg.det(COVARIANCE), rel=1e-6)
 
 
-def test_many_at_once(whitening):
-    q = np.random.default_rng(0).standard_normal((2, 3, 4))
-    together = whitening.coordinates(q)
-    np.testing.assert_allclose(together[1, 2], whitening.coordinates(q[1, 2]), rtol=1e-14)
-
-
-def test_far_below_zero_nothing_else_moves():
+def test_softplus_is_its_own_inverse_and_far_below_zero_nothing_else_moves():
+    of_three, x = Softplus(np.array([0.1, 1.0, 20.0])), np.array([-0.7, 3.0, 5.0])
+    np.testing.assert_allclose(of_three.coordinates(of_three.parameters(x)), x, rtol=1e-10)
     softplus = Softplus(np.array([1.0]))
     whitening = Whitening(MODE, np.linalg.inv(COVARIANCE), np.array([0]), softplus)
     far, further = (whitening.coordinates(np.array([q, 0.0, 0.0, 0.0])) for q in (-30.0, -31.0))
     assert further[0] < far[0] - 0.5
     np.testing.assert_allclose(further[1:], far[1:], atol=1e-10)
+
+
+STD = np.array([0.1, 2.0, 0.5])
+PEAK = np.array([1.0, 15.0, -3.0])
+S_MEAN, S_STD = 0.01, 0.02
+NAMES, SIGMA = ("c_1", "k_1", "kappa_2"), np.array([0.1, np.nan])
+
+
+def table() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    return tabulated(np.linspace(-1.0, 1.0, S_POINTS) * S_RANGE * S_STD)
+
+
+def tabulated(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """S, level, peak and precision of a likelihood all of which depends on s, and not in a polynomial way."""
+    gram = np.linalg.inv(correlated(STD, 0.6))
+    level = -1.5 * np.log(0.2 + 0.8 * np.exp(2.0 * s))
+    peak = PEAK + STD * np.sin(3.0 * s)[:, None]
+    precision = gram / (0.2 + 0.8 * np.exp(2.0 * s))[:, None, None]
+    return s, level, peak, precision
+
+
+def marginal() -> MarginalLikelihood:
+    return MarginalLikelihood(NAMES, SIGMA, *table(), (S_MEAN, S_STD))
+
+
+def told(s: float) -> float:
+    """Logarithm of what residuals say of s."""
+    return -0.5 * ((s - S_MEAN) / S_STD) ** 2
+
+
+def unforced() -> MarginalLikelihood:
+    """Without a force sensor nothing depends on s."""
+    s, level, peak, precision = (values[2:3] for values in table())
+    return MarginalLikelihood(NAMES, np.full(2, np.nan), s, level, peak, precision, (0.0, 1.0))
+
+
+def conditional() -> ConditionalLikelihood:
+    gram = np.linalg.inv(correlated(STD, 0.6)) * 0.04
+    return ConditionalLikelihood(NAMES, np.array([True, False]), gram, PEAK, least=1200.0 * 0.04, count=1200)
+
+
+def gradient(likelihood: ParameterLikelihood, theta: np.ndarray, s: float) -> np.ndarray:
+    def value(x: np.ndarray) -> float:
+        return likelihood.evaluate(x[:-1], x[-1])[0]
+
+    return slopes(value, np.append(theta, s), np.append(1e-4 * STD, 1e-4 * likelihood.s_std))
+
+
+@pytest.mark.parametrize("s", [-9.0, -6.1, -5.9, -2.0, 0.0, 0.7, 5.0, 6.5, 20.0], ids=lambda s: f"{s} deviations")
+@pytest.mark.parametrize("make", [marginal, unforced, conditional])
+def test_gradients_of_likelihoods_are_those_of_the_values(make, s):
+    likelihood = make()
+    for seed in range(3):
+        theta = PEAK + 2.0 * STD * np.random.default_rng(seed).standard_normal(3)
+        _, by_theta, by_s = likelihood.evaluate(theta, s * likelihood.s_std)
+        numeric = gradient(likelihood, theta, s * likelihood.s_std)
+        np.testing.assert_allclose(STD * by_theta, STD * numeric[:-1], rtol=1e-5, atol=1e-5)
+        assert by_s * likelihood.s_std == pytest.approx(numeric[-1] * likelihood.s_std, rel=1e-5, abs=1e-4)
+
+
+def test_the_slope_has_no_holes_where_the_scale_over_the_tables_width_is_rounded():
+    likelihood, theta = marginal(), PEAK + STD
+    s = np.linspace(-5.9, 5.9, 1001) * S_STD
+    by_s = np.array([likelihood.evaluate(theta, place)[2] for place in s])
+    assert np.abs(np.diff(by_s, 2)).max() < 1e-3 * np.abs(by_s).max()
+
+
+@pytest.mark.parametrize("make", [marginal, unforced, conditional])
+def test_peak_and_curvature_are_those_at_the_noise_that_was_found(make):
+    likelihood = make()
+    _, by_theta, _ = likelihood.evaluate(likelihood.peak, 0.0)
+    np.testing.assert_allclose(STD * by_theta, 0.0, atol=1e-9)
+    for step in np.diag(0.1 * STD):
+        change = likelihood.evaluate(likelihood.peak + step, 0.0)[1]
+        np.testing.assert_allclose(change, -likelihood.curvature @ step, rtol=1e-9, atol=1e-12)
+
+
+def test_the_marginal_is_its_table_and_between_its_points_as_smooth_as_what_was_tabulated():
+    likelihood, theta = marginal(), PEAK + STD * [1.0, -1.0, 0.5]
+    between = np.linspace(-5.5, 5.5, 12) * S_STD
+    for places, tolerance in ((table()[0], {"rel": 1e-9}), (between, {"abs": 2e-3})):
+        for s, level, peak, precision in zip(*tabulated(places), strict=True):
+            away = theta - peak
+            expected = level - 0.5 * away @ precision @ away + told(s)
+            assert likelihood.evaluate(theta, s)[0] == pytest.approx(expected, **tolerance)
+
+
+def test_beyond_the_table_it_falls_as_a_gaussian_and_never_rises_again():
+    likelihood = marginal()
+    ends = [likelihood.evaluate(PEAK, s * S_STD) for s in (6.0, 8.0, 50.0, 1e6)]
+    assert np.all(np.diff([value for value, *_ in ends]) < 0)
+    assert ends[1][0] - ends[0][0] == pytest.approx(told(8.0 * S_STD) - told(6.0 * S_STD), rel=1e-9)
+    assert ends[1][2] == pytest.approx(-7.5 / S_STD)
+    left = [likelihood.evaluate(PEAK, -s * S_STD)[0] for s in (6.0, 8.0, 50.0, 1e6)]
+    assert np.all(np.diff(left) < 0)
+    assert np.isfinite(left).all()
+    unseen = [unforced().evaluate(PEAK, s)[0] for s in (-0.5, 0.0, 0.5)]
+    assert unseen == pytest.approx([unseen[0]] * 3)  # without a force sensor the noise tells nothing
+
+
+def test_a_direction_that_hardly_anything_holds_stays_held_between_two_scales():
+    """Two parameters of which a combination is known a thousand times as well, another one at every scale."""
+    s = np.linspace(-0.3, 0.3, S_POINTS)
+    turn = 1.0 + np.array([0.0, 0.02, -0.01, 0.03, 0.0])
+    known = np.stack((turn, np.ones(S_POINTS)), axis=1)
+    precision = 1e6 * known[:, :, None] * known[:, None, :] + np.eye(2)
+    rows = s, np.zeros(S_POINTS), np.zeros((S_POINTS, 2)), precision
+    likelihood = MarginalLikelihood(("beta_1", "gamma_1"), SIGMA, *rows, (0.0, 0.05))
+    far = 10.0 * np.stack([np.array([np.cos(a), np.sin(a)]) for a in np.linspace(0.0, np.pi, 721)])
+    for scale in np.linspace(s[0], s[-1], 13):
+        peak = likelihood.evaluate(np.zeros(2), scale)[0]
+        assert max(likelihood.evaluate(theta, scale)[0] for theta in far) < peak - 10.0

@@ -13,13 +13,16 @@ from small_estimates import other_estimate, results_of
 
 from pinn_cli.record.record import Truth
 from pinn_cli.record.response import QUANTITIES, Response
-from pinn_cli.report.figures import style, write_figures
+from pinn_cli.report.figures import save, style, write_figures
 from pinn_cli.report.figures.histories import error_map_figure, response_figure, shown_dofs
 from pinn_cli.report.figures.parameters import correlation_figure, parameters_figure
 from pinn_cli.report.figures.sensors import compared_channels, history_figure
-from pinn_cli.report.figures.style import line_indices, save
+from pinn_cli.report.figures.structure import layout, structure_figure
+from pinn_cli.report.figures.style import line_indices
 from pinn_cli.report.results import checked_times
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.structure import Structure
+from pinn_cli.system.topology import build_structure
 
 
 def results(case, estimate=None):
@@ -107,9 +110,9 @@ def test_seconds_that_a_record_has_not_are_refused(given):
 
 
 def test_a_run_refuses_them_before_it_writes(pinn_run: PinnRun, tmp_path):
-    outcome = pinn_run(*SMALL, "report.between=[12.5,13]")
-    assert outcome.status == 2
-    assert outcome.err.startswith("pinn-run: report.between=[12.5, 13]: must be two times of the record in s")
+    pinn_run(*SMALL, "report.between=[12.5,13]").refused(
+        "report.between=[12.5, 13]: must be two times of the record in s"
+    )
     assert not (tmp_path / "outputs").exists()
 
 
@@ -122,13 +125,14 @@ def test_what_an_estimate_was_given_has_no_residuals(make_case):
     assert "force" in {channel.quantity for channel in compared_channels(case.estimate, case.record)}
 
 
-def test_terms_without_a_value_have_no_place_in_the_legend():
+def test_history_of_terms_without_a_value_of_many_iterations_and_of_any_name(tmp_path, recwarn):
     steps = np.arange(5)
     history = pd.DataFrame({"iteration": steps, "loss_physics": 1.0 + steps, "loss_ridge": 0.0 * steps})
     assert _texts(history_figure(history)) == ["equation of motion"]
-
-
-def test_names_that_no_font_has_are_no_warning(tmp_path, recwarn):
+    steps = np.arange(50_000)
+    figure = history_figure(pd.DataFrame({"iteration": steps, "loss_physics": np.exp(-steps / 1e4)}))
+    assert len(figure.axes) == 1
+    assert len(figure.axes[0].lines[0].get_xdata()) <= 1500
     figure = history_figure(pd.DataFrame({"iteration": [1, 2], "loss_physics": [1.0, 2.0]}))
     figure.axes[0].set_ylabel("\N{CJK UNIFIED IDEOGRAPH-4E00}\N{CJK UNIFIED IDEOGRAPH-968E}")
     save(figure, tmp_path, "named")
@@ -140,13 +144,6 @@ def test_error_map_frames_each_run_of_observed_dofs(make_case):
     figure = error_map_figure(case.estimate, case.record.keep({"acceleration": [1, 2, 4]}), case.truth.response)
     frames = [patch for patch in figure.axes[0].patches if patch.get_edgecolor() == (1.0, 0.0, 0.0, 1.0)]
     assert [(frame.get_y(), frame.get_height()) for frame in frames] == [(0.5, 2.0), (3.5, 1.0)]
-
-
-def test_history_of_many_iterations():
-    steps = np.arange(50_000)
-    figure = history_figure(pd.DataFrame({"iteration": steps, "loss_physics": np.exp(-steps / 1e4)}))
-    assert len(figure.axes) == 1
-    assert len(figure.axes[0].lines[0].get_xdata()) <= 1500
 
 
 def _identified(case, *unknown):
@@ -180,14 +177,11 @@ def test_unknown_parameters_are_drawn_in_their_units_above_the_prescribed(make_c
     assert lower == ["prescribed", "truth", "estimate, 90 % interval"]
 
 
-def test_masses_are_those_of_dofs(make_case):
+def test_parameters_have_their_places_and_scales(make_case):
     springs = [p for p in _identified(make_case(ndof=4), "k_2", "k_4") if p.name in ("k_2", "k_4")]
     figure = parameters_figure([*springs, *(other_estimate(p, kind="m", title="Mass") for p in springs)], None)
     labels = {axes.get_title().split(" ")[0]: axes.get_xlabel() for axes in figure.axes}
     assert labels == {"Stiffness": "Connection $i$", "Mass": "DOF $i$"}
-
-
-def test_a_start_far_away_does_not_squash_the_scale(make_case):
     case = make_case(ndof=4)
     two = [p for p in case.estimate.parameters if p.name in ("k_2", "k_4")]
     far, near = ([other_estimate(p, unknown=True, prescribed=start) for p in two] for start in (40e3, 14.5))
@@ -198,6 +192,11 @@ def test_a_start_far_away_does_not_squash_the_scale(make_case):
     figure = parameters_figure(near, None)
     assert figure.axes[0].get_ylim()[0] < 14.5
     assert _texts(figure) == ["start", "estimate, 90 % interval"]
+    (given,) = [p for p in make_case(ndof=1).estimate.parameters if p.name == "k_1"]
+    bounded = other_estimate(given, unknown=True, prescribed=0.0, estimate=0.0, lower_90=0.1, upper_90=2.0)
+    axes = parameters_figure([bounded], None).axes[0]
+    (segment,) = [path.vertices for lines in axes.collections for path in lines.get_paths() if len(path.vertices)]
+    np.testing.assert_allclose(segment[:, 1], [0.1, 2.0])
 
 
 def test_correlation_has_the_unknown_parameters_first(make_case):
@@ -247,9 +246,72 @@ def test_the_legend_of_everything_fits_the_page(make_case):
     assert extent.x1 < figure.bbox.x1
 
 
-def test_an_interval_is_drawn_at_its_own_ends_whatever_the_estimate(make_case):
-    (given,) = [p for p in make_case(ndof=1).estimate.parameters if p.name == "k_1"]
-    bounded = other_estimate(given, unknown=True, prescribed=0.0, estimate=0.0, lower_90=0.1, upper_90=2.0)
-    axes = parameters_figure([bounded], None).axes[0]
-    (segment,) = [path.vertices for lines in axes.collections for path in lines.get_paths() if len(path.vertices)]
-    np.testing.assert_allclose(segment[:, 1], [0.1, 2.0])
+LINE = {"law": "linear", "c": 1.0, "k": 5.0}
+STOREYS = {
+    "storey_1": {"between": ["ground", "x1"], **LINE},
+    "storey_2": {"between": ["x1", "x2"], **LINE},
+    "storey_3": {"between": ["x2", "x3"], **LINE},
+}
+
+
+def frame(**more) -> Structure:
+    return build_structure(["x1", "x2", "x3"], {"x1": 2000, "x2": 2000, "x3": 1500}, {**STOREYS, **more})
+
+
+def truss(floors: int = 5) -> Structure:
+    """Two columns in the plane, with beams and diagonals; every node moves across and up."""
+    nodes = {(i, j): (f"x{i}{'lr'[j]}", f"y{i}{'lr'[j]}") for i in range(1, floors + 1) for j in (0, 1)}
+    bars = {}
+    for i in range(floors):
+        bars |= {f"column_{i + 1}{'lr'[j]}": ((i, j), (i + 1, j)) for j in (0, 1)}
+        bars |= {f"beam_{i + 1}": ((i + 1, 0), (i + 1, 1)), f"diagonal_{i + 1}": ((i, 0), (i + 1, 1))}
+    connections = {}
+    for name, (a, b) in bars.items():
+        along = np.array([b[1] - a[1], b[0] - a[0]]) / np.hypot(b[1] - a[1], b[0] - a[0])
+        weights = {
+            dof: float(sign * part)
+            for node, sign in ((a, -1), (b, 1))
+            if node in nodes
+            for dof, part in zip(nodes[node], along, strict=True)
+            if part
+        }
+        connections[name] = {"weights": weights, "law": "linear", "c": 1e3, "k": 1e7}
+    return build_structure([dof for pair in nodes.values() for dof in pair], 500.0, connections)
+
+
+def test_storeys_stand_above_each_other_whatever_braces_there_are():
+    brace, tie = {"between": ["ground", "x2"], **LINE}, {"between": ["x3", "x1"], **LINE}
+    for structure in (frame(), frame(brace=brace, tie=tie)):
+        places, _ = layout(structure.incidence.matrix)
+        np.testing.assert_array_equal(places, [[0.0, 1.0], [0.0, 2.0], [0.0, 3.0]])
+
+
+@pytest.mark.parametrize("structure", [frame(), truss()], ids=["frame", "truss"])
+def test_masses_do_not_stand_in_each_other_s_place(structure):
+    places, _ = layout(structure.incidence.matrix)
+    apart = np.abs(places[:, None] - places[None]).max(axis=-1)
+    assert apart[~np.eye(len(places), dtype=bool)].min() >= 0.5
+
+
+def drawn(structure: Structure) -> list[str]:
+    return [text.get_text() for text in structure_figure(structure).axes[0].texts]
+
+
+def test_every_mass_and_every_connection_is_named():
+    lever = {"weights": {"x1": 0.8, "x3": -0.6}, "law": "friction", "speed": 0.01, "c": 0, "k": 0, "F_c": 100}
+    structure = frame(brace={"between": ["ground", "x2"], **LINE}, lever=lever, twin=STOREYS["storey_1"])
+    texts = drawn(structure)
+    assert {"x1\n2000 kg", "x2\n2000 kg", "x3\n1500 kg", "0.8", "-0.6", *structure.labels.connections} == set(texts)
+    legend = [text.get_text() for text in structure_figure(structure).legends[0].texts]
+    assert legend == ["linear", "friction"]
+    assert set(truss().labels.connections) <= set(drawn(truss()))
+
+
+def test_names_of_connections_do_not_meet():
+    structure = frame(
+        brace={"between": ["ground", "x2"], **LINE}, twin=STOREYS["storey_2"], tie={"between": ["x1", "x3"], **LINE}
+    )
+    texts = structure_figure(structure).axes[0].texts
+    places = np.array([t.get_position() for t in texts if t.get_text() in structure.labels.connections])
+    apart = np.abs(places[:, None] - places[None]) / [0.4, 0.15]
+    assert apart.max(axis=-1)[~np.eye(len(places), dtype=bool)].min() >= 1.0

@@ -43,16 +43,14 @@ REFUSED = {
 }
 
 
-def test_a_refused_command_leaves_another_run_as_it_was(pinn_run: PinnRun, stopped: Path) -> None:
+def test_a_refused_command_leaves_another_run_as_it_was_though_it_had_begun(
+    pinn_run: PinnRun, stopped: Path, monkeypatch
+) -> None:
     before = contents(stopped)
     for case, given in REFUSED.items():
         outcome = pinn_run(*STOPPED, *given)
         assert (outcome.status, outcome.err.count(": must be ")) == (2, 1), (case, outcome.err)
         assert contents(stopped) == before, case
-
-
-def test_refused_after_it_began_everything_is_put_back(pinn_run: PinnRun, stopped: Path, monkeypatch) -> None:
-    before = contents(stopped)
 
     def refuse(*args: object) -> None:
         assert not (stopped / "checkpoint.pt").exists()
@@ -170,16 +168,13 @@ def test_an_empty_directory_and_an_earlier_run_are_taken(pinn_run: PinnRun, tmp_
     assert (tmp_path / "empty" / "notes.txt").read_text() == "mine"
 
 
-def test_settings_of_another_program_are_no_mark(tmp_path: Path) -> None:
+def test_files_of_another_program_and_what_is_no_file_are_refused(tmp_path: Path) -> None:
     (tmp_path / ".hydra").mkdir()
     (tmp_path / ".hydra" / "hydra.yaml").write_text("hydra: {job: {name: other}}")
     (tmp_path / "checkpoint.pt").write_text("mine")
     with pytest.raises(InputError, match=r"hydra\.run\.dir=.*pinn-run made; files of yours"):
         check_destination(tmp_path, "hydra.run.dir")
-
-
-def test_something_else_in_the_place_of_a_file_is_refused(tmp_path: Path) -> None:
-    (tmp_path / ".hydra").mkdir()
+    (tmp_path / "checkpoint.pt").unlink()
     (tmp_path / ".hydra" / "hydra.yaml").write_text("pinn_cli")
     (tmp_path / "notes").mkdir()
     check_destination(tmp_path, "hydra.run.dir")

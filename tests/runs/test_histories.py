@@ -79,13 +79,18 @@ def test_a_tree_is_what_xarray_reads(tmp_path: Path) -> None:
     xr.testing.assert_identical(read_histories(file, "posterior"), read_tree(file)["posterior"].to_dataset())
 
 
-def test_histories_are_no_more_than_the_file(tmp_path: Path) -> None:
+def test_histories_are_no_more_than_the_file_and_groups_have_an_end(tmp_path: Path) -> None:
     file, zeros = tmp_path / "x.nc", xr.Dataset({"u": ("time", np.zeros(10**6))})
     zeros.to_netcdf(file, engine="h5netcdf")
     assert read_histories(file).sizes["time"] == 10**6
     zeros.to_netcdf(file, engine="h5netcdf", encoding={"u": {"zlib": True, "complevel": 9}})
     with pytest.raises(DamagedError, match="unfolds to more than was written"):
         read_histories(file)
+    with h5py.File(tmp_path / "x.nc", "w") as file:
+        for number in range(101):
+            file[f"g{number}"] = file["/"]
+    with pytest.raises(DamagedError, match="more than 100 groups"):
+        read_tree(tmp_path / "x.nc")
 
 
 @pytest.mark.parametrize(
@@ -121,14 +126,6 @@ def test_any_damage_is_read_or_told_in_one_line(file: Path, kind: str) -> None:
             text = str(error)
             assert "\n" not in text
         assert "\x1b" not in text
-
-
-def test_groups_have_an_end(tmp_path: Path) -> None:
-    with h5py.File(tmp_path / "x.nc", "w") as file:
-        for number in range(101):
-            file[f"g{number}"] = file["/"]
-    with pytest.raises(DamagedError, match="more than 100 groups"):
-        read_tree(tmp_path / "x.nc")
 
 
 @pytest.mark.apart

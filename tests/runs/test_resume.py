@@ -1,6 +1,7 @@
 """A run that is interrupted or killed goes on with its own configuration and ends with the same numbers."""
 
 import os
+import re
 import signal
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from pinn_cli.cli.help import option_names
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.report import netcdf
 from pinn_cli.runs import identity
+from pinn_cli.runs.identity import Identity
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.function_space.equations import NetworkSystem
@@ -140,15 +142,14 @@ def test_a_diverging_run_says_where_and_keeps_a_good_checkpoint(pinn_run: PinnRu
     assert pinn_run("resume=run").err == outcome.err
 
 
-def test_interrupted_before_it_begins_a_run_leaves_nothing(pinn_run, tmp_path, monkeypatch):
+def test_interrupted_before_it_begins_or_in_its_report_a_run_leaves_nothing_half_written(
+    pinn_run, tmp_path, monkeypatch
+):
     with monkeypatch.context() as patch:
         patch.setattr(Simulated, "measure", lambda *args: os.kill(os.getpid(), signal.SIGTERM))
         stopped = pinn_run(*SMALL, "hydra.run.dir=run")
     assert (stopped.status, stopped.out, stopped.err) == (143, "", "pinn-run: interrupted\n")
     assert not list(tmp_path.iterdir())
-
-
-def test_interrupted_in_the_report_a_run_leaves_nothing_half_written(pinn_run, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(pd.DataFrame, "to_csv", lambda *args, **kwargs: os.kill(os.getpid(), signal.SIGINT))
         stopped = pinn_run(*SMALL, "hydra.run.dir=run")
@@ -248,3 +249,56 @@ def test_a_long_step_is_broken_off_and_taken_anew(pinn_run, monkeypatch, tmp_pat
     assert (len(taken), survived) == (3, [])
     pinn_run("resume=run").done()
     assert_same_numbers(tmp_path / "whole", tmp_path / "run")
+
+
+CSV = ("data=csv", "data.path=rig.csv")
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["threads=2", "device=cuda", "resume=auto", "training.checkpoint_every_s=1", "noise.snr_db=50", "tracking=mlflow"],
+)
+def test_where_and_how_it_is_made_makes_no_other_run(composed: Compose, override: str) -> None:
+    assert Identity.of(composed(override)) == Identity.of(composed())
+
+
+@pytest.mark.parametrize(
+    ("override", "told"),
+    [
+        ("seed=1", "seed=1 (was 0)"),
+        ("noise.snr_db=null", "noise.snr_db=null (was 50)"),
+        ("system.k=[1,2.50,3]", "system.k=[1,2.5,3] (was 15)"),
+        ("training.learn_spread=false", "training.learn_spread=False (was True)"),
+    ],
+)
+def test_a_change_is_named(composed: Compose, override: str, told: str) -> None:
+    now, was = Identity.of(composed(override)), Identity.of(composed())
+    assert now.changes_from(was) == [told]
+    assert Identity({"a": "1"}, {}).changes_from(Identity({}, {})) == ["a=1 (was (none))"]
+    assert now.configuration != was.configuration
+
+
+def test_a_pipe_has_no_content_and_is_not_waited_for(composed: Compose, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "rig.csv")
+    assert Identity.of(composed(*CSV), tmp_path).settings["data.path"] == "rig.csv"
+
+
+FILES = {
+    "data.path": (CSV, "rig.csv"),
+    "excitation.path": (("excitation=ground_motion", "excitation.path=quake.txt"), "quake.txt"),
+    "data.path at home": (("data=csv", 'data.path="~/rig.csv"'), "rig.csv"),
+}
+
+
+@pytest.mark.parametrize(("given", "name"), FILES.values(), ids=FILES.keys())
+def test_a_file_counts_by_what_is_in_it(composed, tmp_path, monkeypatch, given, name):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    config, elsewhere = composed(*given), tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    for folder in (tmp_path, elsewhere):
+        (folder / name).write_text("t,f\n0,1\n")
+    was = Identity.of(config, tmp_path)
+    assert Identity.of(config, elsewhere) == was
+    (tmp_path / name).write_text("t,f\n0,2\n")
+    (change,) = Identity.of(config, tmp_path).changes_from(was)
+    assert re.match(r"\w+\.path=file of SHA-256", change)

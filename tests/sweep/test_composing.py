@@ -102,7 +102,7 @@ def test_own_numbers() -> None:
     assert own_numbers([]) == []
 
 
-def test_numbers_of_a_setting_are_alike_and_words_are_not() -> None:
+def test_numbers_of_a_setting_are_alike_and_every_word_is_composed_once() -> None:
     batch = [
         list(job) for job in product([f"seed={n}" for n in range(64)], ["a=1.5e3", "a=-2"], ["system=x", "system=y"])
     ]
@@ -110,9 +110,6 @@ def test_numbers_of_a_setting_are_alike_and_words_are_not() -> None:
     assert len(chosen) == 2
     assert {override for job in chosen for override in job if override.startswith("system")} == {"system=x", "system=y"}
     assert {override.partition("=")[0] for job in chosen for override in job} == {"seed", "a", "system"}
-
-
-def test_every_word_is_composed_once() -> None:
     batch = [[f"scheme={scheme}", f"k=[{k}]"] for scheme, k in product("abc", range(4))]
     chosen = representatives(batch)
     assert {override for job in chosen for override in job} == {override for job in batch for override in job}
@@ -141,10 +138,8 @@ def test_jobs_are_counted_as_they_are_made(overrides: list[str], jobs: int) -> N
 )
 def test_a_sweep_of_too_many_jobs_is_refused_at_once(pinn_run: PinnRun, overrides: list[str]) -> None:
     begun = time.process_time()
-    refused = pinn_run("--multirun", *overrides)
+    pinn_run("--multirun", *overrides).refused("hydra.sweeper.max_jobs")
     assert time.process_time() - begun < 5.0
-    assert (refused.status, refused.err.count("\n")) == (2, 1)
-    assert "hydra.sweeper.max_jobs" in refused.err
 
 
 @pytest.mark.parametrize(
@@ -162,10 +157,17 @@ def test_a_job_is_named_by_what_tells_it_apart(overrides: list[str], name: str) 
     assert job_name(overrides[::-1], [*map(setting_of, overrides)]) == name
 
 
-def test_what_all_jobs_share_is_a_digest() -> None:
+def test_a_sweep_is_named_by_its_settings_and_told_apart_by_all() -> None:
     names = {job_name(["seed=3", f"system.ndof={ndof}"], ["seed"]) for ndof in (2, 3, 2)}
     assert len(names) == 2
     assert all(name.startswith("seed=3_") for name in names)
+    name = sweep_name(["system.ndof=3", "noise.snr_db=50,20", "seed=range(3)"], {})
+    assert name.startswith("snr_db-seed_")
+    assert name == sweep_name(["seed=range(3)", "system.ndof=3", "noise.snr_db=50,20", "threads=2"], {})
+    assert name != sweep_name(["seed=range(3)", "system.ndof=4", "noise.snr_db=50,20"], {})
+    assert sweep_name([], {"seed": "range(1, 3)"}).startswith("seed_")
+    overrides = ["a=1,2", "b=[1,2]", "+c=range(2)", "d=choice(x)", "e=5", "f=interval(0,1)"]
+    assert swept_settings(overrides, ["g"]) == ["a", "c", "d", "f", "g"]
 
 
 @pytest.mark.parametrize("value", ["[10,10,8]", "a/b", "a b", "'..'", "\N{GREEK SMALL LETTER KAPPA}", "1" * 300])
@@ -175,16 +177,3 @@ def test_a_name_is_a_file_name_and_unmistakable(value: str) -> None:
     for name in (one, other):
         assert len(name.encode()) <= LONGEST_OF_JOB
         assert not set(name) & set("/ '[]*?\"\\")
-
-
-def test_a_sweep_is_named_by_its_settings_and_told_apart_by_all() -> None:
-    name = sweep_name(["system.ndof=3", "noise.snr_db=50,20", "seed=range(3)"], {})
-    assert name.startswith("snr_db-seed_")
-    assert name == sweep_name(["seed=range(3)", "system.ndof=3", "noise.snr_db=50,20", "threads=2"], {})
-    assert name != sweep_name(["seed=range(3)", "system.ndof=4", "noise.snr_db=50,20"], {})
-    assert sweep_name([], {"seed": "range(1, 3)"}).startswith("seed_")
-
-
-def test_what_is_swept() -> None:
-    overrides = ["a=1,2", "b=[1,2]", "+c=range(2)", "d=choice(x)", "e=5", "f=interval(0,1)"]
-    assert swept_settings(overrides, ["g"]) == ["a", "c", "d", "f", "g"]

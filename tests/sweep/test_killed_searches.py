@@ -5,12 +5,11 @@ import random
 import signal
 import time
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 import pytest
 from calls import SMALL
-from sweeps import start
+from sweeps import mlflow_runs, start
 
 pytest.importorskip("optuna", reason="the extra optuna is not installed")
 pytest.importorskip("mlflow", reason="the extra mlflow is not installed")
@@ -25,13 +24,6 @@ SEARCH = (
 
 def trials(sweep: Path) -> pd.DataFrame:
     return pd.read_csv(sweep / "search.csv").drop(columns="seconds")
-
-
-def tracked(database: Path) -> list[Any]:
-    from mlflow.tracking import MlflowClient
-
-    client = MlflowClient(tracking_uri=f"sqlite:///{database}")
-    return list(client.search_runs([e.experiment_id for e in client.search_experiments()]))
 
 
 def carried_out(folder: Path, *overrides: str) -> str:
@@ -59,4 +51,4 @@ def test_a_killed_search_ends_with_the_trials_of_one_that_was_left_alone(tmp_pat
         out = carried_out(tmp_path, *here)
         assert [line.replace(f"search{kill}", "whole") for line in out.splitlines()[:2]] == best
         pd.testing.assert_frame_equal(trials(tmp_path / f"search{kill}"), whole)
-        assert [run.info.status for run in tracked(tmp_path / f"search{kill}.db")] == ["FINISHED"] * TRIALS
+        assert [run.info.status for run in mlflow_runs(tmp_path / f"search{kill}.db")] == ["FINISHED"] * TRIALS

@@ -172,15 +172,9 @@ def test_a_search_needs_a_score(pinn_run: PinnRun, tmp_path: Path) -> None:
         "validation=none: must be heldout, forecast or evidence in a search"
     )
     assert not list(tmp_path.iterdir())
-
-
-def test_the_evidence_compares_no_networks(pinn_run: PinnRun) -> None:
     pinn_run("--multirun", "hydra/sweeper=search", "validation=evidence", *SPACE, task=score).refused(
         "network.knots_per_period changes what the evidence is relative to"
     )
-
-
-def test_a_search_without_any_score_says_so(pinn_run: PinnRun) -> None:
     overrides = ["network.degree=3", "network.knots_per_period=interval(2.0,8.0)", "hydra.sweeper.n_trials=2"]
     outcome = pinn_run("--multirun", "hydra/sweeper=search", "validation=heldout", *overrides, task=score)
     assert outcome.status == 2
@@ -226,17 +220,11 @@ NUMBER = pd.Series(GENERATOR.uniform(1.0, 100.0, 60))
 CHOICE = pd.Series(GENERATOR.choice(["a", "b", "c"], 60))
 
 
-def test_what_the_score_is_made_of_explains_it() -> None:
+def test_what_the_score_is_made_of_explains_it_and_nothing_else_does() -> None:
     assert importance(NUMBER, NUMBER**3) == pytest.approx(1.0)
     assert importance(NUMBER, (NUMBER - 50.0) ** 2) > 0.9  # least in the middle
     assert importance(CHOICE, CHOICE.map({"a": 3.0, "b": 1.0, "c": 2.0})) == pytest.approx(1.0)
-
-
-def test_what_it_is_not_made_of_explains_little() -> None:
     assert importance(NUMBER, pd.Series(GENERATOR.normal(size=60))) < 0.15
     assert importance(CHOICE, NUMBER) < 0.15
-
-
-def test_too_little_to_tell() -> None:
     assert np.isnan(importance(NUMBER[:3], NUMBER[:3]))
     assert np.isnan(importance(pd.Series(["a"] * 9), NUMBER[:9]))

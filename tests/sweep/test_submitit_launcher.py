@@ -123,23 +123,15 @@ def test_jobs_that_never_began_are_failed_rows(pinn_run: PinnRun, squeue, monkey
         assert reasons[seed] == f"SLURM job 17_{seed} ended without a result, state {state}; {place}"
 
 
-STATES = {
-    "RUNNING": False,
-    "PENDING": False,
-    "COMPLETING": False,
-    "CANCELLED": True,
-    "PREEMPTED": True,
-    "TIMEOUT": True,
-}
+ON, OVER = ("RUNNING", "PENDING", "COMPLETING"), ("CANCELLED", "PREEMPTED", "TIMEOUT")
 
 
-@pytest.mark.parametrize(("state", "over"), STATES.items())
-def test_a_task_is_waited_for_until_it_is_over(state: str, over: bool, squeue, tmp_path, monkeypatch) -> None:
+@pytest.mark.parametrize("state", [*ON, *OVER])
+def test_a_task_is_waited_for_until_it_is_over(state: str, squeue, tmp_path, monkeypatch) -> None:
     """One that was preempted may be on its way back into the queue, which may fail to answer."""
     monkeypatch.chdir(tmp_path)
     squeue("17_0|PREEMPTED|x\n", f"17_0|{state}|x\n", f"17_0|{state}|x\n", "")
-    found = SlurmLauncher(WORK)._ended([Task()])
-    assert found == {"17_0": state if over else "ENDED"}
+    assert SlurmLauncher(WORK)._ended([Task()]) == {"17_0": state if state in OVER else "ENDED"}
 
 
 @pytest.mark.parametrize(

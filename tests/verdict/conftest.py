@@ -26,6 +26,16 @@ def frame_record(frame: Structure) -> Record:
     return measure(frame)
 
 
+@pytest.fixture
+def problem(right_estimate: tuple[Problem, Estimate]) -> Problem:
+    return right_estimate[0]
+
+
+@pytest.fixture
+def estimate(right_estimate: tuple[Problem, Estimate]) -> Estimate:
+    return right_estimate[1]
+
+
 @pytest.fixture(scope="session")
 def right_estimate(frame: Structure) -> tuple[Problem, Estimate]:
     """A problem whose stiffnesses are unknown, and an estimate that is the truth."""

@@ -11,6 +11,7 @@ from frame_records import altered, measure
 from storeys import K, record, system, written
 
 from pinn_cli.model.knowledge import Misfit
+from pinn_cli.record.response import QUANTITIES
 from pinn_cli.verdict.channel_faults import first_sample_findings, record_faults
 
 
@@ -52,43 +53,25 @@ def test_a_copy_of_another_channel_is_named(frame_record):
     assert "copy of the acceleration of DOF 1" in found.text
 
 
-@pytest.mark.parametrize("quantity", ["displacement", "velocity", "acceleration"])
-def test_a_good_record_has_none(frame, quantity):
-    assert record_faults(measure(frame, quantity=quantity)) == []
-
-
-@pytest.mark.parametrize("levels", [4, 64, 4096])
-def test_a_coarse_converter_is_no_clipping(frame_record, levels):
-    step = np.ptp(frame_record.acceleration[:, 1]) / levels
-    assert record_faults(altered(frame_record, 2, lambda x: step * np.round(x / step))) == []
-
-
-def test_a_sine_wave_is_not_clipped(frame_record):
+def test_what_is_no_fault(frame, frame_record):
+    for quantity in ("displacement", "velocity", "acceleration"):
+        assert record_faults(measure(frame, quantity=quantity)) == []
+    for levels in (4, 64, 4096):  # of a coarse converter
+        step = np.ptp(frame_record.acceleration[:, 1]) / levels
+        assert record_faults(altered(frame_record, 2, lambda x, step=step: step * np.round(x / step))) == []
     wave = np.round(100 * np.sin(0.7 * frame_record.time))
     assert record_faults(altered(frame_record, 2, lambda _: wave)) == []
-
-
-def test_rest_before_the_force_begins_is_no_dropout(frame):
-    record = measure(frame, None)
-    quiet = {name: np.concatenate((0 * getattr(record, name), getattr(record, name))) for name in (
-        "displacement", "velocity", "acceleration", "force")}  # fmt: skip
+    record = measure(frame, None)  # rest before the force begins is no dropout
+    quiet = {name: np.concatenate((0 * getattr(record, name), getattr(record, name))) for name in QUANTITIES}
     time = record.step * np.arange(2 * len(record.time))
     assert record_faults(replace(record, time=time, **quiet)) == []
-
-
-def test_a_displacement_may_have_a_mean(frame):
-    record = measure(frame, quantity="displacement")
+    record = measure(frame, quantity="displacement")  # which may have a mean
     assert record_faults(altered(record, 2, lambda x: x + x.std(), "displacement")) == []
 
 
-def test_a_right_estimate_has_no_first_samples_that_are_off(right_estimate):
-    problem, estimate = right_estimate
-    assert first_sample_findings(problem.record, estimate) == []
-
-
 @pytest.mark.parametrize("quantity", ["acceleration", "force"])
-def test_the_sensor_and_the_samples_are_named(right_estimate, quantity):
-    problem, estimate = right_estimate
+def test_the_sensor_and_the_samples_are_named(problem, estimate, quantity):
+    assert first_sample_findings(problem.record, estimate) == []
     values = getattr(problem.record, quantity).copy()
     values[:3, 2] += np.array([8.0, -6.0, 4.0]) * values[:, 2].std()
     (found,) = first_sample_findings(replace(problem.record, **{quantity: values}), estimate)
@@ -100,8 +83,7 @@ def test_the_sensor_and_the_samples_are_named(right_estimate, quantity):
     assert first_sample_findings(replace(problem.record, **{quantity: values}), replace(estimate, std=unsure)) == []
 
 
-def test_a_force_that_the_model_leaves_out_at_the_beginning_alone(right_estimate):
-    problem, estimate = right_estimate
+def test_a_force_that_the_model_leaves_out_at_the_beginning_alone(problem, estimate):
     acting, rng = float(problem.record.force.std()), np.random.default_rng(0)
     history = 0.01 * acting * rng.standard_normal(problem.record.force.shape)
 

@@ -1,4 +1,4 @@
-"""A frame on moving ground: faults of the ground's sensor and of the others, and none where there is none."""
+"""A frame on moving ground or in the wind: faults of sensors, and resonances that they show."""
 
 from dataclasses import replace
 from functools import cache
@@ -6,6 +6,9 @@ from functools import cache
 import numpy as np
 import pandas as pd
 import pytest
+from ambient_records import AmbientRecord, ambient_record
+from storeys import K, M
+from storeys import record as storeys_record
 
 from pinn_cli.record.channels import channels
 from pinn_cli.record.excitation.ground_motion import GroundMotion
@@ -14,13 +17,15 @@ from pinn_cli.record.response import Response
 from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Linear
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.found_noise import FoundNoise
 from pinn_cli.verdict.causes import causes
 from pinn_cli.verdict.channel_faults import channel_faults, record_faults
-from pinn_cli.verdict.input_findings import sampling_findings
+from pinn_cli.verdict.input_findings import resonance_findings, sampling_findings
 from pinn_cli.verdict.judge import judge
 from pinn_cli.verdict.prediction import predicted
 
@@ -90,13 +95,6 @@ def test_a_ruined_ground_sensor_is_named(record, kind, change, told):
     assert told in found.text
 
 
-def test_a_ruined_accelerometer_is_named(record):
-    ruined = record.acceleration * [1.0, 1.2, 1.0]
-    (found,) = faults(LINEAR, replace(record, acceleration=ruined))
-    assert (found.kind, found.suspect) == ("gain", "acceleration of DOF 2")
-    assert "under the measured ground acceleration" in found.text
-
-
 @pytest.mark.parametrize(
     ("kind", "change"),
     [
@@ -111,7 +109,10 @@ def test_the_ground_s_channel_is_looked_at_by_itself(record, kind, change):
     assert (found.kind, found.suspect) == (kind, "ground acceleration")
 
 
-def test_a_wrong_mass_is_found_under_an_earthquake(record):
+def test_a_ruined_accelerometer_and_a_wrong_mass_are_found_under_an_earthquake(record):
+    (found,) = faults(LINEAR, replace(record, acceleration=record.acceleration * [1.0, 1.2, 1.0]))
+    assert (found.kind, found.suspect) == ("gain", "acceleration of DOF 2")
+    assert "under the measured ground acceleration" in found.text
     wrong = LINEAR.with_parameters(m=LINEAR.parameters["m"] * LINEAR.parameters["m"].new_tensor([1.0, 3.0, 1.0]))
     (found,) = causes(Problem(wrong, record, ()), wrong, wrong)
     assert found.suspect == "m_2"
@@ -133,15 +134,12 @@ def test_a_right_estimate_is_sound_and_a_large_discrepancy_is_told():
     problem = Problem(LINEAR, found.record, ())
     sound = estimate(found, 1.0, acceleration=noise, ground_acceleration=[0.02])
     assert judge(problem, sound).word == "sound"
+    (ground,) = channels(found.record, ["ground_acceleration"])
+    assert sound.noise.of(ground) == 0.02
+    assert np.isnan(estimate(found).noise.of(ground))
     loud = estimate(found, 0.4 * 2e3 * 0.6, acceleration=noise)
     (reason,) = judge(problem, loud).reasons
     assert "of what acts" in reason.text
-
-
-def test_the_noise_found_of_the_ground(record):
-    (ground,) = channels(record, ["ground_acceleration"])
-    assert estimate(measured(), ground_acceleration=[0.02]).noise.of(ground) == 0.02
-    assert np.isnan(estimate(measured()).noise.of(ground))
 
 
 # Of a sensor, m/s^2.
@@ -168,9 +166,6 @@ def test_it_is_asked_where_it_matters_and_nobody_said(rare):
     (text,) = asked(rare)
     assert "25 Hz" in text
     assert "data.intersample" in text
-
-
-def test_it_is_not_asked_elsewhere(rare):
     assert asked(replace(rare, assumed=False)) == []
     assert asked(rare, LOUD) == []
     assert asked(replace(measured().record, assumed=True)) == []
@@ -193,8 +188,29 @@ def test_a_force_up_to_the_nyquist_frequency_is_asked_about():
     (text,) = asked(forced(40.0, low_pass=1))
     assert "the force of DOF 3 has content up to the Nyquist frequency, 25 Hz" in text
     assert "data.intersample=" in text
-
-
-def test_it_is_not_asked_of_a_poor_load_cell_or_where_it_was_said():
+    # But not of a poor load cell, or where it was said.
     assert asked(forced(10.0, low_pass=6)) == []
     assert asked(forced(40.0, low_pass=1, assumed=False)) == []
+
+
+@pytest.fixture(scope="module", params=[(4.0, None, 0), (1.5, 1.0, 2)], ids=["flat", "wind"])
+def made(request) -> AmbientRecord:
+    first_frequency, corner, seed = request.param
+    return ambient_record(first_frequency, 50.0, 60.0, 20.0, corner, floors=4, seed=seed)
+
+
+def words(structure: Structure, record) -> list[str]:
+    problem = SparseRecovery().pose(structure, [record]).alone
+    return [finding.word for finding in resonance_findings(problem, structure)]
+
+
+@pytest.mark.parametrize(("stiffer", "told"), [(1.0, ""), (0.6, "failed"), (1e-5, "failed")])
+def test_a_structure_in_the_wind_has_the_resonances_that_the_sensors_show(made, stiffer, told):
+    structure = made.structure.with_parameters(k=stiffer * made.structure.parameters["k"])
+    assert words(structure, made.record) == [told] * bool(told)
+
+
+@pytest.mark.parametrize(("stiffer", "told"), [(1.0, ""), (0.6, "questionable"), (1e-5, "failed")])
+def test_and_one_under_a_measured_force_those_of_the_response_to_it(stiffer, told):
+    structure = build_chain(len(K), Linear(), m=M, c=0.002 * K, k=stiffer * K)
+    assert words(structure, storeys_record(0).record) == [told] * bool(told)

@@ -111,17 +111,17 @@ def test_a_run_that_goes_on_is_not_forgotten_for_unusable_input(job: TrackedRun)
 KEPT = {"tracking": "noting", "configuration": "of these settings", "key": "a1", "ended": False}
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        "",
-        "[]",
-        "{",
-        '{"tracking": "noting"}',
-        json.dumps(KEPT | {"key": "' or 1"}),
-        json.dumps(KEPT | {"tracking": "x"}),
-    ],
+DAMAGED = (
+    "",
+    "[]",
+    "{",
+    '{"tracking": "noting"}',
+    json.dumps(KEPT | {"key": "' or 1"}),
+    json.dumps(KEPT | {"tracking": "x"}),
 )
+
+
+@pytest.mark.parametrize("content", DAMAGED)
 def test_a_damaged_file_or_that_of_another_tracker_is_no_run_to_go_on_with(job: TrackedRun, content: str) -> None:
     (job.directory / FILE).write_text(content)
     tracking = Noting()

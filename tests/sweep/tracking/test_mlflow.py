@@ -14,7 +14,8 @@ from typing import Any
 import pandas as pd
 import pytest
 from calls import SMALL, PinnRun
-from interrupted_runs import in_a_child, without_figures
+from interrupted_runs import contents, in_a_child, without_figures
+from sweeps import mlflow_runs
 
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.sweep.tracking import mlflow as mlflow_tracking
@@ -41,11 +42,6 @@ for number in range(3):
         for iteration in range(1, 40):
             tracked.row({"iteration": iteration, "seconds": 0.1, "loss_physics": 1.0 / iteration})
 """
-
-
-def runs(database: Path) -> list[Any]:
-    client = MlflowClient(tracking_uri=f"sqlite:///{database}")
-    return list(client.search_runs([e.experiment_id for e in client.search_experiments()]))
 
 
 def steps_of(database: Path, run: Any, metric: str) -> list[int]:
@@ -78,10 +74,10 @@ def test_a_run_that_was_killed_while_it_was_told_is_one_run_in_the_end(tmp_path:
     assert not database.exists()
     for step in ("create_run", "log_batch", "delete_run"):
         assert in_a_child(lambda step=step: start(MlflowClient, step)) == -signal.SIGKILL  # type: ignore[misc]
-    (half,) = runs(database)
+    (half,) = mlflow_runs(database)
     assert half.info.status == "KILLED"
     assert in_a_child(lambda: start(None, "")) == 0
-    (run,) = runs(database)
+    (run,) = mlflow_runs(database)
     assert run.info.status == "FINISHED"
     assert steps_of(database, run, "loss_physics") == list(range(1, 9))
     assert run.data.params == {"seed": "0", "threads": "1"}
@@ -99,7 +95,7 @@ def test_a_finished_run_is_told_afterwards(pinn_run: PinnRun, monkeypatch: pytes
     again = pinn_run(*SMALL, "hydra.run.dir=run", "resume=auto", "tracking=mlflow", "tracking.uri=sqlite:///here.db")
     assert again.out.startswith("finished before, nothing to do\n")
     assert before == {file: file.read_bytes() for file in (tmp_path / "run").glob("*.csv")}
-    (run,) = runs(tmp_path / "here.db")
+    (run,) = mlflow_runs(tmp_path / "here.db")
     assert run.info.status == "FINISHED"
     history = pd.read_csv(tmp_path / "run" / "history.csv")
     assert steps_of(tmp_path / "here.db", run, "seconds") == history["iteration"].tolist()
@@ -113,7 +109,7 @@ def test_a_diverging_run_has_failed_with_its_history(tmp_path: Path) -> None:
     with contextlib.suppress(DivergenceError), follow(tracking, job, resuming=False) as tracked:
         tracked.row({"iteration": 6, "seconds": 0.1, "loss_physics": 1e300})
         raise DivergenceError("diverged at iteration 7")
-    (run,) = runs(tmp_path / "here.db")
+    (run,) = mlflow_runs(tmp_path / "here.db")
     assert (run.info.status, run.data.tags["status"]) == ("FAILED", "failed")
     assert run.data.tags["reason"] == "diverged at iteration 7"
     assert steps_of(tmp_path / "here.db", run, "loss_physics") == [6]
@@ -131,7 +127,7 @@ def test_several_processes_share_one_file(tmp_path: Path) -> None:
         told = process.communicate(timeout=500)[1]
         assert process.returncode == 0, told
         assert "the run goes on" not in told
-    found = runs(tmp_path / "shared.db")
+    found = mlflow_runs(tmp_path / "shared.db")
     assert len(found) == 3 * PROCESSES
     assert {run.info.status for run in found} == {"FINISHED"}
     for run in found:
@@ -200,9 +196,9 @@ def test_a_store_that_cannot_be_used_is_left_alone(tmp_path: Path, uri: str, rea
             connection.executescript(f"CREATE TABLE {made}" if made else "PRAGMA user_version = 7")
     with socket.create_server(("127.0.0.1", 0)) as server:
         uri = uri.format(port=server.getsockname()[1])
-    before = {file: file.is_file() and file.read_bytes() for file in sorted(tmp_path.iterdir())}
+    before = contents(tmp_path), sorted(tmp_path.iterdir())
     assert told(uri, tmp_path).endswith(reason)
-    assert before == {file: file.is_file() and file.read_bytes() for file in sorted(tmp_path.iterdir())}
+    assert before == (contents(tmp_path), sorted(tmp_path.iterdir()))
 
 
 def test_a_database_that_another_program_has_locked_is_no_other_program_s(tmp_path: Path, monkeypatch) -> None:

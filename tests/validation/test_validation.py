@@ -1,4 +1,4 @@
-"""Sensors and blocks of time that the estimator never sees: scores come of measurements alone, all else stays."""
+"""Sensors and blocks of time that the estimator never sees, and the score of a predicted channel."""
 
 from dataclasses import replace
 
@@ -12,6 +12,7 @@ from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.channel import Channel
+from pinn_cli.record.channels import channels
 from pinn_cli.record.record import Measurements, Truth
 from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.record.simulated import Simulated
@@ -26,7 +27,7 @@ from pinn_cli.training.estimator import TrainedNetwork, Training
 from pinn_cli.validation.evidence import EvidenceScore
 from pinn_cli.validation.forecast import Forecast
 from pinn_cli.validation.heldout import HeldOut
-from pinn_cli.validation.validation import Setup
+from pinn_cli.validation.validation import Setup, channel_noise, compared
 
 SHORT = ("excitation.band=[0.2,0.8]", "threads=1")
 # Two sensors, so that one can be spared, and a single one.
@@ -163,8 +164,7 @@ def test_what_cannot_be_scored_is_refused(one: JointProblem, two: JointProblem) 
 
 def test_a_run_is_scored_and_its_estimate_stays_as_it_is(pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch) -> None:
     without_figures(monkeypatch)
-    plain, scored = pinn_run(*TWO), pinn_run(*TWO, "validation=heldout")
-    assert scored.status == 0, scored.err
+    plain, scored = pinn_run(*TWO), pinn_run(*TWO, "validation=heldout").done()
     for name in ("fitness.csv", "parameters.csv", "free_run.csv"):
         assert (plain.directory / name).read_bytes() == (scored.directory / name).read_bytes()
     kept = scored.record["validation"]
@@ -205,3 +205,47 @@ def test_the_evidence_prefers_the_right_model(pinn_run: PinnRun, monkeypatch: py
         outcome = pinn_run(*TWO, "validation=evidence", f"model_error={error}", "excitation.rms=3", "noise.snr_db=40")
         scores[error] = outcome.record["validation"]["score"]
     assert scores["none"] < scores["linear"]
+
+
+NOISE, SAMPLES = 0.1, 200_000
+
+
+@pytest.fixture
+def response() -> np.ndarray:
+    return np.random.default_rng(0).normal(size=SAMPLES)
+
+
+@pytest.fixture
+def shown(response: np.ndarray) -> np.ndarray:
+    return response + NOISE * np.random.default_rng(1).normal(size=SAMPLES)
+
+
+def test_the_truth_scores_nothing_and_the_right_spread_best(response: np.ndarray, shown: np.ndarray) -> None:
+    agreement = compared(shown, response, np.zeros(SAMPLES), NOISE)
+    assert agreement["score"] == pytest.approx(0.0, abs=0.01)
+    assert agreement["standardised_error_rms"] == pytest.approx(1.0, abs=0.01)
+    assert agreement["coverage_95_percent"] == pytest.approx(95.0, abs=0.5)
+    predicted = response + 0.3 * np.random.default_rng(2).normal(size=SAMPLES)
+    spreads = [0.05, 0.15, 0.3, 0.6, 1.2]
+    scores = [compared(shown, predicted, np.full(SAMPLES, spread), NOISE)["score"] for spread in spreads]
+    assert spreads[int(np.argmin(scores))] == 0.3
+    # Of a normal distribution: half the logarithm of the variances' ratio.
+    assert min(scores) == pytest.approx(0.5 * np.log(0.1 / 0.01), rel=0.01)
+    agreement = compared(shown, predicted, np.full(SAMPLES, np.nan), NOISE)
+    assert agreement["score"] == pytest.approx(np.log(agreement["error_rms"] / NOISE))
+    assert np.isnan(agreement["coverage_95_percent"])
+    assert np.isnan(compared(shown, np.full(SAMPLES, np.nan), np.zeros(SAMPLES), NOISE)["score"])
+
+
+def channel(record, dof):
+    return next(c for c in channels(record, ["acceleration"]) if c.dof == dof)
+
+
+def test_the_noise_is_that_of_the_channel() -> None:
+    structure = small_chain()
+    noisy, clean = (measured(structure, snr_db=snr).record for snr in (20.0, None))
+    for dof in np.flatnonzero(noisy.sensors("acceleration")):
+        true = float(np.std(noisy.acceleration[:, dof] - clean.acceleration[:, dof]))
+        assert channel_noise(noisy, channel(noisy, dof)) == pytest.approx(true, rel=0.3)
+        rms = float(np.sqrt(np.mean(clean.acceleration[:, dof] ** 2)))
+        assert 1e-6 * rms <= channel_noise(clean, channel(clean, dof)) < 0.01 * rms
