@@ -1,5 +1,8 @@
-"""A frame of three storeys in SI units, recorded by another simulator, through the whole program."""
+"""Structures in SI units, recorded by another simulator, through the whole program."""
 
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -65,3 +68,26 @@ def test_a_start_a_hundred_times_off_ends_at_the_truth(pinn_run: PinnRun, tmp_pa
     unknown = ("scheme=state_parameter", "scheme.unknown=[k_*]", f"scheme.initial={{{start}}}")
     done = pinn_run(*written(made, tmp_path), *unknown).done()
     np.testing.assert_allclose(done.parameters.loc[["k_1", "k_2", "k_3"], "estimate"], made.structure.k, rtol=0.01)
+
+
+RIG = Path(__file__).parents[1].parent / "shared" / "tools" / "rig.py"
+# One to eight storeys; stiffnesses are unknown and prescribed up to a decade off in the second experiment.
+SEEDS = ("6", "8")
+
+
+def tool(*arguments: str) -> str:
+    return subprocess.run([sys.executable, str(RIG), *arguments], check=True, capture_output=True, text=True).stdout
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not RIG.is_file(), reason=f"there is no {RIG.name} beside the checkout")
+@pytest.mark.parametrize("experiment", ["rig", "rig_unknown"])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_random_structure_is_estimated_right_and_called_sound(pinn_run, tmp_path, seed, experiment):
+    tool("make", str(tmp_path / "rig"), "--seed", seed)
+    done = pinn_run("--config-dir", str(tmp_path / "rig"), f"experiment={experiment}", "figures=false").done()
+    score = json.loads(tool("score", str(tmp_path / "rig"), str(done.directory)))
+    assert score["verdict"] == "sound"
+    assert score["inside_u"] >= 0.7
+    assert score["k_error_percent"] < 10.0
+    assert score["k_error_std"] < 5.0

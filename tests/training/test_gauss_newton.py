@@ -1,5 +1,7 @@
-"""Sparse recovery from end to end by Gauss-Newton, on a record of three DOFs."""
+"""Sparse recovery from end to end by Gauss-Newton, on three DOFs, and its steps as docs/method.md tells them."""
 
+import re
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -15,11 +17,16 @@ from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Measurements
 from pinn_cli.report.fitness import fitness_percent
+from pinn_cli.scheme.joint_problem import JointProblem
+from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.structure import Structure
+from pinn_cli.training import inference
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
+from pinn_cli.training.history import History
+from pinn_cli.training.solver import Inference, Solver
 
 WITHIN_95 = 1.959964
 
@@ -123,3 +130,29 @@ def test_coverage_over_noise_seeds_of_the_default_problem(composed: Compose):
     displacement, velocity = np.mean(shares, axis=0)
     assert 0.88 <= displacement <= 0.99
     assert 0.88 <= velocity <= 0.99
+
+
+METHOD = Path(__file__).parents[2] / "docs" / "method.md"
+
+
+def test_the_docs_tell_the_steps_that_there_are():
+    told = re.findall(r"^\| `(\w+)` \| (\d+) \|", METHOD.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert told == [(step.__name__, str(rounds)) for step, rounds in inference.STEPS]
+
+
+def test_a_step_is_asked_until_it_has_nothing_better_and_so_many_times_at_most(monkeypatch):
+    asked: list[str] = []
+
+    def better(found: Inference) -> Inference:
+        asked.append("better")
+        return replace(found, narrowed=found.narrowed + 1.0)
+
+    def nothing(found: Inference) -> None:
+        asked.append("nothing")
+
+    monkeypatch.setattr(inference, "STEPS", ((nothing, 5), (better, 3)))
+    structure = small_chain("linear")
+    problem = JointProblem.of(Problem(structure, measured(structure, duration=4.0, samples=101).record))
+    found = inference.infer(problem, Solver((Spline(),), History(False)))
+    assert asked == ["nothing"] + 3 * ["better"]
+    assert found.narrowed == 4.0

@@ -1,4 +1,4 @@
-"""Several records solved together, against one dense matrix of all their unknowns."""
+"""Several records solved together, against one dense matrix of all their unknowns, and whether they agree."""
 
 from dataclasses import replace
 from functools import cache
@@ -8,13 +8,16 @@ import pytest
 import torch
 from scipy.sparse import csr_matrix
 from small_problems import accelerations, measured, small_chain
+from solved_records import by_spline
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.runs import side_by_side
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.covariance import ReadoutPosterior
+from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.history import History
 from pinn_cli.training.least_squares import joined_parameters
@@ -24,6 +27,7 @@ from pinn_cli.training.point import Point
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.reported.posterior_estimate import own_information, posterior_estimate
 from pinn_cli.training.starting_noise import starting_noise
+from pinn_cli.verdict.judge import APART, contradictions
 
 STIFFNESSES = tuple(Parameter("k", i, 15.0, 150.0, unknown=True, positive=True) for i in range(2))
 DAMPER = Parameter("c", 1, 1.0, 0.3)
@@ -228,3 +232,45 @@ def test_pulls_of_all_records_balance_the_prior() -> None:
     assert max(np.abs(pull / size).max() for _, pull in each) > 0.1
     for information, _ in each:
         assert np.linalg.eigvalsh(information / np.outer(size, size)).min() > -1e-8
+
+
+@cache
+def of_springs(second_k: float) -> Estimate:
+    """Two records with sensors on every DOF, the second of a chain with other springs."""
+    every = [
+        measured(small_chain("linear", 2, k=k), snr_db=30.0, duration=24.0, samples=385, seed=seed).record
+        for seed, k in enumerate((15.0, second_k))
+    ]
+    scheme = StateParameter(unknown=["k_*"], parameter_uncertainty=0.0)
+    return by_spline(scheme.pose(small_chain("linear", 2), every))
+
+
+def test_records_of_one_structure_agree_within_chance():
+    found = of_springs(15.0)
+    assert [d.freedom for d in found.disagreements] == [2, 2]
+    for one in found.disagreements:
+        assert one.square < 15.0  # of a chi-square of two: one in 1800
+        assert list(one.alone) == ["k_1", "k_2"]
+        for name, value in one.alone.items():
+            assert value == pytest.approx(15.0, rel=0.03), name
+    assert not contradictions(found)
+    assert not found.by_record[0].disagreements
+
+
+@pytest.mark.slow
+def test_a_record_of_another_structure_contradicts_the_rest():
+    found = of_springs(18.0)
+    assert max(d.square for d in found.disagreements) > 2.0 * APART**2
+    (finding,) = contradictions(found)
+    assert (finding.kind, finding.word) == ("contradiction", "questionable")
+    assert "contradicts the other one: by itself it says k_" in finding.text
+    assert "\n" not in finding.text
+
+
+@pytest.mark.parametrize(("off", "told"), [(1.01, False), (1.05, True)])
+def test_a_pull_beyond_chance_needs_a_difference_that_is_worth_a_word(off, told):
+    found = of_springs(15.0)
+    alone = {p.name: off * p.estimate for p in found.parameters}
+    first, second = found.disagreements
+    pulling = replace(second, square=1e4, alone=alone)
+    assert bool(contradictions(replace(found, disagreements=(first, pulling)))) == told
