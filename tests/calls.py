@@ -1,4 +1,4 @@
-"""How tests call the program, and the small settings that they call it with."""
+"""How tests call the program, what is refused, and the small settings that they call it with."""
 
 import json
 import os
@@ -8,7 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import pytest
 from omegaconf import DictConfig
+
+from pinn_cli.settings.errors import InputError
 
 # A chain, a record and a training small enough for a test, for tests about everything but accuracy.
 MEASURED = ("system.ndof=3", "threads=1")
@@ -28,6 +31,14 @@ def limit_files(size: int) -> None:
     # Python would keep the beginning of what it compiles, and read it next time.
     sys.dont_write_bytecode, os.environ["PYTHONDONTWRITEBYTECODE"] = True, "1"
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+
+def refusal(call: Callable[..., Any], *arguments: Any, **settings: Any) -> str:
+    """What a call says that refuses its input, in one line."""
+    with pytest.raises(InputError) as error:
+        call(*arguments, **settings)
+    assert "\n" not in str(error.value)
+    return str(error.value)
 
 
 class Outcome:

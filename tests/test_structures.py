@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from ambient_records import ambient_record, frame
+from one_record import by_spline
 from small_estimates import Case, results_of
 from small_problems import excitation, measured, small_chain
-from solved_records import by_spline
 from storeys import chain_matrix
 from structures import braced, hysteretic, shuffled
 

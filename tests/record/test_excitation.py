@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calls import refusal
 from omegaconf import OmegaConf
-from refusals import refusal
 from scipy.fft import ifft
 from scipy.signal import welch
 

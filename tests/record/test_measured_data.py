@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from calls import refusal
 from omegaconf import OmegaConf
-from refusals import refusal
 
 from pinn_cli.cli.records import data_of_records
 from pinn_cli.record.measured_data import MeasuredData

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from refusals import refusal
+from calls import refusal
 
 from pinn_cli.record.between_samples import held_by_lines
 from pinn_cli.record.channel import CALIBRATED, Calibration, Channel, unknown_calibration

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from beams import beam, deflection
-from refusals import refusal
+from calls import refusal
 from scipy.integrate import solve_ivp
 
 from pinn_cli.record.ensemble import Members, spread_of

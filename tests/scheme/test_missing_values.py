@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from calls import Compose, PinnRun
+from calls import Compose, PinnRun, refusal
 from omegaconf import DictConfig
-from refusals import refusal
 from small_problems import measured, small_chain
 
 from pinn_cli.cli.config import RunConfig

@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from calls import refusal
 from independent_records import IndependentRecord, Structure, measured
-from refusals import refusal
 from small_problems import accelerations, small_chain
 from small_problems import measured as simulated
 from storeys import RATE, C, K, M, record, response

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calls import refusal
 from independent_records import frame_record
 from omegaconf import OmegaConf
-from refusals import refusal
 from small_problems import measured, small_chain
 
 from pinn_cli.model.knowledge import EndState

@@ -5,7 +5,7 @@ import logging
 import numpy as np
 import pytest
 from beams import beam, deflection
-from refusals import refusal
+from calls import refusal
 from scipy.io import mmwrite, savemat
 from scipy.sparse import csc_matrix, diags, eye, kron, save_npz
 

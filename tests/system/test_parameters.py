@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from calls import refusal
 from matplotlib.mathtext import MathTextParser
-from refusals import refusal
 from scipy import stats
 from small_problems import small_chain
 from structures import braced, shuffled

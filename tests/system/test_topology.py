@@ -8,7 +8,7 @@ from importlib.metadata import EntryPoint
 import numpy as np
 import pytest
 import torch
-from refusals import refusal
+from calls import refusal
 
 from pinn_cli.settings import instantiation
 from pinn_cli.settings.errors import InputError

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from lacking_records import K, calibrated_alike, high_passed, moved, posed, recorded
-from solved_records import by_spline
+from one_record import by_spline
 
 from pinn_cli.record.channel import Calibration, Channel
 from pinn_cli.record.record import Record

@@ -1,6 +1,7 @@
 """The search for the model error: what was put in is found; and the determinant that turns a motion into its forces."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -54,20 +55,16 @@ def found_by(evidence: Evidence, noise: NoiseLevels) -> Trained:
     return settled(evidence, scanned(evidence, noise, 1.0, evidence.equations.start()))
 
 
-@pytest.mark.parametrize("nonlinearity", ["linear", "duffing"])
-@pytest.mark.parametrize("level", [0.03, 0.2])
-def test_the_scan_finds_the_discrepancy_that_was_put_in(level, nonlinearity):
-    evidence, noise, put_in = disturbed(level, 1, nonlinearity)
-    best = found_by(evidence, noise)
-    assert best.solution.converged
-    assert 1 / 1.2 < best.noise.discrepancy / put_in < 1.2
+DISTURBED = [
+    *product((0.03, 0.2), ("linear", "duffing"), ("derivative",)),
+    *product((0.05, 0.2), ("duffing",), ("observer", "both")),
+]
 
 
-@pytest.mark.parametrize("through", ["observer", "both"])
-@pytest.mark.parametrize("level", [0.05, 0.2])
-def test_the_scan_finds_the_discrepancy_through_the_observer_equation(level, through):
-    """Its residual has the discrepancy in its variance too: without that variance's logarithm none is too large."""
-    evidence, noise, put_in = disturbed(level, 1, "duffing", through=through)
+@pytest.mark.parametrize(("level", "nonlinearity", "through"), DISTURBED)
+def test_the_scan_finds_the_discrepancy_that_was_put_in(level, nonlinearity, through):
+    """The observer's residual has it in its variance too: without that variance's logarithm none is too large."""
+    evidence, noise, put_in = disturbed(level, 1, nonlinearity, through=through)
     best = found_by(evidence, noise)
     assert best.solution.converged
     assert 1 / 1.2 < best.noise.discrepancy / put_in < 1.2

@@ -6,9 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 from independent_records import IndependentRecord, frame_record, measured, storey_record
-from one_record import evidence_of, levels_of, of_record, residuals_of
+from one_record import by_spline, estimated, evidence_of, levels_of, model, of_record, residuals_of
 from small_problems import excitation, small_chain
-from solved_records import by_spline, estimated, model
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.simulated import Noise, Simulated

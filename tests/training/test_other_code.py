@@ -9,9 +9,9 @@ from lacking_records import C as QUIET_C
 from lacking_records import K as QUIET_K
 from lacking_records import M as QUIET_M
 from lacking_records import posed
+from one_record import by_spline
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, lsim
-from solved_records import by_spline
 
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.state_parameter import StateParameter

@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from one_record import by_spline
 from small_problems import NONLINEARITIES, QUANTITIES, measured, small_chain, sped_up
-from solved_records import by_spline
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Measurements

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import torch
 from lacking_records import RATE, C, K, M, high_passed, moved, posed, recorded, with_oscillator
+from one_record import by_spline as solved
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import eigh
 from scipy.signal import lsim
 from small_problems import accelerations, small_chain
 from small_problems import measured as small_record
-from solved_records import by_spline as solved
 
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.joint_problem import JointProblem

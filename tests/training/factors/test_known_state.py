@@ -6,9 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from one_record import evidence_of, levels_of, shown_noise
+from one_record import by_spline, evidence_of, levels_of, shown_noise
 from small_problems import accelerations, measured, small_chain
-from solved_records import by_spline
 
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
 from pinn_cli.network.fourier import Fourier

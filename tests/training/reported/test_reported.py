@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from one_record import by_spline
 from small_estimates import parameter_estimate
-from solved_records import by_spline
 from storeys import C, K, M, cut, record
 
 from pinn_cli.network.spline import Spline

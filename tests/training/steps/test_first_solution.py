@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from one_record import evidence_of, levels_of, shown_noise
+from one_record import by_spline, evidence_of, levels_of, shown_noise
 from small_problems import QUANTITIES, accelerations, measured, small_chain
-from solved_records import by_spline
 
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline

@@ -5,10 +5,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+from one_record import by_spline
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 from scipy.signal import lsim
-from solved_records import by_spline
 from structures import modal
 
 from benchmarks.nearly_right.machines import measured
