@@ -122,31 +122,6 @@ def test_a_held_force_and_a_relative_frame_without_ground_are_refused():
         held.measure(FRAME)
 
 
-def test_a_coordinate_may_move_with_the_ground_in_part():
-    """A cart on the ground and a lever that half of the ground's motion reaches, written out."""
-    chain = build_chain(2, Linear(), m=[2.0, 3.0], c=[0.5, 0.4], k=[80.0, 60.0])
-    structure = replace(chain, influence=np.array([1.0, 0.5]))
-    time = np.linspace(0.0, 2.0, 201)
-
-    def ground(t):
-        return np.sin(4.0 * t) * np.exp(-0.3 * t)
-
-    def rate(t, y):
-        x1, x2, v1, v2 = y
-        r1, r2 = 0.5 * v1 + 80.0 * x1, 0.4 * (v2 - v1) + 60.0 * (x2 - x1)
-        return [v1, v2, (r2 - r1) / 2.0 - ground(t), -r2 / 3.0 - 0.5 * ground(t)]
-
-    y = solve_ivp(rate, (0.0, 2.0), np.zeros(4), t_eval=time, method="DOP853", rtol=1e-11, atol=1e-13).y
-
-    def still(t):
-        return np.zeros((len(t), 2))
-
-    found = simulate(structure, still, time, substeps=4, ground=ground)
-    np.testing.assert_allclose(found.displacement, y[:2].T, atol=1e-8)
-    relative = simulate(structure, still, time, substeps=4, ground=ground, frame="relative").acceleration
-    np.testing.assert_allclose(found.acceleration - relative, ground(time)[:, None] * [1.0, 0.5], atol=1e-12)
-
-
 ELEMENTS, STOP_KAPPA = 3, 4e3
 DOFS = {"tip": deflection(3), "middle": deflection(2), "slope": 6}
 TIME = np.linspace(0.0, 0.1, 51)

@@ -170,21 +170,3 @@ def test_a_step_is_counted_in_the_parameters_own_unit(dtype):
     assert float(values["k"][0]) == 15.0
     assert [p.estimate for p in parameters.estimates()] == pytest.approx([4.05, 130.7, 0.88], rel=rounding)
     assert float(parameters.prior().detach()) == pytest.approx(0.01**2 + 0.1234**2 + 2.2**2, rel=1e-6)
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_below_its_bound_a_parameter_is_exactly_zero(dtype):
-    parameters = learned(dtype)
-    with torch.no_grad():
-        parameters.moved -= 3.0
-    parameters.respect_bounds()
-    assert [p.estimate for p in parameters.estimates()][:2] == [0.0, 0.0]
-    assert parameters.estimates()[2].estimate == pytest.approx(1.1 - 3.3)
-    assert float(parameters()["k"][1].detach()) == pytest.approx(0.0, abs=1e-6)
-
-
-def test_estimates_say_what_was_believed_and_nothing_of_their_spread():
-    for given, p in zip(learned().estimates(), UNCERTAIN, strict=True):
-        assert (given.name, given.prescribed, given.estimate) == (p.name, p.prescribed, p.prescribed)
-        assert (given.prior_std, given.unknown) == (p.prior_std, p.unknown)
-        assert all(math.isnan(x) for x in (given.std, given.lower_90, given.upper_90))

@@ -232,10 +232,6 @@ def test_the_interval_of_a_stiffness_covers_it_where_the_model_forgets_the_cubic
     assert any(abs(e.estimate - 15.0) > NINETY * alone for e, alone in zip(estimates, hessian, strict=True))
 
 
-def parameters(count: int, prescribed: float, prior_std: float, positive: bool = True) -> list[Parameter]:
-    return [Parameter("k", dof, prescribed, prior_std, unknown=True, positive=positive) for dof in range(count)]
-
-
 @pytest.mark.parametrize("seed", range(60))
 def test_every_estimate_lies_inside_its_interval(seed):
     """Bounds from far below the peak to far above it, correlations up to 0.9999, and misfit that hides them or not."""
@@ -261,15 +257,6 @@ def test_every_estimate_lies_inside_its_interval(seed):
         assert given.std > 0.0
 
 
-def test_a_bound_that_cuts_gives_the_mean_of_what_is_left():
-    posterior = TruncatedGaussian(np.array([-3.0]), np.array([[4.0]]), np.array([-2.0]))
-    (found,) = bounded_estimates(parameters(1, 20.0, 10.0), np.array([10.0]), np.array([-2.0]), posterior)
-    expected = truncnorm(0.5, np.inf, 20.0 + 10.0 * -3.0, 20.0)
-    assert found.held
-    assert found.estimate == pytest.approx(expected.mean())
-    assert (found.lower_90, found.upper_90) == pytest.approx(tuple(expected.ppf([0.05, 0.95])))
-
-
 @pytest.mark.parametrize("below", [4.0, 40.0, np.inf])
 def test_a_bound_that_is_far_leaves_the_mode_bit_for_bit(below):
     rng = np.random.default_rng(1)
@@ -280,17 +267,6 @@ def test_a_bound_that_is_far_leaves_the_mode_bit_for_bit(below):
     found = bounded_estimates(uncertain, unit, mode, TruncatedGaussian(mode, covariance, lower))
     assert [p.estimate for p in found] == [1.1 + u * m for u, m in zip(unit, mode, strict=True)]
     assert not any(p.held for p in found)
-
-
-def test_one_that_is_held_moves_those_that_are_correlated_with_it_into_their_intervals():
-    """At a correlation of 0.999 the other's interval lies beside its mode."""
-    covariance = np.array([[1.0, 0.999], [0.999, 1.0]])
-    posterior = TruncatedGaussian(np.array([-3.0, 5.0]), covariance, np.array([0.0, -np.inf]))
-    uncertain = [*parameters(1, 0.0, 1.0), Parameter("c", 0, 0.0, 1.0)]
-    mode = np.array([0.0, 5.0 + 0.999 * 3.0])
-    _, other = bounded_estimates(uncertain, np.ones(2), mode, posterior)
-    assert other.estimate == pytest.approx(posterior.mean[1])
-    assert other.lower_90 < other.estimate < other.upper_90
 
 
 def test_without_parameters_there_is_nothing():

@@ -1,13 +1,10 @@
-"""What is handed over to a next window, the force that a model leaves out, and what a story allows for of others."""
+"""What is handed over to a next window, and the force that a model leaves out."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 from one_record import by_spline
-from small_estimates import parameter_estimate
 from storeys import C, K, M, cut, record
 
 from pinn_cli.network.spline import Spline
@@ -22,7 +19,6 @@ from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.training.estimator import TrainedNetwork
 from pinn_cli.training.gauss_newton import GaussNewton
-from pinn_cli.training.reported.stories import story_distance
 
 STRUCTURE = build_chain(3, Linear(), m=M.tolist(), c=(1.04 * C).tolist(), k=(1.1 * K).tolist())
 HAND_OVER = 4.5
@@ -88,21 +84,3 @@ def test_a_wrong_mass_below_the_load_cell_is_left_out_whatever_the_cell_is_taken
     under_force, under_both = off(found, seen, seen.force), off(found, seen, seen.force + left)
     assert (under_both < 0.35 * under_force).all()
     assert found.misfit.at_motion > 0.7
-
-
-def test_what_the_other_story_says_counts_beyond_what_both_allow_for():
-    free = SimpleNamespace(
-        trained=SimpleNamespace(
-            solution=SimpleNamespace(point=SimpleNamespace(parameters=torch.tensor([1.5, 0.2, 7.0])))
-        ),
-        covariance=np.diag([0.01, 0.03, 1.0]),
-        varying=np.array([0.0, 0.1, 0.0]),
-    )
-    found = SimpleNamespace(evidence=SimpleNamespace(equations=SimpleNamespace(scale=np.array([2.0, 2.0, 1.0]))))
-    # Of three unknowns the last is a first state, which is no parameter.
-    forced = SimpleNamespace(parameters=[parameter_estimate(f"k_{i}", 10.0, 10.0, 0.2, 9.7, 10.3) for i in (1, 2)])
-    expected = [(1.5**2 - 0.01 - 0.1**2) ** 0.5, 0.0, 0.0]
-    assert story_distance(found, free, [forced]) == pytest.approx(expected, rel=1e-6)
-    further = SimpleNamespace(parameters=[parameter_estimate(f"k_{i}", 10.0, 12.0, 0.2, 11.7, 12.3) for i in (1, 2)])
-    expected = [expected[0], (0.8**2 - 0.1**2 - 0.03 - 0.1**2) ** 0.5, 0.0]
-    assert story_distance(found, free, [forced, further]) == pytest.approx(expected, rel=1e-6)
