@@ -1,4 +1,4 @@
-"""How tests call the program, and the small settings that they call it with."""
+"""How tests call the program, what is refused, and the small settings that they call it with."""
 
 import json
 import os
@@ -8,7 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import pytest
 from omegaconf import DictConfig
+
+from pinn_cli.settings.errors import InputError
 
 # A chain, a record and a training small enough for a test, for tests about everything but accuracy.
 MEASURED = ("system.ndof=3", "threads=1")
@@ -36,6 +39,14 @@ def register(folder: Path, name: str, entry_points: str) -> None:
     information.mkdir(parents=True)
     (information / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name.replace('_', '-')}\nVersion: 1\n")
     (information / "entry_points.txt").write_text(f"[pinn_cli.plugins]\n{entry_points}\n")
+
+
+def refusal(call: Callable[..., Any], *arguments: Any, **settings: Any) -> str:
+    """What a call says that refuses its input, in one line."""
+    with pytest.raises(InputError) as error:
+        call(*arguments, **settings)
+    assert "\n" not in str(error.value)
+    return str(error.value)
 
 
 class Outcome:

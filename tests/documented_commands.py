@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep
-from wings import wing, wing_record, write_wing
+from vibrating_records import wing, wing_record, write_wing
 
 from pinn_cli.model.file import write_model
 from pinn_cli.model.knowledge import Levels, Model, ParameterKnowledge

@@ -1,15 +1,24 @@
-"""One record alone as the solvers of several take it: a list of one."""
+"""One record alone as the solvers of several take it, a list of one; and estimates of records by the spline."""
 
 from typing import Any
 
 import numpy as np
 import torch
+from independent_records import IndependentRecord
 
+from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.runs.side_by_side import Items
+from pinn_cli.scheme.joint_problem import JointProblem
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.connection import Duffing
+from pinn_cli.system.structure import Structure
+from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.factors.constant_channels import ConstantChannels
 from pinn_cli.training.factors.factor import Residuals
+from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.least_squares import LeastSquares
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
@@ -62,3 +71,20 @@ def factored(system: BorderedSystem, damping: float = 0.0, held: np.ndarray | No
 def of_record(function, evidence: Evidence, trained: Trained, *arguments: Any) -> Any:
     """What a function makes of the one record's own part of a solution."""
     return evidence.each_record(function, trained, *([own] for own in arguments))[0]
+
+
+def model(made: IndependentRecord) -> Structure:
+    """The right chain of a record."""
+    s = made.structure
+    return build_chain(len(s.m), Duffing(), m=s.m.tolist(), c=s.c.tolist(), k=s.k.tolist(), kappa=s.kappa.tolist())
+
+
+def by_spline(problem: Problem | JointProblem, **settings) -> Estimate:
+    """Of one record or of several; ``settings`` of the training."""
+    joint = problem if isinstance(problem, JointProblem) else JointProblem.of(problem)
+    return GaussNewton(**settings).solve(joint, Spline(), RunContext())
+
+
+def estimated(made: IndependentRecord, **settings) -> Estimate:
+    """With its parameters known; ``settings`` of the training."""
+    return by_spline(Problem(model(made), made.record), **settings)

@@ -1,16 +1,20 @@
-"""Every command of README.md and docs/ is accepted: composed, validated, and posed up to the first step of training."""
+"""Every command of README.md and docs/ is accepted, posed up to the first step of training, and runs to its end."""
 
 import re
 import shlex
+import shutil
 from pathlib import Path
 
+import pandas as pd
 import pytest
-from calls import Compose
+from calls import Compose, PinnRun
 from documented_commands import (
     EVERY,
     FOLLOWED,
+    GALLERY,
     LOOKS,
     MODAL,
+    RIG,
     RUNS,
     first_job,
     missing_package,
@@ -32,7 +36,7 @@ from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.function_space import training as over_all_weights
 from pinn_cli.training.gradient import training as gradient_training
 
-# A second of processor time and more: test_examples.py and test_finite_element_run.py run them.
+# A second of processor time and more: the examples below and test_finite_element_run.py run them.
 SIMULATED_LONG = re.compile(r"experiment=examples/")
 
 
@@ -55,7 +59,7 @@ def rig(monkeypatch: pytest.MonkeyPatch, files: Path) -> Path:
     return files
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
     def begins(*arguments: object, **settings: object) -> None:
         raise TrainingBeginsError
@@ -65,6 +69,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Evidence, "train", begins)
 
 
+@pytest.mark.usefixtures("no_work")
 @pytest.mark.parametrize(
     "line", [pytest.param(line, marks=pytest.mark.slow if SIMULATED_LONG.search(line) else ()) for line in RUNS]
 )
@@ -113,3 +118,80 @@ def test_there_are_commands_to_test() -> None:
     others = [line for line in EVERY if line not in (*RUNS, *LOOKS, *MODAL, *FOLLOWED)]
     of_runs = r"pinn-run (--help|(resume|collect)=\S+|population \S+)( +#.*)?$"
     assert all(re.search(of_runs, line) for line in others), others
+
+
+# They take hours, and are posed alone.
+HOURS = re.compile(r"paper_training")
+# Where the jobs of a sweep go, and who chooses them: a job is a run like any other.
+OF_SWEEPS = re.compile(r"hydra/launcher|hydra/sweeper|hydra\.launcher\.|hydra\.sweeper\.")
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("measured")
+    write_files(folder)
+    shutil.copy(RIG, folder / "second.csv")
+    (folder / "arriving").mkdir()
+    shutil.copy(RIG, folder / "arriving" / "rig.csv")
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "line", [line for line in (*RUNS, *LOOKS, *MODAL, *FOLLOWED) if line not in GALLERY and not HOURS.search(line)]
+)
+def test_a_documented_command_runs(line: str, measured: Path, pinn_run: PinnRun) -> None:
+    if package := missing_package(line):
+        pytest.skip(f"{package} is not installed")
+    arguments = [argument for argument in shlex.split(line, comments=True)[1:] if argument != "--multirun"]
+    options = [argument for argument in arguments[:1] if argument in ("inspect", "modes", "follow")]
+    if "--config-dir" in arguments:
+        place = arguments.index("--config-dir")
+        options += arguments[place : place + 2]
+        del arguments[place : place + 2]
+    # What is no override is a file to look at.
+    options += [argument for argument in arguments[1:] if options and "=" not in argument]
+    own = arguments if options else shortened(arguments)
+    overrides = [argument for argument in own if argument not in options and not OF_SWEEPS.search(argument)]
+    overrides += ["follow.until_idle=0.2", "follow.poll=0.1"] if options == ["follow"] else []
+    # A search is of what its experiment runs.
+    overrides = [re.sub(r",search/\w+|^experiment=search/\w+$", "", override) for override in overrides]
+    shutil.copytree(measured, Path.cwd(), dirs_exist_ok=True)
+    if any(override.startswith("model=") for override in overrides):
+        write_model_run(Path.cwd())
+    # Of a map on the command line the keys are added anyway.
+    job = [override.removeprefix("++") for override in first_job([override for override in overrides if override])]
+    outcome = pinn_run(*options, *job).done()
+    assert outcome.directory.is_dir()
+
+
+# Per cent by which each unknown parameter may be off: some four standard deviations.
+EXAMPLES = {
+    "frame_with_brace": {"k_storey_1": 0.7, "k_brace": 0.7, "kappa_storey_1": 1.7},
+    "tuned_mass_damper": {"k_spring": 0.3, "c_damper": 1.6},
+    "shear_building_earthquake": {"k_storey_1": 1.6, "k_storey_2": 2.1, "k_storey_3": 0.7},
+    "frame_with_hysteretic_brace": {},
+    "ambient_vibration": {},
+}
+# Where forces are not measured, slow drift is not told.
+DISPLACEMENT = {"ambient_vibration": 90.0}
+# What the roof of a frame does, other frames do too.
+SEVERAL = ("shear_building_earthquake",)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("example", EXAMPLES)
+def test_an_example_finds_what_it_asks_for(pinn_run: PinnRun, example: str) -> None:
+    outcome = pinn_run(f"experiment=examples/{example}", "figures=false").done()
+    parameters = outcome.parameters
+    for name, percent in EXAMPLES[example].items():
+        assert parameters.loc[name, "error_percent"] < percent
+    fitness = pd.read_csv(outcome.directory / "fitness.csv").set_index(["group", "quantity"])["fitness_percent"]
+    assert fitness["unobserved", "displacement"] > DISPLACEMENT.get(example, 97.0)
+    verdict = outcome.record
+    if example not in SEVERAL:
+        assert verdict["verdict"] == "sound"
+        return
+    assert verdict["verdict"] == "questionable"
+    (reason,) = verdict["reasons"]
+    assert reason.startswith("another structure explains the record as well")

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from calls import PinnRun
-from wings import Wing, wing, wing_record, write_wing
+from vibrating_records import Wing, wing, wing_record, write_wing
 
 BAND, INSIDE = "data.band=[4,12]", slice(1, 4)
 MODAL = ("system=modal", "scheme=state_parameter", "figures=false")

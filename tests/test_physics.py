@@ -114,19 +114,3 @@ def test_no_equation_and_no_observer_where_the_force_is_unknown():
     )
     assert not residual[:, 0].any()
     assert residual[:, 1:].any()
-
-
-def test_dofs_without_a_sensor_have_no_observation_residual():
-    structure = small_chain()
-    record = measured(structure).record.keep({"acceleration": [1], "displacement": [3]})
-    target = targets(record, Dynamics(structure))
-    assert {name: mask.tolist() for name, mask in observation_masks(target, "derivative").items()} == {
-        "displacement": [False, False, True],
-        "acceleration": [True, False, False],
-    }
-    states = States(*(torch.ones(len(record.time), 3, dtype=torch.float64) for _ in range(3)), continuity=None)
-    residuals = observation_residuals(states, target, Dynamics(structure), structure.parameters, "derivative")
-    assert {name: residual.any(0).tolist() for name, residual in residuals.items()} == {
-        "displacement": [False, False, True],
-        "acceleration": [True, False, False],
-    }

@@ -1,7 +1,12 @@
-"""Runs by windows, through the whole program."""
+"""Runs by windows, through the whole program: changes are told where they are, and kills change no number."""
 
 import json
+import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +14,10 @@ import pandas as pd
 import pytest
 import xarray as xr
 from calls import SMALL, PinnRun
-from storeys import K, record, system, written
+from independent_records import Structure, measured
+from storeys import RATE, C, K, M, record, response, system, written
+
+from pinn_cli.record.response import Response
 
 KNOWN = (*system(1.02 * K), "scheme.parameter_uncertainty=0.05", "figures=false")
 WINDOWS = ("data.window=4", "data.overlap=1")
@@ -141,3 +149,121 @@ def test_a_record_that_is_followed_has_windows(pinn_run: PinnRun, tmp_path: Path
         ((*KNOWN, *data, *WINDOWS, "follow.poll=0"), "follow.poll=0"),
     ):
         pinn_run("follow", *arguments).refused(told)
+
+
+DURATION = 30.0
+# Windows of 9 s each 7 s: 0 to 9, 7 to 16, 14 to 23, 21 to 30.
+LONG_WINDOWS = ("data.window=9", "data.overlap=2")
+BEGINS = (0.0, 7.0, 14.0, 21.0)
+
+
+def softened(seed: int, when: float, left: float) -> Response:
+    """Motion whose second spring falls to a part of its stiffness at a time, s."""
+    first = response(seed, duration=when)
+    state = response(seed, duration=when + 1.0 / RATE)
+    start = np.append(state.displacement[-1], state.velocity[-1])
+    second = response(seed, K * np.array([1.0, left, 1.0]), DURATION - when, start, when)
+    both = ("time", "displacement", "velocity", "acceleration", "force")
+    return Response(*(np.concatenate([getattr(one, name) for one in (first, second)]) for name in both))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "when", "left"),
+    [
+        (2, 18.0, 0.92),  # inside one
+        (3, 15.0, 0.95),  # in what two have in common
+        (4, 26.0, 0.9),  # in the last one
+        (5, 18.0, 1.0),
+    ],
+)
+def test_a_change_is_told_where_it_is(pinn_run: PinnRun, tmp_path: Path, seed: int, when: float, left: float) -> None:
+    truth = softened(seed, when, left)
+    structure = Structure(M, C, K, np.zeros(3))
+    data = written(measured(structure, truth, {"acceleration": (1, 2, 3)}, 30.0, seed).record, tmp_path / "one.csv")
+    known = (*system(1.02 * K), "scheme.parameter_uncertainty=0.05")
+    pinn_run(*known, *data, *LONG_WINDOWS, "hydra.run.dir=run").done()
+    told = pd.read_csv("run/windows.csv", keep_default_na=False).set_index("window")["changed"].str.split()
+    flagged = [number for number, names in told.items() if names]
+    if left == 1.0:
+        assert not flagged, told
+        return
+    containing = [number for number, begin in enumerate(BEGINS, start=1) if begin - 0.5 / RATE < when < begin + 9.0]
+    assert len(flagged) == 1, told
+    assert flagged[0] in containing
+    # A window that holds both values has a model that is wrong: what else moves in it is named after it.
+    assert told[flagged[0]][0] == "k_2"
+    found = pd.read_csv("run/parameters.csv").set_index("parameter").loc["k_2"]
+    if flagged[0] < 4:  # a window that holds both says something between the two
+        assert abs(found["estimate"] - left * K[1]) < 3.0 * found["std"]
+
+
+# How long each step took is never the same.
+TIMED = {"history.csv"}
+KILLED = (*system(1.02 * K), "scheme.parameter_uncertainty=0.05", "figures=false", "threads=1")
+PATIENCE = ("follow.poll=0.05", "follow.until_idle=1")
+
+
+def started(folder: Path, *arguments: str) -> subprocess.Popen[bytes]:
+    """The program in a process of its own."""
+    nowhere = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    return subprocess.Popen([sys.executable, "-m", "pinn_cli.main", *arguments], cwd=folder, **nowhere)
+
+
+def killed_after(process: subprocess.Popen[bytes], done: Path, later: float) -> None:
+    """SIGKILL so many seconds after a file is there."""
+    until = time.monotonic() + 120.0
+    while not done.is_file():
+        assert process.poll() is None, "it has ended by itself"
+        assert time.monotonic() < until, f"{done} does not come"
+        time.sleep(0.005)
+    time.sleep(later)
+    os.kill(process.pid, signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+
+
+def assert_same_numbers(one: Path, other: Path) -> None:
+    """Bit for bit."""
+    tables = [{file.name for file in place.glob("*.csv")} - TIMED for place in (one, other)]
+    assert "parameters.csv" in tables[0]
+    assert tables[0] == tables[1]
+    for name in tables[0]:
+        assert (one / name).read_bytes() == (other / name).read_bytes(), name
+    with xr.open_dataset(one / "response.nc") as first, xr.open_dataset(other / "response.nc") as second:
+        assert first.identical(second)
+    assert not list(other.rglob("*.partial*"))
+
+
+@pytest.mark.slow
+def test_killed_windows_end_with_the_same_numbers(tmp_path: Path) -> None:
+    data = written(record(3, duration=10.02).record, tmp_path / "one.csv")
+    command = (*KILLED, *data, *WINDOWS)
+    assert started(tmp_path, *command, "hydra.run.dir=whole").wait() == 0
+    place = tmp_path / "run" / "windows"
+    killed_after(started(tmp_path, *command, "hydra.run.dir=run"), place / "0001" / "window.json", 0.0)
+    kept = (place / "0001" / "window.json").stat().st_mtime_ns
+    killed_after(started(tmp_path, *command, "hydra.run.dir=run", "resume=auto"), place / "0002" / "window.json", 0.1)
+    assert started(tmp_path, *command, "hydra.run.dir=run", "resume=auto").wait() == 0
+    assert (place / "0001" / "window.json").stat().st_mtime_ns == kept
+    assert_same_numbers(tmp_path / "whole", tmp_path / "run")
+
+
+@pytest.mark.slow
+def test_a_killed_follower_ends_with_the_same_numbers(tmp_path: Path) -> None:
+    """Of a file that grows while nobody looks."""
+    data = written(record(3, duration=10.02).record, tmp_path / "one.csv")
+    lines = (tmp_path / "one.csv").read_text().splitlines(keepends=True)
+    undisturbed = (*KILLED, *data, *WINDOWS)
+    assert started(tmp_path, *undisturbed, "hydra.run.dir=whole").wait() == 0
+    growing = tmp_path / "growing.csv"
+    growing.write_text("".join(lines[:260]) + lines[260][:7])
+    source = [argument.replace("one.csv", "growing.csv") for argument in data]
+    follow = ("follow", *KILLED, *source, *WINDOWS, "hydra.run.dir=run", *PATIENCE)
+    place = tmp_path / "run" / "windows"
+    # Its second window is what is being waited for, or what had come when nothing more did.
+    killed_after(started(tmp_path, *follow[:-1]), place / "0001" / "window.json", 0.3)
+    growing.write_text("".join(lines[:400]))
+    killed_after(started(tmp_path, *follow[:-1]), place / "0002" / "window.json", 0.0)
+    growing.write_text("".join(lines))
+    assert started(tmp_path, *follow).wait() == 0
+    assert_same_numbers(tmp_path / "whole", tmp_path / "run")

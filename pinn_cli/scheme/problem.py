@@ -247,7 +247,6 @@ def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIA
     band = record_band(record)
     return Inputs(
         record.ground_acceleration is not None,
-        not record.misses_ground,
         record.frame == "absolute",
         forces,
         FIRST_CORRELATION / band,
@@ -257,6 +256,7 @@ def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIA
         together=together,
         filters=filters,
         supports=tuple(record.supports),
+        ground_measured=not record.misses_ground,
     )
 
 

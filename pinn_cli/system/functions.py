@@ -32,7 +32,6 @@ class Inputs:
 
     Attributes:
         ground: Whether the ground's acceleration is a function to be found.
-        ground_measured: Whether somebody measured it; else it is a process like the forces that nobody measured.
         absolute: Whether accelerometers feel the ground's acceleration as well.
         forces: DOFs, counted from 0, with a force that nobody measured, a Gaussian process.
         correlation_time: Of those forces, s.
@@ -45,10 +44,10 @@ class Inputs:
             off from a corner below that.
         filters: Calibrated channels, counted from 0, behind a filter that has a state, whose equation is its own.
         supports: What sensors measure of the supports that move, names of :data:`pinn_cli.system.quantities.SUPPORT`.
+        ground_measured: Whether somebody measured the ground; else it is a process as unknown forces are.
     """
 
     ground: bool = False
-    ground_measured: bool = True
     absolute: bool = True
     forces: tuple[int, ...] = ()
     correlation_time: float = 1.0
@@ -59,6 +58,7 @@ class Inputs:
     damping_ratio: float = FLAT
     filters: tuple[int, ...] = ()
     supports: tuple[str, ...] = ()
+    ground_measured: bool = True
 
     @property
     def unmeasured(self) -> bool:

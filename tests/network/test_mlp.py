@@ -1,4 +1,4 @@
-"""The multilayer perceptron: its size, its weights and where they start, and the features of the time before it."""
+"""The multilayer perceptron: size, weights and where they start, activations, and features of the time before it."""
 
 import math
 
@@ -7,6 +7,7 @@ import pytest
 import torch
 from small_problems import accelerations, measured, small_chain, sped_up
 
+from pinn_cli.network.activation import ACTIVATIONS, propagate
 from pinn_cli.network.mlp import FourierFeatures, Mlp, embedding
 from pinn_cli.record.channels import motion_amplitudes, record_band
 from pinn_cli.record.record import Record
@@ -15,19 +16,6 @@ from pinn_cli.record.record import Record
 @pytest.fixture(scope="module")
 def record() -> Record:
     return accelerations(measured(small_chain(), snr_db=40.0).record)
-
-
-def test_every_weight_has_the_gradient_that_finite_differences_see(record):
-    network = Mlp(2, 3, "silu", "exact").build(record)
-    time = torch.tensor(record.time[::64])
-    weights = tuple(network.parameters())
-
-    def motion(*values):
-        return torch.func.functional_call(
-            network, dict(zip(dict(network.named_parameters()), values, strict=True)), time
-        )[:3]
-
-    assert torch.autograd.gradcheck(motion, weights, eps=1e-6, atol=1e-5)
 
 
 def test_the_seed_alone_decides_the_weights(record):
@@ -143,3 +131,40 @@ def test_a_network_of_the_time_alone_is_left_as_it_is(record):
     before = [weight.clone() for weight in network.parameters()]
     assert network.make_nearly_linear() == 1.0
     assert all(torch.equal(a, b) for a, b in zip(before, network.parameters(), strict=True))
+
+
+FUNCTIONS = {"silu": torch.nn.functional.silu, "tanh": torch.tanh, "sine": torch.sin}
+
+
+@pytest.mark.parametrize("name", ACTIVATIONS)
+def test_an_activation_is_the_function_of_its_name(name):
+    z = torch.linspace(-6.0, 6.0, 41)
+    torch.testing.assert_close(next(iter(ACTIVATIONS[name](z))), FUNCTIONS[name](z))
+
+
+@pytest.mark.parametrize("order", [0, 1, 2])
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_gradients_of_a_jet_are_exact_to_second_order(name, order):
+    generator = torch.Generator().manual_seed(0)
+    jet = tuple(
+        torch.randn(3, 2, dtype=torch.float64, generator=generator, requires_grad=True) for _ in range(order + 1)
+    )
+
+    def outgoing(*jet: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        return propagate(ACTIVATIONS[name], jet)
+
+    assert torch.autograd.gradcheck(outgoing, jet, check_forward_ad=True, check_undefined_grad=False)
+    assert torch.autograd.gradgradcheck(outgoing, jet)
+
+
+@pytest.mark.parametrize("transform", [torch.func.jacrev, torch.func.jacfwd])
+def test_functional_transforms_go_through_a_jet(transform):
+    jet = torch.randn(2, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+
+    def acceleration(z: torch.Tensor) -> torch.Tensor:
+        return propagate(ACTIVATIONS["silu"], (z, jet[0], jet[1]))[2]
+
+    z = torch.linspace(-1.0, 1.0, 4, dtype=torch.float64)
+    expected = torch.autograd.functional.jacobian(acceleration, z)
+    torch.testing.assert_close(transform(acceleration)(z), expected)
+    torch.testing.assert_close(torch.func.vmap(acceleration)(torch.stack((z, 2.0 * z)))[0], acceleration(z))

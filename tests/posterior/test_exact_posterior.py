@@ -8,9 +8,9 @@ import pytest
 import storeys
 from bayesian_problems import Example, posed, solved
 from dense_model import DenseModel
+from one_record import model
 from scipy.stats import chisquare
 from small_problems import NONLINEARITIES, small_chain
-from solved_records import model
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.posterior.conditional import Conditional

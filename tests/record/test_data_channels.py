@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from refusals import refusal
+from calls import refusal
 
 from pinn_cli.record.channel import CALIBRATED
 from pinn_cli.record.data_channels import DataChannel, data_channels

@@ -1,4 +1,4 @@
-"""What structures do under the force of a record, between whose samples the record says what happens."""
+"""What structures do under the force of a record, one alone or many members side by side."""
 
 from dataclasses import replace
 
@@ -7,18 +7,21 @@ import pytest
 import torch
 from beams import beam, deflection, response
 from small_problems import excitation, measured, small_chain
+from structures import braced, carried, hysteretic, modal
 
 from pinn_cli.record.between_samples import Held
-from pinn_cli.record.ensemble import Members, spread_of
+from pinn_cli.record.ensemble import Members, Replay, spread_of
 from pinn_cli.record.free_run import NoFreeRunError, affordable, free_run, has_modes, linear_motion
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES
+from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.record.simulation import simulate
 from pinn_cli.record.steps import with_slow_followers
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.finite_elements import build_finite_elements
 from pinn_cli.system.modes import Modes
+from pinn_cli.training.estimate import ParameterEstimate
+from pinn_cli.training.prediction import drawn_structures, parameter_draws
 
 REST = np.zeros(3)
 
@@ -165,17 +168,6 @@ def test_it_is_that_of_a_method_of_order_eight(name, hold):
         np.testing.assert_allclose(found, true, atol=(3e-5 if name == "stiff" else 1e-7) * np.abs(true).max())
 
 
-def test_a_free_decay_is_known_by_hand():
-    structure = build_chain(1, Linear(), m=2.0, c=0.4, k=50.0)
-    u, v = moved(structure, lambda at: np.zeros((len(at), 1)), START[:, :1])
-    pole, t = np.roots([2.0, 0.4, 50.0])[0], TIME - TIME[0]
-    wave = np.exp(pole * t)
-    b = (START[1, 0] - pole.real * START[0, 0]) / pole.imag
-    expected = START[0, 0] * wave.real + b * wave.imag
-    np.testing.assert_allclose(u[:, 0], expected, atol=1e-12)
-    np.testing.assert_allclose(v[0], START[1, :1], atol=1e-12)
-
-
 def test_critical_damping_is_no_hindrance():
     structure = build_chain(1, Linear(), m=2.0, c=20.0, k=50.0)
     record = Record(TIME, np.ones((41, 1)), *[np.full((41, 1), np.nan)] * 2, np.ones((41, 1)), np.array([False]))
@@ -193,3 +185,118 @@ def test_records_of_any_length_are_the_same_motion(samples):
     half = samples // 2
     later = linear_motion(modes, [(force, np.eye(3) / modes.m)], time[half:], (u[half], v[half]))
     np.testing.assert_allclose(later[0], u[half:], atol=1e-9)
+
+
+SAMPLES = 151
+MOVED = 0.1 * np.sin(np.outer(np.linspace(0.0, 3.0, SAMPLES), [2.0, 3.0]))
+
+
+def record_of(structure, ground: bool = False, **settings) -> Record:
+    n, time = structure.ndof, np.linspace(0.0, 3.0, SAMPLES)
+    force = np.zeros((SAMPLES, n))
+    force[:, 0] = np.sin(2.0 * time) + 0.3 * np.sin(5.0 * time + 1.0)
+    blank = np.full((SAMPLES, n), np.nan)
+    shaken = {"ground_acceleration": 0.5 * np.cos(3.0 * time)} if ground else {}
+    return Record(time, np.zeros((SAMPLES, n)), blank, blank, force, np.arange(n) > 0, **shaken, **settings)
+
+
+@pytest.mark.parametrize(
+    ("structure", "settings"),
+    [
+        (small_chain("duffing"), {}),
+        (small_chain("linear"), {"intersample": "zero_order_hold"}),
+        (braced(), {"ground": True, "frame": "relative"}),
+        (hysteretic(), {"ground": True}),
+        (carried(), {"ground": True, "supports": {"support_displacement": MOVED}, "support_names": ("a", "b")}),
+        (modal(), {"ground": True}),
+        (modal(), {"ground": True, "frame": "relative"}),
+    ],
+    ids=["chain", "held", "braced", "hysteretic", "carried", "modal", "modal_relative"],
+)
+def test_members_are_simulations(structure, settings):
+    record, random = record_of(structure, **settings), np.random.default_rng(0)
+    size = 2 * structure.coordinates + len(structure.memory)
+    start = 0.05 * random.standard_normal((3, size))
+    parameters = {
+        kind: value * (1.0 + 0.1 * random.uniform(-1.0, 1.0, (3, len(value))))
+        for kind, value in structure.parameters_like(np.empty(0)).items()
+    }
+    about = free_run(structure, record, None)
+    members = Members(parameters, start, np.zeros((0, structure.coordinates)), 0)
+    found = spread_of(members, structure, record, about)
+    n = structure.coordinates
+    single = []
+    for i in range(3):
+        values = {p: parameters[p.kind][i, p.index] for p in structure.every_parameter()}
+        parts = [start[i, :n], start[i, n : 2 * n], *([start[i, 2 * n :]] if len(structure.memory) else [])]
+        single.append(free_run(structure.with_values(values), record, parts))
+    for quantity in RESPONSE_QUANTITIES:
+        distance = [getattr(each, quantity) - getattr(about, quantity) for each in single]
+        expected = np.sqrt(np.mean(np.square(distance), axis=0))
+        np.testing.assert_allclose(
+            getattr(found, quantity), expected, rtol=2e-3, atol=1e-4 * expected.max(), err_msg=quantity
+        )
+
+
+STEP = 0.02
+
+
+def pushed_oscillator(c: float, count: int, sources: np.ndarray, replay: Replay | None = None) -> Response:
+    """Spread of so many oscillators of 1 kg and 25 N/m over 40 s, which nothing but these forces moves."""
+    structure, still = build_chain(1, Linear(), m=1.0, c=c, k=25.0), np.zeros((2001, 1))
+    blank = np.full_like(still, np.nan)
+    record = Record(STEP * np.arange(2001), still, blank, blank, still, np.array([False]))
+    parameters = {kind: np.tile(x, (count, 1)) for kind, x in structure.parameters_like(np.empty(0)).items()}
+    members = Members(parameters, np.zeros((count, 2)), sources, 1, replay)
+    return spread_of(members, structure, record, free_run(structure, record, None))
+
+
+def test_white_forces_move_an_oscillator_as_the_textbook_says():
+    found, again = (pushed_oscillator(2.0, 64, np.array([[0.7]])) for _ in range(2))
+    # Of white noise with the covariance sigma^2 step delta(t): its variance over 2 c k, and over 2 c m of the velocity.
+    variance = [float(np.mean(x[251:] ** 2)) for x in (found.displacement, found.velocity)]
+    np.testing.assert_allclose(variance, [0.7**2 * STEP / (4.0 * 25.0), 0.7**2 * STEP / 4.0], rtol=0.1)
+    np.testing.assert_array_equal(found.displacement, again.displacement)
+
+
+def test_a_force_is_replayed_from_other_places_on():
+    history = np.column_stack((np.arange(5.0), -np.arange(5.0)))
+    replay = Replay(history, 0.5, np.array([0, 3]), np.array([1.0, -1.0]))
+    found = replay.at(np.arange(12))
+    np.testing.assert_allclose(found[:, 0, 0], [0, 0.5, 1, 1.5, 2, 2.5, 3, 3.5, 4, 3.5, 3, 2.5])
+    np.testing.assert_allclose(found[:, 1, 0], [-3, -3.5, -4, -3.5, -3, -2.5, -2, -1.5, -1, -0.5, 0, -0.5])
+    np.testing.assert_array_equal(found[..., 1], -found[..., 0])
+    drawn = Replay.drawn(history, 1.0, 400, 0)
+    assert set(drawn.first) == set(range(8))
+    assert 150 < (drawn.sign > 0).sum() < 250
+
+
+def test_a_replayed_resonance_moves_an_oscillator_more_than_white_noise_of_its_size():
+    history = np.sin(5.0 * np.arange(100_000) * STEP)[:, None]
+    found = pushed_oscillator(0.2, 32, np.zeros((0, 1)), Replay.drawn(history, 1.0, 32, 0)).displacement
+    # 1 / (c omega) of the textbook, root mean square, from 30 s on.
+    assert np.sqrt(np.mean(found[1501:] ** 2)) == pytest.approx(1.0 / (0.2 * 5.0) / np.sqrt(2.0), rel=0.1)
+
+
+def found(structure, relative: float) -> list[ParameterEstimate]:
+    return [
+        ParameterEstimate(replace(p, positive=True), p.prescribed, relative * p.prescribed)
+        for p in structure.every_parameter()
+        if p.kind in ("c", "k")
+    ]
+
+
+def test_draws_have_the_deviations_and_the_correlation():
+    structure = small_chain("linear")
+    estimates = found(structure, 0.1)
+    correlation = np.full((6, 6), 0.5) + 0.5 * np.eye(6)
+    draws = parameter_draws(estimates, correlation, 20_000, 0)
+    np.testing.assert_allclose(draws.std(axis=0), [p.std for p in estimates], rtol=0.03)
+    np.testing.assert_allclose(np.corrcoef(draws.T), correlation, atol=0.03)
+    every = drawn_structures(structure, estimates, draws)
+    np.testing.assert_array_equal(every["k"], draws[:, [p.kind == "k" for p in estimates]])
+    np.testing.assert_array_equal(every["m"][7], structure.parameters["m"])
+    wide = parameter_draws(found(structure, 3.0), correlation, 1000, 0)
+    assert wide.min() == 0.0
+    assert parameter_draws(estimates, None, 10, 0) is None
+    assert parameter_draws([], None, 10, 0).shape == (10, 0)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calls import refusal
 from omegaconf import OmegaConf
-from refusals import refusal
 
 from pinn_cli.cli.records import OF_THE_RUN
 from pinn_cli.record.excitation import BandedNoise

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from refusals import refusal
+from calls import refusal
 from scipy.linalg import expm
 from small_problems import small_chain
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from wings import Wing, wing, wing_record
+from vibrating_records import Wing, wing, wing_record
 
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import BandPass

@@ -1,13 +1,18 @@
-"""Finite-element models as users give them."""
+"""Finite-element models as users give them: files of matrices, modes and residual vectors."""
 
 import logging
 
 import numpy as np
 import pytest
 from beams import beam, deflection
-from refusals import refusal
+from calls import refusal
+from scipy.io import mmwrite, savemat
+from scipy.sparse import csc_matrix, diags, eye, kron, save_npz
 
+from pinn_cli.settings.errors import InputError
 from pinn_cli.system.finite_elements import build_finite_elements
+from pinn_cli.system.matrix_files import read_matrices
+from pinn_cli.system.reduction import reduced_model
 
 STOP = {"stop": {"between": ["ground", "tip"], "law": "duffing", "c": 0.0, "k": 0.0, "kappa": 1e5}}
 DOFS = {"tip": deflection(10), "middle": deflection(5)}
@@ -132,3 +137,153 @@ def test_bad_input_is_refused_in_one_line(folder, settings, setting, said):
     told = refusal(built, folder, **settings)
     assert told.startswith(f"{setting}=")
     assert said in told
+
+
+NOTHING = {"M": None, "K": None, "C": None}
+
+
+@pytest.fixture
+def matrices(tmp_path):
+    M, K = beam(3)
+    np.savez(tmp_path / "dense.npz", M=M.toarray(), K=K.toarray(), C=0.1 * M.toarray())
+    savemat(tmp_path / "model.mat", {"M": M, "K": K.toarray()})
+    for name, matrix in {"M": M, "K": K}.items():
+        save_npz(tmp_path / f"{name}.npz", matrix)
+        mmwrite(tmp_path / f"{name}.mtx", matrix)
+        savemat(tmp_path / f"{name}.mat", {"stored": matrix})
+        np.save(tmp_path / f"{name}.npy", matrix.toarray())
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("files", "path", "names"),
+    [
+        (NOTHING, "dense.npz", ["M", "K", "C"]),
+        pytest.param(NOTHING, "model.mat", ["M", "K"], marks=pytest.mark.apart),
+        ({"M": "M.npz", "K": "K.npz", "C": None}, None, ["M", "K"]),
+        ({"M": "M.mtx", "K": "K.mtx", "C": None}, None, ["M", "K"]),
+        ({"M": "M.mat", "K": "K.mat", "C": None}, None, ["M", "K"]),
+        ({"M": "M.npy", "K": "K.npy", "C": None}, None, ["M", "K"]),
+        ({"M": None, "K": None, "C": "M.mtx"}, "model.mat", ["M", "K", "C"]),
+    ],
+)
+def test_every_kind_of_file_gives_the_same_matrices(matrices, files, path, names):
+    found = read_matrices(files, path, matrices)
+    assert list(found) == names
+    for name, expected in zip("MK", beam(3), strict=True):
+        np.testing.assert_allclose(found[name].toarray(), expected.toarray(), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("files", "path", "setting", "said"),
+    [
+        ({"M": "absent.npz"}, None, "system.M", "there is none at"),
+        ({"M": "M.csv"}, None, "system.M", "ends in .npz, .npy, .mtx, .mat"),
+        ({"M": None}, "M.mtx", "system.path", "give it as system.M"),
+        ({"M": None}, "M.npy", "system.path", "give it as system.M"),
+        ({"X": None}, "dense.npz", "system.path", "no matrix called X"),
+        ({"M": "broken.npz"}, None, "system.M", "a readable .npz file"),
+        ({"M": "broken.mat"}, None, "system.M", "a readable .mat file"),
+        pytest.param({"M": "broken.mtx"}, None, "system.M", "a readable .mtx file", marks=pytest.mark.apart),
+        ({"M": "objects.npz"}, None, "system.M", "a readable .npz file"),
+        ({"M": "wide.npz"}, None, "system.M", "a square matrix"),
+        ({"M": "triangle.npz"}, None, "system.M", "only one triangle"),
+        ({"M": "nan.npz"}, None, "system.M", "finite numbers"),
+        ({"M": "complex.npz"}, None, "system.M", "real numbers"),
+        ({"M": "M.npz", "K": "large.npz"}, None, "system.K", "as large as M, 6 x 6"),
+    ],
+)
+def test_what_is_no_matrix_is_refused_in_one_line(matrices, files, path, setting, said):
+    for suffix in ("npz", "mat", "mtx"):
+        (matrices / f"broken.{suffix}").write_bytes(b"nothing of the kind")
+    one = np.eye(3)
+    arrays = {
+        "objects": np.array([{}], dtype=object), "wide": np.ones((2, 3)), "triangle": np.triu(one + 1),
+        "nan": one * np.nan, "complex": one * 1j, "large": np.eye(7),
+    }  # fmt: skip
+    for name, array in arrays.items():
+        np.savez(matrices / f"{name}.npz", M=array)
+    told = refusal(read_matrices, files, path, matrices)
+    assert told.startswith(f"{setting}=")
+    assert said in told
+
+
+@pytest.mark.apart
+def test_a_file_that_asks_for_more_than_the_machine_has_ends_its_reader_alone(matrices):
+    (matrices / "vast.mtx").write_text("%%MatrixMarket matrix array real general\n2000000 2000000\n1.0\n")
+    with pytest.raises(InputError, match=r"^system\.K=vast\.mtx") as error:
+        read_matrices({"M": "M.npz", "K": "vast.mtx"}, None, matrices)
+    assert "\n" not in str(error.value)
+
+
+# Of a clamped beam, (beta L): the roots of cos cosh = -1.
+CLAMPED = np.array([1.8751040687, 4.6940911330, 7.8547574382, 10.9955407349])
+NONE = np.zeros(0, dtype=np.int64)
+
+
+def test_a_cantilever_has_the_frequencies_of_the_books():
+    reduced = reduced_model(*beam(200), modes=4, static=NONE)
+    np.testing.assert_allclose(np.sqrt(reduced.stiffness), CLAMPED**2 * np.sqrt(50.0), rtol=1e-6)
+
+
+@pytest.mark.parametrize("elements", [20, 400], ids=["dense", "sparse"])
+def test_coordinates_are_orthonormal(elements):
+    M, K = beam(elements)
+    tip, middle = deflection(elements) - 1, deflection(elements // 2) - 1
+    reduced = reduced_model(M, K, modes=5, static=np.array([middle, tip]))
+    assert (reduced.modes, reduced.vectors.shape[1]) == (5, 7)
+    np.testing.assert_allclose(reduced.vectors.T @ (M @ reduced.vectors), np.eye(7), atol=1e-8)
+    modal = reduced.vectors.T @ (K @ reduced.vectors) / np.sqrt(np.outer(reduced.stiffness, reduced.stiffness))
+    np.testing.assert_allclose(modal, np.eye(7), atol=1e-5)  # rounding of K times a smooth vector
+
+
+def test_residual_vectors_bend_as_the_whole_model():
+    M, K = beam(30)
+    places = np.array([deflection(30) - 1, deflection(12) - 1])
+    exact = np.linalg.solve(K.toarray(), np.eye(60)[:, places])[places]
+    modes, corrected = (reduced_model(M, K, 3, static) for static in (NONE, places))
+    found = [r.vectors[places] @ (r.vectors[places] / r.stiffness).T for r in (modes, corrected)]
+    np.testing.assert_allclose(found[1], exact, rtol=1e-8)
+    assert np.abs(found[0] / exact - 1).max() > 1e-3  # what it would be without
+
+
+def test_a_residual_vector_that_the_modes_hold_is_left_out():
+    M, K = beam(4)
+    reduced = reduced_model(M, K, modes=8, static=np.array([6]))
+    assert reduced.vectors.shape == (8, 8)
+
+
+def test_a_body_that_nothing_holds_has_rigid_motions():
+    reduced = reduced_model(*beam(50, clamped=False), modes=4, static=np.array([100]))
+    assert (reduced.stiffness[:2] == 0).all()
+    np.testing.assert_allclose(np.sqrt(reduced.stiffness[2]), 4.7300407449**2 * np.sqrt(50.0), rtol=1e-5)
+
+
+def test_ten_thousand_dofs_take_seconds():
+    side = 100
+    line = diags([-np.ones(side - 1), 2 * np.ones(side), -np.ones(side - 1)], [-1, 0, 1])
+    K = csc_matrix(1e4 * (kron(line, eye(side)) + kron(eye(side), line)))
+    M = csc_matrix(0.1 * eye(side**2))
+    reduced = reduced_model(M, K, modes=15, static=np.array([4321]))
+    by_line = 2 - 2 * np.cos(np.arange(1, side + 1) * np.pi / (side + 1))
+    exact = np.sort(1e5 * np.add.outer(by_line, by_line).ravel())[:15]
+    np.testing.assert_allclose(reduced.stiffness[:15], exact, rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("change", "setting"),
+    [
+        (lambda M, K: (M - 2 * csc_matrix(np.diag(M.diagonal())), K), "system.M"),
+        (lambda M, K: (csc_matrix(M - 0.9 * diags(M.diagonal())), K), "system.M"),
+        (lambda M, K: (M, K - 1e6 * M), "system.K"),
+    ],
+    ids=["negative mass", "indefinite mass", "negative stiffness"],
+)
+@pytest.mark.parametrize("elements", [10, 400], ids=["dense", "sparse"])
+def test_what_has_no_modes_is_refused(change, setting, elements):
+    assert refusal(reduced_model, *change(*beam(elements)), modes=3, static=NONE).startswith(f"{setting}=")
+
+
+def test_more_modes_than_dofs_are_refused():
+    with pytest.raises(InputError, match="the model has 8 DOFs"):
+        reduced_model(*beam(4), modes=9, static=NONE)

@@ -1,10 +1,12 @@
-"""The search for the model error: what was put in is found."""
+"""The search for the model error: what was put in is found; and the determinant that turns a motion into its forces."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 from one_record import evidence_of, levels_of, residuals_of, shown_noise
+from scipy.interpolate import BSpline
 from small_problems import QUANTITIES, excitation, measured, small_chain
 
 from pinn_cli.network.spline import Spline
@@ -18,6 +20,7 @@ from pinn_cli.training.levels import settled
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
+from pinn_cli.training.record_evidence import log_density, seen_powers
 from pinn_cli.training.steps.discrepancy_search import scanned
 from pinn_cli.training.steps.windows_discrepancy import widened
 
@@ -52,20 +55,16 @@ def found_by(evidence: Evidence, noise: NoiseLevels) -> Trained:
     return settled(evidence, scanned(evidence, noise, 1.0, evidence.equations.start()))
 
 
-@pytest.mark.parametrize("nonlinearity", ["linear", "duffing"])
-@pytest.mark.parametrize("level", [0.03, 0.2])
-def test_the_scan_finds_the_discrepancy_that_was_put_in(level, nonlinearity):
-    evidence, noise, put_in = disturbed(level, 1, nonlinearity)
-    best = found_by(evidence, noise)
-    assert best.solution.converged
-    assert 1 / 1.2 < best.noise.discrepancy / put_in < 1.2
+DISTURBED = [
+    *product((0.03, 0.2), ("linear", "duffing"), ("derivative",)),
+    *product((0.05, 0.2), ("duffing",), ("observer", "both")),
+]
 
 
-@pytest.mark.parametrize("through", ["observer", "both"])
-@pytest.mark.parametrize("level", [0.05, 0.2])
-def test_the_scan_finds_the_discrepancy_through_the_observer_equation(level, through):
-    """Its residual has the discrepancy in its variance too: without that variance's logarithm none is too large."""
-    evidence, noise, put_in = disturbed(level, 1, "duffing", through=through)
+@pytest.mark.parametrize(("level", "nonlinearity", "through"), DISTURBED)
+def test_the_scan_finds_the_discrepancy_that_was_put_in(level, nonlinearity, through):
+    """The observer's residual has it in its variance too: without that variance's logarithm none is too large."""
+    evidence, noise, put_in = disturbed(level, 1, nonlinearity, through=through)
     best = found_by(evidence, noise)
     assert best.solution.converged
     assert 1 / 1.2 < best.noise.discrepancy / put_in < 1.2
@@ -205,3 +204,56 @@ def test_the_evidence_counts_the_spread_once_per_believed_parameter():
     x = float(point.parameters[:3].square().sum())
     expected = -0.5 * x * (0.5**-2.0 - 2.0**-2.0) - 3.0 * np.log(0.5 / 2.0)
     assert levels[0.5] - levels[2.0] == pytest.approx(expected, rel=1e-6)
+
+
+DEGREE = 6
+
+
+def random_equations(size: int, coupled: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Masses, one of them nothing, dampers and springs; the last function acts on the others and does not feel them."""
+    rng = np.random.default_rng(size)
+    mass, there = rng.uniform(1.0, 2.0, size), rng.uniform(size=(size, size)) < coupled
+    damping, stiffness = (np.eye(size) + 0.1 * there * rng.normal(size=(size, size)) for _ in range(2))
+    mass[1], damping[-1, :-1], stiffness[-1, :-1] = 0.0, 0.0, 0.0
+    return mass, damping, 50.0 * stiffness
+
+
+@pytest.mark.parametrize("coupled", [0.2, 1.0])
+@pytest.mark.parametrize("size", [2, 7, 30])
+@pytest.mark.parametrize("degree", [None, DEGREE])
+def test_it_is_the_determinant_at_every_frequency(degree, size, coupled):
+    mass, damping, stiffness = random_equations(size, coupled)
+    seen = seen_powers(300, 20.0, degree)
+    zeroth, first, second = seen[..., None, None]
+    dense = zeroth * stiffness + 1j * first * damping - second * np.diag(mass)
+    assert log_density(mass, damping, stiffness, seen) == pytest.approx(np.linalg.slogdet(dense)[1].sum(), rel=1e-12)
+
+
+def test_a_damper_adds_half_its_rate_times_the_duration():
+    duration, edge, mass, k = 100.0, 400.0, np.array([2.0]), np.array([[30.0]])
+    seen = seen_powers(int(duration * edge / np.pi), edge, None)
+    weak, strong = (log_density(mass, np.array([[c]]), k, seen) for c in (0.1, 0.3))
+    assert strong - weak == pytest.approx(0.5 * duration * 0.2 / 2.0, rel=0.01)
+
+
+def equations_of_splines(c: float, k: float, intervals: int) -> np.ndarray:
+    """(intervals, weights), averages of u'' + c u' + k u over knot intervals of one second."""
+    knots, points = np.arange(-DEGREE, intervals + DEGREE + 1.0), (np.arange(8) + 0.5) / 8
+    rows = np.zeros((intervals, intervals + DEGREE))
+    for i in range(intervals):
+        for j in range(i, i + DEGREE + 1):
+            one = BSpline.basis_element(knots[j : j + DEGREE + 2], extrapolate=False)
+            rows[i, j] = np.mean(one.derivative(2)(i + points) + c * one.derivative()(i + points) + k * one(i + points))
+    return rows
+
+
+@pytest.mark.parametrize("k", [1.0, 9.0, 12.0, 20.0])
+def test_it_is_that_of_averaged_splines_up_to_and_beyond_their_band(k):
+    """A resonance at the edge of the band, pi rad/s, and above it; the ends of the record add a little."""
+    seen = seen_powers(150, np.pi, DEGREE)
+    exact, found = [], []
+    for stiffness in (0.25, k):
+        rows = equations_of_splines(0.3, stiffness, 150)
+        exact.append(np.log(np.linalg.svd(rows, compute_uv=False)).sum())
+        found.append(log_density(np.ones(1), np.array([[0.3]]), np.array([[stiffness]]), seen))
+    assert found[1] - found[0] == pytest.approx(exact[1] - exact[0], rel=0.04)

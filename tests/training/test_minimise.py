@@ -6,15 +6,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from one_record import evidence_of, factored, levels_of, problem_of, residuals_of, weights_of
-from small_problems import NONLINEARITIES, accelerations, measured, small_chain
+from one_record import evidence_of, levels_of, problem_of, residuals_of, weights_of
+from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
-from pinn_cli.system.energy import dissipated_power
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.covariance import ReadoutPosterior
 from pinn_cli.training.factors import ridge
 from pinn_cli.training.least_squares import LeastSquares
 from pinn_cli.training.minimise import minimise
@@ -22,7 +20,6 @@ from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.normal_matrix.bordered import SharedSystem
 from pinn_cli.training.point import Point
-from pinn_cli.training.reported.connection_forces import dissipated_energy
 
 
 def stiffnesses(structure) -> tuple[Parameter, ...]:
@@ -82,54 +79,6 @@ def test_a_linear_chain_is_solved_by_weighted_least_squares(ndof):
     assert solution.factor is not None
     assert solution.iterations <= 3
     assert solution.loss == pytest.approx(float(residuals(joined(solution.point)).square().sum()), rel=1e-9)
-
-
-@pytest.mark.parametrize("uncertain", [False, True])
-@pytest.mark.parametrize("nonlinearity", NONLINEARITIES)
-def test_standard_deviations_are_those_of_the_dense_covariance(nonlinearity, uncertain):
-    equations, noise = posed(nonlinearity, uncertain=uncertain)
-    solution = solved(equations, noise, iterations=60, tolerance=1e-9)
-    z, size = joined(solution.point), equations.layout.size
-    dense = jacobian(weighted_residuals(equations, noise), z)
-    covariance = torch.linalg.inv(dense.T @ dense)
-    factor = factored(equations.assemble(solution.point, noise, np.eye(len(equations.uncertain))))
-    posterior = ReadoutPosterior(equations, solution.point, factor)
-
-    def states(x):
-        return torch.stack(equations.flat_states(equations.observation, Point(x[:size], x[size:]))[:3])
-
-    def force(x):
-        point = Point(x[:size], x[size:])
-        motion = equations.flat_states(equations.physics, point)[:3]
-        return equations.dynamics.structure.external_force(*motion, equations.parameters(point))
-
-    structure = equations.dynamics.structure
-
-    def elongation(x):
-        return structure.elongation(states(x)[0])
-
-    moved = torch.stack(posterior.functions(equations.observation))
-    stretched = posterior.combined(equations.observation, [(0, structure.incidence.matrix)])
-
-    def energy(x):
-        motion, time = states(x), equations.problem.record.time
-        e, de = (structure.elongation(each) for each in motion[:2])
-        parameters = equations.parameters(Point(x[:size], x[size:]))
-        return torch.trapezoid(dissipated_power(structure, e, de, parameters), torch.as_tensor(time), dim=0)
-
-    value, std = (torch.as_tensor(x) for x in dissipated_energy(posterior))
-    torch.testing.assert_close(value, energy(z), rtol=1e-9, atol=0.0)
-    given_and_function = (
-        (std, energy),
-        (moved, states),
-        (posterior.force(equations.physics), force),
-        (stretched, elongation),
-    )
-    for given, function in given_and_function:
-        rows = jacobian(function, z)
-        expected = ((rows @ covariance) * rows).sum(-1).sqrt().reshape(given.shape)
-        torch.testing.assert_close(given, expected, rtol=1e-5, atol=1e-9)
-    np.testing.assert_allclose(factor.corner_covariance, covariance[size:, size:], rtol=1e-5, atol=1e-9)
 
 
 # Cubic springs pull harder the further a start is off: it has to be close for seven whole steps to do.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from independent_records import IndependentRecord, measured, random_force
 from independent_records import Structure as Circuit
-from solved_records import by_spline
+from one_record import by_spline
 from storeys import C, K, M, record, response
 
 from pinn_cli.model.knowledge import Levels, Misfit, Model, ParameterKnowledge

@@ -1,4 +1,4 @@
-"""Several records solved together, against one dense matrix of all their unknowns."""
+"""Several records solved together: here or in other processes, what each has of the whole, and whether they agree."""
 
 from dataclasses import replace
 from functools import cache
@@ -6,24 +6,26 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from scipy.sparse import csr_matrix
+from one_record import by_spline
 from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.runs import side_by_side
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.covariance import ReadoutPosterior
+from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.history import History
 from pinn_cli.training.least_squares import joined_parameters
 from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.point import Point
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.reported.posterior_estimate import own_information, posterior_estimate
 from pinn_cli.training.starting_noise import starting_noise
+from pinn_cli.verdict.judge import APART, contradictions
 
 STIFFNESSES = tuple(Parameter("k", i, 15.0, 150.0, unknown=True, positive=True) for i in range(2))
 DAMPER = Parameter("c", 1, 1.0, 0.3)
@@ -61,106 +63,11 @@ def solved(uncertain: tuple[tuple[Parameter, ...], ...], here: bool = True) -> t
     return evidence, noise, evidence.train(noise, evidence.equations.start())
 
 
-def dense(evidence: Evidence, point: Point, noise: NoiseLevels) -> tuple[np.ndarray, np.ndarray]:
-    """Hessian and gradient of all unknowns, from each record's own; the priors of the parameters once."""
-    equations = evidence.equations
-    sizes = [own.layout.size for own in equations.by_record]
-    start, p = [0, *np.cumsum(sizes)], len(equations.uncertain)
-    hessian, gradient = np.zeros((start[-1] + p,) * 2), np.zeros(start[-1] + p)
-    precision = np.where([q.unknown for q in equations.uncertain], 1.0, noise.spread**-2)
-    for i, (own, level) in enumerate(zip(equations.by_record, noise.records, strict=True)):
-        at = equations.split(point)[i]
-        system, columns = own.assemble(at, level), equations.columns[i]
-        rows, border = np.arange(start[i], start[i + 1]), start[-1] + columns
-        hessian[np.ix_(rows, rows)] = system.band.dense()
-        hessian[np.ix_(rows, border)], hessian[np.ix_(border, rows)] = (
-            csr_matrix(system.border).toarray(),
-            csr_matrix(system.border).toarray().T,
-        )
-        hessian[np.ix_(border, border)] += system.corner
-        gradient[rows] = system.gradient
-        gradient[border] += system.corner_gradient
-    last = np.arange(start[-1], start[-1] + p)
-    hessian[last, last] += precision
-    gradient[last] += precision * point.parameters.numpy()
-    return hessian, gradient
-
-
-def somewhere(evidence: Evidence) -> Point:
-    """A point with motion in it and parameters off their prescribed values."""
-    start, rng = evidence.equations.start(), np.random.default_rng(0)
-    moved = torch.as_tensor(0.01 * rng.standard_normal(len(start.unknowns)))
-    return Point(start.unknowns + moved, start.parameters + 0.02)
-
-
-@pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
-def test_a_step_stops_at_a_bound_and_the_others_make_up_for_it(uncertain):
-    evidence, noise = together(uncertain)
-    point = somewhere(evidence)
-    system = evidence.equations.assemble(point, noise)
-    factor = system.factor()
-    _, free = factor.step(system)
-    bounded = int(np.argmin(free))
-    assert free[bounded] < 0.0
-    lower = np.where(np.arange(len(free)) == bounded, 0.5 * free, -np.inf)
-    w, x = factor.step(system, lower)
-    assert x[bounded] == lower[bounded]
-    hessian, gradient = dense(evidence, point, noise)
-    at = len(w) + bounded
-    free_ones = np.delete(np.arange(len(hessian)), at)
-    right = gradient[free_ones] + hessian[free_ones, at] * x[bounded]
-    expected = -np.linalg.solve(hessian[np.ix_(free_ones, free_ones)], right)
-    np.testing.assert_allclose(np.delete(x, bounded), expected[len(w) :], rtol=1e-5)
-    np.testing.assert_allclose(w, expected[: len(w)], rtol=1e-5, atol=1e-7 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
-def test_the_log_evidence_is_that_of_the_dense_determinant(uncertain):
-    """What records say of motion adds up; the Hessian's determinant and the prior are those of all unknowns."""
-    evidence, noise, trained = solved(uncertain)
-    assert trained.solution.converged
-    point, believed = trained.solution.point, sum(not q.unknown for q in evidence.equations.uncertain)
-    factor = evidence.equations.assemble(point, noise).factor()
-    found = evidence.log_evidence(point, noise, factor)
-    sign, determinant = np.linalg.slogdet(dense(evidence, point, noise)[0])
-    records = zip(evidence.records, evidence.equations.split(point), noise.records, strict=True)
-    without = sum(own.log_evidence(at, level, 0.0) for own, at, level in records)
-    prior = evidence.equations.losses(point, noise)["prior"] + 2.0 * believed * np.log(noise.spread)
-    assert sign == 1.0
-    assert found == pytest.approx(without - 0.5 * (determinant + prior), rel=1e-9, abs=1e-3)
-
-
 def motion_std(evidence: RecordEvidence, solution: RecordSolution) -> np.ndarray:
     """Of a file's, so that a copy of the process finds it."""
     equations = evidence.equations
     posterior = ReadoutPosterior(equations, solution.point, solution.factor)
     return posterior.functions(equations.observation)[0].numpy()
-
-
-@pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
-def test_the_states_of_each_record_are_as_uncertain_as_the_dense_inverse_says(uncertain):
-    """The parameters' covariance of all records is in each one's standard deviations."""
-    evidence, noise, trained = solved(uncertain)
-    fresh = replace(trained, factor=evidence.equations.assemble(trained.solution.point, noise).factor())
-    covariance = np.linalg.inv(dense(evidence, trained.solution.point, noise)[0])
-    start = 0
-    for own, found in zip(evidence.records, evidence.each_record(motion_std, fresh), strict=True):
-        equations = own.equations
-        size, segments = equations.layout.size, equations.observation
-        place = torch.as_tensor(equations.layout.columns(segments.feature, coupled=False))
-        for dof in range(2):
-            rows = np.zeros((len(found), size))
-            for group in range(len(place)):
-                index = segments.gather(torch.arange(len(found), dtype=torch.float64)[:, None])[group, :, 0].long()
-                alive = segments.mask[group] > 0
-                position = place[group, dof].numpy()
-                rows[np.ix_(index[alive].numpy(), position)] = segments.displacement[group][alive].numpy()
-            own_part = covariance[start : start + size, start : start + size]
-            expected = np.sqrt(np.einsum("ni,ij,nj->n", rows, own_part, rows))
-            np.testing.assert_allclose(found[:, dof], expected, rtol=1e-3)
-        start += size
-    alone = np.sqrt(np.diag(covariance))[start:]
-    np.testing.assert_allclose(np.sqrt(np.diag(fresh.factor.corner_covariance)), alone, rtol=1e-4)
 
 
 def test_the_numbers_do_not_depend_on_where_they_are_computed():
@@ -198,7 +105,7 @@ def test_gain_and_delay_go_with_the_sensor_and_its_offset_with_the_record():
 
 @pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
 def test_the_estimate_has_all_parameters_and_every_record_its_own(uncertain):
-    evidence, noise, trained = solved(uncertain)
+    evidence, _, trained = solved(uncertain)
     estimate = posterior_estimate(evidence, trained, History(progress=False))
     every = {found.name: found for found in estimate.parameters}
     assert set(every) == {"k_1", "k_2", "c_2"}
@@ -212,9 +119,8 @@ def test_the_estimate_has_all_parameters_and_every_record_its_own(uncertain):
     places = [list(every).index(found.name) for found in estimate.by_record[1].parameters]
     np.testing.assert_array_equal(estimate.by_record[1].correlation, estimate.correlation[np.ix_(places, places)])
     deviations = [every[name].std for name in every]
-    covariance = np.diag(np.linalg.inv(dense(evidence, trained.solution.point, noise)[0]))[-3:]
-    unit = evidence.equations.scale
-    assert np.all(np.array(deviations) >= 0.98 * np.sqrt(covariance) * unit)
+    alone = np.sqrt(np.diag(trained.factor.corner_covariance)) * evidence.equations.scale
+    assert np.all(np.array(deviations) >= 0.98 * alone)
 
 
 def test_pulls_of_all_records_balance_the_prior() -> None:
@@ -228,3 +134,45 @@ def test_pulls_of_all_records_balance_the_prior() -> None:
     assert max(np.abs(pull / size).max() for _, pull in each) > 0.1
     for information, _ in each:
         assert np.linalg.eigvalsh(information / np.outer(size, size)).min() > -1e-8
+
+
+@cache
+def of_springs(second_k: float) -> Estimate:
+    """Two records with sensors on every DOF, the second of a chain with other springs."""
+    every = [
+        measured(small_chain("linear", 2, k=k), snr_db=30.0, duration=24.0, samples=385, seed=seed).record
+        for seed, k in enumerate((15.0, second_k))
+    ]
+    scheme = StateParameter(unknown=["k_*"], parameter_uncertainty=0.0)
+    return by_spline(scheme.pose(small_chain("linear", 2), every))
+
+
+def test_records_of_one_structure_agree_within_chance():
+    found = of_springs(15.0)
+    assert [d.freedom for d in found.disagreements] == [2, 2]
+    for one in found.disagreements:
+        assert one.square < 15.0  # of a chi-square of two: one in 1800
+        assert list(one.alone) == ["k_1", "k_2"]
+        for name, value in one.alone.items():
+            assert value == pytest.approx(15.0, rel=0.03), name
+    assert not contradictions(found)
+    assert not found.by_record[0].disagreements
+
+
+@pytest.mark.slow
+def test_a_record_of_another_structure_contradicts_the_rest():
+    found = of_springs(18.0)
+    assert max(d.square for d in found.disagreements) > 2.0 * APART**2
+    (finding,) = contradictions(found)
+    assert (finding.kind, finding.word) == ("contradiction", "questionable")
+    assert "contradicts the other one: by itself it says k_" in finding.text
+    assert "\n" not in finding.text
+
+
+@pytest.mark.parametrize(("off", "told"), [(1.01, False), (1.05, True)])
+def test_a_pull_beyond_chance_needs_a_difference_that_is_worth_a_word(off, told):
+    found = of_springs(15.0)
+    alone = {p.name: off * p.estimate for p in found.parameters}
+    first, second = found.disagreements
+    pulling = replace(second, square=1e4, alone=alone)
+    assert bool(contradictions(replace(found, disagreements=(first, pulling)))) == told

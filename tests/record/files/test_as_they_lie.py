@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from calls import refusal
 from files_as_they_lie import FILES, GRAVITY, LOGGERS, RATE, SAMPLES, rig
-from refusals import refusal
 
 from pinn_cli.record.clock import MeasuredFiles, recognised
 from pinn_cli.record.files.csv import CsvFormat

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from calls import refusal
 from omegaconf import OmegaConf
-from refusals import refusal
 from scipy.io import netcdf_file, savemat
 
 from pinn_cli.cli.records import data_of_records

@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
-from refusals import refusal
+from calls import refusal
 
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.hdf5 import Hdf5Format

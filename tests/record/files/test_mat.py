@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io.matlab
-from refusals import refusal
+from calls import refusal
 from scipy.io import savemat
 
 from pinn_cli.record.files.mat import MatFormat

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from refusals import refusal
+from calls import refusal
 
 from pinn_cli.runs import apart
 

@@ -19,7 +19,6 @@ from vibrating_records import (
     of_short_shaker,
 )
 
-from pinn_cli.record.identification.fits import PowerFit
 from pinn_cli.record.identification.lines import Lines, Pole, deviations, scatter
 from pinn_cli.record.identification.modes import Identified, identify
 from pinn_cli.record.identification.subspace import assurance, stabilisation
@@ -172,29 +171,10 @@ def test_assurance():
     np.testing.assert_allclose(assurance(one, other), [[1.0, 0.8], [0.2, 0.0]])
 
 
-def test_power_of_a_mode_is_the_sum_over_lags():
-    record = of_building(0)
-    lines = Lines.of(record.outputs[:600], record.inputs[:600], 0.02)
-    pole = Pole(3.43, 0.01)
-    fit = PowerFit(lines, pole, (), np.ones(3))
-    lag = np.arange(600)[:, None]
-    omega = 2.0 * np.pi * fit.band.frequency * 0.02
-    correlation = np.exp(pole.at * 0.02 * lag) * (1.0 - lag / 600)
-    both = 2.0 * correlation * np.cos(omega * lag) * np.where(lag == 0, 0.5, 1.0)
-    expected = both.sum(axis=0) * abs(pole.at.real * 0.02)
-    np.testing.assert_allclose(fit._shown(pole), np.stack((expected.real, -expected.imag), axis=1), atol=1e-9)
-
-
 def test_adjacent_lines_of_a_wide_band_count_together():
     assert scatter(np.ones((90, 1))) == pytest.approx(270.0)  # thirty groups of three
     assert scatter(np.ones((40, 1))) == pytest.approx(40.0)  # each line alone
     assert scatter((-1.0) ** np.arange(120)[:, None]) == pytest.approx(0.0)
-
-
-def test_slopes_of_a_pole():
-    pole = Pole(2.0, 0.05)
-    by = 1e-6 * np.eye(2)
-    np.testing.assert_allclose([(pole.moved(x).at - pole.moved(-x).at) / 2e-6 for x in by], pole.slopes, rtol=1e-6)
 
 
 def test_tones_are_told_from_what_fills_a_band():

@@ -1,4 +1,4 @@
-"""A motion that is known to begin at rest: what it adds to every estimator, and what that is worth."""
+"""A motion that is known to begin at rest, and a prior of one's own: what they add to every estimator."""
 
 from dataclasses import replace
 from functools import cache
@@ -6,9 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from one_record import shown_noise
+from one_record import by_spline, evidence_of, levels_of, shown_noise
 from small_problems import accelerations, measured, small_chain
-from solved_records import by_spline
 
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
 from pinn_cli.network.fourier import Fourier
@@ -23,10 +22,13 @@ from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.factors.factor import Factor
 from pinn_cli.training.function_space.training import FunctionSpaceGaussNewton
 from pinn_cli.training.gradient.losses import Losses
 from pinn_cli.training.learned_parameters import LearnedParameters
+from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.normal_matrix.row_sums import RowSums
 from pinn_cli.training.point import Point
 
 SENSORS = (1, 2, 3, 4)
@@ -134,3 +136,40 @@ def test_every_scheme_says_how_the_motion_begins(scheme):
     assert deviation[0] == pytest.approx(RESIDUAL_MOTION * largest, rel=1e-6)
     with pytest.raises(InputError, match=r"scheme\.initial_motion=quiet: must be one of free, rest"):
         scheme(initial_motion="quiet")
+
+
+class Still(Factor):
+    """The readout is small: each weight to a standard deviation."""
+
+    name = "still"
+
+    def __init__(self, frame: NormalEquations, deviation: float) -> None:
+        super().__init__(frame)
+        self.weight = deviation**-2
+
+    def loss(self, point: Point, noise: NoiseModel) -> float:
+        return self.weight * float(point.unknowns.square().sum())
+
+    def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
+        sums.add_diagonal(self.weight, point.unknowns.cpu().numpy())
+
+
+@pytest.mark.parametrize("deviation", [1e3, 1e-6])
+def test_it_counts_like_all_others(deviation: float) -> None:
+    record = measured(small_chain("linear"), snr_db=40.0, duration=6.0).record
+    problem = Problem(small_chain("linear"), record)
+    plain, believed = (NormalEquations(Spline().build(record), problem) for _ in range(2))
+    believed.factors.append(Still(believed, deviation))
+    noise = levels_of(shown_noise(record, 0.01))
+    size = {}
+    for own in (plain, believed):
+        trained = evidence_of(own).train(noise, own.start())
+        assert trained.solution.converged
+        size[own] = float(np.abs(trained.solution.point.unknowns).max())
+    lost = believed.losses(trained.solution.point, noise.records[0])["still"]
+    assert lost == pytest.approx(deviation**-2 * float(trained.solution.point.unknowns.square().sum()))
+    assert (
+        size[believed] == pytest.approx(size[plain], rel=1e-3)
+        if deviation > 1.0
+        else size[believed] < 0.1 * size[plain]
+    )

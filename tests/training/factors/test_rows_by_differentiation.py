@@ -1,7 +1,8 @@
 """What every factor adds to the normal equations is the product of its Jacobian, for whatever problem is drawn.
 
-The Jacobian is that of automatic differentiation. Of a sensor's delay and the corner of its filter, for which features
-and equations are made anew, it is that of central differences.
+So are determinants and the standard deviations that are reported. The Jacobian is that of automatic differentiation.
+Of a sensor's delay and the corner of its filter, for which features and equations are made anew, it is that of central
+differences.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,8 +17,12 @@ from random_problems import equations, generators, noise_of, somewhere
 from scipy.linalg import block_diag
 from scipy.sparse import csr_matrix
 
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.runs import side_by_side
-from pinn_cli.system.quantities import HIGH_PASS
+from pinn_cli.system.energy import dissipated_power
+from pinn_cli.system.functions import Jet
+from pinn_cli.system.quantities import GROUND, HIGH_PASS
+from pinn_cli.training.covariance import ReadoutPosterior
 from pinn_cli.training.factors import equation_rows, frame
 from pinn_cli.training.factors.calibrated_channels import CalibratedChannels, Gains, SensorFilter
 from pinn_cli.training.factors.equations_of_motion import EquationsOfMotion
@@ -27,9 +32,11 @@ from pinn_cli.training.factors.ridge import Ridge
 from pinn_cli.training.least_squares import LeastSquares
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.normal_matrix.bordered import BorderedSystem
+from pinn_cli.training.normal_matrix.bordered import BorderedFactor, BorderedSystem
+from pinn_cli.training.normal_matrix.dissection import Dissection
 from pinn_cli.training.point import Point
 from pinn_cli.training.record_evidence import RecordEvidence
+from pinn_cli.training.reported.connection_forces import connection_forces, dissipated_energy
 
 pytestmark = pytest.mark.filterwarnings("ignore:Converting a tensor with requires_grad")
 FIXED = settings(derandomize=True, database=None, deadline=None, suppress_health_check=list(HealthCheck))
@@ -150,20 +157,66 @@ def assert_moves(rows: Linearised, step: Point) -> None:
             assert_close(change.flatten(), moved[rows.rows[f"{factor.name} {i} {j}"]])
 
 
+def reported(own: NormalEquations, at: Point) -> dict[str, torch.Tensor]:
+    """(N, any), what an estimate tells: motion at sensors, every function, forces of DOFs and connections, energy."""
+    dynamics, values = own.dynamics, own.parameters(at)
+    seen, felt = (Jet(*own.flat_states(segments, at)[:3]) for segments in (own.observation, own.physics))
+    structure, motion = dynamics.structure, (*RESPONSE_QUANTITIES, *([GROUND] if dynamics.inputs.ground else ()))
+    out = {quantity: dynamics.sensed(quantity, seen) for quantity in motion}
+    out |= {f"function {order}": x for order, x in enumerate(seen)}
+    if not (structure.is_modal or dynamics.inputs.forces or dynamics.inputs.loads):
+        out["force"] = dynamics.external_force(felt, values)
+    if len(structure.added):
+        out["connection force"] = dynamics.connection_force(seen, values)[:, structure.added]
+    if len(structure.added) and not len(structure.memory):
+        e, de = (structure.elongation(dynamics.stretching(x)) for x in seen[:2])
+        power = dissipated_power(structure, e, de, values)[:, structure.added]
+        out["energy"] = torch.trapezoid(power, torch.as_tensor(own.problem.record.time), dim=0)
+    return out
+
+
+def assert_deviations(own: NormalEquations, at: Point, factor: BorderedFactor, covariance: np.ndarray) -> None:
+    """Of all that is reported, against the dense covariance of all unknowns and parameters."""
+    posterior = ReadoutPosterior(own, at, factor)
+    value, told = reported(own, at), posterior.sensed(own.observation)
+    told |= {f"function {order}": x for order, x in enumerate(posterior.functions(own.observation))}
+    told |= {"force": posterior.force(own.physics)} if "force" in value else {}
+    if "connection force" in value:
+        force, told["connection force"] = connection_forces(posterior)
+        assert_close(force, value["connection force"].numpy())
+    if "energy" in value:
+        energy, told["energy"] = dissipated_energy(posterior)
+        assert_close(energy, value["energy"].numpy())
+    assert told.keys() == value.keys()
+    some = {name: slice(None, None, 1 if name == "energy" else 7) for name in value}
+    along = lambda *z: tuple(x[some[name]].flatten() for name, x in reported(own, Point(*z)).items())  # noqa: E731
+    slopes = torch.autograd.functional.jacobian(along, (at.unknowns, at.parameters), vectorize=True)
+    for name, by in zip(value, slopes, strict=True):
+        rows = torch.cat(by, -1).numpy()
+        expected = np.sqrt(np.maximum(((rows @ covariance) * rows).sum(-1), 0.0))
+        found, least = np.ravel(told[name][some[name]]), 1e-7 * expected.max()
+        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=least, err_msg=name)
+
+
 @pytest.mark.parametrize("examples", [8, pytest.param(100, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("plain", [True, False], ids=["motion alone", "motion, memory and inputs"])
 def test_rows(plain: bool, examples: int) -> None:
-    drawn = given(equations(plain), generators(), st.booleans(), SPREADS)(check_rows)
+    drawn = given(equations(plain), generators(), st.booleans(), st.booleans(), SPREADS)(check_rows)
     settings(FIXED, max_examples=examples)(drawn)()
 
 
-def check_rows(each: list[NormalEquations], rng: np.random.Generator, in_pieces: bool, spread: float) -> None:
+def check_rows(
+    each: list[NormalEquations], rng: np.random.Generator, in_pieces: bool, dissected: bool, spread: float
+) -> None:
     """Of one record and of two that share parameters: normal equations, losses, what steps change, a damped step."""
+    for own in each if dissected else ():
+        own.layout.dissection = Dissection(own.layout.dissection.grid, largest=20)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(side_by_side, "usable_cores", lambda: [0])
         if in_pieces:
             patch.setattr(equation_rows, "ROW_NUMBERS_AT_ONCE", 3000)
             patch.setattr(frame, "ROWS_AT_ONCE", 2000)
+            patch.setattr(frame, "KEPT_NUMBERS", 0)
         check_together(each, rng, spread)
 
 
@@ -192,5 +245,10 @@ def check_together(each: list[NormalEquations], rng: np.random.Generator, spread
     assert sum(whole.losses(point, noise).values()) == pytest.approx(losses, rel=1e-9)
     scale = np.sqrt(np.diag(hessian))
     scaled = hessian / scale / scale[:, None] + DAMPING * np.eye(len(scale))
-    step = np.concatenate(systems.factor(DAMPING).step(systems))
-    assert_close(step * scale, -np.linalg.solve(scaled, gradient / scale))
+    factor, inverse = systems.factor(DAMPING), np.linalg.inv(scaled) / scale / scale[:, None]
+    assert_close(np.concatenate(factor.step(systems)) * scale, -np.linalg.solve(scaled, gradient / scale))
+    determinant = np.linalg.slogdet(scaled)[1] + 2.0 * np.log(scale).sum()
+    assert factor.parameter_log_determinant + sum(factor.determinants) == pytest.approx(determinant, abs=1e-6)
+    # Of the last record: it has its share of what all tell of the parameters.
+    bordered = BorderedFactor(factor.schur_of(whole.columns[-1]), factor.eliminated[-1].readout)
+    assert_deviations(own, at, bordered, inverse[np.ix_(places, places)])

@@ -1,8 +1,9 @@
-"""Steps from the low-rank factor against those with the whole matrix."""
+"""Steps from the low-rank factor against those with the whole matrix; conjugate gradients and Cholesky by blocks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import pytest
 import torch
 from small_problems import accelerations, measured, small_chain
@@ -14,12 +15,14 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.function_space import equations
+from pinn_cli.training.function_space.block_cholesky import BlockCholesky, BlockPattern, Blocks, entry
 from pinn_cli.training.function_space.collocation import collocate
 from pinn_cli.training.function_space.equations import NetworkEquations
 from pinn_cli.training.function_space.feature_system import (
     FeatureSystem,
     NotNearlyLinearError,
     coefficient_prior,
+    conjugate_gradients,
     follows_features,
 )
 from pinn_cli.training.function_space.network_frame import NetworkFrame
@@ -152,3 +155,110 @@ def test_both_ways_find_the_same_motion(monkeypatch):
 )  # fmt: skip
 def test_only_embedded_networks_of_enough_units_follow_features(design, follows):
     assert follows_features(design.build(measured(small_chain()).record)) is follows
+
+
+def system(size: int = 60, off: float = 1.0) -> torch.Tensor:
+    """Of a condition of a million; eigenvalues are ``off`` by a factor that grows along them."""
+    generator = torch.Generator().manual_seed(0)
+    basis, _ = torch.linalg.qr(torch.randn(size, size, generator=generator, dtype=torch.float64))
+    values = torch.logspace(0.0, 6.0, size, dtype=torch.float64) * torch.linspace(1.0, off, size, dtype=torch.float64)
+    return (basis * values) @ basis.T
+
+
+def right(size: int = 60) -> torch.Tensor:
+    columns = torch.randn(size, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    columns[:, 1] = 0.0  # one that is solved before it begins
+    return columns
+
+
+def test_a_good_preconditioner_makes_few_iterations():
+    matrix = system()
+    rough = torch.linalg.inv(system(off=3.0))
+    found, iterations, reached = conjugate_gradients(matrix.matmul, rough.matmul, right(), 1e-10, 60)
+    torch.testing.assert_close(found, torch.linalg.solve(matrix, right()), rtol=1e-5, atol=1e-8)
+    assert iterations < 30
+    assert reached <= 1e-10
+
+
+def test_it_says_how_far_it_got():
+    matrix = system()
+    _, iterations, reached = conjugate_gradients(matrix.matmul, lambda x: x, right(), 1e-10, 5)
+    assert iterations == 5
+    assert reached > 1e-3
+
+
+def test_the_exact_inverse_takes_one_iteration():
+    matrix = system()
+    found, iterations, _ = conjugate_gradients(matrix.matmul, torch.linalg.inv(matrix).matmul, right(), 1e-6, 60)
+    assert iterations == 1
+    torch.testing.assert_close(matrix @ found, right(), rtol=1e-5, atol=1e-5)
+
+
+# Block rows of unequal heights: of every row of the matrix the block row.
+HEIGHTS = [4, 3, 5, 4, 1]
+OF = torch.arange(5).repeat_interleave(torch.tensor(HEIGHTS))
+# A chain, one whose ends meet, a star and a tree, and blocks that do not know each other.
+COUPLINGS = {
+    "chain": [(0, 1), (1, 2), (2, 3), (3, 4)],
+    "ring": [(0, 1), (1, 2), (2, 3), (3, 4), (4, 0)],
+    "star": [(0, 1), (0, 2), (0, 3), (0, 4)],
+    "apart": [(0, 3)],
+    "whole": [(i, j) for i in range(5) for j in range(i)],
+}
+
+
+def coupled(name: str) -> np.ndarray:
+    out = np.eye(5, dtype=bool)
+    for i, j in COUPLINGS[name]:
+        out[i, j] = out[j, i] = True
+    return out
+
+
+def matrix_and_blocks(name: str) -> tuple[torch.Tensor, BlockPattern, Blocks]:
+    pattern = BlockPattern(coupled(name))
+    generator = torch.Generator().manual_seed(0)
+    noise = torch.randn(len(OF), len(OF), generator=generator, dtype=torch.float64)
+    mask = torch.as_tensor(coupled(name))[OF][:, OF]
+    matrix = (noise + noise.T) * mask
+    matrix += 20.0 * torch.eye(len(matrix))
+    there = zip(*np.nonzero(np.tril(coupled(name))), strict=True)
+    return matrix, pattern, {(int(i), int(j)): matrix[i == OF][:, j == OF].clone() for i, j in there}
+
+
+@pytest.mark.parametrize("name", COUPLINGS)
+def test_it_solves_what_dense_algebra_solves(name):
+    matrix, pattern, blocks = matrix_and_blocks(name)
+    factor = BlockCholesky(pattern, blocks)
+    right = torch.randn(len(OF), 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    expected = torch.linalg.solve(matrix, right)
+    torch.testing.assert_close(torch.cat(factor.solved(list(right.split(HEIGHTS)))), expected)
+    half = torch.cat(factor.forward(list(right.split(HEIGHTS))))
+    torch.testing.assert_close(half.T @ half, right.T @ expected)
+
+
+@pytest.mark.parametrize("name", COUPLINGS)
+def test_the_blocks_of_the_inverse(name):
+    matrix, pattern, blocks = matrix_and_blocks(name)
+    found = BlockCholesky(pattern, blocks).inverse
+    inverse = torch.linalg.inv(matrix)
+    for i, j in zip(*np.nonzero(coupled(name)), strict=True):
+        expected = inverse[i == OF][:, j == OF]
+        torch.testing.assert_close(entry(found, i, j), expected)
+
+
+def test_a_chain_and_a_star_fill_nothing_in():
+    assert [len(later) for later in BlockPattern(coupled("chain")).below] == [1, 1, 1, 1, 0]
+    assert sum(len(later) for later in BlockPattern(coupled("star")).below) == 4
+    assert BlockPattern(coupled("chain")).operations < 0.5 * BlockPattern(coupled("whole")).operations
+
+
+def test_the_whole_matrix_takes_a_third_of_its_cube():
+    dense = BlockPattern(np.ones((12, 12), dtype=bool)).operations
+    assert dense == pytest.approx(12**3 / 3, rel=0.15)
+
+
+def test_what_is_not_positive_definite_is_refused():
+    _, pattern, blocks = matrix_and_blocks("chain")
+    blocks[2, 2] -= 100.0 * torch.eye(HEIGHTS[2])
+    with pytest.raises(FloatingPointError):
+        BlockCholesky(pattern, blocks)

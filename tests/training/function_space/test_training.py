@@ -1,4 +1,4 @@
-"""Training an MLP in function space, on records that take a step well under a second."""
+"""Training an MLP in function space, on records that take a step well under a second, and its collocation points."""
 
 from dataclasses import replace
 from typing import Any
@@ -12,12 +12,15 @@ from small_problems import QUANTITIES, accelerations, measured, relative_error, 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
+from pinn_cli.physics import targets
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training import stepwise
 from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.function_space.collocation import Collocation, collocate
 from pinn_cli.training.function_space.search import FunctionSpaceSearch
 from pinn_cli.training.gauss_newton import GaussNewton
 
@@ -179,3 +182,48 @@ def test_bands_cover_under_a_wrong_model():
     assert all(covered(estimate, quantity) > 0.85 for quantity in QUANTITIES)
     k = next(p for p in estimate.parameters if p.name == "k_2")
     assert abs(k.estimate - 15.0) < 3.0 * k.std
+
+
+def long_problem(snr_db: float | None = 20.0, seed: int = 0) -> Problem:
+    structure = small_chain()
+    return Problem(structure, accelerations(measured(structure, snr_db=snr_db, samples=2049, seed=seed).record))
+
+
+def collocated(given: Problem, points: int | None, most_rows: int) -> Collocation:
+    return collocate(given, targets(given.record, Dynamics(given.structure)), points, most_rows)
+
+
+def test_there_are_as_many_points_as_the_record_has_independent_values():
+    given = long_problem()
+    assert len(collocated(given, None, 10000).target.physics_time) == Spline().build(given.record).count
+
+
+def test_few_residuals_take_fewer_points():
+    fewer = collocated(long_problem(), None, 400).target
+    assert len(fewer.physics_time) == 400 // 5  # two sensors, three equations of motion
+
+
+def test_too_few_points_for_the_band_are_an_input_error():
+    with pytest.raises(InputError, match=r"training.collocation_points=12: must be a whole number >= .* Hz"):
+        collocated(long_problem(), 12, 10000)
+
+
+def test_low_passing_takes_as_much_noise_out_as_it_says():
+    noisy, clean = long_problem(), long_problem(snr_db=None)
+    collocation = collocated(noisy, 150, 10000)
+    samples = torch.linspace(0, 2048, 150).round().long()
+    truth = targets(clean.record, Dynamics(clean.structure)).at(samples)
+    for dof in range(2):
+        error = (collocation.target.response["acceleration"] - truth.response["acceleration"])[:, dof]
+        assert float(error.square().mean().sqrt()) == pytest.approx(collocation.response["acceleration"][dof], rel=0.35)
+    force = (collocation.target.force - truth.force)[:, 0]
+    assert float(force.square().mean().sqrt()) == pytest.approx(collocation.force[0], rel=0.35)
+    assert np.isnan(collocation.force[1:]).all()
+
+
+def test_a_clean_record_stays_as_it_is():
+    clean = long_problem(snr_db=None)
+    collocation = collocated(clean, 150, 10000)
+    whole = targets(clean.record, Dynamics(clean.structure)).at(torch.linspace(0, 2048, 150).round().long())
+    for quantity in ("acceleration",):
+        assert relative_error(collocation.target.response[quantity].numpy(), whole.response[quantity].numpy()) < 1e-3

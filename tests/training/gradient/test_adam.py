@@ -1,6 +1,7 @@
-"""First-order training, on records so small that a step takes a millisecond."""
+"""First-order training and its loss weights, on records so small that a step takes a millisecond."""
 
 import itertools
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,9 @@ from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
+from pinn_cli.training.gradient.losses import Losses
+from pinn_cli.training.gradient.objective import Objective
+from pinn_cli.training.learned_parameters import LearnedParameters
 
 DESIGNS = {
     "mlp": Mlp(2, 32, "sine"),
@@ -170,3 +174,42 @@ def test_points_are_judged_by_the_signal_and_not_by_its_noise(snr_db):
     short(collocation_points=40).solve(JointProblem.of(problem), DESIGNS["mlp"], RunContext())
     with pytest.raises(InputError):
         short(collocation_points=20).solve(JointProblem.of(problem), DESIGNS["mlp"], RunContext())
+
+
+def objective() -> Objective:
+    structure = small_chain()
+    record = accelerations(measured(structure, snr_db=40.0).record)
+    problem = Problem(structure, record)
+    network = Mlp(1, 16, "sine").build(record)
+    parameters = LearnedParameters(problem, torch.float64)
+    return Objective(Losses(problem, 128, "cpu", torch.float64), network, parameters, "equalised")
+
+
+def gradient_norms(given: Objective) -> dict[str, float]:
+    norms = {}
+    for name, term in given().terms.items():
+        parts = torch.autograd.grad(term, list(given.network.parameters()), retain_graph=True, allow_unused=True)
+        norms[name] = math.sqrt(sum(float(part.square().sum()) for part in parts if part is not None))
+    return norms
+
+
+def test_equalised_terms_pull_equally_hard_at_the_start():
+    given = objective()
+    given.begin_stage(0, 1.0)
+    norms = gradient_norms(given)
+    assert set(norms) == {"observation", "continuity", "forced", "unforced"}
+    assert all(norm == pytest.approx(norms["observation"], rel=1e-9) for norm in norms.values())
+    assert given().weights["observation"] == 1.0
+
+
+def test_the_history_has_the_weights_that_were_found():
+    structure = small_chain()
+    problem = Problem(structure, accelerations(measured(structure, snr_db=40.0).record))
+    training = Adam(iterations=10, stages=2, weights="equalised", collocation_points=128, history_every=5)
+    history = training.solve(JointProblem.of(problem), Mlp(1, 16, "sine"), RunContext()).history
+    assert history["iteration"].tolist() == [0, 5, 10, 15, 20]
+    # The row at the border of two stages has the second one's weights.
+    expected = history["weight_unforced"][0] * np.array([1.0, 1.0, 10.0, 10.0, 10.0])
+    np.testing.assert_allclose(history["weight_unforced"], expected)
+    assert set(history["weight_observation"]) == {1.0}
+    assert history["weight_continuity"].nunique() == 1

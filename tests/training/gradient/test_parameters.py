@@ -15,10 +15,12 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.state_parameter import StateParameter
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
 from pinn_cli.training.gradient.lbfgs import GRADIENT_VANISHED, NOTHING_LOWER, Lbfgs
 from pinn_cli.training.gradient.losses import Losses
+from pinn_cli.training.learned_parameters import LearnedParameters
 
 SHORT = Adam(20, collocation_points=128, history_every=10)
 LONG = Adam(400, stages=1, learning_rate=1e-2, parameter_learning_rate=5e-3, collocation_points=None)
@@ -137,3 +139,34 @@ def test_the_configuration_has_the_papers_settings_of_state_parameter_estimation
     assert {p.name: p.prescribed for p in problem.uncertain} == starts
     assert all(p.unknown and p.positive for p in problem.uncertain)
     assert problem.record.observed.tolist() == [True, False, True, False, True]
+
+
+UNCERTAIN = (
+    Parameter("k", 1, 1.5, 255.0, scale=25.5, unknown=True, positive=True),
+    Parameter("kappa", 0, 7.3, 1e3, scale=123.4, unknown=True, positive=True),
+    Parameter("c", 2, 1.1, 0.1),
+)
+
+
+def learned(dtype: torch.dtype = torch.float32) -> LearnedParameters:
+    structure = small_chain()
+    values = {kind: value.clone() for kind, value in structure.parameters.items()}
+    for p in UNCERTAIN:
+        values[p.kind][p.index] = p.prescribed
+    record = measured(structure, duration=3.0, samples=33).record
+    return LearnedParameters(Problem(structure.with_parameters(**values), record, UNCERTAIN), dtype)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_step_is_counted_in_the_parameters_own_unit(dtype):
+    parameters = learned(dtype)
+    with torch.no_grad():
+        parameters.moved += torch.tensor([0.1, 1.0, -0.2], dtype=dtype)
+    values = {kind: value.detach() for kind, value in parameters().items()}
+    rounding = 1e-6 if dtype == torch.float32 else 1e-15
+    assert float(values["k"][1]) == pytest.approx(1.5 + 2.55, rel=rounding)
+    assert float(values["kappa"][0]) == pytest.approx(7.3 + 123.4, rel=rounding)
+    assert float(values["c"][2]) == pytest.approx(0.8 * 1.1, rel=rounding)
+    assert float(values["k"][0]) == 15.0
+    assert [p.estimate for p in parameters.estimates()] == pytest.approx([4.05, 130.7, 0.88], rel=rounding)
+    assert float(parameters.prior().detach()) == pytest.approx(0.01**2 + 0.1234**2 + 2.2**2, rel=1e-6)

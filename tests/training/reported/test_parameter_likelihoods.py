@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from bayesian_problems import Example, posed, solved, source
 from dense_model import DenseModel
+from one_record import by_spline
 from small_problems import NONLINEARITIES, measured, small_chain
-from solved_records import by_spline
 
 from pinn_cli.physics import physics_residual
 from pinn_cli.record.channel import Channel, unknown_calibration

@@ -10,13 +10,16 @@ from scipy.stats import norm, truncnorm
 from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.model.knowledge import ParameterKnowledge
+from pinn_cli.model.truncated_gaussian import TruncatedGaussian
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
+from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import ParameterEstimate
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.parameter_spread import updated_spread
 from pinn_cli.training.point import Point
 from pinn_cli.training.reported.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
 from pinn_cli.training.steps.discrepancy_search import scanned
@@ -227,3 +230,78 @@ def test_the_interval_of_a_stiffness_covers_it_where_the_model_forgets_the_cubic
     assert all(e.lower_90 < 15.0 < e.upper_90 for e in estimates)
     assert all(e.upper_90 - e.lower_90 < 15.0 for e in estimates)
     assert any(abs(e.estimate - 15.0) > NINETY * alone for e, alone in zip(estimates, hessian, strict=True))
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_every_estimate_lies_inside_its_interval(seed):
+    """Bounds from far below the peak to far above it, correlations up to 0.9999, and misfit that hides them or not."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(1, 5))
+    mixed = rng.normal(size=(count, count)) + 10.0 ** rng.uniform(-1.0, 2.0) * np.ones((count, 1))
+    unit = 10.0 ** rng.uniform(-6.0, 1.0, count)
+    covariance = (mixed @ mixed.T + 1e-3 * np.eye(count)) * np.outer(unit, unit)
+    spread = np.sqrt(covariance.diagonal())
+    lower = np.where(rng.random(count) < 0.8, -np.abs(rng.normal(size=count)), -np.inf)
+    reach = rng.choice([-1.0, 1.0], count) * 10.0 ** rng.uniform(-1.0, 8.0, count)
+    peak = np.where(np.isfinite(lower), lower, 0.0) + reach * spread
+    misfit = rng.choice([0.0, 1.0]) * spread * 10.0 ** rng.uniform(-2.0, 2.0, count)
+    uncertain = [
+        Parameter("k", i, -float(low) if np.isfinite(low) else 1.0, 1.0, positive=bool(np.isfinite(low)))
+        for i, low in enumerate(lower)
+    ]
+    mode = np.maximum(peak, lower)
+    found = bounded_estimates(uncertain, np.ones(count), mode, TruncatedGaussian(peak, covariance, lower), misfit)
+    for p, given in zip(uncertain, found, strict=True):
+        assert given.lower_90 <= given.estimate <= given.upper_90
+        assert given.lower_90 >= (0.0 if p.positive else -np.inf)
+        assert given.std > 0.0
+
+
+@pytest.mark.parametrize("below", [4.0, 40.0, np.inf])
+def test_a_bound_that_is_far_leaves_the_mode_bit_for_bit(below):
+    rng = np.random.default_rng(1)
+    mode, unit = rng.normal(size=3) / 3.0, np.array([0.1, 3.0, 70.0])
+    covariance = np.diag(np.full(3, 1e-4)) + 5e-5
+    lower = mode - below * np.sqrt(covariance.diagonal())
+    uncertain = [Parameter("k", dof, 1.1, 2.0) for dof in range(3)]
+    found = bounded_estimates(uncertain, unit, mode, TruncatedGaussian(mode, covariance, lower))
+    assert [p.estimate for p in found] == [1.1 + u * m for u, m in zip(unit, mode, strict=True)]
+    assert not any(p.held for p in found)
+
+
+def test_without_parameters_there_is_nothing():
+    nothing = np.zeros(0)
+    assert bounded_estimates([], nothing, nothing, TruncatedGaussian(nothing, np.zeros((0, 0)), nothing)) == []
+
+
+INSIDE_90 = 1.645
+
+
+def posterior(told: np.ndarray, noise: float) -> tuple[np.ndarray, float]:
+    """Means (p,) and standard deviation, in the user's, of parameters that a record tells to within ``noise``."""
+    spread = 1.0
+    for _ in range(200):
+        variance = 1.0 / (spread**-2 + noise**-2)
+        mean = variance * told / noise**2
+        before, spread = spread, updated_spread(mean, np.full(len(told), variance), spread)
+        if abs(spread / before - 1.0) < 1e-4:
+            break
+    return mean, float(np.sqrt(variance))
+
+
+@pytest.mark.parametrize("noise", [0.3, 1.0, 3.0])
+@pytest.mark.parametrize("count", [1, 3, 12])
+def test_intervals_hold_where_the_user_is_as_uncertain_as_he_says(count, noise):
+    """Of one to twelve dampers that a record tells half they held 70 to 80 %: chance passed for a sharp user."""
+    rng, held = np.random.default_rng(0), []
+    for _ in range(1200 // count):
+        truth = rng.standard_normal(count)
+        mean, std = posterior(truth + noise * rng.standard_normal(count), noise)
+        held.extend(np.abs(mean - truth) < INSIDE_90 * std)
+    assert 0.82 < np.mean(held) < 0.96
+
+
+def test_many_that_are_right_sharpen_each_other_and_wrong_ones_free_each_other():
+    assert posterior(np.zeros(18), 0.5)[1] < 0.3
+    mean, _ = posterior(np.array([8.0, -6.0, 7.0]), 0.5)
+    assert mean == pytest.approx([8.0, -6.0, 7.0], rel=0.03)

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from one_record import evidence_of, levels_of
+from one_record import by_spline, evidence_of, levels_of
 from scipy.linalg import expm
 from small_problems import accelerations, measured, small_chain
-from solved_records import by_spline
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import torch
 from independent_records import storey_record
-from one_record import evidence_of, levels_of, of_record
+from one_record import estimated, evidence_of, levels_of, of_record
 from small_problems import measured, small_chain
-from solved_records import estimated
 
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline

@@ -1,19 +1,33 @@
-"""Frames under forces that nobody measured: motion, forces and bands, on records that scipy made."""
+"""Every estimator on any structure, under forces that nobody measured and on moving ground: motion, forces, bands."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pandas as pd
 import pytest
-from ambient_records import ambient_record
-from solved_records import by_spline
+from ambient_records import ambient_record, frame
+from one_record import by_spline
+from small_estimates import Case, results_of
+from small_problems import excitation, measured, small_chain
+from storeys import chain_matrix
+from structures import braced, hysteretic, shuffled
 
+from pinn_cli.baseline.kalman_smoother import KalmanSmoother
+from pinn_cli.network.mlp import Mlp
+from pinn_cli.record.record import Record
+from pinn_cli.record.simulated import Noise, Simulated
+from pinn_cli.record.simulation import Simulation, simulate
+from pinn_cli.report.estimates import connection_forces, dissipated_energy, drifts
 from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
+from pinn_cli.settings.errors import InputError
 from pinn_cli.system.topology import build_partial_structure, build_structure
-from pinn_cli.training.estimate import Estimate
+from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.estimator import TrainedNetwork
 from pinn_cli.training.found_noise import FoundNoise
+from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.whittle.whittle_estimate import known_parameters
 from pinn_cli.verdict.input_findings import input_findings
 from pinn_cli.verdict.judge import judge
@@ -25,7 +39,8 @@ def solved(made, uncertainty=0.0):
     return problem, by_spline(problem)
 
 
-def inside(estimate, std, truth):
+def inside(estimate: np.ndarray, std: np.ndarray, truth: np.ndarray) -> float:
+    """Share of the truth within 1.96 standard deviations."""
     return float(np.mean(np.abs(estimate - truth) < 1.96 * std))
 
 
@@ -147,3 +162,121 @@ def test_sensors_are_rightly_followed_where_as_many_forces_are_unknown(measured,
     noise = FoundNoise(taken={"acceleration": np.array([samples, np.nan, samples])})
     found = noise_findings(problem.alone, Estimate(made.truth, made.truth, [], pd.DataFrame(), {}, noise=noise))
     assert free != any(finding.kind == "copied" for finding in found)
+
+
+@pytest.mark.slow
+def test_a_hidden_force():
+    structure = hysteretic()
+    simulation = Simulation(12.0, 801)
+    force = excitation(structure, 12.0, 801)
+    measurements = Simulated(force, simulation, Noise(40.0)).measure(structure)
+    truth = measurements.truth.response
+    # An accelerometer does not tell where a structure with memory rests.
+    problem = SparseRecovery(initial_motion="rest").pose(structure, [measurements.record.keep({"acceleration": [1]})])
+    estimate = by_spline(problem)
+    found, std = estimate.response, estimate.std
+    assert np.all(fitness_percent(found.displacement, truth.displacement) > 97.0)
+    assert np.all(fitness_percent(found.hidden, truth.hidden) > 95.0)
+    assert inside(found.hidden, std.hidden, truth.hidden) > 0.8
+    forces, stretched = connection_forces(structure, estimate, measurements.truth), drifts(structure, estimate, truth)
+    assert np.all(fitness_percent(forces.of("estimate"), forces.of("true")) > 95.0)
+    assert inside(*(forces.of(source) for source in ("estimate", "std", "true"))) > 0.85
+    loops = [
+        np.trapezoid(forces.of(source)[:, 1:], stretched.of(source)[:, 1:], axis=0) for source in ("estimate", "true")
+    ]
+    np.testing.assert_allclose(*loops, rtol=0.05)
+    case = Case(estimate, measurements.record, measurements.truth, {})
+    energy = dissipated_energy(results_of(case, prescribed=structure, true=structure))
+    assert np.all(np.abs(energy.estimate - energy.true) < 3.0 * energy.std)
+    assert np.all(energy.std < 0.1 * energy.true)
+
+
+@pytest.mark.parametrize("frame", ["absolute", pytest.param("relative", marks=pytest.mark.slow)])
+def test_the_ground(frame):
+    structure, time = small_chain("linear"), np.linspace(0.0, 12.0, 601)
+    shake = lambda t: sum(np.sin((2.0 + 1.3 * i) * np.asarray(t) + i * i) for i in range(7))  # noqa: E731
+    nothing = lambda t: np.zeros((len(t), 3))  # noqa: E731
+    truth = simulate(structure, nothing, time, substeps=8, ground=shake, frame=frame)
+    noisy = Noise(40.0).added_to(truth)
+    unforced = np.ones(3, dtype=bool)
+    record = Record(**noisy.measurable, unforced=unforced, frame=frame).keep({"acceleration": [3]})
+    estimate = by_spline(SparseRecovery(parameter_uncertainty=0.03).pose(structure, [record]))
+    found, std = estimate.response, estimate.std
+    for quantity in ("displacement", "velocity", "acceleration"):
+        assert np.all(fitness_percent(getattr(found, quantity), getattr(truth, quantity)) > 97.0), quantity
+    assert inside(found.displacement, std.displacement, truth.displacement) > 0.85
+    assert fitness_percent(found.ground_acceleration[:, None], truth.ground_acceleration[:, None])[0] > 97.0
+    assert inside(found.ground_acceleration, std.ground_acceleration, truth.ground_acceleration) > 0.85
+    assert estimate.noise.sensors["ground_acceleration"][0] == pytest.approx(0.01 * np.std(shake(time)), rel=0.3)
+
+
+def test_a_force_that_nobody_measured():
+    structure = small_chain("linear")
+    measurements = measured(structure, snr_db=40.0, samples=601)
+    force = measurements.record.force.copy()
+    force[:, 0] = np.nan
+    record = replace(measurements.record.keep({"acceleration": [1, 2, 3]}), force=force)
+    truth = measurements.truth.response
+    estimate = by_spline(SparseRecovery(parameter_uncertainty=0.0).pose(structure, [record]))
+    assert fitness_percent(estimate.response.force[:, :1], truth.force[:, :1])[0] > 95.0
+    assert inside(estimate.response.force[:, 0], estimate.std.force[:, 0], truth.force[:, 0]) > 0.85
+    free = by_spline(SparseRecovery(parameter_uncertainty=0.0, unknown_force="free").pose(structure, [record]))
+    assert fitness_percent(free.response.force[:, :1], truth.force[:, :1])[0] < 90.0
+
+
+def test_who_cannot_find_them_says_so_before_any_work():
+    structure = hysteretic()
+    measurements = Simulated(excitation(structure), Simulation(12.0, 257), Noise(40.0)).measure(structure)
+    problem = SparseRecovery().pose(structure, [measurements.record])
+    with pytest.raises(InputError, match="network.*spline.*hidden force"):
+        TrainedNetwork(GaussNewton(), Mlp()).check(problem.alone)
+
+
+ESTIMATORS = {
+    "spline": by_spline,
+    "mlp": lambda problem: GaussNewton().solve(problem, Mlp(1, None, "sine", embedding="fourier"), RunContext()),
+    "smoother": lambda problem: KalmanSmoother().solve(problem, RunContext()),
+}
+
+
+STRUCTURES = {"braced": braced(), "shuffled": shuffled(4)}
+LONG = {("braced", "mlp"): pytest.mark.slow}
+
+
+@pytest.mark.parametrize(
+    ("name", "estimator"), [pytest.param(*x, marks=LONG.get(x, ())) for x in product(STRUCTURES, ESTIMATORS)]
+)
+def test_the_motion_of_a_mass_without_a_sensor(name, estimator):
+    structure = STRUCTURES[name]
+    measurements = measured(structure, "exact", snr_db=40.0, duration=12.0, samples=601)
+    scheme = SparseRecovery(unobserved=[structure.ndof])
+    problem = scheme.pose(structure, [scheme.observe(measurements.record)])
+    found, truth = ESTIMATORS[estimator](problem).response, measurements.truth.response
+    for quantity in ("displacement", "velocity", "acceleration"):
+        scores = fitness_percent(getattr(found, quantity), getattr(truth, quantity))
+        assert np.all(scores > 98.0), (quantity, scores)
+
+
+FIRST, RATE, DURATION, EDGE, CORNER = 8.0, 400.0, 10.0, 40.0, 4.0
+
+
+def closed_form_deviation(noise: float) -> float:
+    """Of the displacement, rms over all floors and times: a linear structure's Gaussian posterior, line by line, m."""
+    (m, c, k), total, step = frame(2, FIRST), 0.0, 1.0 / DURATION
+    flat = 100.0**2 / (CORNER * np.arctan(EDGE / CORNER))  # one-sided, N^2/Hz: forces have 100 N rms
+    for frequency in np.arange(step, 0.5 * RATE, step):
+        omega = 2.0 * np.pi * frequency
+        receptance = np.linalg.inv(chain_matrix(k) - omega**2 * np.diag(m) + 1j * omega * chain_matrix(c))
+        force = flat / (1.0 + (frequency / CORNER) ** 2) * (1.0 if frequency <= EDGE else 1e-6)
+        prior = np.linalg.inv(receptance @ receptance.conj().T * force)
+        known = np.linalg.inv(prior + omega**4 / (2.0 * noise**2 / RATE) * np.eye(2))
+        total += np.trace(known).real * step / 2.0
+    return float(np.sqrt(total))
+
+
+def test_bands_of_slow_motion_under_coloured_forces_are_as_wide_as_accelerometers_leave_it():
+    made = ambient_record(FIRST, RATE, DURATION, EDGE, corner=CORNER, floors=2, sensors=(0, 1), seed=3)
+    problem = SparseRecovery(parameter_uncertainty=0.0).pose(made.structure, [made.record])
+    estimate = by_spline(problem)
+    found = float(np.sqrt(np.mean(estimate.std.displacement**2)))
+    assert 0.7 < found / closed_form_deviation(made.noise) < 1.6
