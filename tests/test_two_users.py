@@ -17,6 +17,7 @@ from filelock import FileLock
 
 from pinn_cli.runs import claim
 from pinn_cli.runs.claim import LOCK, SWEEP_LOCK, held
+from pinn_cli.runs.reading import small_text
 
 HOLD = """
 import sys, time
@@ -131,6 +132,8 @@ def test_a_command_waits_for_the_one_in_its_directory(other, pinn_run, tmp_path,
     monkeypatch.setattr(claim, "EVERY_S", 0.02)
 
     def left(file: Path) -> str:
+        if file.name != name:
+            return small_text(file)
         first.terminate()
         return ""
 

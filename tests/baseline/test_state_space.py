@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calls import refusal
 from hypothesis import HealthCheck, assume, given, settings
 from random_problems import generators, problems
-from refusals import refusal
 from scipy.linalg import expm
 from small_problems import NONLINEARITIES, measured, relative_error, small_chain
 

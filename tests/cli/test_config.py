@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from calls import SMALL, Compose, PinnRun
+from calls import SMALL, Compose, PinnRun, refusal
 from omegaconf import OmegaConf, open_dict
-from refusals import refusal
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.help import option_names

@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from calls import Compose
+from calls import Compose, refusal
 from omegaconf import OmegaConf
-from refusals import refusal
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.prepare import check_records, prepare_problem

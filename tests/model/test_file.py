@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from beams import beam, beam_part, deflection
-from refusals import refusal
+from calls import refusal
 from scipy.io import mmwrite
 from structures import braced, hysteretic, modal, shuffled
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from calls import refusal
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from refusals import refusal
 
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
 from pinn_cli.network.fourier import Fourier

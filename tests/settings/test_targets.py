@@ -4,9 +4,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from calls import register
+from calls import refusal, register
 from omegaconf import DictConfig, OmegaConf
-from refusals import refusal
 
 from pinn_cli.settings import instantiation
 from pinn_cli.settings.errors import InputError
