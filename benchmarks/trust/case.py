@@ -13,6 +13,10 @@ import yaml
 
 HERE = "{folder}"  # in settings: the folder of the case's files
 BEFORE = "{before}"  # in settings: the directory of the run before, of a case with two
+# What an experiment of a person's own structure begins with, whose parameters are unknown.
+UNKNOWN_STRUCTURE = [
+    {"override /system": "structure"}, {"override /data": "csv"}, {"override /scheme": "state_parameter"}, "_self_",
+]  # fmt: skip
 
 Settings = Mapping[str, object]
 Arrays = dict[str, np.ndarray]

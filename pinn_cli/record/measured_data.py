@@ -112,7 +112,8 @@ class MeasuredData:
         for setting in ("time", GROUND):
             column = getattr(self, setting)
             if column is not None and (not isinstance(column, str) or not column):
-                raise InputError(f"data.{setting}", column, "null or the name of a column")
+                instead = f"null, {UNMEASURED}" if setting == GROUND else "null"
+                raise InputError(f"data.{setting}", column, f"{instead} or the name of a column")
         self._check_clock()
         for quantity in QUANTITIES:
             object.__setattr__(self, quantity, _checked_columns(quantity, getattr(self, quantity)))

@@ -256,7 +256,7 @@ def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIA
         together=together,
         filters=filters,
         supports=tuple(record.supports),
-        ground_measured=not record.misses_ground,
+        misses_ground=record.misses_ground,
     )
 
 

@@ -44,7 +44,7 @@ class Inputs:
             off from a corner below that.
         filters: Calibrated channels, counted from 0, behind a filter that has a state, whose equation is its own.
         supports: What sensors measure of the supports that move, names of :data:`pinn_cli.system.quantities.SUPPORT`.
-        ground_measured: Whether somebody measured the ground; else it is a process as unknown forces are.
+        misses_ground: Whether nobody measured the ground, which moves: it is a process as unknown forces are.
     """
 
     ground: bool = False
@@ -58,12 +58,17 @@ class Inputs:
     damping_ratio: float = FLAT
     filters: tuple[int, ...] = ()
     supports: tuple[str, ...] = ()
-    ground_measured: bool = True
+    misses_ground: bool = False
 
     @property
     def unmeasured(self) -> bool:
         """Whether something acts that nobody measured."""
-        return bool(self.forces) or (self.ground and not self.ground_measured)
+        return bool(self.forces) or self.misses_ground
+
+    @property
+    def measures_ground(self) -> bool:
+        """Whether the ground moves and somebody measured how."""
+        return self.ground and not self.misses_ground
 
     @property
     def force_edge(self) -> float:
@@ -101,14 +106,14 @@ class Functions:
     @cached_property
     def ground(self) -> slice:
         """The ground's acceleration among the functions; empty where it is at rest."""
-        if self.inputs.ground_measured:
-            return slice(self.supports.stop, self.loads.start)
-        return slice(self.acting.stop, self.forces.stop)
+        if self.inputs.misses_ground:
+            return slice(self.acting.stop, self.forces.stop)
+        return slice(self.supports.stop, self.loads.start)
 
     @cached_property
     def loads(self) -> slice:
         """The measured forces among the functions."""
-        start = self.supports.stop + int(self.inputs.ground and self.inputs.ground_measured)
+        start = self.supports.stop + int(self.inputs.measures_ground)
         return slice(start, start + len(self.inputs.loads))
 
     @cached_property
@@ -119,7 +124,7 @@ class Functions:
     @cached_property
     def forces(self) -> slice:
         """What acts and nobody measured among the functions: forces, and behind them the ground's acceleration."""
-        return slice(self.loads.stop, self.acting.stop + int(self.inputs.ground and not self.inputs.ground_measured))
+        return slice(self.loads.stop, self.acting.stop + int(self.inputs.misses_ground))
 
     @cached_property
     def filters(self) -> slice:
@@ -139,7 +144,7 @@ class Functions:
     @property
     def observed(self) -> tuple[str, ...]:
         """The quantities that sensors measure of the functions."""
-        ground = (GROUND,) if self.inputs.ground and self.inputs.ground_measured else ()
+        ground = (GROUND,) if self.inputs.measures_ground else ()
         return (*MOTION, *ground, *self.inputs.supports, *((FORCE,) if self.inputs.loads else ()))
 
     @property

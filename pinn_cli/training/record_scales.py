@@ -17,7 +17,7 @@ def newtons(problem: Problem) -> np.ndarray:
     """(forces,), N, the force on the coordinates of one unit of each input that nobody measured, roughly."""
     structure, inputs = problem.structure, problem.inputs
     of_forces = np.full(len(inputs.forces), structure.shapes.scale)
-    if not inputs.ground or inputs.ground_measured:
+    if not inputs.misses_ground:
         return of_forces
     moved = structure.parameters["m"].detach().cpu().numpy() * structure.with_ground
     return np.append(of_forces, np.abs(moved).max())

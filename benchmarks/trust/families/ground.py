@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.random import Generator
 from scipy.interpolate import CubicSpline
 
-from benchmarks.trust.case import HERE, Case, Truth
+from benchmarks.trust.case import HERE, UNKNOWN_STRUCTURE, Case, Truth
 from benchmarks.trust.families.topology import believed, damped, guessed
 from benchmarks.trust.structures import Connection, Structure, linear_motion, noise, noisy, uncertainty
 from benchmarks.trust.told import Input, Sensor, Told
@@ -144,10 +144,7 @@ def draw(seed: int) -> Case:
             "k": guessed(rng, link.values["k"]), "c": None if nothing_said else guessed(rng, link.values["c"]),
         }  # fmt: skip
     settings = {
-        "defaults": [
-            {"override /system": "structure"}, {"override /data": "csv"}, {"override /scheme": "state_parameter"},
-            "_self_",
-        ],
+        "defaults": UNKNOWN_STRUCTURE,
         "system": system,
         "data": {
             "path": f"{HERE}/record.csv", "time": "t", "ground_acceleration": "g", "frame": frame,

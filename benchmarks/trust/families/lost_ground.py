@@ -8,15 +8,14 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
-from benchmarks.trust.case import HERE, Case, Truth
+from benchmarks.trust.case import HERE, UNKNOWN_STRUCTURE, Case, Truth
 from benchmarks.trust.families.ground import building, filtered_noise
 from benchmarks.trust.families.nonlinear import bouc_wen, duffing
 from benchmarks.trust.families.topology import damped
 from benchmarks.trust.structures import linear_motion, noisy, simulated
 
 LAWS = (None, duffing, bouc_wen)
-# Smallest part of the displacement's power at frequencies where the highest mode is, dB below the whole: the sensors
-# are so much better than that.
+# How far, dB, noise lies at least below what drifts have at the frequencies from about the highest mode on.
 ABOVE = 10.0
 
 
@@ -49,10 +48,7 @@ def draw(seed: int) -> Case:
         unknown = {kind: 1.0 if kind == "n" else None for kind in link.values}
         system["connections"][link.name] |= unknown  # type: ignore[index]
     settings: dict[str, object] = {
-        "defaults": [
-            {"override /system": "structure"}, {"override /data": "csv"}, {"override /scheme": "state_parameter"},
-            "_self_",
-        ],
+        "defaults": UNKNOWN_STRUCTURE,
         "system": system,
         "data": {
             "path": f"{HERE}/record.csv", "time": "t", "ground_acceleration": "unmeasured",

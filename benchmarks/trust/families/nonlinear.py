@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.random import Generator
 from scipy.interpolate import CubicSpline
 
-from benchmarks.trust.case import HERE, Case, Truth
+from benchmarks.trust.case import HERE, UNKNOWN_STRUCTURE, Case, Truth
 from benchmarks.trust.families.unmeasured import structure_of
 from benchmarks.trust.structures import Connection, noisy, simulated
 from benchmarks.trust.waves import random_waves
@@ -78,10 +78,7 @@ def drawn_with(laws_by_name: Mapping[str, Law], family: str, seed: int) -> Case:
                 off = value * rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 0.5) + value
                 entry[kind_of] = off if started or i not in chosen else None
     settings: dict[str, object] = {
-        "defaults": [
-            {"override /system": "structure"}, {"override /data": "csv"}, {"override /scheme": "state_parameter"},
-            "_self_",
-        ],
+        "defaults": UNKNOWN_STRUCTURE,
         "system": system,
         "data": {
             "path": f"{HERE}/record.csv", "time": "t", "force": {structure.dofs[dof]: "f"},

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.random import Generator
 
 from benchmarks.trust.buildings import Shaking, building, columns, guessed, shaking
-from benchmarks.trust.case import BEFORE, HERE, Arrays, Case, Settings, Truth
+from benchmarks.trust.case import BEFORE, HERE, UNKNOWN_STRUCTURE, Arrays, Case, Settings, Truth
 from benchmarks.trust.structures import Motion, Structure
 
 
@@ -103,9 +103,8 @@ def _first(
 
 def _identification(rng: Generator, structure: Structure, kinds: str) -> dict[str, object]:
     """All but the data of an experiment that asks for the kinds."""
-    overrides = [{"override /system": "structure"}, {"override /data": "csv"}, {"override /scheme": "state_parameter"}]
     return {
-        "defaults": [*overrides, "_self_"],
+        "defaults": UNKNOWN_STRUCTURE,
         "system": guessed(rng, structure, kinds),
         "scheme": {"unknown": [f"{kind}_*" for kind in kinds]},
     }

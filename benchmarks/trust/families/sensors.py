@@ -13,7 +13,7 @@ import pandas as pd
 from numpy.random import Generator
 
 from benchmarks.trust.buildings import Shaking, building, guessed, shaking
-from benchmarks.trust.case import HERE, Case, Truth
+from benchmarks.trust.case import HERE, UNKNOWN_STRUCTURE, Case, Truth
 from benchmarks.trust.structures import Motion, Structure, noisy
 
 SUBJECTS = ("calibration", "clock", "sums", "gaps")
@@ -62,9 +62,8 @@ def draw(seed: int) -> Case:
     if "gaps" in subjects:
         _lose(rng, table, shaken)
     kinds = "k" if rng.random() < 0.5 else "kc"
-    overrides = [{"override /system": "structure"}, {"override /data": "csv"}, {"override /scheme": "state_parameter"}]
     settings = {
-        "defaults": [*overrides, "_self_"],
+        "defaults": UNKNOWN_STRUCTURE,
         "system": guessed(rng, structure, kinds),
         "data": {"path": f"{HERE}/record.csv", "time": "t", "channels": {s.name: s.setting for s in [cell, *sensors]}},
         "scheme": {"unknown": [f"{kind}_*" for kind in kinds]},

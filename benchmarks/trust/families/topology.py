@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.random import Generator
 
-from benchmarks.trust.case import HERE, Case, Truth
+from benchmarks.trust.case import HERE, UNKNOWN_STRUCTURE, Case, Truth
 from benchmarks.trust.structures import Connection, Structure, linear_motion, noise, noisy, sinusoids, uncertainty
 from benchmarks.trust.told import Input, Sensor, Told
 
@@ -109,10 +109,7 @@ def draw(seed: int) -> Case:
             "k": guessed(rng, link.values["k"]), "c": None if nothing_said else guessed(rng, link.values["c"]),
         }  # fmt: skip
     settings = {
-        "defaults": [
-            {"override /system": "structure"}, {"override /data": "csv"}, {"override /scheme": "state_parameter"},
-            "_self_",
-        ],
+        "defaults": UNKNOWN_STRUCTURE,
         "system": system,
         "data": {
             "path": f"{HERE}/record.csv", "time": "t", "force": {f"x{i + 1}": f"f{i + 1}" for i in shaken},

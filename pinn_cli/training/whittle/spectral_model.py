@@ -63,7 +63,7 @@ def is_spectral(problem: Problem) -> bool:
     inputs, structure, record = problem.inputs, problem.structure, problem.record
     linear = all(isinstance(group.nonlinearity, Linear) for group in structure.groups)
     alone = (
-        not (inputs.ground and inputs.ground_measured)
+        not inputs.measures_ground
         and not inputs.supports
         and not inputs.loads
         and not len(structure.memory)
