@@ -22,7 +22,7 @@ from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.sensor_samples import SensorSamples
 from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN, negligible
-from pinn_cli.training.steps.force_spectrum import DRAWS, drive_below
+from pinn_cli.training.steps.force_spectrum import DRAWS, drive_below, levels_of_a_kind
 
 # Rounds at most, and the relative change of a level below which nothing that is reported would change.
 ROUNDS, SETTLED = 25, 0.01
@@ -255,19 +255,16 @@ def force_noise_statistics(evidence: RecordEvidence, solution: RecordSolution) -
 def _innovation(
     evidence: RecordEvidence, solution: RecordSolution, seen: np.ndarray, freedom: np.ndarray
 ) -> np.ndarray:
-    """(functions,) standard deviation of what drives the ground and unknown forces, NaN of all others.
-
-    Alike for all unknown forces: few sensors tell them apart.
-    """
+    """(functions,) standard deviation of what drives the ground and unknown forces, NaN of all others."""
     equations, level = evidence.equations, np.full(len(seen), np.nan)
     dynamics, nyquist = equations.dynamics, 0.5 / equations.problem.record.step
     for i in range(dynamics.smooth.start, dynamics.smooth.stop):
         level[i] = np.sqrt(seen[i] / freedom[i])
         if equations.network.free_intervals > 2.0 * nyquist:  # beyond, an input is told to be nothing
             drive = drive_below(evidence, solution, slice(i, i + 1), nyquist)
-            level[i] = level[i] if drive is None or drive.level is None else drive.level
+            level[i] = level[i] if drive is None or drive.levels is None else drive.levels[0]
     if dynamics.inputs.unmeasured:
-        level[dynamics.forces] = np.sqrt(seen[dynamics.forces].sum() / freedom[dynamics.forces].sum())
+        level[dynamics.forces] = levels_of_a_kind(seen[dynamics.forces], freedom[dynamics.forces])
     return level
 
 

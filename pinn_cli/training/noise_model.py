@@ -53,8 +53,8 @@ class NoiseModel:
     pushes: Mapping[str, np.ndarray] = field(default_factory=dict)
     earlier_misfit: float = 1.0
 
-    def driven_by(self, level: float, functions: slice) -> NoiseModel:
-        """The same with some functions that white noise of this standard deviation drives."""
+    def driven_by(self, level: float | np.ndarray, functions: slice) -> NoiseModel:
+        """The same with some functions that white noise of this standard deviation, or of one each, drives."""
         innovation = np.full(len(self.force), np.nan) if self.innovation is None else self.innovation.copy()
         innovation[functions] = level
         return replace(self, innovation=innovation)

@@ -150,7 +150,10 @@ def _of_unknown_forces(equations: NormalEquations, solution: RecordSolution) -> 
     if not inputs.unmeasured or innovation is None:
         return {}
     step = equations.problem.record.step / equations.refinement
-    level = float(innovation[equations.dynamics.forces][0]) * (step / (2.0 * inputs.correlation_time)) ** 0.5
+    level = (
+        float(np.sqrt(np.mean(innovation[equations.dynamics.forces] ** 2)))
+        * (step / (2.0 * inputs.correlation_time)) ** 0.5
+    )
     what = "force" if inputs.forces else "ground"
     return {f"correlation_time_unknown_{what}": inputs.correlation_time, f"std_unknown_{what}": level}
 

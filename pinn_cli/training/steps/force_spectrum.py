@@ -7,11 +7,11 @@ level of what drives an input down, and make bands too narrow.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from scipy.special import wrightomega
 
 from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, white_level
 from pinn_cli.scheme.problem import with_every_force
@@ -29,21 +29,24 @@ DECISIVE_SPECTRUM = 3.0
 # Share of a part's values that the record must determine, and frequencies that a part must have, for its level to be
 # told; and logarithm of how many times as probable levels of their own make a load cell's noise that is not white.
 TOLD_OF_PART, FEWEST_OF_PART, COLOURED_CELL = 0.25, 16, 50.0
+# Prior standard deviation of the logarithm of one force's level about that of all: forces on one structure are of a
+# kind, and few sensors do not tell them apart.
+OF_A_KIND = 1.0
 # What the forces would give a sensor above the band, over the power that it has there: about as much is theirs, and
 # much less is noise beside which forces do not show.
 OF_FORCES = (0.3, 3.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Drive:
     """What drives unknown forces.
 
     Attributes:
-        level: Standard deviation per collocation point, alike for all forces, N.
+        levels: (forces,) standard deviations per collocation point, N.
         correlation_time, damping_ratio: Of the process, see :class:`Inputs`.
     """
 
-    level: float
+    levels: np.ndarray
     correlation_time: float
     damping_ratio: float
 
@@ -54,8 +57,8 @@ class DriveSpectrum:
 
     Attributes:
         frequency: (F,), Hz.
-        power: (F,), of all functions together, N^2; of the ground (m/s^2)^2.
-        determined: (F,), how many of its values the record determines.
+        power: (F, functions), N^2; of the ground (m/s^2)^2.
+        determined: (F, functions), how many of its values the record determines.
     """
 
     frequency: np.ndarray
@@ -68,19 +71,34 @@ class DriveSpectrum:
         return float(self.determined.sum()) > LEAST_DETERMINED * len(self.determined)
 
     @property
-    def level(self) -> float | None:
-        """Standard deviation of the drive, per collocation point; None where it cannot be read.
-
-        sigma^2 = sum |n|^2 / sum (1 - var / sigma^2) over the frequencies of the band (MacKay 1992): n is the drive of
-        the solution at a frequency, var its posterior variance there, from draws.
-        """
-        return math.sqrt(float(self.power.sum() / self.determined.sum())) if self.is_enough else None
+    def levels(self) -> np.ndarray | None:
+        """(functions,) standard deviations of the drive, per collocation point; None where they cannot be read."""
+        return levels_of_a_kind(self.power.sum(0), self.determined.sum(0)) if self.is_enough else None
 
 
-def level_in_band(evidence: RecordEvidence, solution: RecordSolution) -> float | None:
-    """:attr:`DriveSpectrum.level` of the unknown forces; None without any."""
+def levels_of_a_kind(squares: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """(functions,) most probable standard deviations of what drives functions of one kind.
+
+    Of all together sigma^2 = sum |n|^2 / sum (1 - var / sigma^2) (MacKay 1992): n is the drive of the solution, var its
+    posterior variance. Each, times exp(y) of that, is where values (1 - exp(-2 y) squares / values) + y / s^2 is zero,
+    with a normal prior of y: one of which nothing is determined is as large as all, one that is determined is its own.
+
+    Args:
+        squares: (functions,), sum |n|^2.
+        values: (functions,), how many values of the drive the record determines.
+    """
+    together = squares.sum() / values.sum()
+    tight = np.maximum(values, 0.0) * OF_A_KIND**2
+    with np.errstate(divide="ignore"):
+        omega = wrightomega(2.0 * tight + np.log(2.0 * OF_A_KIND**2 * squares / together))
+    levels: np.ndarray = np.sqrt(together) * np.exp(omega / 2.0 - tight)
+    return levels
+
+
+def level_in_band(evidence: RecordEvidence, solution: RecordSolution) -> np.ndarray | None:
+    """:attr:`DriveSpectrum.levels` of the unknown forces; None without any."""
     seen = _of_forces(evidence, solution)
-    return None if seen is None else seen.level
+    return None if seen is None else seen.levels
 
 
 def spectrum_in_band(evidence: RecordEvidence, solution: RecordSolution) -> Drive | None:
@@ -122,12 +140,12 @@ def _fitted(
 
     def fit(correlation_time: float, damping_ratio: float) -> tuple[float, Drive]:
         """Whittle's likelihood of the parts, and what drives the process at its most probable level."""
-        ratio = (_gain(correlation_time, damping_ratio, seen.frequency) / present) ** 2
-        power, values = (np.bincount(part, x, PARTS) for x in (seen.power * ratio, np.maximum(seen.determined, 0.0)))
-        level = power.sum() / values.sum()
-        shape = np.bincount(part, np.maximum(seen.determined, 0.0) * np.log(ratio), PARTS)
-        likelihood = float((shape - values * np.log(level) - power / level).sum())
-        return likelihood, Drive(math.sqrt(level), correlation_time, damping_ratio)
+        ratio = (_gain(correlation_time, damping_ratio, seen.frequency) / present)[:, None] ** 2
+        values = np.maximum(seen.determined, 0.0)
+        power, known, shape = (_by_part(part, x) for x in (seen.power * ratio, values, values * np.log(ratio)))
+        levels = levels_of_a_kind(power.sum(0), known.sum(0))
+        likelihood = float((shape - known * np.log(levels**2) - power / levels**2).sum())
+        return likelihood, Drive(levels, correlation_time, damping_ratio)
 
     best = max((fit(*process) for process in _processes(inputs)), key=lambda fitted: fitted[0])
     return fit(inputs.correlation_time, inputs.damping_ratio), best
@@ -153,17 +171,17 @@ def reaches_beyond(evidence: RecordEvidence, solution: RecordSolution) -> float:
     then flat, and passes for its noise. It is the forces' own where these, as large as they are in the band, would give
     it just that.
     """
-    level, equations = level_in_band(evidence, solution), evidence.equations
+    levels, equations = level_in_band(evidence, solution), evidence.equations
     record, inputs, structure = equations.problem.record, equations.problem.inputs, equations.dynamics.structure
     top = inputs.edge / (2.0 * np.pi)
     wider = USABLE_NYQUIST_FRACTION * 0.5 / record.step / top
-    if level is None or structure.is_modal or wider < 1.1:
+    if levels is None or structure.is_modal or wider < 1.1:
         return 1.0
     mass = equations.prescribed["m"].numpy()
     share = [
         # White noise of the points has so much power per frequency less than that of the samples.
         (level / mass[dof] / white_level(acceleration, record.step, top)) ** 2 / equations.refinement
-        for dof in inputs.forces
+        for dof, level in zip(inputs.forces, levels, strict=True)
         if np.isfinite(acceleration := record.acceleration[:, dof]).all()
     ]
     return wider if share and OF_FORCES[0] < np.median(share) < OF_FORCES[1] else 1.0
@@ -182,7 +200,8 @@ def quietest_of_load_cells(evidence: RecordEvidence, solution: RecordSolution) -
         if seen is None:
             continue
         part = _parts(seen.frequency)
-        power, values, count = (np.bincount(part, x, PARTS) for x in (seen.power, seen.determined, part >= 0))
+        power, values = (_by_part(part, x)[:, 0] for x in (seen.power, seen.determined))
+        count = np.bincount(part, minlength=PARTS)
         told = (values > TOLD_OF_PART * count) & (count > FEWEST_OF_PART)
         level = power[told] / values[told]
         if told.any() and float(values[told] @ np.log(power[told].sum() / values[told].sum() / level)) > COLOURED_CELL:
@@ -196,6 +215,11 @@ def _parts(frequency: np.ndarray) -> np.ndarray:
     return np.clip(np.searchsorted(edges, frequency, side="right") - 1, 0, PARTS - 1)
 
 
+def _by_part(part: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """(PARTS, functions), sums of (F, functions)."""
+    return np.stack([np.bincount(part, of_function, PARTS) for of_function in values.T], axis=-1)
+
+
 def _of_forces(evidence: RecordEvidence, solution: RecordSolution) -> DriveSpectrum | None:
     """What drives the unknown forces, in the record's band; None without any."""
     equations = evidence.equations
@@ -205,7 +229,7 @@ def _of_forces(evidence: RecordEvidence, solution: RecordSolution) -> DriveSpect
 def drive_below(
     evidence: RecordEvidence, solution: RecordSolution, functions: slice, top: float
 ) -> DriveSpectrum | None:
-    """What drives some functions alike, up to a frequency (Hz); None without any, or without averages over intervals.
+    """What drives some functions, up to a frequency (Hz); None without any, or without averages over intervals.
 
     Args:
         evidence: Of one record.
@@ -221,14 +245,15 @@ def drive_below(
 
     def power(residual: torch.Tensor) -> np.ndarray:
         drive = averages.by_interval(residual)[:, functions].numpy()
-        return (np.abs(np.fft.rfft(drive, axis=0)) ** 2).sum(1) / len(drive)
+        squares: np.ndarray = np.abs(np.fft.rfft(drive, axis=0)) ** 2 / len(drive)
+        return squares
 
     spectrum = power(equations.motion.residual(point))
     moved = [functions_moved for _, functions_moved in equations.motion.moved(point, solution.drawn(DRAWS))]
     scatter = np.zeros_like(spectrum)
     for of_draw in zip(*moved, strict=True):
         scatter += power(torch.cat(of_draw)) / DRAWS
-    determined = functions.stop - functions.start - scatter / float(innovation[functions][0]) ** 2
+    determined = 1.0 - scatter / innovation[functions] ** 2
     frequency = rate * np.arange(len(spectrum)) / (2.0 * (len(spectrum) - 1))
     inside = (frequency > 0.0) & (frequency <= top)
     return DriveSpectrum(frequency[inside], spectrum[inside], determined[inside])

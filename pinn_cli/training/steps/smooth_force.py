@@ -98,7 +98,7 @@ def _of_one(smooth: Inference, number: int) -> Inference | None:
         points.append(np.delete(before.layout.weights(point.unknowns).numpy(), others, axis=1))
         assert noise.innovation is not None
         force, innovation = (np.delete(x, others) for x in (noise.force, noise.innovation))
-        together = len(inputs.forces) * float(noise.innovation[at.start])
+        together = float(noise.innovation[at].sum())
         quiet = replace(noise, force=force, innovation=innovation)
         levels.append(quiet.driven_by(together, slice(at.start, at.start + 1)))
     evidence = smooth.solver.evidence(JointProblem.of(*problems), networks)
@@ -129,7 +129,7 @@ def _with_force(inference: Inference) -> Inference | None:
     pairs = list(zip(inference.by_record, evidence.equations.by_record, strict=True))
     points = [_beside_forces(point, plain, forced) for (plain, point), forced in pairs]
     levels = [
-        _driven(noise, forced, noise.discrepancy if drive is None else drive.level)
+        _driven(noise, forced, noise.discrepancy if drive is None else float(np.sqrt(np.mean(drive.levels**2))))
         for (_, drive, noise), forced in zip(records, evidence.equations.by_record, strict=True)
     ]
     noise = replace(inference.trained.noise, records=tuple(levels))

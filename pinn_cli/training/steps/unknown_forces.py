@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.evidence import Evidence
@@ -46,7 +48,7 @@ def fit_force_spectrum(inference: Inference) -> Inference | None:
     evidence = inference.solver.evidence(
         problem, [equations.network for equations in inference.evidence.equations.by_record]
     )
-    levels = [None if drive is None else drive.level for drive in drives]
+    levels = [None if drive is None else drive.levels for drive in drives]
     again = evidence.train(
         _with_levels(inference.evidence, inference.trained.noise, levels), inference.trained.solution.point
     )
@@ -74,7 +76,7 @@ def set_force_level(inference: Inference) -> Inference | None:
     return replace(inference, trained=again) if again is not None and again.solution.converged else None
 
 
-def _with_levels(evidence: Evidence, noise: NoiseLevels, levels: Sequence[float | None]) -> NoiseLevels:
+def _with_levels(evidence: Evidence, noise: NoiseLevels, levels: Sequence[np.ndarray | None]) -> NoiseLevels:
     """The same noise with unknown forces of every record that are driven so much; None: as before."""
     forces = [equations.dynamics.forces for equations in evidence.equations.by_record]
     driven = (
