@@ -147,6 +147,11 @@ def test_uncertain_parameters_beside_a_nonlinear_connection_are_questionable_bes
         problem = SparseRecovery(parameter_uncertainty=0.1).pose(bent, [felt]).alone
         found = input_findings(problem, integrated, bent)
         assert [finding.suspect for finding in found if finding.kind == "output_only_parameters"] == told
+    # Where the forces have the spectrum that the record shows, this holds them: forces on all DOFs, each with a sensor.
+    for misfit, told in ((0.1, []), (0.5, [every])):
+        shown = replace(integrated, summary=summary | {"misfit_unknown_force": misfit})
+        found = input_findings(problem, shown, bent)
+        assert [finding.suspect for finding in found if finding.kind == "output_only_parameters"] == told
     known = SparseRecovery(parameter_uncertainty=0.0).pose(bent, [replace(made.record, force=pushed)])
     found = input_findings(known.alone, Estimate(made.truth, made.truth, [], pd.DataFrame(), {}), bent)
     assert not any(finding.kind == "output_only_parameters" for finding in found)

@@ -34,6 +34,7 @@ from pinn_cli.training.reported.hand_over import end_state
 from pinn_cli.training.reported.misfit_history import misfit_history
 from pinn_cli.training.reported.model_evidence import model_log_evidence
 from pinn_cli.training.reported.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
+from pinn_cli.training.steps.force_spectrum import spectrum_misfit
 
 # Directions of the parameters that a record tells and the others do not, over its own information: nothing compares
 # them.
@@ -103,7 +104,7 @@ def record_estimate(evidence: RecordEvidence, solution: RecordSolution) -> Estim
         solution.noise.discrepancy / equations.refinement**0.5,
         _values_taken(evidence, solution),
     )
-    summary |= _of_unknown_forces(equations, solution)
+    summary |= _of_unknown_forces(evidence, solution)
     known = equations.known_parameters
     if known is not None:
         summary["spectral_misfit"] = known.misfit
@@ -141,12 +142,13 @@ def _noise_felt(equations: NormalEquations, solution: RecordSolution) -> dict[st
     return levels
 
 
-def _of_unknown_forces(equations: NormalEquations, solution: RecordSolution) -> dict[str, float]:
-    """Correlation time (s) and standard deviation (N, m/s^2) of what nobody measured, forces or the ground.
+def _of_unknown_forces(evidence: RecordEvidence, solution: RecordSolution) -> dict[str, float]:
+    """Correlation time (s), standard deviation (N, m/s^2) and misfit of what nobody measured, forces or the ground.
 
     A process of second order that white noise drives has this standard deviation, whatever its damping ratio.
     """
-    inputs, innovation = equations.problem.inputs, solution.noise.innovation
+    equations, innovation = evidence.equations, solution.noise.innovation
+    inputs = equations.problem.inputs
     if not inputs.unmeasured or innovation is None:
         return {}
     step = equations.problem.record.step / equations.refinement
@@ -155,7 +157,9 @@ def _of_unknown_forces(equations: NormalEquations, solution: RecordSolution) -> 
         * (step / (2.0 * inputs.correlation_time)) ** 0.5
     )
     what = "force" if inputs.forces else "ground"
-    return {f"correlation_time_unknown_{what}": inputs.correlation_time, f"std_unknown_{what}": level}
+    told = {f"correlation_time_unknown_{what}": inputs.correlation_time, f"std_unknown_{what}": level}
+    misfit = spectrum_misfit(evidence, solution)
+    return told if misfit is None else told | {f"misfit_unknown_{what}": misfit}
 
 
 def _connections(posterior: ReadoutPosterior, response: Response) -> ConnectionHistories:

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from scipy.special import wrightomega
+from scipy.special import chdtr, chdtrc, wrightomega
 
 from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, white_level
+from pinn_cli.scheme.modal_fit import IMPROBABLE_PART
 from pinn_cli.scheme.problem import with_every_force
 from pinn_cli.system.functions import FLAT, Inputs
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
@@ -30,8 +31,8 @@ DECISIVE_SPECTRUM = 3.0
 # told; and logarithm of how many times as probable levels of their own make a load cell's noise that is not white.
 TOLD_OF_PART, FEWEST_OF_PART, COLOURED_CELL = 0.25, 16, 50.0
 # Prior standard deviation of the logarithm of one force's level about that of all: forces on one structure are of a
-# kind, and few sensors do not tell them apart.
-OF_A_KIND = 1.0
+# kind. With 1.0 two sensors took one of three forces for nothing within 5 s; 60 s with three tell a seventh from all.
+OF_A_KIND = 0.2
 # What the forces would give a sensor above the band, over the power that it has there: about as much is theirs, and
 # much less is noise beside which forces do not show.
 OF_FORCES = (0.3, 3.0)
@@ -112,6 +113,23 @@ def spectrum_in_band(evidence: RecordEvidence, solution: RecordSolution) -> Driv
     present = _gain(inputs.correlation_time, inputs.damping_ratio, seen.frequency)
     (now, _), (likelihood, best) = _fitted(seen, inputs, present)
     return best if likelihood > now + DECISIVE_SPECTRUM else None
+
+
+def spectrum_misfit(evidence: RecordEvidence, solution: RecordSolution) -> float | None:
+    """Relative, how far the power of an unknown force is off its spectrum in a part of the band, beyond chance.
+
+    0 where no part is; None where the record determines too little of every force.
+    """
+    seen = _of_forces(evidence, solution)
+    if seen is None or not seen.is_enough:
+        return None
+    innovation, part = solution.noise.innovation, _parts(seen.frequency)
+    assert innovation is not None
+    power, values = (_by_part(part, x) for x in (seen.power, np.maximum(seen.determined, 0.0)))
+    told = values > FEWEST_OF_PART
+    squares, values = (power / innovation[evidence.equations.dynamics.forces] ** 2)[told], values[told]
+    by_chance = 2.0 * len(values) * np.minimum(chdtr(2.0 * values, 2.0 * squares), chdtrc(2.0 * values, 2.0 * squares))
+    return float(np.abs(squares / values - 1.0)[by_chance < IMPROBABLE_PART].max(initial=0.0))
 
 
 def spectrum_of_discrepancy(evidence: RecordEvidence, solution: RecordSolution) -> Drive | None:
