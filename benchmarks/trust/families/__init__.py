@@ -16,6 +16,7 @@ FAMILIES = (
     "unmeasured",
     "unmeasured_nonlinear",
     "lost_ground",
+    "wind",
     "finite_elements",
     "sensors",
     "records",
