@@ -63,18 +63,17 @@ REPORTED = (InputError, DivergenceError, WriteError, NotSoundError)
 class Jobs:
     """The task as Hydra calls it, once per job, and what became of the jobs.
 
-    An error of a run that the user can mend, or a reader that has left, is kept in `error` and does not reach Hydra,
-    which would print a line of its own. A job of a sweep, in this process or in a launcher's worker, leaves any error
-    in its directory and takes no other job along; what collects the sweep reports it.
+    An error of a single run is kept in `error` and does not reach Hydra, which would print a line of its own. A job of
+    a sweep, in this process or in a launcher's worker, leaves any error in its directory and takes no other job along;
+    what collects the sweep reports it.
 
     Args:
         task: See :func:`execute`.
         terminal: Who is told.
-        full_error: Whether tracebacks are printed too.
         of_hydra: Overrides of Hydra's own settings, put after those of the user.
 
     Attributes:
-        error: Of the run, one that needs no traceback, and in `hint` what to do about it; None where there is none.
+        error: Of the run, and in `hint` what to do about it; None where there is none.
         reasons: Why every job of a sweep was refused.
         refused: Whether nothing is to be left of it.
         stored: The run that is gone on with; None: it is another one.
@@ -82,8 +81,8 @@ class Jobs:
         goes_on_by: What goes on with an interrupted run; "": `pinn-run resume=...`.
     """
 
-    def __init__(self, task: Task, terminal: Terminal, full_error: bool = False, of_hydra: Sequence[str] = ()) -> None:
-        self.task, self.terminal, self.full_error, self.of_hydra = task, terminal, full_error, of_hydra
+    def __init__(self, task: Task, terminal: Terminal, of_hydra: Sequence[str] = ()) -> None:
+        self.task, self.terminal, self.of_hydra = task, terminal, of_hydra
         self.started = self.begun = self.refused = False
         self.status = 0
         self.error: Exception | None = None
@@ -109,31 +108,36 @@ class Jobs:
             try:
                 if in_sweep:
                     claim.lock()  # from here on it is seen to have begun, should it be killed
-                    score = self.task(going_on(config))
-                elif hydra.run.dir:
-                    score = self.task(self.stored.configuration(config) if self.stored else config)
-                else:
+                    config = going_on(config)
+                elif not hydra.run.dir:
                     raise InputError(setting, hydra.run.dir, "a directory")
+                elif self.stored:
+                    config = self.stored.configuration(config)
+                score = self.task(config)
                 claim.take()
                 if in_sweep:
                     (claim.directory / FAILURE).unlink(missing_ok=True)
                 return score
             except Exception as raised:
                 stop_if_asked()
-                error = _explained(raised)
+                self.error = error = _explained(raised)
                 _conclude(claim, error)
-                if in_sweep and claim.locked:  # else it is no directory of ours to write into
-                    Failure.of(error).write(self.directory, hydra.overrides.task)
-                    return None
-                if error is raised and (in_sweep or not isinstance(error, (*REPORTED, BrokenPipeError))):
-                    raise
                 if in_sweep:
-                    raise error from raised
-                self.error, self.refused = error, isinstance(error, InputError)
-                self.hint = how_to_go_on(self.directory, self.goes_on_by) if isinstance(error, WriteError) else ""
+                    if not claim.locked:  # it is no directory of ours to write into
+                        raise error from raised
+                    Failure.of(error).write(self.directory, hydra.overrides.task)
+                    self.error = None
+                elif isinstance(error, WriteError):
+                    self.hint = how_to_go_on(self.directory, self.goes_on_by)
                 return None
             finally:
                 self.begun = claim.taken
+
+    def tell(self, text: str, directory: Path) -> None:
+        """Print what there is in a directory, and at last the directory."""
+        self.directory = directory
+        self.terminal.say(text)
+        self.terminal.conclude(directory)
 
 
 def _conclude(claim: Claim, error: Exception) -> None:
@@ -166,7 +170,7 @@ def execute(task: Task, subcommands: Mapping[str, Task] | None = None) -> int:
     Returns:
         The exit status, as listed at the top of this file.
     """
-    jobs = Jobs(task, Terminal(), full_error=os.environ.get("HYDRA_FULL_ERROR") == "1")
+    jobs = Jobs(task, Terminal())
     try:
         perform(jobs, watched(in_time=True), subcommands)
     except KeyboardInterrupt as stop:
@@ -176,7 +180,7 @@ def execute(task: Task, subcommands: Mapping[str, Task] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return STATUS_PIPE
     except REPORTED as error:
-        if jobs.full_error:
+        if _is_verbose():
             traceback.print_exception(error)
         else:
             jobs.terminal.complain(f"{error}; {jobs.hint}" if jobs.hint else str(error))
@@ -217,6 +221,8 @@ def perform(jobs: Jobs, watch: AbstractContextManager[None], subcommands: Mappin
         with watch:
             _begin(jobs, options)
             sys.stdout.flush()
+        if jobs.error is not None:
+            raise jobs.error
     except KeyboardInterrupt:
         _note_how_to_go_on(jobs)
         raise
@@ -225,8 +231,9 @@ def perform(jobs: Jobs, watch: AbstractContextManager[None], subcommands: Mappin
     except Exception as error:
         with suppress(WriteError):  # of which more has been said
             _collect(jobs, cut_off=True)
-        reported = None if type(error).__name__ in LOST_WORKERS else _as_reported(error, jobs, options)
-        jobs.refused = jobs.refused if reported is None else isinstance(reported, InputError)
+        reported = _as_reported(error, jobs, options)
+        if reported is not None:
+            jobs.refused = isinstance(reported, InputError)
         if reported is None or reported is error:
             raise
         raise reported.with_traceback(error.__traceback__) from None
@@ -234,33 +241,28 @@ def perform(jobs: Jobs, watch: AbstractContextManager[None], subcommands: Mappin
         leave_sweep()
         if jobs.refused:
             discard()
-    if jobs.error is not None:
-        raise jobs.error
 
 
 def _begin(jobs: Jobs, options: Namespace) -> None:
     """Print what is asked for, put a sweep together, or start."""
+    terminal, overrides, config_dir = Terminal(), options.overrides, options.config_dir
     if options.help:
-        Terminal().say(help_text(options.config_dir, options.overrides))
+        terminal.say(help_text(config_dir, overrides))
         return
     if options.json_schema:
         from pinn_cli.cli.schema import json_schema  # which reads much of the program
 
-        Terminal().say(json.dumps(json_schema(options.config_dir), indent=1))
+        terminal.say(json.dumps(json_schema(config_dir), indent=1))
         return
     directory = asked_for(options)
     if directory is not None:
         sweep = Sweep.read(directory)
-        jobs.terminal.say(Collection.of(sweep, sweep.jobs()).text())
-        jobs.terminal.conclude(directory)
+        jobs.tell(Collection.of(sweep, sweep.jobs()).text(), directory)
         return
-    overrides, config_dir = options.overrides, options.config_dir
     jobs.stored = StoredRun.asked_for(options)
     if jobs.stored is not None:
         if jobs.stored.finished():
-            jobs.directory = jobs.stored.directory
-            jobs.terminal.say("finished before, nothing to do")
-            jobs.terminal.conclude(jobs.stored.directory)
+            jobs.tell("finished before, nothing to do", jobs.stored.directory)
             if jobs.stored.strict:
                 check_sound(jobs.stored.directory)
             return
@@ -273,7 +275,7 @@ def _begin(jobs: Jobs, options: Namespace) -> None:
     elif options.shell_completion:
         show_by_hydra("--shell-completion", overrides)
     elif options.cfg:
-        Terminal().say(configuration_text(options, overrides, config_dir))
+        terminal.say(configuration_text(options, overrides, config_dir))
     else:
         start(jobs, [*overrides, *jobs.of_hydra], config_dir, options.multirun)
         _collect(jobs)
@@ -290,7 +292,9 @@ def _note_how_to_go_on(jobs: Jobs) -> None:
 
 
 def _as_reported(error: Exception, jobs: Jobs, options: Namespace) -> Exception | None:
-    """What to tell of an error that no job reported; None of a defect."""
+    """What to tell of an error; None of a defect."""
+    if error is jobs.error or type(error).__name__ in LOST_WORKERS:
+        return error if isinstance(error, REPORTED) else None
     reported = error if isinstance(error, WriteError) else refused_by_disk(error)
     if reported is None and isinstance(error, FileNotFoundError) and not jobs.started:  # as below /proc
         reported = WriteError(error.filename, error.strerror or "")
@@ -310,7 +314,7 @@ def _collect(jobs: Jobs, cut_off: bool = False) -> None:
     sweep = ended.sweep
     all_jobs = sweep.jobs()
     begun = ended.begun(all_jobs)
-    if jobs.full_error:
+    if _is_verbose():
         for kept in filter(None, (Failure.read(job.directory) for job in begun)):
             print(printable(kept.traceback), file=sys.stderr)
     jobs.refused = ended.is_refused(all_jobs, begun) or (cut_off and not begun)
@@ -326,6 +330,9 @@ def _collect(jobs: Jobs, cut_off: bool = False) -> None:
     collection = Collection.of(sweep, all_jobs)
     if not sweep.is_search:  # in which trials may fail
         jobs.status = max(jobs.status, collection.exit_status)
-    jobs.directory = sweep.directory
-    jobs.terminal.say(collection.text())
-    jobs.terminal.conclude(sweep.directory)
+    jobs.tell(collection.text(), sweep.directory)
+
+
+def _is_verbose() -> bool:
+    """Whether tracebacks are printed, too."""
+    return os.environ.get("HYDRA_FULL_ERROR") == "1"

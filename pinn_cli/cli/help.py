@@ -27,10 +27,8 @@ from pinn_cli.settings.yaml_file import read_yaml
 HELP_WIDTH = 120
 # Options of a group that are shown at once.
 _MOST_SHOWN = 12
-# What no word of Hydra's grammar may have unless it is quoted.
-_NEEDS_QUOTES = re.compile(r"[^\w/\-\\+.$%*@?|:=,\[\]{}() ]|[^\x00-\x7f]")
-# More brackets in brackets than any setting has.
-DEEPEST = 50
+# Errors about the command line or a file that no code of ours has found.
+MEANT = (HydraException, OmegaConfBaseException, YAMLError)
 
 _BEFORE = """\
 pinn-run: the response of a structural chain where there is no sensor, its parameters, and how far to trust both
@@ -206,22 +204,24 @@ def explain(
     if isinstance(error, MissingConfigException):
         return _unknown_option(error, config_dir)
     if isinstance(error, OverrideParseException):
-        return _bad_syntax(error, overrides)
+        return _bad_syntax(error)
     for cause in _chain(error):
-        key = getattr(cause, "full_key", None)
+        key = str(getattr(cause, "full_key", None) or "")
         if key and "not in struct" in str(cause):
-            return _unknown_setting(str(key), overrides, config_dir)
+            return _unknown_setting(key, overrides, config_dir)
         if key and isinstance(cause, OmegaConfBaseException):
-            for override in overrides:  # case=${nothing}
-                if "${" in override:
-                    name, _, value = override.partition("=")
-                    return InputError(setting_of(name), value, "resolvable", _first_line(cause))
-            return InputError(key, _given(str(key), overrides), "of the type that Hydra expects", _first_line(cause))
+            name = next((setting_of(override) for override in overrides if "${" in override), key)
+            return InputError(name, _given(name, overrides), "a value that can be used there", _first_line(cause))
     if composing and isinstance(error, RecursionError):
-        return _too_deep(overrides, config_dir)
-    meant = isinstance(error, HydraException | OmegaConfBaseException | YAMLError)
+        error = HydraException("values are nested too deeply, or files include each other in a circle")
     # Hydra raises a KeyError of a variable that hydra.job.env_copy names and that is not set.
-    return _in_its_words(error, overrides) if meant or (composing and type(error) in (KeyError, ValueError)) else None
+    if not (isinstance(error, MEANT) or (composing and type(error) in (KeyError, ValueError))):
+        return None
+    ambiguous = re.search(r"Ambiguous value for argument '([^=]+)=(.*)'", _first_line(error))
+    if ambiguous:
+        hint = f"add --multirun to sweep, or brackets for a list: [{ambiguous[2]}]"
+        return InputError(ambiguous[1], ambiguous[2], "one value", hint)
+    return InputError("overrides", " ".join(overrides) or "(none)", "such that a configuration follows", str(error))
 
 
 def _chain(error: BaseException) -> Iterator[BaseException]:
@@ -234,48 +234,25 @@ def _chain(error: BaseException) -> Iterator[BaseException]:
 def _unknown_option(error: MissingConfigException, config_dir: str | None) -> InputError:
     """`system=duffin`: the group exists, the option does not."""
     group, _, option = (error.missing_cfg_file or "").rpartition("/")
+    options = sorted(error.options or ())
     # experiment=paper/x is told as group experiment/paper; a user types and reads it from the first folder on.
     root, _, folder = group.partition("/")
-    if root == "hydra":  # no group of its own, but a folder of groups, whose options Hydra's plug-ins have
-        root, given, options = group, option, sorted(error.options or ())
-    else:
-        given, options = f"{folder}/{option}" if folder else option, sorted(option_names(root, config_dir))
-    if given in options:
-        return InputError(root, given, "such that a configuration follows", _first_line(error))
-    return InputError(root, given, f"one of {', '.join(options)}", suggestion(given, options))
+    if root != "hydra":
+        group, option = root, f"{folder}/{option}" if folder else option
+        options = sorted(option_names(root, config_dir))
+    return InputError(group, option, f"one of {', '.join(options)}", suggestion(option, options) or _first_line(error))
 
 
-def _bad_syntax(error: OverrideParseException, overrides: Sequence[str]) -> InputError:
+def _bad_syntax(error: OverrideParseException) -> InputError:
     """`system.ndof=[1` or a word without an equals sign."""
     name, equals, value = error.override.partition("=")
-    if not equals:
-        spaced = error.override in overrides[1:]
-        hint = "a value with spaces needs quotes inside quotes: 'data.path=\"my rig.csv\"'" if spaced else ""
-        hint = suggestion(error.override, SUBCOMMANDS) or hint
-        if Path(error.override).is_file():
-            looked_at = shlex.quote(error.override)
-            hint = f"pinn-run inspect {looked_at} looks at a record; --config takes a file of settings"
-        return InputError("override", error.override, "of the form setting=value", hint)
-    hint = "brackets, braces and commas need quotes for the shell"
-    depth = sum(value.count(bracket) for bracket in "[{(") - sum(value.count(bracket) for bracket in "]})")
-    strange = _NEEDS_QUOTES.findall(value)
-    if depth:
-        hint = f"{abs(depth)} closing bracket(s) too {'few' if depth > 0 else 'many'}; {hint}"
-    elif "'" in value or '"' in value:
-        hint = f"quotes go around the whole value, within others for the shell: '{name}=\"...\"'"
-    elif strange:
-        hint = f"the character {strange[0]} needs quotes inside quotes: '{name}=\"{value}\"'"
-    return InputError(name, value, "a number, a word, a list [1,2] or a mapping {a:1}", hint)
-
-
-def _too_deep(overrides: Sequence[str], config_dir: str | None) -> InputError:
-    """Composing that never ends, or a value of brackets in brackets."""
-    deepest = max(overrides, key=lambda override: override.count("[") + override.count("{"), default="")
-    if deepest.count("[") + deepest.count("{") > DEEPEST:
-        name, _, value = deepest.partition("=")
-        return InputError(name, f"{value[:20]}...", f"nested in at most {DEEPEST} levels")
-    hint = f"the defaults lists of files in {config_dir} include each other in a circle" if config_dir else ""
-    return InputError("overrides", " ".join(overrides) or "(none)", "such that a configuration follows", hint)
+    if equals:
+        hint = f"brackets, braces and commas need quotes for the shell, other signs and spaces two: '{name}=\"...\"'"
+        return InputError(name, value, "a number, a word, a list [1,2] or a mapping {a:1}", hint)
+    hint = suggestion(name, SUBCOMMANDS) or "a value with spaces needs quotes inside quotes: 'data.path=\"my rig.csv\"'"
+    if Path(name).is_file():
+        hint = f"pinn-run inspect {shlex.quote(name)} looks at a record; --config takes a file of settings"
+    return InputError("override", name, "of the form setting=value", hint)
 
 
 def _unknown_setting(key: str, overrides: Sequence[str], config_dir: str | None) -> InputError:
@@ -288,20 +265,6 @@ def _unknown_setting(key: str, overrides: Sequence[str], config_dir: str | None)
     owners = options_with(name)
     hint = f"it belongs to {', '.join(owners)}" if owners else suggestion(name, settings)
     return InputError(name, _given(name, overrides), allowed, hint)
-
-
-def _in_its_words(error: BaseException, overrides: Sequence[str]) -> InputError:
-    """Whatever else: Hydra's own words, in one line."""
-    text = _first_line(error)
-    ambiguous = re.search(r"Ambiguous value for argument '([^=]+)=(.*)'", text)
-    if ambiguous:
-        hint = f"add --multirun to sweep, or brackets for a list: [{ambiguous[2]}]"
-        return InputError(ambiguous[1], ambiguous[2], "one value", hint)
-    doubled = re.search(r"Multiple values for ([\w/]+)\.", text)
-    if doubled:
-        hint = f"write {doubled[1]}=... without a plus sign"
-        return InputError(doubled[1], _given(doubled[1], overrides), "chosen once", hint)
-    return InputError("overrides", " ".join(overrides) or "(none)", "such that a configuration follows", str(error))
 
 
 def _given(key: str, overrides: Sequence[str]) -> str:

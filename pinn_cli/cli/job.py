@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
@@ -77,11 +76,11 @@ class Start:
     """
 
     def __init__(self, composed: DictConfig, began: float | None, terminal: Terminal | None, follows: bool) -> None:
-        runtime = HydraConfig.get().runtime
+        hydra = HydraConfig.get()
         self.composed, self.follows = composed, follows
-        self.directory, self.base = Path(runtime.output_dir), Path(runtime.cwd)
+        self.directory, self.base = Path(hydra.runtime.output_dir), Path(hydra.runtime.cwd)
         # Which shows its progress, and its tables at its end.
-        self.in_sweep = HydraConfig.get().mode == RunMode.MULTIRUN
+        self.in_sweep = hydra.mode == RunMode.MULTIRUN
         self.terminal = SILENCE if self.in_sweep else terminal or Terminal()
         self.stages, self.resumes = Stages(None if self.in_sweep else began), False
 
@@ -92,24 +91,19 @@ class Start:
 
     def prepared(self, config: RunConfig) -> Job | WindowedRun:
         """Everything that may find fault with the input; nothing is written."""
-        stages, terminal = self.stages, self.terminal
+        stages, terminal, directory = self.stages, self.terminal, self.directory
         with stages("imports"):
             from pinn_cli.report.parameters import history
             from pinn_cli.report.results import checked_times
             from pinn_cli.runs.checkpoint import open_checkpoints
             from pinn_cli.training.estimate import RunContext
             from pinn_cli.validation.validation import Setup
-        directory, progress = self.directory, terminal.shows_progress and not self.in_sweep
+        progress = terminal.shows_progress and not self.in_sweep
         context = RunContext(config.device, config.seed, directory, progress=progress)
         draws = not self.in_sweep if config.figures is None else config.figures
         if config.source.windows is not None:
-
-            def say(line: str) -> None:
-                terminal.say(line)
-                sys.stdout.flush()  # what follows may take long
-
             return prepare_windows(
-                config, context, stages, say, goes_on=self.resumes, drawn=draws, follows=self.follows
+                config, context, stages, terminal.say, goes_on=self.resumes, drawn=draws, follows=self.follows
             )
         if config.scheme.looks_for_changes and config.model is not None:
             history(config.model)  # which goes on behind this run
@@ -123,11 +117,10 @@ class Start:
                 estimator.check(problem)
             if prepared.problem.priors:
                 config.posterior.check(problem)
+            if config.between is not None:
+                checked_times("report.between", config.between, problem.record.time)
         check_records(prepared.problem, config.estimator, config.baseline, config.validation)
         config.validation.check(prepared.problem, setup)
-        if config.between is not None:
-            for problem in prepared.problem:
-                checked_times("report.between", config.between, problem.record.time)
         return Job(config, prepared, context, setup, directory, stages, terminal, draws)
 
     def tracked(
@@ -208,7 +201,6 @@ def shown(text: Callable[[], str], stages: Stages, terminal: Terminal) -> Iterat
     refused = None
     try:
         terminal.say(text())
-        sys.stdout.flush()
     except OSError as error:
         refused = error
     stages.reached("table_at")

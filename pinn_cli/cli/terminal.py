@@ -37,7 +37,7 @@ class Terminal:
     def say(self, text: str) -> None:
         """Print results."""
         if self.tells:
-            print(printable(text))
+            print(printable(text), flush=True)  # what follows may take long
 
     def complain(self, text: str) -> None:
         """Print one line on standard error."""
