@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
-from sqlite3 import SQLITE_BUSY, DatabaseError, connect
+from sqlite3 import DatabaseError, connect
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 from urllib.request import getproxies
@@ -38,8 +38,6 @@ if TYPE_CHECKING:
 
 SQLITE, SERVERS = "sqlite:///", ("http", "https")
 STORES_ALLOWED = "a SQLite file, sqlite:///FILE, or a server, http://HOST:PORT"
-# How a database begins; one that was only just made is empty.
-SQLITE_HEADER = b"SQLite format 3\0"
 # Some of the tables that every store of MLflow has.
 MLFLOW_TABLES = {"experiments", "runs", "metrics", "params", "tags", "alembic_version"}
 # A server is waited for so long, s, for each of two tries, and a file that another program has locked; of a server what
@@ -105,8 +103,6 @@ class MlflowTracking(Tracking):
         self.artifacts = None if artifacts is None else located(artifacts, start)
         if self.artifacts is None and self.database is not None:
             self.artifacts = self.database.with_name(f"{self.database.stem}-artifacts")
-        elif self.artifacts is not None and os.path.lexists(self.artifacts) and not self.artifacts.is_dir():
-            raise InputError("tracking.artifacts", artifacts, "null or a folder", "what is there is no folder")
 
     def open(self, run: TrackedRun, key: str, before: str) -> MlflowTracker:
         """See :meth:`Tracking.open`."""
@@ -131,15 +127,10 @@ class MlflowTracking(Tracking):
 
     def _experiment(self, client: MlflowClient) -> str:
         experiment = client.get_experiment_by_name(self.experiment)
-        if experiment is None:
-            place = None if self.artifacts is None else self.artifacts.as_uri()
-            try:
-                return str(client.create_experiment(self.experiment, artifact_location=place))
-            except Exception:  # another process was faster, on a server
-                experiment = client.get_experiment_by_name(self.experiment)
-                if experiment is None:
-                    raise
-        return str(experiment.experiment_id)
+        if experiment is not None:
+            return str(experiment.experiment_id)
+        place = None if self.artifacts is None else self.artifacts.as_uri()
+        return str(client.create_experiment(self.experiment, artifact_location=place))
 
 
 class MlflowTracker(Tracker):
@@ -211,50 +202,28 @@ def _parts(items: list[Any], most: int) -> Iterator[list[Any]]:
         yield items[first : first + most]
 
 
-def _unusable(uri: str, hint: str, allowed: str = "a file that can be used") -> InputError:
-    return InputError("tracking.uri", uri, allowed, hint)
-
-
 def _check_database(uri: str, database: Path) -> None:
-    """Refuse a file that is no database, that of another program, and a place where none can be made.
+    """Refuse a file that is no database of MLflow's, and a place where none can be made.
 
     Raises:
-        InputError: It is one of these; nothing in it was changed.
+        InputError: It is one of these, or another program has it locked; nothing in it was changed.
     """
-    whose = "is there is no SQLite file"
-    try:
-        if not os.path.lexists(database):  # nor need its folder be there
-            folder = next(place for place in database.parents if place.exists())
-            if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-                raise _unusable(uri, f"{folder}: nothing may be written there")
-            return
-        if database.is_file():
-            with database.open("rb") as file:
-                beginning = file.read(len(SQLITE_HEADER))
-            if not beginning or (beginning == SQLITE_HEADER and _tables(database) >= MLFLOW_TABLES):
-                return
-            whose = "is there is the database of another program" if beginning == SQLITE_HEADER else whose
-    except DatabaseError as error:
-        hint = f"another program has had it locked for {ANSWER_S} s: the same command again tries once more"
-        raise _unusable(uri, hint) from error
-    except OSError as error:
-        raise _unusable(uri, getattr(error, "strerror", None) or str(error)) from error
-    raise _unusable(uri, f"what {whose}, and is left alone", STORES_ALLOWED)
-
-
-def _tables(database: Path) -> set[str]:
-    """Names of its tables; none where it is damaged.
-
-    Raises:
-        DatabaseError: Another program has it locked.
-    """
-    try:
-        with closing(connect(f"{database.as_uri()}?mode=ro", uri=True, timeout=ANSWER_S)) as connection:
-            return {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-    except DatabaseError as error:
-        if getattr(error, "sqlite_errorcode", None) == SQLITE_BUSY:
-            raise
-        return set()
+    fault, folder = "", next(place for place in database.parents if place.exists())
+    if not os.path.lexists(database):  # nor need its folder be there
+        if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+            fault = f"{folder}: nothing may be written there"
+    elif not database.is_file():
+        fault = "what is there is no file"
+    elif database.stat().st_size:  # one that was only just made is empty
+        try:
+            with closing(connect(f"{database.as_uri()}?mode=ro", uri=True, timeout=ANSWER_S)) as connection:
+                listed = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+                if not {name for (name,) in listed} >= MLFLOW_TABLES:
+                    fault = "what is there is the database of another program, and is left alone"
+        except DatabaseError as error:
+            fault = f"what is there cannot be used: {error}"
+    if fault:
+        raise InputError("tracking.uri", uri, STORES_ALLOWED, fault)
 
 
 def _check_server(uri: str, address: tuple[str, int]) -> None:
@@ -268,8 +237,7 @@ def _check_server(uri: str, address: tuple[str, int]) -> None:
     try:
         socket.create_connection(address, timeout=ANSWER_S).close()
     except (OSError, UnicodeError) as error:
-        hint = f"nothing answers there ({getattr(error, 'strerror', None) or error})"
-        raise _unusable(uri, hint, "a server that runs") from error
+        raise InputError("tracking.uri", uri, "a server that runs", f"nothing answers there ({error})") from error
 
 
 def _address(uri: str) -> tuple[str, int] | None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Mapping
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,7 +63,6 @@ class TensorboardTracker(Tracker):
 
     def begin(self) -> SummaryWriter:
         """Write anew from the settings on: what an earlier process wrote of this run is told once more."""
-        _leave_failures_to_calls()
         from torch.utils.tensorboard import SummaryWriter
 
         _take_away(self.place, self.key)
@@ -124,15 +121,3 @@ def _take_away(place: Path, key: str) -> None:
     """Remove the event files of the run with that key."""
     for events in place.glob(f"events.out.tfevents.*.{key}") if key else ():
         events.unlink()
-
-
-@cache
-def _leave_failures_to_calls() -> None:
-    """Have TensorBoard's writing threads print no traceback: what stopped one is raised by the next call of it."""
-    otherwise = threading.excepthook
-
-    def hook(raised: threading.ExceptHookArgs) -> None:
-        if not type(raised.thread).__module__.startswith("tensorboard."):
-            otherwise(raised)
-
-    threading.excepthook = hook

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 import pytest
-from calls import SMALL, PinnRun, limit_files
+from calls import SMALL, PinnRun
 from interrupted_runs import ADAM, Steps, in_a_child
 
 from pinn_cli.cli.command_line import execute
@@ -91,22 +91,3 @@ def test_impossible_settings_are_named(pinn_run: PinnRun, tmp_path: Path) -> Non
         TensorboardTracking(5)  # type: ignore[arg-type]
     (tmp_path / "file").write_text("")
     pinn_run(*ADAM, "tracking=tensorboard", "tracking.directory=file").refused()
-
-
-def test_a_disk_that_is_full_is_told_in_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """TensorBoard writes in a thread of its own, which would print a traceback."""
-    from pinn_cli.sweep.tracking.tensorboard import TensorboardTracking
-    from pinn_cli.sweep.tracking.tracking import TrackedRun, follow
-
-    job = TrackedRun(tmp_path, "run", {"case": "x" * 3000}, {}, "")
-
-    def start() -> None:
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        limit_files(1000)
-        full = pytest.raises(InputError, match=r"^tracking\.directory=None: .*: File too large$")
-        with full, follow(TensorboardTracking(), job, resuming=False):
-            pass
-
-    assert in_a_child(start) == 0
-    assert list(tmp_path.iterdir()) == []
-    assert "Traceback" not in capfd.readouterr().err
