@@ -127,10 +127,15 @@ class MlflowTracking(Tracking):
 
     def _experiment(self, client: MlflowClient) -> str:
         experiment = client.get_experiment_by_name(self.experiment)
-        if experiment is not None:
-            return str(experiment.experiment_id)
-        place = None if self.artifacts is None else self.artifacts.as_uri()
-        return str(client.create_experiment(self.experiment, artifact_location=place))
+        if experiment is None:
+            place = None if self.artifacts is None else self.artifacts.as_uri()
+            try:
+                return str(client.create_experiment(self.experiment, artifact_location=place))
+            except Exception:  # another process was faster, on a server
+                experiment = client.get_experiment_by_name(self.experiment)
+                if experiment is None:
+                    raise
+        return str(experiment.experiment_id)
 
 
 class MlflowTracker(Tracker):
