@@ -57,14 +57,6 @@ def test_noisy_samples_are_not_blown_up():
     assert found[60:-60][1::3].std() < 1.05 * 0.1
 
 
-def test_a_record_shorter_than_the_reach_is_interpolated_from_all_of_it():
-    samples, rms = np.arange(40), 0.5**0.5
-    found, std = refined(np.cos(samples)[:, None], 2)
-    error = np.abs(found[:, 0] - np.cos(np.arange(79) / 2)) / rms
-    assert np.all(error <= 3.0 * std[:, 0] / rms + 1e-3)
-    assert error[20:60].max() < 3e-3
-
-
 @pytest.mark.parametrize("noise", [0.01, 0.1])
 def test_a_noisy_history_keeps_its_size_up_to_nine_tenths_of_the_nyquist_frequency(noise):
     """What is most probable of it is smaller, by a hundredth at 20 dB."""

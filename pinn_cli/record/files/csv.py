@@ -103,10 +103,6 @@ class CsvFormat(FileFormat):
     def _columns(self, path: Path, text: str, lines: Sequence[str], wanted: Mapping[str, str] | None) -> Table:
         """The columns of a text, from all of it and from its first lines, down to the names and beyond."""
         heading = self._heading(lines)
-        if heading.width < 2 and heading.numbers and not all(map(_is_number, heading.numbers[0])):
-            reason = f"one history whose numbers fill its lines? Write one number a line; {_NAMES_LINE}"
-            reason += "; an earthquake to simulate is read as it is by excitation.path"
-            raise InputError("data.path", path, "a file with a line of names above columns of numbers", reason)
         separator = heading.separator
         decimal = self.decimal or _decimal(heading.numbers, separator)
         notes = [] if self.decimal else _doubtful_commas(path, heading.numbers, decimal)
@@ -141,19 +137,16 @@ class CsvFormat(FileFormat):
 
     def _heading(self, lines: Sequence[str]) -> Heading:
         """Where the names are: by ``names_line``, else above the first rows of numbers."""
-        separators = SEPARATORS if self.separator is None else (self.separator,)
-        first = self.names_line if self.names_line is None else self.names_line - 1
-        headings = (Heading.sought(lines, separator, first) for separator in separators)
-        heading = next((heading for heading in headings if heading is not None), None)
-        if heading is not None:
-            return heading
-        if first is None:
-            first = next((i for i, line in enumerate(lines) if line.strip()), 0)
-        separator = "," if self.separator is None else self.separator
-        rows = rows_of(lines[first : first + 1], separator)
-        return Heading(
-            separator, first, first + 1, first + 1, tuple(rows), (), rows_of(lines[first + 1 :][:1], separator)
-        )
+        first = None if self.names_line is None else self.names_line - 1
+        for separator in SEPARATORS if self.separator is None else (self.separator,):
+            heading = Heading.sought(lines, separator, first)
+            if heading is not None:
+                return heading
+        separator = self.separator or ","
+        rows = _numbered(lines, separator, first or 0)[:2]
+        at, end = rows[0][:2] if rows else (0, 0)
+        names, numbers = ([cells for _, _, cells in part] for part in (rows[:1], rows[1:]))
+        return Heading(separator, at, end, end, tuple(names), (), numbers)
 
 
 @dataclass(frozen=True)
@@ -328,13 +321,6 @@ def _frame(text: str, dialect: dict[str, Any], **options: Any) -> pd.DataFrame:
         warnings.simplefilter("ignore", pd.errors.ParserWarning)  # of that cell
         frame: pd.DataFrame = pd.read_csv(StringIO(text), **dialect, **options)
     return frame
-
-
-def rows_of(lines: Sequence[str], separator: str) -> list[list[str]]:
-    """Cells of lines, row by row."""
-    if separator == BLANKS:
-        return [line.split() for line in lines]
-    return [list(map(str.strip, row)) for row in csv.reader(lines, delimiter=separator, skipinitialspace=True)]
 
 
 def _filled(row: Sequence[str]) -> int:

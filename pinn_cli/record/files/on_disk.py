@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import gzip
 import zlib
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 
@@ -30,12 +31,10 @@ PACKED_AS = {
     b"CDF": "netCDF (data=netcdf)",
     _UNIVERSAL: "a universal file (data=uff)",
 }
-_PACKED = (".zip", ".bz2", ".xz", ".zst")
 _MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 # Of text that is no UTF-8: what Windows writes in Western Europe and America. The numbers are the same in any of them.
 _FALLBACK = "cp1252"
 _SAVE_AS = "save it as text with separated values, in UTF-8"
-_CHUNK = 2**20
 
 
 def read_bytes(path: Path, setting: str = "data.path", most: int = -1) -> bytes:
@@ -79,23 +78,15 @@ def read_text(path: Path, setting: str = "data.path", encoding: str | None = Non
     if content.startswith(_GZIP):
         content = _unpacked(path, content, setting)
     kind = _kind(content)
-    if (kind and kind != PACKED_AS[_UNIVERSAL]) or path.suffix.lower() in _PACKED:
-        hint = f"it is {kind}: unpack it, or {_SAVE_AS}" if kind else f"unpack it, and {_SAVE_AS}"
-        raise InputError(setting, path, "a text file", hint)
-    given = (
-        encoding or next((name for mark, name in _MARKS.items() if content.startswith(mark)), None) or _wide(content)
-    )
-    if given is None and (place := content.find(b"\0")) >= 0:
-        hint = f"it is a binary file, or UTF-16 without a mark: {_SAVE_AS}"
-        raise InputError(_line(path, content, place), "byte 0x00", "text", hint)
-    for name in (given,) if given else ("utf-8", _FALLBACK):
-        try:
+    if kind and kind != PACKED_AS[_UNIVERSAL]:
+        raise InputError(setting, path, "a text file", f"it is {kind}: unpack it, or {_SAVE_AS}")
+    given = encoding or next((name for mark, name in _MARKS.items() if content.startswith(mark)), _wide(content))
+    names = (given,) if given else ("utf-8", _FALLBACK)
+    for name in names if given or b"\0" not in content else ():
+        with suppress(UnicodeError, LookupError):
             return content.decode(name)
-        except (UnicodeError, LookupError, ValueError) as error:
-            place = error.start if isinstance(error, UnicodeDecodeError) else 0
-    hint = f"the file is in another encoding, or no text: give data.format.encoding, or {_SAVE_AS}"
-    byte = f"byte 0x{content[place]:02x}" if content else "nothing"
-    raise InputError(_line(path, content, place), byte, f"text in {name}", hint)
+    hint = f"it is in another encoding, or no text: give data.format.encoding, or {_SAVE_AS}"
+    raise InputError(setting, path, f"text in {' or '.join(names)}", hint)
 
 
 def looks_like_text(content: bytes) -> bool:
@@ -143,19 +134,12 @@ def _kind(content: bytes) -> str:
     return next((kind for start, kind in PACKED_AS.items() if content.startswith(start)), "")
 
 
-def _line(path: Path, content: bytes, place: int) -> str:
-    number = content.count(b"\n", 0, place) + 1
-    return f"{path.name}, line {number}"
-
-
 def _unpacked(path: Path, content: bytes, setting: str) -> bytes:
     """What gzip has packed, which may be no more than any file."""
-    parts, size = [], 0
     try:
         with gzip.GzipFile(fileobj=BytesIO(content)) as packed:
-            while part := packed.read(_CHUNK):
-                parts.append(part)
-                check_size(path, size := size + len(part), setting)
+            unpacked = packed.read(of_this_machine() // PART_OF_MEMORY + 1)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise InputError(setting, path, "a gzip file that is whole", f"damaged or cut off? {error}") from None
-    return b"".join(parts)
+    check_size(path, len(unpacked), setting)
+    return unpacked
