@@ -54,13 +54,11 @@ class Regression:
 
 
 def regress(filtered: Filtered, at: np.ndarray, precision: np.ndarray, pull: np.ndarray | float = 0.0) -> Regression:
-    """Generalised least squares of the innovations on the coefficients.
+    """Generalised least squares of the innovations, of deviations from a trajectory, on the coefficients.
 
-    Args:
-        filtered: Deviations from a trajectory.
-        at: (p,), distance of the trajectory's coefficients from their prior mean, in prior standard deviations.
-        precision: (p,), of their prior, in these.
-        pull: (p,), derivative of what the misfit lacks, see :meth:`IteratedSmoother.pull_of_gains`.
+    The trajectory's coefficients (p,) are ``at`` so many prior standard deviations from their prior mean; ``precision``
+    (p,), of their prior, is in these, and ``pull`` (p,) is the derivative of what the misfit lacks, see
+    :meth:`IteratedSmoother.pull_of_gains`.
 
     Raises:
         numpy.linalg.LinAlgError: The coefficients' information is not positive definite.

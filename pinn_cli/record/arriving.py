@@ -87,17 +87,13 @@ class TextReader(Reader):
 
     def _whole_lines(self, complete: bool) -> bytes | None:
         """What lies between the last place and the end of a line; None where that is too little."""
-        try:
-            with self.path.open("rb") as file:
-                size = file.seek(0, 2)
-                if size < self.place:
-                    hint = "it is shorter than it was: let what measures it append to it, or begin another file"
-                    raise InputError(PATH_SETTING, self.path, "a file that grows", hint)
-                file.seek(self.place)
-                content = file.read(MOST_AT_ONCE)
-        except OSError as error:
-            reason = error.strerror or str(error)
-            raise InputError(PATH_SETTING, self.path, "a file that can be read", reason) from error
+        with self.path.open("rb") as file:
+            size = file.seek(0, 2)
+            if size < self.place:
+                hint = "it is shorter than it was: let what measures it append to it, or begin another file"
+                raise InputError(PATH_SETTING, self.path, "a file that grows", hint)
+            file.seek(self.place)
+            content = file.read(MOST_AT_ONCE)
         whole = complete and self.place + len(content) == size
         end = len(content) if whole else content.rfind(b"\n") + 1
         content = content[:end]

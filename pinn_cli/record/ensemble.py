@@ -114,16 +114,11 @@ def distance(values: np.ndarray) -> np.ndarray:
 def followed_members(
     members: Members, structure: Structure, record: Record, start: Sequence[np.ndarray]
 ) -> Iterator[tuple[slice, dict[str, np.ndarray], np.ndarray, np.ndarray]]:
-    """The motion of all members, some hundred samples at a time: a step of Runge-Kutta takes about 0.2 ms.
+    """The motion of all members, one at least, some hundred samples at a time, under what acts by the record.
 
-    Behind them comes that of the structure itself, from which they differ by what is uncertain alone: the steps that
-    all of them take are no part of it.
-
-    Args:
-        members: At least one.
-        structure: Whose law they share.
-        record: Whose force and ground motion act on all.
-        start: Of the structure itself: displacement, velocity and hidden forces at the first sample.
+    Behind them comes that of the structure itself, from its own displacement, velocity and hidden forces at the first
+    sample: from it they differ by what is uncertain alone, and the steps that all of them take are no part of it. A
+    step of Runge-Kutta takes about 0.2 ms.
 
     Yields:
         Samples, quantity to (M, H + 1, dofs) at these, the states (M, H + 1, 2 n + h), and displacement and velocity of

@@ -136,10 +136,7 @@ class MeasuredData:
     def measure(self, ndof: int, connections: Sequence[str] = (), clock: Clock | None = None) -> Measurements:
         """The record of the channels that are not held out, and as the truth those that are; the rest of it is NaN.
 
-        Args:
-            ndof: DOFs of the structure.
-            connections: Names of its connections.
-            clock: The file's columns, where they have been read; None: they are read now.
+        The file's columns are read now, unless they come with a clock.
 
         Raises:
             InputError: A DOF outside 1..ndof; a file, column or cell that cannot be used; too few samples; a response

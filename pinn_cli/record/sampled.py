@@ -103,16 +103,10 @@ def reached(band: BandPass, window: tuple[int, int], rows: int) -> tuple[int, in
 def with_fewer(
     by: int | BandPass, time: np.ndarray, values: Sequence[np.ndarray], whole: bool
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Times and channels with fewer samples.
-
-    Args:
-        by: Every so manieth is kept, after an anti-alias filter; or what leaves a band alone.
-        time: (N,), s.
-        values: Of every channel, (N,).
-        whole: Whether no sample is missing, and all stand at even times.
+    """Times (N,), s, and channels (N,) with fewer samples, see :func:`sampled`.
 
     Raises:
-        InputError: They are not.
+        InputError: A sample is missing, or not all stand at even times.
     """
     setting, given = ("data.decimate", by) if isinstance(by, int) else ("data.band", "a band")
     if not whole:

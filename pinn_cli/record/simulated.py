@@ -209,15 +209,12 @@ def _check_steps(simulation: Simulation, structure: Structure, most: int) -> Non
     if steps <= most:
         return
     oscillation, decay = fastest_rates(structure)
-    stiff = oscillation >= decay
-    rate = simulation.step_times_rate * most / simulation.duration
-    allowed = f"a natural frequency above {rate / (2.0 * math.pi):.3g} Hz" if stiff else f"a decay above {rate:.3g} 1/s"
-    takes = f"the simulation takes {steps:.1e} steps, of which {most:.1e} are allowed"
-    name = "k" if stiff else "c"
-    sizes = at_rest(structure)[0 if stiff else 1]
-    parameter = structure.parameter(name, int(np.argmax(sizes)))
-    prescribed, least = abs(parameter.prescribed), float(structure.parameters["m"].min())
-    rest = f"at rest its law adds {sizes.max() - prescribed:.3g}; " if sizes.max() > prescribed else ""
-    hint = f"{rest}{takes}; a larger mass or a shorter simulation.duration makes them fewer, too"
-    allowed = f"small enough for {least:.3g} kg not to have {allowed}"
+    name, rate = "k" if oscillation >= decay else "c", simulation.step_times_rate * most / simulation.duration
+    sizes = at_rest(structure)[0 if name == "k" else 1]
+    parameter, least = structure.parameter(name, int(np.argmax(sizes))), float(structure.parameters["m"].min())
+    has = (
+        f"a natural frequency above {rate / (2.0 * math.pi):.3g} Hz" if name == "k" else f"a decay above {rate:.3g} 1/s"
+    )
+    hint = f"the simulation takes {steps:.1e} steps; a larger mass or a shorter simulation.duration makes them fewer"
+    allowed = f"small enough for {least:.3g} kg not to have {has}"
     raise InputError(structure.labels.setting(parameter), float(sizes.max()), allowed, hint)

@@ -59,19 +59,11 @@ class StateEquation:
         return self.structure.parameters_like(np.empty(0))
 
     def start(self, initial: npt.ArrayLike | None) -> np.ndarray:
-        """The state at the first time, from displacement, velocity and hidden forces; rest where None.
-
-        Raises:
-            ValueError: It has another shape, or is not finite.
-        """
+        """The state at the first time, from displacement, velocity and hidden forces; rest where None."""
         n, hidden = self.structure.coordinates, len(self.structure.memory)
         if initial is None:
             return np.zeros(2 * n + hidden) if hidden else np.zeros((2, n))
         parts = [np.array(part, dtype=np.float64) for part in initial]  # type: ignore[union-attr]
-        sizes = [part.shape for part in parts]
-        if sizes not in ([(n,), (n,), (hidden,)], [(n,), (n,)]) or not all(np.isfinite(part).all() for part in parts):
-            also = f", and ({hidden},) hidden forces" if hidden else ""
-            raise ValueError(f"the initial state must be {{displacement, velocity}}, (2, {n}) finite numbers{also}")
         if not hidden:
             return np.array(parts[:2])
         return np.concatenate((*parts, np.zeros(2 * n + hidden - sum(map(len, parts)))))
@@ -176,7 +168,10 @@ class Simulation:
     substeps: int | None = None
 
     def __post_init__(self) -> None:
-        _check_options(self.hold, self.method, self.substeps)
+        one_of("simulation.hold", self.hold, HOLDS)
+        one_of("simulation.method", self.method, METHODS)
+        if self.substeps is not None:
+            whole_number("simulation.substeps", self.substeps, least=1)
         positive_number("simulation.duration", self.duration)
         whole_number("simulation.samples", self.samples, least=MINIMUM_SAMPLES)
 
@@ -250,11 +245,9 @@ def simulate(
         (N, ndof) each; the acceleration is the equation of motion at the samples, with the force at the samples.
 
     Raises:
-        InputError: An option that does not exist, or a held force where the ground moves.
+        InputError: A held force where the ground moves.
         OverflowsError: A response that overflows.
-        ValueError: An initial state of another shape, or one that is not finite.
     """
-    _check_options(hold, method, substeps)
     if hold != "exact":
         for acts, where, why in (
             (ground is not None, "where the ground moves", "nothing holds its acceleration between samples"),
@@ -297,13 +290,10 @@ def simulate(
 
 
 def response_of(structure: Structure, motion: Response, frame: Frame) -> Response:
-    """The response of the DOFs, from the motion of a structure's coordinates and what acts.
+    """The response of the DOFs in a frame (see :func:`simulate`), from the motion of a structure's coordinates.
 
-    Args:
-        structure: Whose equation of motion gives the acceleration, with the force at the samples.
-        motion: Displacement and velocity of the coordinates, hidden forces; force on the DOFs, and what moves ground
-            and supports.
-        frame: Of the acceleration, see :func:`simulate`.
+    That has displacement and velocity of the coordinates, hidden forces, the force on the DOFs at the samples, from
+    which the equation of motion gives the acceleration, and what moves ground and supports.
     """
     shapes, moved, u = structure.shapes, motion.ground_acceleration, motion.displacement
     force = shapes.onto_coordinates(motion.force)
@@ -363,10 +353,3 @@ def _dop853(
         for k, held in enumerate(sampled[:-1]):
             integrate(lambda t, held=held: held, k, k + 1, np.inf)  # type: ignore[misc]
     return states
-
-
-def _check_options(hold: str, method: str, substeps: int | None) -> None:
-    one_of("simulation.hold", hold, HOLDS)
-    one_of("simulation.method", method, METHODS)
-    if substeps is not None:
-        whole_number("simulation.substeps", substeps, least=1)

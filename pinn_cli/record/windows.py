@@ -87,12 +87,8 @@ class Grid:
         steps = np.diff(times)
         # Times are printed with few digits: one step is off by much, all together are not. Gaps are no steps.
         step = float(np.mean(steps[steps < GAP * np.median(steps)]))
-        samples = round(length / step)
-        if samples + 1 < MINIMUM_SAMPLES:
-            allowed = f"at least {MINIMUM_SAMPLES} samples, {MINIMUM_SAMPLES * step:g} s here"
-            raise InputError(WINDOW_SETTING, length, allowed, "it is in seconds")
         overlap = OVERLAP_SHARE * length if overlap is None else overlap
-        return cls(float(times[0]), step, samples, round(overlap / step))
+        return cls(float(times[0]), step, round(length / step), round(overlap / step))
 
     def window(self, number: int) -> Window:
         """A window that is no last one."""
@@ -160,10 +156,6 @@ class RecordWindows(ABC):
     @abstractmethod
     def measure(self, true: Structure, window: Window) -> Measurements:
         """The record of a window, with every sensor that exists, and the truth as far as it is known.
-
-        Args:
-            true: The structure.
-            window: Of :meth:`after`.
 
         Raises:
             InputError: A cell that cannot be used, a sensor that shows one value throughout.

@@ -50,13 +50,6 @@ def test_the_standard_deviation_is_the_error_at_the_ends(refinement):
     assert std[middle].max() < 1e-4 < 0.01 < std[ends].max()
 
 
-def test_noisy_samples_are_not_blown_up():
-    """Between white samples that a band fills, interpolation adds no more noise than a sample has."""
-    noise = np.random.default_rng(0).normal(size=(SAMPLES, 100))
-    found, _ = refined(0.1 * noise, 3)
-    assert found[60:-60][1::3].std() < 1.05 * 0.1
-
-
 @pytest.mark.parametrize("noise", [0.01, 0.1])
 def test_a_noisy_history_keeps_its_size_up_to_nine_tenths_of_the_nyquist_frequency(noise):
     """What is most probable of it is smaller, by a hundredth at 20 dB."""

@@ -156,16 +156,6 @@ def test_it_is_that_of_a_method_of_order_eight(name, hold):
         np.testing.assert_allclose(found, true, atol=(3e-5 if name == "stiff" else 1e-7) * np.abs(true).max())
 
 
-@pytest.mark.parametrize("samples", [64, 20_000])
-def test_records_of_any_length_are_the_same_motion(samples):
-    structure = build_chain(3, Linear(), **CHAINS["light"])
-    modes, time = Modes.of(structure), 0.05 * np.arange(samples)
-    u, v = linear_motion(modes, [(force, np.eye(3) / modes.m)], time, START)
-    half = samples // 2
-    later = linear_motion(modes, [(force, np.eye(3) / modes.m)], time[half:], (u[half], v[half]))
-    np.testing.assert_allclose(later[0], u[half:], atol=1e-9)
-
-
 SAMPLES = 151
 MOVED = 0.1 * np.sin(np.outer(np.linspace(0.0, 3.0, SAMPLES), [2.0, 3.0]))
 

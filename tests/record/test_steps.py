@@ -89,19 +89,6 @@ def test_a_joint_loses_what_its_energy_costs_it(pinching):
         assert relative(states, expected) < 1e-5
 
 
-def test_a_step_too_long_for_friction_is_taken_in_parts():
-    frequencies, time, speed = np.array([3.0, 8.0, 13.0]), np.arange(51) / 200.0, 1e-3
-    structure = oscillator(law="friction", speed=speed, F_c=0.5)
-
-    def motion(t, y):
-        u, v = y
-        return [v, (sines(t, frequencies, 150.0) - 10.0 * v - 5e4 * u - 0.5 * math.tanh(v / speed)) / 2.0]
-
-    expected = reference(motion, 2, time, 1e-3)
-    found = Simulation(time[-1], len(time)).run(structure, lambda t: sines(t, frequencies, 150.0)[:, None])
-    assert relative(np.column_stack((found.displacement, found.velocity)), expected) < 1e-6
-
-
 def test_two_hysteretic_storeys_on_moving_ground():
     frequencies, time = np.linspace(0.5, 9.0, 12), np.arange(81) / 50.0
     law = {"law": "bouc_wen", "A": 3e5, "gamma": 20.0, "n": 1}

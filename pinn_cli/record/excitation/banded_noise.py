@@ -98,13 +98,9 @@ class BandedNoise(Excitation):
 
 
 def sum_of_sinusoids(time: np.ndarray, period: float, bins: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-    """Re sum_k c_k exp(2 pi i k t / P), (M, columns).
+    """Re sum_k c_k exp(2 pi i k t / P), (M, columns), at times (M,), s, of a period P, s.
 
-    Args:
-        time: (M,), s.
-        period: P, s.
-        bins: (K,), whole numbers k, one after the other without gaps.
-        coefficients: (K, columns), complex: amplitude and phase.
+    Bins k (K,) are whole numbers without gaps; coefficients (K, columns) hold amplitude and phase.
     """
     # With w = exp(2 pi i t / P) the sum is the real part of a polynomial in w. Horner's scheme needs no array of
     # (time, bins) and takes a tenth of the cosines' time, but loops over the bins: at few times, form the powers.

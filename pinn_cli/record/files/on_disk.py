@@ -38,12 +38,7 @@ _SAVE_AS = "save it as text with separated values, in UTF-8"
 
 
 def read_bytes(path: Path, setting: str = "data.path", most: int = -1) -> bytes:
-    """All of a file, or its first ``most`` bytes.
-
-    Args:
-        path: Of the file.
-        setting: That named it, for errors.
-        most: Bytes to read; -1: all.
+    """All of a file that a setting has named, or its first ``most`` bytes; -1: all.
 
     Raises:
         InputError: It is missing, is no regular file, cannot be read, or is larger than memory can hold.
@@ -54,8 +49,8 @@ def read_bytes(path: Path, setting: str = "data.path", most: int = -1) -> bytes:
         if not path.is_file():  # a pipe would be waited for, a device would never end
             hint = "it is a folder" if path.is_dir() else "it is a pipe or a device"
             raise InputError(setting, path, "a readable file", hint)
-        check_size(path, path.stat().st_size, setting)
         with path.open("rb") as file:
+            check_size(path, path.stat().st_size, setting)
             return file.read(most)
     except InputError:
         raise
@@ -64,12 +59,9 @@ def read_bytes(path: Path, setting: str = "data.path", most: int = -1) -> bytes:
 
 
 def read_text(path: Path, setting: str = "data.path", encoding: str | None = None) -> str:
-    """The text of a file, without a byte order mark; one that is packed by gzip is unpacked.
+    """The text of a file that a setting has named, without a byte order mark; gzip is unpacked.
 
-    Args:
-        path: Of the file.
-        setting: That named it, for errors.
-        encoding: As Python calls it; None: by the byte order mark, else UTF-8, else cp1252.
+    The encoding, as Python calls it, is by default that of the byte order mark, else UTF-8, else cp1252.
 
     Raises:
         InputError: It is missing, is no regular file, cannot be read or held, or is no text.

@@ -158,11 +158,9 @@ class Table:
         return values
 
     def with_gaps(self, marks: Sequence[float] | None, times: str | None) -> Table:
-        """The same with gaps where a number stands for a missing value.
+        """The same with gaps where one of some marks stands for a missing value, but for the column of the times.
 
-        Args:
-            marks: Such numbers; None: -9999 and the like, where they lie far outside of all others, which a note tells.
-            times: The column that has no such marks; None: all may.
+        None marks -9999 and the like, where they lie far outside of all others, which a note tells.
         """
         columns, notes = dict(self.columns), list(self.notes)
         for name, values in ((name, values) for name, values in self.columns.items() if name != times):
@@ -183,11 +181,9 @@ class Table:
         return list(texts.values()) if len(texts) == len(self) else []
 
     def with_dates(self, column: str, first: str | None = None) -> Table:
-        """The same with a column whose every cell is a date or a time of day, in s.
+        """The same with a column whose every cell is a date or a time of day, in s from the first one.
 
-        Args:
-            column: Its name.
-            first: The date from which they count, as another file writes it; None: the first of the column.
+        They may count from another ``first`` date, as another file writes it.
 
         Raises:
             InputError: One among dates is none.
@@ -305,12 +301,9 @@ def _rank(column: str) -> int | None:
 
 
 def rate_of(name: str, value: float, unit: str = "") -> float | None:
-    """Hz, where a number by its name says how often was sampled; else None.
+    """Hz, where a number by its name (``fs``, ``Sampling rate``, ``dt``) says how often was sampled; else None.
 
-    Args:
-        name: Such as ``fs``, ``Sampling rate``, ``dt``.
-        value: The number.
-        unit: Of it; one that is not known is Hz or s.
+    A unit that is not known is Hz or s.
     """
     rate, step = (kind.fullmatch(name.strip()) for kind in (_TELLS_RATE, _TELLS_STEP))
     if (rate is None and step is None) or not (math.isfinite(value) and value > 0.0):
@@ -338,17 +331,11 @@ def asked_for(path: Path, wanted: Mapping[str, str], names: Collection[str], oth
 def check_names(
     path: Path, wanted: Mapping[str, str], names: Collection[str], hint: str = "", otherwise: str = ""
 ) -> None:
-    """Refuse a file that lacks a column of those that are asked for, setting by setting.
-
-    Args:
-        path: Of the file.
-        wanted: Such as ``{"data.force.1": "fp (N)"}``.
-        names: Of the file's columns.
-        hint: The likely cause, where it is known.
-        otherwise: What it may be where no name is near.
+    """Refuse a file that lacks a column of those that are asked for, such as ``{"data.force.1": "fp (N)"}``.
 
     Raises:
-        InputError: Naming the setting, and the columns that there are.
+        InputError: Naming the setting, the columns that there are, and the likely cause: ``hint``, or a name that is
+            near, or ``otherwise``.
     """
     for setting, column in wanted.items():
         if column not in names:

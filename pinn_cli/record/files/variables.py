@@ -75,19 +75,11 @@ class Variable:
         array = np.atleast_2d(np.asarray(self.load()).astype(np.float64).reshape(self.sides))
         return array if array.shape[0] < array.shape[1] else array.T
 
-    def why_none(self, name: str) -> str:
-        """Why it is no column; to be read after ``it``."""
+    @property
+    def described(self) -> str:
+        """What it is; to be read after ``it``."""
         shape = " × ".join(map(str, self.shape)) or "1 × 1"
-        if self.content:
-            return f"holds {self.content}, which pinn-run does not evaluate"
-        if 0 in self.shape:
-            return f"is empty, {shape}"
-        if not self.sides:
-            return "is a single number"
-        if not self.columns:
-            return f"is {shape}, neither vector nor matrix"
-        channels = f"{name}.1 to {name}.{self.columns} are its {self.columns} channels"
-        return f"is {shape}: {channels} of {self.samples} samples"
+        return f"holds {self.content}, which pinn-run does not evaluate" if self.content else f"is {shape}"
 
 
 def content_of(dtype: np.dtype) -> str:
@@ -168,29 +160,21 @@ def _of_usual_length(columns: Mapping[str, Variable]) -> list[str]:
 
 def _refuse(path: Path, setting: str, name: str, variables: Mapping[str, Variable], columns: list[str]) -> None:
     """Say why there is no such column."""
-    root, _, number = name.rpartition(".")
-    if name in variables:
-        hint = f"in {path.name} it {variables[name].why_none(name)}"
-        raise InputError(setting, repr(name), "a column of numbers", hint)
-    if root in variables and number.isdecimal():
-        hint = f"{root} has {variables[root].columns} columns of numbers, counted from 1"
-        raise InputError(setting, repr(name), f"a column of {path.name}", hint)
+    root = name if name in variables else name.rpartition(".")[0]
+    if root in variables:
+        allowed = "a column of numbers: a vector, or a channel of a matrix, counted from 1, such as acc.2"
+        raise InputError(setting, repr(name), allowed, f"in {path.name} {root!r} {variables[root].described}")
     within = next((other for other in variables if other.startswith((f"{name}.", f"{name}/"))), "")
-    check_names(
-        path, {setting: name}, columns, within and f"{name} is a structure: name one of its fields, such as {within}"
-    )
+    check_names(path, {setting: name}, columns, within and f"name one of its fields, such as {within}")
 
 
 def joined(tables: Sequence[Table], times: Sequence[np.ndarray], without: Sequence[str] = ()) -> Table:
-    """One table over all the times that there are; a column is NaN at times that it has no sample of.
+    """One table over all the times that there are, with ``sources``; a column is NaN at times that it has no sample of.
 
     Args:
         tables: Their columns have different names.
         times: Of each table's samples, (N,), s, increasing, on the same clock.
         without: Columns that are left out: those of the times.
-
-    Returns:
-        With ``time``, and ``sources``.
 
     Raises:
         InputError: The clocks do not overlap, or two tables have a column of the same name.
