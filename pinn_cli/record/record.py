@@ -251,8 +251,10 @@ class Record:
 
         Raises:
             InputError: No response sensor is left.
-            ValueError: A DOF that does not exist.
+            ValueError: A quantity or a DOF that does not exist.
         """
+        if not set(dofs_by_quantity) <= set(RESPONSE_QUANTITIES):
+            raise ValueError(f"{tuple(dofs_by_quantity)} are not all of {', '.join(RESPONSE_QUANTITIES)}")
         kept = {q: dof_mask(dofs_by_quantity.get(q, ()), self.ndof) for q in RESPONSE_QUANTITIES}
         return self.only(
             lambda channel: channel.quantity not in kept or bool(kept[channel.quantity][list(channel.weights)].all())

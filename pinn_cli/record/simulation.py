@@ -59,11 +59,19 @@ class StateEquation:
         return self.structure.parameters_like(np.empty(0))
 
     def start(self, initial: npt.ArrayLike | None) -> np.ndarray:
-        """The state at the first time, from displacement, velocity and hidden forces; rest where None."""
+        """The state at the first time, from displacement, velocity and hidden forces; rest where None.
+
+        Raises:
+            ValueError: It has another shape, or is not finite.
+        """
         n, hidden = self.structure.coordinates, len(self.structure.memory)
         if initial is None:
             return np.zeros(2 * n + hidden) if hidden else np.zeros((2, n))
         parts = [np.array(part, dtype=np.float64) for part in initial]  # type: ignore[union-attr]
+        sizes = [part.shape for part in parts]
+        if sizes not in ([(n,), (n,), (hidden,)], [(n,), (n,)]) or not all(np.isfinite(part).all() for part in parts):
+            also = f", and ({hidden},) hidden forces" if hidden else ""
+            raise ValueError(f"the initial state must be {{displacement, velocity}}, (2, {n}) finite numbers{also}")
         if not hidden:
             return np.array(parts[:2])
         return np.concatenate((*parts, np.zeros(2 * n + hidden - sum(map(len, parts)))))
@@ -245,9 +253,12 @@ def simulate(
         (N, ndof) each; the acceleration is the equation of motion at the samples, with the force at the samples.
 
     Raises:
-        InputError: A held force where the ground moves.
+        InputError: An option that does not exist, or a held force where the ground moves.
         OverflowsError: A response that overflows.
+        ValueError: An initial state of another shape, or one that is not finite.
     """
+    one_of("simulation.hold", hold, HOLDS)
+    one_of("simulation.method", method, METHODS)
     if hold != "exact":
         for acts, where, why in (
             (ground is not None, "where the ground moves", "nothing holds its acceleration between samples"),

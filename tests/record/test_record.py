@@ -56,6 +56,8 @@ def test_keep_blanks_every_other_response_sensor():
 def test_keep_leaves_something_and_knows_what_there_is():
     with pytest.raises(InputError, match="no response sensor"):
         record().keep({"velocity": [1]})
+    with pytest.raises(ValueError, match="force"):
+        record().keep({"force": [1]})
     with pytest.raises(ValueError, match="DOF 4"):
         record().keep({"velocity": [4]})
 

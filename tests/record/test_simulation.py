@@ -17,6 +17,7 @@ from pinn_cli.record.steps import substeps_needed
 from pinn_cli.system import matrices
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Linear, PowerDamping, VanDerPol
+from pinn_cli.system.structure import Structure
 
 DURATION = 8.0
 CHAINS = {
@@ -35,6 +36,25 @@ def states(response: Response) -> np.ndarray:
 def order(error: Callable[[int], float], steps: list[int]) -> float:
     """Slope of the error over the step in logarithms."""
     return float(np.polyfit(np.log([DURATION / n for n in steps]), np.log([error(n) for n in steps]), 1)[0])
+
+
+@pytest.fixture(scope="module", params=CHAINS)
+def chain_and_solution(request) -> tuple[Structure, np.ndarray]:
+    structure = CHAINS[request.param]
+    return structure, states(simulate(structure, FORCE, np.linspace(0.0, DURATION, 17), method="dop853"))
+
+
+def error_of(structure: Structure, solution: np.ndarray, **options) -> Callable[[int], float]:
+    def error(steps: int) -> float:
+        response = simulate(structure, FORCE, np.linspace(0.0, DURATION, steps + 1), substeps=1, **options)
+        return float(np.max(np.abs(states(response)[:: steps // 16] - solution)))
+
+    return error
+
+
+def test_a_held_force_is_of_first_order_only(chain_and_solution):
+    error = error_of(*chain_and_solution, hold="zero_order")
+    assert order(error, [256, 512, 1024]) == pytest.approx(1.0, abs=0.1)
 
 
 @pytest.mark.parametrize("method", ["rk4", "dop853"])
@@ -97,6 +117,12 @@ def test_a_simulation_goes_on_from_its_middle(method, hold):
     np.testing.assert_allclose(states(rest), states(whole)[middle:], atol=1e-10)
     np.testing.assert_allclose(rest.acceleration, whole.acceleration[middle:], atol=1e-10)
     np.testing.assert_array_equal(rest.time, whole.time[middle:])
+
+
+@pytest.mark.parametrize("initial", [np.zeros(3), np.zeros((2, 2)), np.full((2, 3), np.nan)])
+def test_an_initial_state_that_does_not_fit_is_refused(initial):
+    with pytest.raises(ValueError, match=r"initial state must be .* \(2, 3\) finite"):
+        simulate(CHAINS["linear"], FORCE, np.linspace(0.0, DURATION, 257), initial=initial)
 
 
 def test_substeps_follow_the_chain():
@@ -179,8 +205,13 @@ def test_all_states_are_those_of_single_steps(kind, n, size):
     assert found is not None
     np.testing.assert_array_equal(found[0], start)
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
-    with np.errstate(over="ignore", invalid="ignore"):  # pieces that cannot be joined
-        assert kind != "duffing" or shot(slope, start, loads(n, 1e12), STEP) is None
+
+
+def test_pieces_that_cannot_be_joined_are_left_to_single_steps():
+    chain = small_chain("duffing", 1)
+    slope = StateEquation(chain, False).slope
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert shot(slope, np.zeros((2, 1)), loads(1, 1e12), STEP) is None
 
 
 @pytest.mark.parametrize("hold", ["exact", "zero_order"])
