@@ -203,12 +203,10 @@ def _where(setting: str, sensor: str, node: Mapping[str, Any]) -> dict[str, Any]
             return {key: place}
         if key == "support":
             return {key: _dof(setting, place)}
-        return {"weights": {"dof": _single, "between": _between, "weights": _weighted}[key](setting, place)}
+        if key == "dof":
+            return {"weights": {_dof(setting, place): 1.0}}
+        return {"weights": (_between if key == "between" else _weighted)(setting, place)}
     return {"weights": {}}
-
-
-def _single(setting: str, dof: Any) -> dict[int, float]:
-    return {_dof(setting, dof): 1.0}
 
 
 def _between(setting: str, place: Any) -> dict[int, float]:

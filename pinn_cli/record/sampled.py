@@ -156,7 +156,8 @@ def _placed(
     axis = time if even else _even_axis(time, values)
     for channel, column in zip(channels, values, strict=True):
         place, there = channel.sensor.place, ~np.isnan(column)
-        if channel.is_plain and place not in columns and _fills(axis, time[there]):
+        whole = there.sum() == len(axis) and np.abs(time[there] - axis).max() <= TIME_TOLERANCE * (axis[1] - axis[0])
+        if channel.is_plain and place not in columns and whole:
             columns[place] = channel.with_samples(axis, column[there], connections, fills=True).corrected_samples()[1]
         elif channel.sensor.quantity in SUPPORT:
             allowed = "one channel of a kind for a support, with every sample at even times"
@@ -172,12 +173,6 @@ def _placed(
             columns[sampled.place] = sampled.history(axis)
         _tell(channel, column, time)
     return axis, columns, tuple(calibrated)
-
-
-def _fills(axis: np.ndarray, time: np.ndarray) -> bool:
-    """Whether samples at these times (J,) are one for every time of the axis (N,)."""
-    step = axis[1] - axis[0]
-    return len(time) == len(axis) and bool(np.abs(time - axis).max() <= TIME_TOLERANCE * step)
 
 
 def _even_axis(time: np.ndarray, values: list[np.ndarray]) -> np.ndarray:

@@ -165,9 +165,11 @@ class Corners:
         Cuts are a distance ``least``, at most a half, from either end: without one, a step that begins at a corner
         would be divided there again and again. Loads at both ends hold the velocity of supports that move.
         """
+        moved = self.by_supports.shape[1]
+        carried = [self.by_supports @ load[1, -moved:] if moved else 0.0 for load in loads]
         first, last = (
-            np.concatenate((self.rate @ state + self._of_supports(load), state[self.hidden]))
-            for state, load in zip((before.reshape(-1), after.reshape(-1)), loads, strict=True)
+            np.concatenate((self.rate @ state + by_supports, state[self.hidden]))
+            for state, by_supports in zip((before.reshape(-1), after.reshape(-1)), carried, strict=True)
         )
         sharp, wide = self._sharp & (first * last < 0.0), self._across(first, last)
         if not sharp.any() and not wide.any():
@@ -179,10 +181,6 @@ class Corners:
             count = int(np.ceil(abs(ends[1] - ends[0]) / (FINE * width)))
             cuts.append((np.linspace(ends[0], ends[1], count + 1) - x) / (y - x))
         return np.unique(np.clip(np.concatenate(cuts), least, 1.0 - least))
-
-    def _of_supports(self, load: np.ndarray) -> np.ndarray | float:
-        moved = self.by_supports.shape[1]
-        return self.by_supports @ load[1, -moved:] if moved else 0.0
 
     @cached_property
     def _widths(self) -> np.ndarray:

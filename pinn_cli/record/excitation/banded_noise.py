@@ -61,7 +61,10 @@ class BandedNoise(Excitation):
         self.seed = whole_number("excitation.seed", seed, most=most)
         self.period = self.duration * (samples / (samples - 1) if phases == "authors" else 1.0)
         self.bins = self._bins_in_band()
-        self.amplitude = self._amplitude(rms)
+        if rms is None and phases == "authors":
+            self.amplitude = 2.0 * AUTHORS_AMPLITUDE / samples
+        else:
+            self.amplitude = positive_number("excitation.rms", rms) * math.sqrt(2.0 / len(self.bins))
         self._coefficients = self.amplitude * np.exp(1j * self._phases())  # (bins, dofs)
 
     def signals(self, time: np.ndarray) -> np.ndarray:
@@ -81,11 +84,6 @@ class BandedNoise(Excitation):
             allowed = f"wide enough to hold a multiple of 1 / duration, {1.0 / self.period:.4g} Hz"
             raise InputError("excitation.band", list(self.band), allowed, hint)
         return np.asarray(bins)
-
-    def _amplitude(self, rms: float | None) -> float:
-        if rms is None and self.phases == "authors":
-            return 2.0 * AUTHORS_AMPLITUDE / self.samples
-        return positive_number("excitation.rms", rms) * math.sqrt(2.0 / len(self.bins))
 
     def _phases(self) -> np.ndarray:
         """(bins, dofs), rad."""

@@ -98,7 +98,12 @@ class GroundMotion(Excitation):
         motion: FilteredNoise | RecordedMotion
         if path is None:
             spectrum = Spectrum(ground_frequency, ground_damping, high_pass, high_pass_damping)
-            highest = DEFAULT_HIGHEST * self.nyquist if highest is None else self._checked_highest(highest)
+            highest = (
+                DEFAULT_HIGHEST * self.nyquist if highest is None else positive_number("excitation.highest", highest)
+            )
+            if highest > self.nyquist:
+                allowed = f"at most the Nyquist frequency of the record, {self.nyquist:.4g} Hz"
+                raise InputError("excitation.highest", highest, allowed, "take more simulation.samples")
             motion = FilteredNoise(self.duration, highest, spectrum, Envelope(rise, strong, decay), seed)
             unscaled, strength = DEFAULT_PEAK if rms is None else None, 1.0
         else:
@@ -120,12 +125,6 @@ class GroundMotion(Excitation):
     def signals(self, time: np.ndarray) -> np.ndarray:
         """See :meth:`Excitation.signals`."""
         return np.zeros((len(time), 0)) if self.acting is None else self.acting.signals(time)
-
-    def _checked_highest(self, highest: float) -> float:
-        if positive_number("excitation.highest", highest) > self.nyquist:
-            allowed = f"at most the Nyquist frequency of the record, {self.nyquist:.4g} Hz"
-            raise InputError("excitation.highest", highest, allowed, "take more simulation.samples")
-        return float(highest)
 
     def _factor(self, scale: float, peak: float | None, rms: float | None, strength: float) -> float:
         """By which the motion is multiplied."""

@@ -175,7 +175,9 @@ class Heading:
         below, numbers = min(below, top + 2), cells[first : first + _LINES]
         if not top < first <= top + _MOST_ROWS or not numbers:
             return None
-        names, units = cells[top:below], cells[below] if below < first else _units_above(cells[:top])
+        # Units may stand further above the names, in a row that says so: Y_Unit_Label, N, g.
+        above = [["", *row[1:]] for row in cells[:top] if row and _UNITS_FOLLOW.search(row[0])]
+        names, units = cells[top:below], cells[below] if below < first else ([[], *above])[-1]
         width = max(map(_filled, names))
         spare = separator != BLANKS  # for comments, which no row has
         if width < 2 or any(not _filled(row) <= width <= max(len(row) + spare, 1) for row in numbers[1:] or numbers):
@@ -287,12 +289,6 @@ def _row_of_units(rows: Sequence[Sequence[str]]) -> int:
         if all(map(_is_words, rows[i:])) and ((named and _is_units(row)) or (complete and of_times)):
             return i
     return len(rows)
-
-
-def _units_above(rows: Sequence[Sequence[str]]) -> Sequence[str]:
-    """Units that stand further above the names, in a row that says so: Y_Unit_Label, N, g; empty: there are none."""
-    units = [("", *row[1:]) for row in rows if row and _UNITS_FOLLOW.search(row[0])]
-    return units[-1] if units else ()
 
 
 def _top(rows: Sequence[Sequence[str]]) -> int:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -108,7 +107,14 @@ def tables_of(path: Path, variables: Mapping[str, Variable], wanted: Mapping[str
     for setting, column in (wanted or {}).items():
         if column not in places:
             _refuse(path, setting, column, variables, distinct)
-    names = _of_usual_length({column: places[column][0] for column in distinct}) if wanted is None else wanted.values()
+    if wanted is None:
+        timeless = [places[column][0].samples for column in distinct if places[column][0].time is None]
+        usual = max(timeless, key=lambda length: (timeless.count(length), length), default=0)
+        names = [
+            column for column in distinct if places[column][0].time is not None or places[column][0].samples == usual
+        ]
+    else:
+        names = list(wanted.values())
     clocks: dict[bytes, dict[str, Variable]] = {}
     for column in names:
         variable = places[column][0]
@@ -150,12 +156,6 @@ def _rate(variables: Mapping[str, Variable]) -> float | None:
 def _columns_of(name: str, variable: Variable) -> list[str]:
     count = variable.columns
     return [name] if count == 1 else [f"{name}.{j}" for j in range(1, count + 1)]
-
-
-def _of_usual_length(columns: Mapping[str, Variable]) -> list[str]:
-    lengths = Counter(variable.samples for variable in columns.values() if variable.time is None)
-    usual = max(lengths, key=lambda length: (lengths[length], length), default=0)
-    return [name for name, variable in columns.items() if variable.time is not None or variable.samples == usual]
 
 
 def _refuse(path: Path, setting: str, name: str, variables: Mapping[str, Variable], columns: list[str]) -> None:

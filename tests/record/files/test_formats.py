@@ -15,7 +15,6 @@ from scipy.io import netcdf_file, savemat
 from pinn_cli.cli.records import data_of_records
 from pinn_cli.record.clock import FORMATS, format_of
 from pinn_cli.record.measured_data import MeasuredData
-from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build
 
 CONF = Path(__file__).parents[3] / "conf" / "data"
@@ -210,23 +209,3 @@ def test_a_file_that_unpacks_to_more_than_memory_holds(tmp_path, monkeypatch):
     monkeypatch.setattr("pinn_cli.record.files.on_disk.of_this_machine", lambda: 2**20 * 16)
     assert "must be a file of at most 0.000977 GiB" in message(tmp_path, "rig.csv.gz", "csv")
     assert "must be a file of at most 0.000977 GiB" in message(tmp_path, "rig.h5", "hdf5")
-
-
-@pytest.mark.parametrize("case", [case for case in CASES if CASES[case][1] != "csv"])
-@pytest.mark.slow
-def test_damaged_bytes_are_told_in_one_line_or_do_no_harm(tmp_path, case, monkeypatch, capfd):
-    """Some bytes of a good file are others."""
-    name, _, write, _ = CASES[case]
-    path = tmp_path / name
-    write(path)
-    content, random = path.read_bytes(), np.random.default_rng(0)
-    for _ in range(6):
-        damaged = np.frombuffer(content, dtype=np.uint8).copy()
-        damaged[random.integers(len(damaged), size=3)] = random.integers(256, size=3)
-        path.write_bytes(damaged.tobytes())
-        try:
-            table = format_of(path, FORMATS[0]()).read(path)
-        except InputError:
-            continue
-        assert all(column.dtype == np.float64 for column in table.columns.values())
-    assert capfd.readouterr() == ("", "")  # libraries print nothing of their own
