@@ -132,11 +132,7 @@ class IteratedSmoother:
         self.held = np.array([*of_kinds, *[False] * self.space.size], dtype=bool)
 
     def settle(self, trajectory: Trajectory, levels: NoiseLevels, tolerance: float) -> Pass:
-        """Passes until the step is shorter than ``tolerance``, or until they are used up.
-
-        Raises:
-            FloatingPointError: A pass left the finite numbers.
-        """
+        """Passes until the step is shorter than ``tolerance``, or until they are used up; see :meth:`once`."""
         self.space.follow_modes(trajectory)
         for _ in range(self.passes):
             done = self.once(trajectory, levels)
@@ -146,11 +142,7 @@ class IteratedSmoother:
         return done
 
     def once(self, trajectory: Trajectory, levels: NoiseLevels) -> Pass:
-        """One pass.
-
-        Raises:
-            FloatingPointError: It left the finite numbers.
-        """
+        """One pass; a FloatingPointError says that it left the finite numbers."""
         linearised = self.space.linearise(trajectory)
         model = self.space.model(linearised, levels)
         filtered = model.filter()

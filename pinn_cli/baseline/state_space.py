@@ -401,11 +401,7 @@ def channels_of(record: Record, dynamics: Dynamics) -> list[Channel]:
 
 
 def check_channels(record: Record, name: str) -> None:
-    """Refuse sensors that the smoother has no rows for.
-
-    Raises:
-        InputError: A delay in doubt, a filter, samples between the record's times.
-    """
+    """Refuse sensors without rows: a delay in doubt, a filter, samples between the record's times."""
     for channel in record.calibrated:
         sparse = (channel.even_step or math.inf) >= (1.0 + ON_TIME) * record.step
         for refused, where in (

@@ -81,8 +81,7 @@ class DataChannel:
     def in_unit(self, header: str) -> DataChannel:
         """The same with its unit settled: what the user gives, else what the file's header tells, else SI.
 
-        Raises:
-            InputError: The header tells a unit that pint cannot read, or one of another quantity.
+        A unit of the header that pint cannot read, or one of another quantity, is refused.
         """
         if self.factor is not None:
             return self
@@ -99,9 +98,7 @@ class DataChannel:
         """The channel in SI units, with samples (J,) as the file has them at times (J,), s.
 
         It fills its column where its DOF has no other sensor of the kind; connections are the names of the structure's.
-
-        Raises:
-            InputError: A connection that does not exist, a delay longer than the record.
+        A connection that does not exist is refused, and a delay longer than the record.
         """
         assert self.factor is not None
         given = self.sensor.calibration
@@ -131,11 +128,7 @@ class DataChannel:
 
 
 def data_channels(given: Any) -> tuple[DataChannel, ...]:
-    """``data.channels`` as channels, DOFs as numbers from 1; channels stay as they are.
-
-    Raises:
-        InputError: Naming ``data.channels.<name>.<key>``.
-    """
+    """``data.channels`` as channels, DOFs as numbers from 1; what it cannot mean is refused. Channels stay."""
     if given is None:
         return ()
     if isinstance(given, tuple) and all(isinstance(channel, DataChannel) for channel in given):

@@ -247,22 +247,14 @@ class MeasuredData:
         return self._files.read({channel.setting: channel.column for channel in self._every_channel})
 
     def arriving(self) -> Arriving:
-        """The same of a file that grows, or of a folder into which files arrive.
-
-        Raises:
-            InputError: There are several files that are one.
-        """
+        """The same of a file that grows, or of a folder into which files arrive; several paths are refused."""
         if len(self._paths) > 1:
             hint = "their samples stand on one clock: join them, or let files arrive in a folder"
             raise InputError("data.path", f"{len(self._paths)} files", "a file that grows, or a folder", hint)
         return Arriving(self._files, {channel.setting: channel.column for channel in self._every_channel})
 
     def used(self, clock: Clock) -> np.ndarray:
-        """(N,), s, the times between start and stop.
-
-        Raises:
-            InputError: There are too few.
-        """
+        """(N,), s, the times between start and stop; too few are refused."""
         return clock.time[slice(*self._window(clock.time))]
 
     def _read(self, connections: Sequence[str], clock: Clock) -> Sampled:

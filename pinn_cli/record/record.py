@@ -100,10 +100,9 @@ class Record:
             raise InputError("record", "no response sensor", "one with a displacement, velocity or acceleration sensor")
 
     def _check_time(self) -> None:
-        uneven = (
-            np.ptp(np.diff(self.time)) > 1e-6 * self.step + clock_rounding(self.time) if self.time.size > 1 else True
-        )
-        if self.time.ndim != 1 or len(self.time) < MINIMUM_SAMPLES or uneven or not self.step > 0.0:
+        steps = np.diff(self.time) if self.time.ndim == 1 else np.zeros(0)
+        few = len(steps) + 1 < MINIMUM_SAMPLES
+        if few or not (self.step > 0.0 and np.ptp(steps) <= 1e-6 * self.step + clock_rounding(self.time)):
             raise ValueError(f"time must be {MINIMUM_SAMPLES} finite numbers or more that grow by one constant step")
 
     def _check_columns(self) -> None:
@@ -320,22 +319,14 @@ class Measurements:
 
 
 def check_frame(frame: str, moves: bool, why: str) -> None:
-    """Refuse a frame that does not exist, or one relative to a ground that does not move, for this reason.
-
-    Raises:
-        InputError: Naming ``data.frame``.
-    """
+    """Refuse a ``data.frame`` that does not exist, or one relative to a ground that does not move, for this reason."""
     one_of("data.frame", frame, FRAMES)
     if frame == "relative" and not moves:
         raise InputError("data.frame", frame, "absolute where the ground is at rest", why)
 
 
 def dof_mask(dofs: Iterable[int], ndof: int) -> np.ndarray:
-    """(ndof,) bool from DOFs counted from 1.
-
-    Raises:
-        ValueError: A DOF outside 1..ndof.
-    """
+    """(ndof,) bool from DOFs counted from 1; a ValueError tells of one outside of 1 to ndof."""
     mask = np.zeros(ndof, dtype=bool)
     for dof in dofs:
         if not 1 <= dof <= ndof:

@@ -86,11 +86,7 @@ def sampled(
 
 
 def reached(band: BandPass, window: tuple[int, int], rows: int) -> tuple[int, int]:
-    """Rows that a filter takes for those of a window, as far as the file has them.
-
-    Raises:
-        InputError: They are too few.
-    """
+    """Rows that a filter takes for those of a window, as far as the file has them; too few are refused."""
     first, last = max(0, window[0] - band.half), min(rows, window[1] + band.half)
     samples = -(-(last - first - 2 * band.half) // band.factor)
     if samples < MINIMUM_SAMPLES:
@@ -103,11 +99,7 @@ def reached(band: BandPass, window: tuple[int, int], rows: int) -> tuple[int, in
 def with_fewer(
     by: int | BandPass, time: np.ndarray, values: Sequence[np.ndarray], whole: bool
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Times (N,), s, and channels (N,) with fewer samples, see :func:`sampled`.
-
-    Raises:
-        InputError: A sample is missing, or not all stand at even times.
-    """
+    """Times (N,), s, and channels (N,) with fewer samples, see :func:`sampled`; refused where one is missing or off."""
     setting, given = ("data.decimate", by) if isinstance(by, int) else ("data.band", "a band")
     if not whole:
         nothing, whose = (1, "an anti-alias") if isinstance(by, int) else ("null", "its")
@@ -123,11 +115,7 @@ def with_fewer(
 def _on_lines(
     channels: Sequence[DataChannel], values: Sequence[np.ndarray], intersample: str | None, whole: Sequence[bool]
 ) -> list[bool]:
-    """Which channels are of what acts, and go on between their samples by straight lines.
-
-    Raises:
-        InputError: Where that was said of samples that are missing or uneven.
-    """
+    """Which channels of what acts go on between samples by lines; said of missing or uneven ones it is refused."""
     acts = [channel.sensor.is_input for channel in channels]
     if intersample == FIRST_ORDER_HOLD:
         for channel, here, complete in zip(channels, acts, whole, strict=True):

@@ -162,11 +162,7 @@ class Simulated:
         check_frame(self.frame, self.excitation.ground is not None, "excitation=ground_motion moves it")
 
     def measure(self, structure: Structure) -> Measurements:
-        """The noisy record of the true chain, and the truth.
-
-        Raises:
-            InputError: The response overflows.
-        """
+        """The noisy record of the true chain, and the truth; a response that overflows is refused."""
         response = self.simulation.run(structure, self.excitation.force, self.excitation.ground, self.frame)
         seen, repeats = self.noise.measured(response)
         intersample = INTERSAMPLE_OF_HOLD[self.simulation.hold]
@@ -179,12 +175,9 @@ class Simulated:
 
 
 def check_size(simulation: Simulation, structure: Structure, repeats: int = 1) -> None:
-    """Refuse a record that this machine cannot simulate.
+    """Refuse a record that this machine cannot simulate: one that does not fit into memory, by its setting.
 
-    Raises:
-        InputError: Naming ``simulation.samples``, ``system.ndof`` or ``noise.repeats``, the record does not fit into
-            memory; naming ``system.k`` or ``system.c``, a connection is so stiff or so damped for its mass that the
-            simulation takes too many steps.
+    Or a connection (``system.k``, ``system.c``) so stiff or so damped for its mass that it takes too many steps.
     """
     samples, ndof, memory = simulation.samples, structure.ndof, of_this_machine()
     because = f"the record has to fit into the memory of this machine, {memory / 2**30:.3g} GiB"

@@ -240,11 +240,7 @@ class BandPass:
 
     @classmethod
     def of(cls, band: tuple[float, float], samples: int, step: float) -> BandPass:
-        """Of a band, Hz, for so many samples.
-
-        Raises:
-            InputError: Naming ``data.band``: it reaches beyond the Nyquist frequency.
-        """
+        """Of a band, Hz, for so many samples; one beyond the Nyquist frequency is refused (``data.band``)."""
         from scipy.signal import firwin
 
         (low, high), nyquist = band, 0.5 / step
@@ -277,11 +273,7 @@ class BandPass:
 
 
 def checked_band(given: Any) -> tuple[float, float] | None:
-    """``data.band`` as a pair, Hz; None where it is null.
-
-    Raises:
-        InputError: It is no pair of frequencies that grow.
-    """
+    """``data.band`` as a pair of frequencies that grow, Hz, else it is refused; None where it is null."""
     if given is None:
         return None
     edges = entries(given) if isinstance(given, Sequence) and not isinstance(given, str) else []

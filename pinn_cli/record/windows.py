@@ -75,11 +75,7 @@ class Grid:
 
     @classmethod
     def of(cls, length: float, overlap: float | None, time: np.ndarray) -> Grid:
-        """Of windows so many seconds long, from a record's times (N,), s: those of its first window or more.
-
-        Raises:
-            InputError: They hold too few samples.
-        """
+        """Of windows so many seconds long, from times (N,), s, of the first window or more; too few are refused."""
         times = time[: int(np.searchsorted(time, time[0] + length, side="right"))]
         if len(times) < MINIMUM_SAMPLES:
             hint = f"the first {length:g} s hold {len(times)} samples"
@@ -119,11 +115,7 @@ class Grid:
 
 
 def checked_lengths(window: object, overlap: object) -> tuple[float, float | None]:
-    """``data.window`` and ``data.overlap``, s.
-
-    Raises:
-        InputError: One is no usable number, or the overlap is too long.
-    """
+    """``data.window`` and ``data.overlap``, s; refused where one is no usable number, or the overlap is too long."""
     length = positive_number(WINDOW_SETTING, window)
     if overlap is None:
         return length, None

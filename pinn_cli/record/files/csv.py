@@ -196,22 +196,16 @@ class Heading:
         return names
 
     def check_names(self, path: Path) -> None:
-        """Refuse numbers in the place of names, which would be lost. Columns may be counted: 0, 1, 2.
-
-        Raises:
-            InputError: Naming their line.
-        """
+        """Refuse numbers in the place of names, which would be lost. Columns may be counted: 0, 1, 2."""
         cells = [cell for cell in self.names[0] if cell]
         if self.numbers and all(map(_is_number, cells)) and not all(map(str.isdigit, cells)):
             hint = "write names above the numbers, such as t, force_1 [N], acc_1 [m/s^2]"
             raise InputError(f"{path.name}, line {self.line + 1}", ", ".join(cells[:3]), "names of the columns", hint)
 
     def check_columns(self, path: Path, asked: Mapping[str, str]) -> None:
-        """Refuse names that do not fit the columns.
+        """Refuse a name that is asked for and there twice; and more cells in the first row of numbers than names.
 
-        Raises:
-            InputError: One that a setting asks for is there twice; or the first row of numbers, which may end with
-                separators, has more cells than there are names.
+        That row may end with separators.
         """
         names = self.header
         for setting, column in asked.items():

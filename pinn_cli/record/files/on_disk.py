@@ -97,11 +97,7 @@ def _wide(content: bytes) -> str | None:
 
 
 def check_size(path: Path, size: float, setting: str = "data.path") -> None:
-    """Refuse more bytes than a record may have, packed or not.
-
-    Raises:
-        InputError: Naming the setting.
-    """
+    """Refuse more bytes, packed or not, than a record that a setting has named may have."""
     most = of_this_machine() // PART_OF_MEMORY
     if size > most:
         hint = "the record has to fit into memory: cut the file, or average it down"

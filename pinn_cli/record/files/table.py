@@ -183,10 +183,7 @@ class Table:
     def with_dates(self, column: str, first: str | None = None) -> Table:
         """The same with a column whose every cell is a date or a time of day, in s from the first one.
 
-        They may count from another ``first`` date, as another file writes it.
-
-        Raises:
-            InputError: One among dates is none.
+        They may count from another ``first`` date, as another file writes it. One that is none among them is refused.
         """
         texts = self.odd_cells.get(column, {})
         dates = self.dates(column)
@@ -202,11 +199,7 @@ class Table:
         return replace(self, columns={**self.columns, column: since[1:]}, odd_cells={**self.odd_cells, column: {}})
 
     def refuse_gaps(self, column: str, values: np.ndarray) -> None:
-        """Refuse NaN among all numbers (N,) of a column.
-
-        Raises:
-            InputError: At the first of them.
-        """
+        """Refuse NaN among all numbers (N,) of a column, at the first of them."""
         gaps = np.flatnonzero(np.isnan(values))
         if len(gaps):
             raise InputError(self.place(column, int(gaps[0])), "empty or NaN", "a finite number", _LEFT_OUT)
@@ -318,11 +311,7 @@ def column_of_times(names: Collection[str]) -> str:
 
 
 def asked_for(path: Path, wanted: Mapping[str, str], names: Collection[str], otherwise: str = "") -> dict[str, str]:
-    """Setting to column, with that of the times by its own name where it is asked for as ""; see :func:`check_names`.
-
-    Raises:
-        InputError: The file lacks a column.
-    """
+    """Setting to column, that of the times by its own name where it is asked for as ""; see :func:`check_names`."""
     asked = {setting: column or column_of_times(names) for setting, column in wanted.items()}
     check_names(path, asked, names, otherwise=otherwise)
     return asked
