@@ -54,13 +54,11 @@ class Regression:
 
 
 def regress(filtered: Filtered, at: np.ndarray, precision: np.ndarray, pull: np.ndarray | float = 0.0) -> Regression:
-    """Generalised least squares of the innovations on the coefficients.
+    """Generalised least squares of the innovations, of deviations from a trajectory, on the coefficients.
 
-    Args:
-        filtered: Deviations from a trajectory.
-        at: (p,), distance of the trajectory's coefficients from their prior mean, in prior standard deviations.
-        precision: (p,), of their prior, in these.
-        pull: (p,), derivative of what the misfit lacks, see :meth:`IteratedSmoother.pull_of_gains`.
+    The trajectory's coefficients (p,) are ``at`` so many prior standard deviations from their prior mean; ``precision``
+    (p,), of their prior, is in these, and ``pull`` (p,) is the derivative of what the misfit lacks, see
+    :meth:`IteratedSmoother.pull_of_gains`.
 
     Raises:
         numpy.linalg.LinAlgError: The coefficients' information is not positive definite.
@@ -134,11 +132,7 @@ class IteratedSmoother:
         self.held = np.array([*of_kinds, *[False] * self.space.size], dtype=bool)
 
     def settle(self, trajectory: Trajectory, levels: NoiseLevels, tolerance: float) -> Pass:
-        """Passes until the step is shorter than ``tolerance``, or until they are used up.
-
-        Raises:
-            FloatingPointError: A pass left the finite numbers.
-        """
+        """Passes until the step is shorter than ``tolerance``, or until they are used up; see :meth:`once`."""
         self.space.follow_modes(trajectory)
         for _ in range(self.passes):
             done = self.once(trajectory, levels)
@@ -148,11 +142,7 @@ class IteratedSmoother:
         return done
 
     def once(self, trajectory: Trajectory, levels: NoiseLevels) -> Pass:
-        """One pass.
-
-        Raises:
-            FloatingPointError: It left the finite numbers.
-        """
+        """One pass; a FloatingPointError says that it left the finite numbers."""
         linearised = self.space.linearise(trajectory)
         model = self.space.model(linearised, levels)
         filtered = model.filter()

@@ -126,20 +126,15 @@ class KalmanSmoother(Estimator):
 
     def check(self, problem: Problem) -> None:
         """See :meth:`Estimator.check`."""
-        if has_stiff_law(problem.structure):
-            hint = "the smoother takes explicit steps; a friction with a speed is possible"
-            raise InputError("baseline", self.name, "none with friction that sticks", hint)
-        if problem.inputs.ground or problem.structure.supports:
-            hint = (
-                "without a band the smoother copies the sensors of what they shake, and springs come out percents off"
-            )
-            raise InputError("baseline", self.name, "none where the ground or a support moves", hint)
-        if problem.prior is not None:
-            hint = "the smoother knows no correlated parameters"
-            raise InputError("baseline", self.name, "none with model=...", hint)
-        if any(p.kind == FACTOR for p in problem.uncertain):
-            hint = "the coordinates of a finite-element model follow the factors, and the smoother's stay what they are"
-            raise InputError("baseline", self.name, "none where factors of parts are in doubt", hint)
+        moves, factors = problem.inputs.ground or problem.structure.supports, {p.kind for p in problem.uncertain}
+        for refused, where, why in (
+            (has_stiff_law(problem.structure), "with friction that sticks", "it takes explicit steps; give it a speed"),
+            (moves, "where the ground or a support moves", "it would copy the sensors of what they shake"),
+            (problem.prior is not None, "with model=...", "it knows no correlated parameters"),
+            (FACTOR in factors, "where factors of parts are in doubt", "its coordinates would stay what they are"),
+        ):
+            if refused:
+                raise InputError("baseline", self.name, f"none {where}", why)
         check_channels(problem.record, self.name)
 
     def solve(self, problem: JointProblem, run: RunContext) -> Estimate:

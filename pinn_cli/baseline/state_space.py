@@ -401,18 +401,16 @@ def channels_of(record: Record, dynamics: Dynamics) -> list[Channel]:
 
 
 def check_channels(record: Record, name: str) -> None:
-    """Refuse sensors that the smoother has no rows for.
-
-    Raises:
-        InputError: A delay in doubt, a filter, samples between the record's times.
-    """
+    """Refuse sensors without rows: a delay in doubt, a filter, samples between the record's times."""
     for channel in record.calibrated:
-        hint, whole = f"channel {channel.key} is such", channel.even_step or math.inf
-        if not channel.number("delay").is_known:
-            why = f"{hint}: the smoother knows the motion at samples only"
-            raise InputError("baseline", name, "none where a delay is in doubt", why)
-        if channel.filter_order:
-            why = f"{hint}: the smoother has no state of it"
-            raise InputError("baseline", name, "none where a sensor is behind a filter", why)
-        if whole >= (1.0 + ON_TIME) * record.step and np.abs(channel.places(record.time)[1]).max() > ON_TIME:
-            raise InputError("baseline", name, "none where samples lie between the record's times", hint)
+        sparse = (channel.even_step or math.inf) >= (1.0 + ON_TIME) * record.step
+        for refused, where in (
+            (not channel.number("delay").is_known, "a delay is in doubt"),
+            (channel.filter_order > 0, "a sensor is behind a filter"),
+            (
+                sparse and np.abs(channel.places(record.time)[1]).max() > ON_TIME,
+                "samples lie between the record's times",
+            ),
+        ):
+            if refused:
+                raise InputError("baseline", name, f"none where {where}", f"channel {channel.key} is such")

@@ -128,7 +128,7 @@ def inspect_record(
     Raises:
         InputError: There are too few samples, or no column varies.
     """
-    sampling = Sampling.of(time)
+    sampling = Sampling(time)
     guesses, notes = guessed(signals)
     forces = {signal.column for signal in guesses if signal.quantity == "force"}
     unplaced = [signal.column for signal in signals if signal.column in forces and number_of(signal) is None]

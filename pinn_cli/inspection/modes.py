@@ -67,7 +67,7 @@ class ModalRecord:
         Raises:
             InputError: There are too few samples, or no sensor varies.
         """
-        sampling = Sampling.of(time)
+        sampling = Sampling(time)
         guesses = guessed(signals)[0]
         placed = all(str(number_of(a)) == b.place for a, b in zip(signals, guesses, strict=False) if not b.is_input)
         alive = [signal.in_si()[0] for signal in guesses or signals if signal.varies]

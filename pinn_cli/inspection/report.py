@@ -221,7 +221,8 @@ def spectra_table(spectra: CrossSpectra[Signal]) -> pd.DataFrame:
     """
     sensors, acting = len(spectra.sensors), len(spectra.acting)
     signals = [*spectra.sensors, *spectra.acting]
-    names, units = _names(signals), [_in_brackets(signal.shown_unit) for signal in signals]
+    names, units = _names(signals), [signal.shown_unit for signal in signals]
+    units = [unit if unit.isalpha() or not unit else f"({unit})" for unit in units]  # as parts of others
     columns: dict[str, np.ndarray] = {"frequency_hz": spectra.frequency}
     for i, (name, unit) in enumerate(zip(names, units, strict=True)):
         columns[_headed(f"psd_{name}", f"{unit}^2/Hz" if unit else "")] = spectra.density[:, i]
@@ -235,11 +236,6 @@ def spectra_table(spectra: CrossSpectra[Signal]) -> pd.DataFrame:
     if acting:
         columns |= {f"coherence_{names[i]}": spectra.coherence[:, i] for i in range(sensors)}
     return pd.DataFrame(columns).iloc[1:].reset_index(drop=True)  # at 0 Hz is nothing: channels are about their means
-
-
-def _in_brackets(unit: str) -> str:
-    """A unit as a part of another one."""
-    return unit if unit.isalpha() or not unit else f"({unit})"
 
 
 def _headed(name: str, unit: str) -> str:

@@ -87,17 +87,13 @@ class TextReader(Reader):
 
     def _whole_lines(self, complete: bool) -> bytes | None:
         """What lies between the last place and the end of a line; None where that is too little."""
-        try:
-            with self.path.open("rb") as file:
-                size = file.seek(0, 2)
-                if size < self.place:
-                    hint = "it is shorter than it was: let what measures it append to it, or begin another file"
-                    raise InputError(PATH_SETTING, self.path, "a file that grows", hint)
-                file.seek(self.place)
-                content = file.read(MOST_AT_ONCE)
-        except OSError as error:
-            reason = error.strerror or str(error)
-            raise InputError(PATH_SETTING, self.path, "a file that can be read", reason) from error
+        with self.path.open("rb") as file:
+            size = file.seek(0, 2)
+            if size < self.place:
+                hint = "it is shorter than it was: let what measures it append to it, or begin another file"
+                raise InputError(PATH_SETTING, self.path, "a file that grows", hint)
+            file.seek(self.place)
+            content = file.read(MOST_AT_ONCE)
         whole = complete and self.place + len(content) == size
         end = len(content) if whole else content.rfind(b"\n") + 1
         content = content[:end]
@@ -142,7 +138,9 @@ class Arriving:
                 if isinstance(file_format, CsvFormat):
                     reader = TextReader(path, asked, file_format)
                 self.readers.append(reader)
-                self._begin_file()
+                if self._count:  # should the file's clock begin anew, it goes on one step after the last sample
+                    self._shift = self._last + (self._last - self._first) / max(self._count - 1, 1)
+                    self._first, self._count = np.nan, 0
             table = self.readers[i].more(complete=i + 1 < len(paths))
             if table is not None:
                 self._append(table)
@@ -161,24 +159,15 @@ class Arriving:
     def _paths(self) -> list[Path]:
         if not self.path.is_dir():
             return [self.path] if self.path.exists() else []
-        paths = sorted(entry for entry in self.path.iterdir() if self._is_record(entry))
+        suffixes = (*self.files.format.suffixes, *self.files.format.other_suffixes)
+        files = (entry for entry in self.path.iterdir() if entry.is_file() and entry.suffix.lower() in suffixes)
+        paths = sorted(file for file in files if not file.name.startswith("."))  # as while it is being copied
         earlier = [reader.path for reader in self.readers]
         if paths[: len(earlier)] != earlier:
             late = next((path for path in paths if path not in earlier), self.path)
             allowed = "files that arrive in the order of their names, and stay"
             raise InputError(PATH_SETTING, late.name, allowed, f"{earlier[-1].name} was there before")
         return paths
-
-    def _is_record(self, entry: Path) -> bool:
-        """Whether an entry of the folder is a file of the record; one that is being copied has another name yet."""
-        suffixes = (*self.files.format.suffixes, *self.files.format.other_suffixes)
-        return entry.is_file() and not entry.name.startswith(".") and entry.suffix.lower() in suffixes
-
-    def _begin_file(self) -> None:
-        """The clock goes on one step after the last sample, should that of the file begin anew."""
-        if self._count:
-            self._shift = self._last + (self._last - self._first) / max(self._count - 1, 1)
-            self._first, self._count = np.nan, 0
 
     def _append(self, table: Table) -> None:
         table = table.with_gaps(self.files.missing, self.files.column_in(table))

@@ -119,18 +119,12 @@ def refined_times(time: np.ndarray, refinement: int) -> np.ndarray:
 
 
 def refined(values: np.ndarray, refinement: int) -> tuple[np.ndarray, np.ndarray]:
-    """Band-limited histories at :func:`refined_times`, and the standard deviation of what the samples leave open there.
+    """Band-limited histories (N, n) at :func:`refined_times`, (N', n), and the standard deviation of what is left open.
 
     At the ends of a record kriging, which takes them to fill the band, knows less of a slow history than the spline
     through the samples. How far that one is off shows in the middle, beside what white noise makes of the two: each
-    counts by its variance. Noise that the middle has from the samples is theirs, and is not counted.
-
-    Args:
-        values: (N, n), samples; they come out unchanged.
-        refinement: Intervals that each step is divided into.
-
-    Returns:
-        (N', n) each, in the histories' unit; the deviations are 0 at the samples.
+    counts by its variance. Noise that the middle has from the samples is theirs, and is not counted. The samples come
+    out unchanged, with a deviation of 0.
     """
     if refinement == 1 or not values.any():
         out = np.repeat(values, refinement, axis=0)[: (len(values) - 1) * refinement + 1]

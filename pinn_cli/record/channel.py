@@ -305,9 +305,7 @@ def clock_rounding(time: np.ndarray) -> float:
 def filter_polynomial(corner: float, order: int) -> tuple[float, ...]:
     """Coefficients a_0 to a_order of p^(order) + ... + a_0 p = x, of which a high-pass filter shows p^(order).
 
-    Args:
-        corner: rad/s, where half of the power passes.
-        order: 1, or 2: the flattest one (Butterworth).
+    Half of the power passes its corner, rad/s; of order 2 it is the flattest one (Butterworth).
     """
     return (corner, 1.0) if order == 1 else (corner**2, 2.0**0.5 * corner, 1.0)
 

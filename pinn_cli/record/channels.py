@@ -141,10 +141,7 @@ def motion_amplitudes(record: Record) -> dict[str, float]:
 
     A quantity without a sensor comes from the measured one that is fewest derivatives away, integrated or
     differentiated in the frequency domain over the record's band. Hidden DOFs may move more: only orders of magnitude
-    matter to those who scale their numbers by it.
-
-    Returns:
-        Quantity to its amplitude; 1 where the channel that it comes from shows nothing at all.
+    matter to those who scale their numbers by it. It is 1 where the channel that it comes from shows nothing at all.
     """
     columns, band, amplitudes = channels(record), record_band(record), {}
     for order, quantity in enumerate(RESPONSE_QUANTITIES):

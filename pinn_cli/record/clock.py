@@ -73,11 +73,8 @@ class Clock:
     def by_column(cls, table: Table, column: str, unit: str | None) -> Clock:
         """The times that a column has.
 
-        Args:
-            table: With that column.
-            column: Its name.
-            unit: A key of `TIME_UNITS`; None: what the header says, if it is one of them, else s, or what of ms, us and
-                ns makes dates of numbers that are too large for s, or d of numbers of days.
+        Where no unit is given it is what the header says, if it is a key of `TIME_UNITS`, else s, or what of ms, us and
+        ns makes dates of numbers that are too large for s, or d of numbers of days.
 
         Raises:
             InputError: A time that is missing, or not later than the one before it.
@@ -257,22 +254,19 @@ class MeasuredFiles:
         Raises:
             InputError: Nothing tells it, or a column of times cannot be used.
         """
-        clock = self._clock(table, first_date)
-        if len(self.paths) > 1 or not clock.dates:
-            return clock
-        return replace(clock, readings=clock.readings - clock.readings[0])
-
-    def _clock(self, table: Table, first_date: str | None) -> Clock:
+        column = self.column_in(table)
         if self.sampling_rate is not None:
             return Clock(table, "", np.arange(len(table)) / self.sampling_rate)
-        column = self.column_in(table)
         if column is not None:
             check_names(table.path, {"data.time": column}, table.columns, "or give data.sampling_rate, in Hz")
-            return Clock.by_column(table.with_dates(column, first_date), column, self.time_unit)
-        if table.time is None:
+            clock = Clock.by_column(table.with_dates(column, first_date), column, self.time_unit)
+        elif table.time is not None:
+            clock = Clock(table, "", table.time)
+        else:
             hint = f"{table.path.name} does not say when its samples were taken"
             raise InputError("data.sampling_rate", None, "given, in Hz, or data.time, a column of times", hint)
-        return Clock(table, "", table.time)
+        alone = len(self.paths) == 1 and clock.dates
+        return replace(clock, readings=clock.readings - clock.readings[0]) if alone else clock
 
     def column_in(self, table: Table) -> str | None:
         """Column of the times of a table; None: its header tells them, or nothing does."""

@@ -97,14 +97,9 @@ class CrossSpectra(Generic[S]):
     ) -> CrossSpectra[Channel]:
         """Of channels of a record, averaged over groups of neighbouring lines of its whole spectrum.
 
-        Args:
-            record: Whose channels may miss samples.
-            sensors: Of the response.
-            acting: What acts.
-            edges: First line of every group, and the line behind the last one.
-            references: Channels, counted from the last one, of which products are taken; None: what acts. Without any
-                the power is that of the columns, as they look where samples are missing.
-            tapered: See :func:`taper`.
+        Its channels, of the response and of what acts, may miss samples. Edges are the first line of every group, and
+        the line behind the last one. References are channels, counted from the last one, of which products are taken;
+        None: what acts. Without any the power is that of the columns, as they look where samples are missing.
         """
         channels = [*sensors, *acting]
         values, references = np.stack([c.measured for c in channels], axis=1), references or len(acting)

@@ -26,7 +26,8 @@ from pinn_cli.system.quantities import (
 )
 
 SENSORS = (*MOTION, FORCE, GROUND, CONNECTION_FORCE)
-PLACES = ("dof", "between", "weights", "connection", "support")
+OF_MOTION = ("dof", "between", "weights", "support")
+PLACES = (*OF_MOTION, "connection")
 KEYS = ("sensor", "column", "unit", *PLACES, *CALIBRATION_UNITS)
 # What data.channels may say (`pinn-run --json-schema`): entries with these keys, or those of a class of the user's own.
 _SENSOR: dict[str, Any] = {"anyOf": [{"enum": [*SENSORS]}, {"type": "string", "pattern": r"\$\{"}]}
@@ -80,8 +81,7 @@ class DataChannel:
     def in_unit(self, header: str) -> DataChannel:
         """The same with its unit settled: what the user gives, else what the file's header tells, else SI.
 
-        Raises:
-            InputError: The header tells a unit that pint cannot read, or one of another quantity.
+        A unit of the header that pint cannot read, or one of another quantity, is refused.
         """
         if self.factor is not None:
             return self
@@ -95,16 +95,10 @@ class DataChannel:
             raise InputError(self.setting, repr(self.column), allowed, f"its header says {header!r}") from error
 
     def with_samples(self, time: np.ndarray, values: np.ndarray, connections: Sequence[str], fills: bool) -> Channel:
-        """The channel, in SI units.
+        """The channel in SI units, with samples (J,) as the file has them at times (J,), s.
 
-        Args:
-            time: (J,), s, of its samples.
-            values: (J,), as the file has them.
-            connections: Names of the structure's connections.
-            fills: Whether its DOF has no other sensor of the kind.
-
-        Raises:
-            InputError: A connection that does not exist, a delay longer than the record.
+        It fills its column where its DOF has no other sensor of the kind; connections are the names of the structure's.
+        A connection that does not exist is refused, and a delay longer than the record.
         """
         assert self.factor is not None
         given = self.sensor.calibration
@@ -134,14 +128,7 @@ class DataChannel:
 
 
 def data_channels(given: Any) -> tuple[DataChannel, ...]:
-    """``data.channels`` as channels.
-
-    Args:
-        given: Name to what the channel is; DOFs as numbers from 1. Channels stay as they are.
-
-    Raises:
-        InputError: Naming ``data.channels.<name>.<key>``.
-    """
+    """``data.channels`` as channels, DOFs as numbers from 1; what it cannot mean is refused. Channels stay."""
     if given is None:
         return ()
     if isinstance(given, tuple) and all(isinstance(channel, DataChannel) for channel in given):
@@ -164,7 +151,7 @@ def _channel(name: str, node: Any) -> DataChannel:
     column = name if node.get("column") is None else node["column"]
     if not isinstance(column, str) or not column:
         raise InputError(f"{setting}.column", column, "the name of a column")
-    weights, connection, support = _where(setting, sensor, node)
+    where = _where(setting, sensor, node)
     factor = None if node.get("unit") is None else si_factor(f"{setting}.unit", node["unit"], sensor)
     given = {kind: node[kind] for kind in CALIBRATION_UNITS if node.get(kind) is not None}
     order = 0
@@ -174,14 +161,15 @@ def _channel(name: str, node: Any) -> DataChannel:
         if kind in given and sensor not in sensors:
             raise InputError(f"{setting}.{kind}", given[kind], f"left out: it is of {' or '.join(sensors)}")
     calibration = {kind: _number(f"{setting}.{kind}", kind, value) for kind, value in given.items()}
-    quantity = sensor if support is None else f"support_{sensor}"
-    weights = weights if support is None else {support: 1.0}
-    for kind in (kind for kind in calibration if support is not None):
-        if not calibration[kind].is_known or kind not in ("gain", "offset", "drift"):
-            allowed = "left out, or a known gain, offset or drift of a support"
-            raise InputError(f"{setting}.{kind}", given[kind], allowed)
-    channel = Channel(name, quantity, weights, NOTHING, NOTHING, calibration, filter_order=order)
-    return DataChannel(setting, column, channel, connection, factor)
+    weights = where.get("weights", {})
+    if "support" in where:
+        weights, sensor = {where["support"]: 1.0}, f"support_{sensor}"
+        for kind, number in calibration.items():
+            if not number.is_known or kind not in ("gain", "offset", "drift"):
+                allowed = "left out, or a known gain, offset or drift of a support"
+                raise InputError(f"{setting}.{kind}", given[kind], allowed)
+    channel = Channel(name, sensor, weights, NOTHING, NOTHING, calibration, filter_order=order)
+    return DataChannel(setting, column, channel, where.get("connection"), factor)
 
 
 def _filter(setting: str, given: Any) -> tuple[Any, int]:
@@ -194,28 +182,24 @@ def _filter(setting: str, given: Any) -> tuple[Any, int]:
     return given["frequency"], int(order)
 
 
-def _where(setting: str, sensor: str, node: Mapping[str, Any]) -> tuple[dict[int, float], str | int | None, int | None]:
-    """Weights of DOFs, counted from 0, the connection of a channel, and its support."""
-    given = [key for key in PLACES if node.get(key) is not None]
-    wanted = {GROUND: (), CONNECTION_FORCE: ("connection",), FORCE: ("dof",)}.get(
-        sensor, ("dof", "between", "weights", "support")
-    )
-    if len(given) != min(len(wanted), 1) or any(key not in wanted for key in given):
-        shown = "{" + ", ".join(f"{key}: {node[key]}" for key in given) + "}"
+def _where(setting: str, sensor: str, node: Mapping[str, Any]) -> dict[str, Any]:
+    """Weights of DOFs, counted from 0, the connection of a channel, or its support."""
+    given = {key: node[key] for key in PLACES if node.get(key) is not None}
+    wanted = {GROUND: (), CONNECTION_FORCE: ("connection",), FORCE: ("dof",)}.get(sensor, OF_MOTION)
+    if len(given) != min(len(wanted), 1) or not set(given) <= set(wanted):
+        shown = "{" + ", ".join(f"{key}: {place}" for key, place in given.items()) + "}"
         allowed = f"one of {', '.join(wanted)}" if wanted else "no dof, between, weights or connection"
         raise InputError(setting, shown, f"{allowed} with sensor: {sensor}")
-    if not given:
-        return {}, None, None
-    place = node[given[0]]
-    if given[0] == "connection":
-        return {}, place, None
-    if given[0] == "support":
-        return {}, None, _dof(f"{setting}.support", place)
-    if given[0] == "dof":
-        return {_dof(f"{setting}.dof", place): 1.0}, None, None
-    if given[0] == "between":
-        return _between(f"{setting}.between", place), None, None
-    return _weights(f"{setting}.weights", place), None, None
+    for key, place in given.items():
+        setting = f"{setting}.{key}"
+        if key == "connection":
+            return {key: place}
+        if key == "support":
+            return {key: _dof(setting, place)}
+        if key == "dof":
+            return {"weights": {_dof(setting, place): 1.0}}
+        return {"weights": (_between if key == "between" else _weighted)(setting, place)}
+    return {"weights": {}}
 
 
 def _between(setting: str, place: Any) -> dict[int, float]:
@@ -226,18 +210,13 @@ def _between(setting: str, place: Any) -> dict[int, float]:
     return {_dof(setting, end): sign for end, sign in zip(ends, (1.0, -1.0), strict=True) if end != "ground"}
 
 
-def _weights(setting: str, place: Any) -> dict[int, float]:
+def _weighted(setting: str, place: Any) -> dict[int, float]:
     """Weights of a sensor that feels any sum."""
     if not isinstance(place, Mapping) or not place:
         raise InputError(setting, place, "a map of DOF: weight, such as {1: 0.4, 2: -0.2}")
-    weights: dict[int, float] = {}
-    for key, given in place.items():
-        dof, weight = _dof(setting, key), float(finite_number(f"{setting}.{key}", given))
-        if dof in weights:
-            raise InputError(setting, key, "there once only")
-        if weight == 0.0:
-            raise InputError(f"{setting}.{key}", given, "a weight that is not 0", "leave out what it does not feel")
-        weights[dof] = weight
+    weights = {_dof(setting, key): float(finite_number(f"{setting}.{key}", weight)) for key, weight in place.items()}
+    if len(weights) < len(place) or not all(weights.values()):
+        raise InputError(setting, dict(place), "weights other than 0, one of each DOF that it feels")
     return weights
 
 
@@ -253,19 +232,14 @@ def _number(setting: str, kind: str, given: Any) -> Calibration:
     """One number of a calibration: known, ``unknown``, or value and uncertainty."""
     if given == UNKNOWN:
         return Calibration(math.nan, unknown=True)
-    allowed = "a number, unknown, or {value: ..., uncertainty: ...}"
-    if isinstance(given, Mapping):
-        if set(given) != {"value", "uncertainty"} or not all(map(is_finite_number, given.values())):
-            raise InputError(setting, dict(given), allowed)
-        if given["uncertainty"] < 0:
-            raise InputError(f"{setting}.uncertainty", given["uncertainty"], ">= 0: a standard deviation")
-        value, std = float(given["value"]), float(given["uncertainty"])
-    else:
-        if not is_finite_number(given):
-            raise InputError(setting, given, allowed)
-        value, std = float(given), 0.0
+    both = given if isinstance(given, Mapping) else {"value": given, "uncertainty": 0.0}
+    if set(both) != {"value", "uncertainty"} or not all(map(is_finite_number, both.values())):
+        raise InputError(setting, given, "a number, unknown, or {value: ..., uncertainty: ...}")
+    value, std = float(both["value"]), float(both["uncertainty"])
+    if std < 0.0:
+        raise InputError(f"{setting}.uncertainty", std, ">= 0: a standard deviation")
     if kind == HIGH_PASS and value <= 0.0:
         raise InputError(setting, given, "a corner > 0 Hz", "a sensor that passes slow motion has none")
-    if kind == "gain" and (value == 0.0 or math.isnan(value)):
+    if kind == "gain" and value == 0.0:
         raise InputError(setting, given, "a gain that is not 0", "a sensor that shows nothing is no sensor")
     return Calibration(value, std)

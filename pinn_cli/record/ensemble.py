@@ -114,16 +114,11 @@ def distance(values: np.ndarray) -> np.ndarray:
 def followed_members(
     members: Members, structure: Structure, record: Record, start: Sequence[np.ndarray]
 ) -> Iterator[tuple[slice, dict[str, np.ndarray], np.ndarray, np.ndarray]]:
-    """The motion of all members, some hundred samples at a time: a step of Runge-Kutta takes about 0.2 ms.
+    """The motion of all members, one at least, some hundred samples at a time, under what acts by the record.
 
-    Behind them comes that of the structure itself, from which they differ by what is uncertain alone: the steps that
-    all of them take are no part of it.
-
-    Args:
-        members: At least one.
-        structure: Whose law they share.
-        record: Whose force and ground motion act on all.
-        start: Of the structure itself: displacement, velocity and hidden forces at the first sample.
+    Behind them comes that of the structure itself, from its own displacement, velocity and hidden forces at the first
+    sample: from it they differ by what is uncertain alone, and the steps that all of them take are no part of it. A
+    step of Runge-Kutta takes about 0.2 ms.
 
     Yields:
         Samples, quantity to (M, H + 1, dofs) at these, the states (M, H + 1, 2 n + h), and displacement and velocity of
@@ -188,16 +183,12 @@ class _Ensemble:
         for i in range(len(state)):
             member_load = table[:, i : i + 1]
             acting = lambda at, member_load=member_load: _between(member_load, (at - time[0]) / (grid[1] - grid[0]))  # noqa: E731
-            member, shown, start = self._of_member(i), sampled[:, i : i + 1], state[i : i + 1]
+            member, shown, start = copy(self), sampled[:, i : i + 1], state[i : i + 1]
+            member.parameters = {kind: values[i : i + 1] for kind, values in self.parameters.items()}
             size = made_in_a_sample(member._slope, shown, start, float(time[1] - time[0]), self.n)
             member.structure = self.structure.turning_over(TURNS_OVER * float(size[self.n]))
             histories.append(implicit_steps(member._slope, acting, time, shown, hold, start, size))
         return np.concatenate(histories, axis=1), sampled
-
-    def _of_member(self, i: int) -> _Ensemble:
-        out = copy(self)
-        out.parameters = {kind: values[i : i + 1] for kind, values in self.parameters.items()}
-        return out
 
     def motion(self, states: np.ndarray, load: np.ndarray, ground: np.ndarray | None) -> dict[str, np.ndarray]:
         """Quantity to (M, H, dofs), in the record's frame, under the ground's acceleration (M,)."""

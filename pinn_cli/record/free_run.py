@@ -160,11 +160,7 @@ def free_run(
 
 
 def free_run_of(structure: Structure, record: Record, motion: Response, sample: int, first: int = 0) -> Response:
-    """The same from a state of an estimated motion on.
-
-    Raises:
-        NoFreeRunError: See :func:`free_run`.
-    """
+    """The same from a state of an estimated motion on; see :func:`free_run`."""
     if motion.supports is not None:
         record = replace(record, supports_begin=motion.supports[sample, :2])
     return free_run(structure, record, motion.state(sample), first)

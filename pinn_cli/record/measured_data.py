@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -105,41 +105,80 @@ class MeasuredData:
     missing: Any = None
 
     def __post_init__(self) -> None:
-        paths = [self.path] if isinstance(self.path, str) else entries(self.path)
-        if not paths or not all(isinstance(path, str) and path for path in paths):
-            allowed = f"given: data={self.kind} reads a file of yours, or a list of files"
-            raise InputError("data.path", self.path, allowed)
-        for setting in ("time", GROUND):
-            column = getattr(self, setting)
-            if column is not None and (not isinstance(column, str) or not column):
-                instead = f"null, {UNMEASURED}" if setting == GROUND else "null"
-                raise InputError(f"data.{setting}", column, f"{instead} or the name of a column")
-        self._check_clock()
         for quantity in QUANTITIES:
             object.__setattr__(self, quantity, _checked_columns(quantity, getattr(self, quantity)))
         object.__setattr__(self, "channels", data_channels(self.channels))
         object.__setattr__(self, "holdout", _checked_holdout(self.holdout))
-        self._check_window()
-        if self.intersample is not None:
-            one_of("data.intersample", self.intersample, BETWEEN_SAMPLES)
-        if self.decimate > 1 and self.intersample == "zero_order_hold":
-            hint = "a filtered force is no longer held; take data.intersample=band_limited"
-            raise InputError("data.decimate", self.decimate, "1 with data.intersample=zero_order_hold", hint)
         object.__setattr__(self, "band", checked_band(self.band))
-        if self.band is not None and (self.decimate > 1 or self.intersample == "zero_order_hold"):
-            given = "data.intersample=zero_order_hold" if self.decimate == 1 else f"data.decimate={self.decimate}"
-            raise InputError("data.band", list(self.band), f"null beside {given}", "its filter says both")
-        self._check_ground()
-        self._check_sensors()
-        self._check_columns_differ()
+        whole_number("data.decimate", self.decimate, least=1)
+        for setting, is_usable in (
+            ("start", finite_number),
+            ("stop", finite_number),
+            ("sampling_rate", positive_number),
+        ):
+            if getattr(self, setting) is not None:
+                is_usable(f"data.{setting}", getattr(self, setting))
+        for setting, values in (("time_unit", list(TIME_UNITS)), ("intersample", BETWEEN_SAMPLES)):
+            if getattr(self, setting) is not None:
+                one_of(f"data.{setting}", getattr(self, setting), values)
+        for is_wrong, *told in self._refusals():
+            if is_wrong:
+                raise InputError(*told)
+
+    def _refusals(self) -> Iterator[tuple[bool, str, Any, str, str]]:
+        """What does not go together, one after the other: whether it is so, setting, value, what is allowed, a hint."""
+        paths = [self.path] if isinstance(self.path, str) else entries(self.path)
+        named = bool(paths) and all(isinstance(path, str) and path for path in paths)
+        yield (
+            not named,
+            "data.path",
+            self.path,
+            f"given: data={self.kind} reads a file of yours, or a list of files",
+            "",
+        )
+        for setting, instead in (("time", "null"), (GROUND, f"null, {UNMEASURED}")):
+            column = getattr(self, setting)
+            named = column is None or (isinstance(column, str) and bool(column))
+            yield not named, f"data.{setting}", column, f"{instead} or the name of a column", ""
+        twice = self.sampling_rate is not None and self.time is not None
+        yield twice, "data.sampling_rate", self.sampling_rate, "null where data.time names a column of times", ""
+        backwards = self.start is not None and self.stop is not None and self.start >= self.stop
+        yield backwards, "data.start", self.start, f"before data.stop={self.stop}", ""
+        held, thinned = self.intersample == "zero_order_hold", self.decimate > 1
+        allowed = "1 with data.intersample=zero_order_hold"
+        yield held and thinned, "data.decimate", self.decimate, allowed, "a filtered force is no longer held"
+        other = f"data.decimate={self.decimate}" if thinned else "data.intersample=zero_order_hold"
+        banded = self.band is not None and (held or thinned)
+        yield banded, "data.band", list(self.band or ()), f"null beside {other}", "its filter says both"
+        sensors = [channel.sensor for channel in self._every_channel]
+        moves = self.ground_acceleration == UNMEASURED or any(sensor.quantity == GROUND for sensor in sensors)
+        check_frame(self.frame, moves, f"data.{GROUND} is not given")
+        allowed = f"band_limited or {FIRST_ORDER_HOLD} with data.{GROUND}"
+        yield moves and held, "data.intersample", self.intersample, allowed, "nothing holds the ground between samples"
+        sensors = [sensor for sensor in sensors if sensor.quantity in RESPONSE_QUANTITIES]
+        response, hidden = [{dof + 1 for dof in sensor.weights} for sensor in sensors], set(self.holdout)
+        settings = ", ".join(f"data.{quantity}" for quantity in RESPONSE_QUANTITIES)
+        yield self.responds and not response, settings, "{}", "a map of DOF: column in at least one of them", ""
+        for dof in hidden - set().union(*response):
+            allowed = "a DOF with a column of its response"
+            yield True, "data.holdout", dof, allowed, "there is nothing to score it against"
+        left = not self.responds or not all(dofs & hidden for dofs in response)
+        allowed = "such that a displacement, velocity or acceleration column is left"
+        yield not left, "data.holdout", list(self.holdout), allowed, ""
+        alone = not self.responds or any(sensor.is_column for sensor in sensors)
+        allowed = "one displacement, velocity or acceleration at least that feels one DOF alone"
+        hint = "the size and the band of the motion are read off it"
+        yield not alone, "data.channels", "drifts and weighted sums only", allowed, hint
+        files, places = self._files, dict[str, str]()
+        for channel in self._every_channel:
+            of_times = files.takes_for_times(channel.column)
+            place = places.setdefault(channel.column, "data.time" if of_times else channel.setting)
+            yield place != channel.setting, channel.setting, repr(channel.column), f"another column than {place}", ""
 
     def measure(self, ndof: int, connections: Sequence[str] = (), clock: Clock | None = None) -> Measurements:
         """The record of the channels that are not held out, and as the truth those that are; the rest of it is NaN.
 
-        Args:
-            ndof: DOFs of the structure.
-            connections: Names of its connections.
-            clock: The file's columns, where they have been read; None: they are read now.
+        The file's columns are read now, unless they come with a clock.
 
         Raises:
             InputError: A DOF outside 1..ndof; a file, column or cell that cannot be used; too few samples; a response
@@ -208,22 +247,14 @@ class MeasuredData:
         return self._files.read({channel.setting: channel.column for channel in self._every_channel})
 
     def arriving(self) -> Arriving:
-        """The same of a file that grows, or of a folder into which files arrive.
-
-        Raises:
-            InputError: There are several files that are one.
-        """
+        """The same of a file that grows, or of a folder into which files arrive; several paths are refused."""
         if len(self._paths) > 1:
             hint = "their samples stand on one clock: join them, or let files arrive in a folder"
             raise InputError("data.path", f"{len(self._paths)} files", "a file that grows, or a folder", hint)
         return Arriving(self._files, {channel.setting: channel.column for channel in self._every_channel})
 
     def used(self, clock: Clock) -> np.ndarray:
-        """(N,), s, the times between start and stop.
-
-        Raises:
-            InputError: There are too few.
-        """
+        """(N,), s, the times between start and stop; too few are refused."""
         return clock.time[slice(*self._window(clock.time))]
 
     def _read(self, connections: Sequence[str], clock: Clock) -> Sampled:
@@ -255,62 +286,6 @@ class MeasuredData:
             allowed = f"a window of at least {MINIMUM_SAMPLES} samples"
             raise InputError("data.start, data.stop", f"{self.start}, {self.stop}", allowed, hint)
         return first, last
-
-    def _check_window(self) -> None:
-        for setting in ("start", "stop"):
-            if getattr(self, setting) is not None:
-                finite_number(f"data.{setting}", getattr(self, setting))
-        if self.start is not None and self.stop is not None and self.start >= self.stop:
-            raise InputError("data.start", self.start, f"before data.stop={self.stop}")
-        whole_number("data.decimate", self.decimate, least=1)
-
-    def _check_clock(self) -> None:
-        if self.time_unit is not None:
-            one_of("data.time_unit", self.time_unit, list(TIME_UNITS))
-        if self.sampling_rate is not None:
-            positive_number("data.sampling_rate", self.sampling_rate)
-            if self.time is not None:
-                allowed = "null where data.time names a column of times"
-                hint = "either says when samples were taken"
-                raise InputError("data.sampling_rate", self.sampling_rate, allowed, hint)
-
-    def _check_ground(self) -> None:
-        unmeasured = self.ground_acceleration == UNMEASURED
-        moves = unmeasured or any(channel.sensor.quantity == GROUND for channel in self._every_channel)
-        check_frame(self.frame, moves, f"data.{GROUND} is not given")
-        if moves and self.intersample == "zero_order_hold":
-            allowed = f"band_limited or {FIRST_ORDER_HOLD} with data.{GROUND}"
-            raise InputError("data.intersample", self.intersample, allowed, "nothing holds the ground between samples")
-
-    def _check_sensors(self) -> None:
-        sensors = [channel.sensor for channel in self._every_channel if channel.sensor.quantity in RESPONSE_QUANTITIES]
-        response = [{dof + 1 for dof in sensor.weights} for sensor in sensors]
-        if self.responds and not response:
-            settings = ", ".join(f"data.{quantity}" for quantity in RESPONSE_QUANTITIES)
-            raise InputError(settings, "{}", "a map of DOF: column in at least one of them")
-        measured = set().union(*response)
-        for dof in self.holdout:
-            if dof not in measured:
-                allowed = "a DOF with a column of its response"
-                raise InputError("data.holdout", dof, allowed, "there is nothing to score it against")
-        if not self.responds:
-            return
-        if all(dofs & set(self.holdout) for dofs in response):
-            allowed = "such that a displacement, velocity or acceleration column is left"
-            raise InputError("data.holdout", list(self.holdout), allowed)
-        if not any(sensor.is_column for sensor in sensors):
-            allowed = "one displacement, velocity or acceleration at least that feels one DOF alone"
-            hint = "the size and the band of the motion are read off it"
-            raise InputError("data.channels", "drifts and weighted sums only", allowed, hint)
-
-    def _check_columns_differ(self) -> None:
-        files = self._files
-        places = {c.column: "data.time" for c in self._every_channel if files.takes_for_times(c.column)}
-        for channel in self._every_channel:
-            if channel.column in places:
-                allowed = f"another column than {places[channel.column]}"
-                raise InputError(channel.setting, repr(channel.column), allowed)
-            places[channel.column] = channel.setting
 
     def _check_dofs(self, ndof: int) -> None:
         for dof in self.force:  # of one that acts unmeasured there is no channel

@@ -35,8 +35,7 @@ class OwnSensor(ABC):
 def as_channel(setting: str, channel: Mapping[str, Any]) -> Mapping[str, Any]:
     """A channel whose sensor is a class of somebody's own as one that feels a weighted sum; others as they are.
 
-    Raises:
-        InputError: The class is not registered, its settings are refused, or the channel says what it feels as well.
+    A class that is not registered is refused, settings that it refuses, and a channel that says what it feels as well.
     """
     given = channel.get("sensor")
     if not isinstance(given, Mapping):

@@ -100,12 +100,10 @@ class Record:
             raise InputError("record", "no response sensor", "one with a displacement, velocity or acceleration sensor")
 
     def _check_time(self) -> None:
-        if self.time.ndim != 1 or len(self.time) < MINIMUM_SAMPLES:
-            raise ValueError(f"time has shape {self.time.shape}; it must be ({MINIMUM_SAMPLES} or more,)")
-        if not np.all(np.isfinite(self.time)) or self.step <= 0:
-            raise ValueError("time must be finite and grow")
-        if np.ptp(np.diff(self.time)) > 1e-6 * self.step + clock_rounding(self.time):
-            raise ValueError("time must grow by one constant step")
+        steps = np.diff(self.time) if self.time.ndim == 1 else np.zeros(0)
+        few = len(steps) + 1 < MINIMUM_SAMPLES
+        if few or not (self.step > 0.0 and np.ptp(steps) <= 1e-6 * self.step + clock_rounding(self.time)):
+            raise ValueError(f"time must be {MINIMUM_SAMPLES} finite numbers or more that grow by one constant step")
 
     def _check_columns(self) -> None:
         shape = (len(self.time), self.unforced.size)
@@ -248,11 +246,7 @@ class Record:
         return np.any([self.sensors(quantity) for quantity in RESPONSE_QUANTITIES], axis=0)
 
     def keep(self, dofs_by_quantity: Mapping[str, Iterable[int]]) -> Record:
-        """The record with only the named response sensors; the others, and quantities that are not named, are blanked.
-
-        Args:
-            dofs_by_quantity: "displacement", "velocity", "acceleration" to DOFs, counted from 1. A DOF without a sensor
-                stays without.
+        """The record with only the response sensors of some DOFs, counted from 1, by quantity; all others are blanked.
 
         Raises:
             InputError: No response sensor is left.
@@ -325,22 +319,14 @@ class Measurements:
 
 
 def check_frame(frame: str, moves: bool, why: str) -> None:
-    """Refuse a frame that does not exist, or one relative to a ground that does not move, for this reason.
-
-    Raises:
-        InputError: Naming ``data.frame``.
-    """
+    """Refuse a ``data.frame`` that does not exist, or one relative to a ground that does not move, for this reason."""
     one_of("data.frame", frame, FRAMES)
     if frame == "relative" and not moves:
         raise InputError("data.frame", frame, "absolute where the ground is at rest", why)
 
 
 def dof_mask(dofs: Iterable[int], ndof: int) -> np.ndarray:
-    """(ndof,) bool from DOFs counted from 1.
-
-    Raises:
-        ValueError: A DOF outside 1..ndof.
-    """
+    """(ndof,) bool from DOFs counted from 1; a ValueError tells of one outside of 1 to ndof."""
     mask = np.zeros(ndof, dtype=bool)
     for dof in dofs:
         if not 1 <= dof <= ndof:

@@ -86,11 +86,7 @@ def sampled(
 
 
 def reached(band: BandPass, window: tuple[int, int], rows: int) -> tuple[int, int]:
-    """Rows that a filter takes for those of a window, as far as the file has them.
-
-    Raises:
-        InputError: They are too few.
-    """
+    """Rows that a filter takes for those of a window, as far as the file has them; too few are refused."""
     first, last = max(0, window[0] - band.half), min(rows, window[1] + band.half)
     samples = -(-(last - first - 2 * band.half) // band.factor)
     if samples < MINIMUM_SAMPLES:
@@ -103,17 +99,7 @@ def reached(band: BandPass, window: tuple[int, int], rows: int) -> tuple[int, in
 def with_fewer(
     by: int | BandPass, time: np.ndarray, values: Sequence[np.ndarray], whole: bool
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Times and channels with fewer samples.
-
-    Args:
-        by: Every so manieth is kept, after an anti-alias filter; or what leaves a band alone.
-        time: (N,), s.
-        values: Of every channel, (N,).
-        whole: Whether no sample is missing, and all stand at even times.
-
-    Raises:
-        InputError: They are not.
-    """
+    """Times (N,), s, and channels (N,) with fewer samples, see :func:`sampled`; refused where one is missing or off."""
     setting, given = ("data.decimate", by) if isinstance(by, int) else ("data.band", "a band")
     if not whole:
         nothing, whose = (1, "an anti-alias") if isinstance(by, int) else ("null", "its")
@@ -129,11 +115,7 @@ def with_fewer(
 def _on_lines(
     channels: Sequence[DataChannel], values: Sequence[np.ndarray], intersample: str | None, whole: Sequence[bool]
 ) -> list[bool]:
-    """Which channels are of what acts, and go on between their samples by straight lines.
-
-    Raises:
-        InputError: Where that was said of samples that are missing or uneven.
-    """
+    """Which channels of what acts go on between samples by lines; said of missing or uneven ones it is refused."""
     acts = [channel.sensor.is_input for channel in channels]
     if intersample == FIRST_ORDER_HOLD:
         for channel, here, complete in zip(channels, acts, whole, strict=True):
@@ -162,7 +144,8 @@ def _placed(
     axis = time if even else _even_axis(time, values)
     for channel, column in zip(channels, values, strict=True):
         place, there = channel.sensor.place, ~np.isnan(column)
-        if channel.is_plain and place not in columns and _fills(axis, time[there]):
+        whole = there.sum() == len(axis) and np.abs(time[there] - axis).max() <= TIME_TOLERANCE * (axis[1] - axis[0])
+        if channel.is_plain and place not in columns and whole:
             columns[place] = channel.with_samples(axis, column[there], connections, fills=True).corrected_samples()[1]
         elif channel.sensor.quantity in SUPPORT:
             allowed = "one channel of a kind for a support, with every sample at even times"
@@ -178,12 +161,6 @@ def _placed(
             columns[sampled.place] = sampled.history(axis)
         _tell(channel, column, time)
     return axis, columns, tuple(calibrated)
-
-
-def _fills(axis: np.ndarray, time: np.ndarray) -> bool:
-    """Whether samples at these times (J,) are one for every time of the axis (N,)."""
-    step = axis[1] - axis[0]
-    return len(time) == len(axis) and bool(np.abs(time - axis).max() <= TIME_TOLERANCE * step)
 
 
 def _even_axis(time: np.ndarray, values: list[np.ndarray]) -> np.ndarray:

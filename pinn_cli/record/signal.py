@@ -111,21 +111,17 @@ class Sampling:
 
     Attributes:
         time: (N,), s, increasing.
+
+    Raises:
+        InputError: There are too few.
     """
 
     time: np.ndarray
 
-    @classmethod
-    def of(cls, time: np.ndarray) -> Sampling:
-        """Of enough samples to look at.
-
-        Raises:
-            InputError: There are too few.
-        """
-        if len(time) < MINIMUM_SAMPLES:
+    def __post_init__(self) -> None:
+        if len(self.time) < MINIMUM_SAMPLES:
             allowed = f"a record of at least {MINIMUM_SAMPLES} samples"
-            raise InputError("data.start, data.stop", f"{len(time)} samples", allowed)
-        return cls(time)
+            raise InputError("data.start, data.stop", f"{len(self.time)} samples", allowed)
 
     @property
     def step(self) -> float:
@@ -165,27 +161,17 @@ class Sampling:
         return self.time if even else axis
 
     def on_regular(self, values: np.ndarray) -> np.ndarray:
-        """Samples (N,) at `regular`, (M,); straight lines over what is missing.
-
-        Raises:
-            ValueError: There are none.
-        """
-        there = np.isfinite(values)
-        if not there.any():
-            raise ValueError("a column without a number")
-        axis = self.regular
+        """Samples (N,), of which one at least is there, at `regular`, (M,); straight lines over what is missing."""
+        there, axis = np.isfinite(values), self.regular
         if axis is self.time and there.all():
             return values
         return np.interp(axis, self.time[there], values[there])
 
 
 def spectra_of(signals: Sequence[Signal], sampling: Sampling, highest: float | None = None) -> CrossSpectra[Signal]:
-    """Of a record's columns after decimation to its band; those of which nobody has said anything count as sensors.
+    """Of columns that vary, after decimation to their band; those of which nobody has said anything count as sensors.
 
-    Args:
-        signals: With numbers that vary.
-        sampling: Of their values.
-        highest: Frequency of any channel's content, Hz; None: it is looked for.
+    The highest frequency of any channel's content, Hz, is looked for unless it is given.
     """
     sensors = [signal for signal in signals if not signal.is_input]
     acting = [signal for signal in signals if signal.is_input]

@@ -162,11 +162,7 @@ class Simulated:
         check_frame(self.frame, self.excitation.ground is not None, "excitation=ground_motion moves it")
 
     def measure(self, structure: Structure) -> Measurements:
-        """The noisy record of the true chain, and the truth.
-
-        Raises:
-            InputError: The response overflows.
-        """
+        """The noisy record of the true chain, and the truth; a response that overflows is refused."""
         response = self.simulation.run(structure, self.excitation.force, self.excitation.ground, self.frame)
         seen, repeats = self.noise.measured(response)
         intersample = INTERSAMPLE_OF_HOLD[self.simulation.hold]
@@ -179,12 +175,9 @@ class Simulated:
 
 
 def check_size(simulation: Simulation, structure: Structure, repeats: int = 1) -> None:
-    """Refuse a record that this machine cannot simulate.
+    """Refuse a record that this machine cannot simulate: one that does not fit into memory, by its setting.
 
-    Raises:
-        InputError: Naming ``simulation.samples``, ``system.ndof`` or ``noise.repeats``, the record does not fit into
-            memory; naming ``system.k`` or ``system.c``, a connection is so stiff or so damped for its mass that the
-            simulation takes too many steps.
+    Or a connection (``system.k``, ``system.c``) so stiff or so damped for its mass that it takes too many steps.
     """
     samples, ndof, memory = simulation.samples, structure.ndof, of_this_machine()
     because = f"the record has to fit into the memory of this machine, {memory / 2**30:.3g} GiB"
@@ -209,15 +202,12 @@ def _check_steps(simulation: Simulation, structure: Structure, most: int) -> Non
     if steps <= most:
         return
     oscillation, decay = fastest_rates(structure)
-    stiff = oscillation >= decay
-    rate = simulation.step_times_rate * most / simulation.duration
-    allowed = f"a natural frequency above {rate / (2.0 * math.pi):.3g} Hz" if stiff else f"a decay above {rate:.3g} 1/s"
-    takes = f"the simulation takes {steps:.1e} steps, of which {most:.1e} are allowed"
-    name = "k" if stiff else "c"
-    sizes = at_rest(structure)[0 if stiff else 1]
-    parameter = structure.parameter(name, int(np.argmax(sizes)))
-    prescribed, least = abs(parameter.prescribed), float(structure.parameters["m"].min())
-    rest = f"at rest its law adds {sizes.max() - prescribed:.3g}; " if sizes.max() > prescribed else ""
-    hint = f"{rest}{takes}; a larger mass or a shorter simulation.duration makes them fewer, too"
-    allowed = f"small enough for {least:.3g} kg not to have {allowed}"
+    name, rate = "k" if oscillation >= decay else "c", simulation.step_times_rate * most / simulation.duration
+    sizes = at_rest(structure)[0 if name == "k" else 1]
+    parameter, least = structure.parameter(name, int(np.argmax(sizes))), float(structure.parameters["m"].min())
+    has = (
+        f"a natural frequency above {rate / (2.0 * math.pi):.3g} Hz" if name == "k" else f"a decay above {rate:.3g} 1/s"
+    )
+    hint = f"the simulation takes {steps:.1e} steps; a larger mass or a shorter simulation.duration makes them fewer"
+    allowed = f"small enough for {least:.3g} kg not to have {has}"
     raise InputError(structure.labels.setting(parameter), float(sizes.max()), allowed, hint)

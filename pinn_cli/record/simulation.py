@@ -176,7 +176,10 @@ class Simulation:
     substeps: int | None = None
 
     def __post_init__(self) -> None:
-        _check_options(self.hold, self.method, self.substeps)
+        one_of("simulation.hold", self.hold, HOLDS)
+        one_of("simulation.method", self.method, METHODS)
+        if self.substeps is not None:
+            whole_number("simulation.substeps", self.substeps, least=1)
         positive_number("simulation.duration", self.duration)
         whole_number("simulation.samples", self.samples, least=MINIMUM_SAMPLES)
 
@@ -254,7 +257,8 @@ def simulate(
         OverflowsError: A response that overflows.
         ValueError: An initial state of another shape, or one that is not finite.
     """
-    _check_options(hold, method, substeps)
+    one_of("simulation.hold", hold, HOLDS)
+    one_of("simulation.method", method, METHODS)
     if hold != "exact":
         for acts, where, why in (
             (ground is not None, "where the ground moves", "nothing holds its acceleration between samples"),
@@ -297,13 +301,10 @@ def simulate(
 
 
 def response_of(structure: Structure, motion: Response, frame: Frame) -> Response:
-    """The response of the DOFs, from the motion of a structure's coordinates and what acts.
+    """The response of the DOFs in a frame (see :func:`simulate`), from the motion of a structure's coordinates.
 
-    Args:
-        structure: Whose equation of motion gives the acceleration, with the force at the samples.
-        motion: Displacement and velocity of the coordinates, hidden forces; force on the DOFs, and what moves ground
-            and supports.
-        frame: Of the acceleration, see :func:`simulate`.
+    That has displacement and velocity of the coordinates, hidden forces, the force on the DOFs at the samples, from
+    which the equation of motion gives the acceleration, and what moves ground and supports.
     """
     shapes, moved, u = structure.shapes, motion.ground_acceleration, motion.displacement
     force = shapes.onto_coordinates(motion.force)
@@ -363,10 +364,3 @@ def _dop853(
         for k, held in enumerate(sampled[:-1]):
             integrate(lambda t, held=held: held, k, k + 1, np.inf)  # type: ignore[misc]
     return states
-
-
-def _check_options(hold: str, method: str, substeps: int | None) -> None:
-    one_of("simulation.hold", hold, HOLDS)
-    one_of("simulation.method", method, METHODS)
-    if substeps is not None:
-        whole_number("simulation.substeps", substeps, least=1)

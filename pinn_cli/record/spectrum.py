@@ -240,11 +240,7 @@ class BandPass:
 
     @classmethod
     def of(cls, band: tuple[float, float], samples: int, step: float) -> BandPass:
-        """Of a band, Hz, for so many samples.
-
-        Raises:
-            InputError: Naming ``data.band``: it reaches beyond the Nyquist frequency.
-        """
+        """Of a band, Hz, for so many samples; one beyond the Nyquist frequency is refused (``data.band``)."""
         from scipy.signal import firwin
 
         (low, high), nyquist = band, 0.5 / step
@@ -277,11 +273,7 @@ class BandPass:
 
 
 def checked_band(given: Any) -> tuple[float, float] | None:
-    """``data.band`` as a pair, Hz; None where it is null.
-
-    Raises:
-        InputError: It is no pair of frequencies that grow.
-    """
+    """``data.band`` as a pair of frequencies that grow, Hz, else it is refused; None where it is null."""
     if given is None:
         return None
     edges = entries(given) if isinstance(given, Sequence) and not isinstance(given, str) else []
@@ -291,7 +283,7 @@ def checked_band(given: Any) -> tuple[float, float] | None:
 
 
 def decimate(values: np.ndarray, factor: int) -> np.ndarray:
-    """Every ``factor``-th sample, after a zero-phase low-pass filter that is the same for every column.
+    """Every ``factor``-th sample of finite (N, columns), after a zero-phase low-pass filter that is the same for all.
 
     The filter is a Hamming-windowed sinc that halves the amplitude at the new Nyquist frequency and is flat below 0.8
     of it, so that white noise stays nearly white. All columns of a record must go through it: force and response are
@@ -300,13 +292,6 @@ def decimate(values: np.ndarray, factor: int) -> np.ndarray:
     Beyond its ends a column goes on as its own odd reflection about the end sample, which keeps value and slope. On the
     Cristallo records (factor 4, windows cut from the middle) the ten samples at either end then miss what the whole
     record gives by 0.1 to 1 % of the signal's rms; zeros beyond the ends, as scipy.signal.decimate has them, by 50 %.
-
-    Args:
-        values: (N, columns), finite.
-        factor: >= 1.
-
-    Returns:
-        (ceil(N / factor), columns).
     """
     if factor == 1:
         return values

@@ -160,18 +160,16 @@ class Corners:
     def cuts(
         self, before: np.ndarray, after: np.ndarray, least: float, loads: Sequence[np.ndarray] = AT_REST
     ) -> np.ndarray:
-        """Where a step from one state to another is divided, in ascending order, over the step; none: nowhere.
+        """Where a step is divided, in ascending order, over the step, by the states before and after one taken at once.
 
-        Args:
-            before: The state at the beginning.
-            after: That at the end, if the step is taken at once.
-            least: Distance of a cut from either end, over the step, at most a half. Without one, a step that begins
-                at a corner would be divided there again and again.
-            loads: At the beginning and at the end; they hold the velocity of supports that move.
+        Cuts are a distance ``least``, at most a half, from either end: without one, a step that begins at a corner
+        would be divided there again and again. Loads at both ends hold the velocity of supports that move.
         """
+        moved = self.by_supports.shape[1]
+        carried = [self.by_supports @ load[1, -moved:] if moved else 0.0 for load in loads]
         first, last = (
-            np.concatenate((self.rate @ state + self._of_supports(load), state[self.hidden]))
-            for state, load in zip((before.reshape(-1), after.reshape(-1)), loads, strict=True)
+            np.concatenate((self.rate @ state + by_supports, state[self.hidden]))
+            for state, by_supports in zip((before.reshape(-1), after.reshape(-1)), carried, strict=True)
         )
         sharp, wide = self._sharp & (first * last < 0.0), self._across(first, last)
         if not sharp.any() and not wide.any():
@@ -183,10 +181,6 @@ class Corners:
             count = int(np.ceil(abs(ends[1] - ends[0]) / (FINE * width)))
             cuts.append((np.linspace(ends[0], ends[1], count + 1) - x) / (y - x))
         return np.unique(np.clip(np.concatenate(cuts), least, 1.0 - least))
-
-    def _of_supports(self, load: np.ndarray) -> np.ndarray | float:
-        moved = self.by_supports.shape[1]
-        return self.by_supports @ load[1, -moved:] if moved else 0.0
 
     @cached_property
     def _widths(self) -> np.ndarray:
@@ -252,16 +246,11 @@ class PiecewiseLoad:
 def implicit_steps(
     slope: Slope, force: Force, time: np.ndarray, sampled: np.ndarray, hold: str, start: np.ndarray, size: np.ndarray
 ) -> np.ndarray:
-    """The states at all samples (N, ...); not finite from where on the state is not.
+    """The states at all samples (N, ...) of even times (N,), s; not finite from where on the state is not.
 
-    Args:
-        slope: Of a state under a load.
-        force: Load at any times.
-        time: (N,), s.
-        sampled: (N, ...), the load at those.
-        hold: ``exact`` or ``zero_order``.
-        start: The state at the first time: displacements, velocities, hidden forces.
-        size: (states,), see :func:`made_in_a_sample`.
+    The load of a state's slope is ``force`` at any times, and ``sampled`` (N, ...) at those of the samples, which it
+    keeps where the hold is ``zero_order``. The start holds displacements, velocities and hidden forces; ``size`` is
+    that of :func:`made_in_a_sample`.
 
     Raises:
         TooStiffError: It takes more than `MOST_SLOPES` slopes per sample.

@@ -35,11 +35,7 @@ def si_factor(setting: str, unit: Any, quantity: str) -> float:
 
 
 def factor(setting: str, unit: Any, base_unit: str, sensor: str) -> float:
-    """How many of ``base_unit`` one unit of a sensor, called so, is; see :func:`si_factor`.
-
-    Raises:
-        InputError: An unknown unit, or one of another quantity.
-    """
+    """How many of ``base_unit`` one unit of a sensor, called so, is; see :func:`si_factor`."""
     if unit is None or unit == base_unit:
         return 1.0
     if isinstance(unit, int | float) and not isinstance(unit, bool):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -112,7 +113,8 @@ class ValidationData:
         try:
             record = data.measure(ndof, connections).record
         except InputError as error:
-            raise InputError(_validation_setting(error.setting), error.value, error.allowed, error.hint) from error
+            setting = re.sub(r"\bdata\.", "data.validation.", error.setting)
+            raise InputError(setting, error.value, error.allowed, error.hint) from error
         if record.unmeasured:
             hint = f"{record.unmeasured} is unknown, and what is simulated needs all that acts"
             raise InputError("data.validation", "a record", "one whose forces are all measured", hint)
@@ -144,13 +146,6 @@ def _seen(data: MeasuredData, segment: MeasuredData) -> tuple[MeasuredData, bool
     allowed = f"outside of what the estimator sees, data.start={data.start} to data.stop={data.stop}"
     hint = "a segment that the estimator has seen says nothing; give data.start and data.stop"
     raise InputError("data.validation.start, data.validation.stop", given, allowed, hint)
-
-
-def _validation_setting(setting: str) -> str:
-    return ", ".join(
-        f"data.validation.{name.removeprefix('data.')}" if name.startswith("data.") else name
-        for name in setting.split(", ")
-    )
 
 
 def validation_of(given: Sequence[Any]) -> ValidationData | None:

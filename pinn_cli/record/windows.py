@@ -75,11 +75,7 @@ class Grid:
 
     @classmethod
     def of(cls, length: float, overlap: float | None, time: np.ndarray) -> Grid:
-        """Of windows so many seconds long, from a record's times (N,), s: those of its first window or more.
-
-        Raises:
-            InputError: They hold too few samples.
-        """
+        """Of windows so many seconds long, from times (N,), s, of the first window or more; too few are refused."""
         times = time[: int(np.searchsorted(time, time[0] + length, side="right"))]
         if len(times) < MINIMUM_SAMPLES:
             hint = f"the first {length:g} s hold {len(times)} samples"
@@ -87,12 +83,8 @@ class Grid:
         steps = np.diff(times)
         # Times are printed with few digits: one step is off by much, all together are not. Gaps are no steps.
         step = float(np.mean(steps[steps < GAP * np.median(steps)]))
-        samples = round(length / step)
-        if samples + 1 < MINIMUM_SAMPLES:
-            allowed = f"at least {MINIMUM_SAMPLES} samples, {MINIMUM_SAMPLES * step:g} s here"
-            raise InputError(WINDOW_SETTING, length, allowed, "it is in seconds")
         overlap = OVERLAP_SHARE * length if overlap is None else overlap
-        return cls(float(times[0]), step, samples, round(overlap / step))
+        return cls(float(times[0]), step, round(length / step), round(overlap / step))
 
     def window(self, number: int) -> Window:
         """A window that is no last one."""
@@ -123,11 +115,7 @@ class Grid:
 
 
 def checked_lengths(window: object, overlap: object) -> tuple[float, float | None]:
-    """``data.window`` and ``data.overlap``, s.
-
-    Raises:
-        InputError: One is no usable number, or the overlap is too long.
-    """
+    """``data.window`` and ``data.overlap``, s; refused where one is no usable number, or the overlap is too long."""
     length = positive_number(WINDOW_SETTING, window)
     if overlap is None:
         return length, None
@@ -161,10 +149,6 @@ class RecordWindows(ABC):
     def measure(self, true: Structure, window: Window) -> Measurements:
         """The record of a window, with every sensor that exists, and the truth as far as it is known.
 
-        Args:
-            true: The structure.
-            window: Of :meth:`after`.
-
         Raises:
             InputError: A cell that cannot be used, a sensor that shows one value throughout.
         """
@@ -183,25 +167,29 @@ class MeasuredWindows(RecordWindows):
         super().__init__(length, overlap)
         self.data, self.connections = data, connections
 
+        self.grid: Grid | None = None
+
     @cached_property
-    def _whole(self) -> tuple[Clock, np.ndarray]:
-        """The columns, and the times that are used (N,), s."""
-        clock = self.data.clock()
-        return clock, self.data.used(clock)
+    def _whole(self) -> Clock:
+        return self.data.clock()
+
+    @property
+    def clock(self) -> Clock:
+        """The columns, as far as they are kept."""
+        return self._whole
 
     def after(self, done: int) -> Iterator[Window]:
         """See :meth:`RecordWindows.after`."""
-        _, time = self._whole
-        yield from Grid.of(*self.lengths, time).all(float(time[-1]))[done:]
+        time = self.data.used(self.clock)
+        self.grid = Grid.of(*self.lengths, time)
+        yield from self.grid.all(float(time[-1]))[done:]
 
     def measure(self, true: Structure, window: Window) -> Measurements:
         """See :meth:`RecordWindows.measure`."""
-        clock, time = self._whole
-        return self._measured(true, window, clock, Grid.of(*self.lengths, time))
-
-    def _measured(self, true: Structure, window: Window, clock: Clock, grid: Grid) -> Measurements:
-        start, stop = window.start - 0.5 * grid.step, window.stop + 0.5 * grid.step
-        return replace(self.data, start=start, stop=stop).measure(true.ndof, self.connections, clock)
+        assert self.grid is not None
+        half = 0.5 * self.grid.step
+        data = replace(self.data, start=window.start - half, stop=window.stop + half)
+        return data.measure(true.ndof, self.connections, self.clock)
 
 
 class SimulatedWindows(RecordWindows):
@@ -269,7 +257,6 @@ class GrowingWindows(MeasuredWindows):
     ) -> None:
         super().__init__(data, connections, length, overlap)
         self.patience, self.sleep, self.now = patience, sleep, now
-        self._grid: Grid | None = None
 
     @cached_property
     def arriving(self) -> Arriving:
@@ -290,16 +277,21 @@ class GrowingWindows(MeasuredWindows):
             time = self.arriving.time
             has_ended = end is not None and len(time) > 0 and float(time[-1]) >= end
             if has_ended or (idle is not None and self.now() - since >= idle):
-                last = self._last(done + 1)
-                if last is not None:
-                    yield last
-                return
+                break
             self.sleep(self.patience.poll)
+        times = self._time
+        if len(times) == 0:
+            hint = f"nothing has come: {self.arriving.path}"
+            raise InputError("data.path", self.arriving.path.name, "a file that grows, or a folder with files", hint)
+        self.grid = self.grid or Grid.of(*self.lengths, times)
+        last = self.grid.last(done + 1, float(times[-1]))
+        if last is not None:  # it hands over to none
+            yield last
 
-    def measure(self, true: Structure, window: Window) -> Measurements:
-        """See :meth:`RecordWindows.measure`."""
-        assert self._grid is not None
-        return self._measured(true, window, self.arriving.clock, self._grid)
+    @property
+    def clock(self) -> Clock:
+        """See :attr:`MeasuredWindows.clock`."""
+        return self.arriving.clock
 
     @property
     def _time(self) -> np.ndarray:
@@ -312,19 +304,10 @@ class GrowingWindows(MeasuredWindows):
     def _next(self, number: int) -> Window | None:
         """A window that is there as a whole; None while it is not."""
         times = self._time
-        if self._grid is None:
+        if self.grid is None:
             if len(times) == 0 or times[-1] <= times[0] + self.lengths[0]:
                 return None
-            self._grid = Grid.of(*self.lengths, times)
-        window = self._grid.window(number)
-        self.arriving.forget_before(window.start - 0.5 * self._grid.step)
-        return window if len(times) and self._grid.is_reached(window, float(times[-1])) else None
-
-    def _last(self, number: int) -> Window | None:
-        """What is left, as a window that hands over to none."""
-        times = self._time
-        if len(times) == 0:
-            hint = f"nothing has come: {self.arriving.path}"
-            raise InputError("data.path", self.arriving.path.name, "a file that grows, or a folder with files", hint)
-        self._grid = self._grid or Grid.of(*self.lengths, times)
-        return self._grid.last(number, float(times[-1]))
+            self.grid = Grid.of(*self.lengths, times)
+        window = self.grid.window(number)
+        self.arriving.forget_before(window.start - 0.5 * self.grid.step)
+        return window if len(times) and self.grid.is_reached(window, float(times[-1])) else None

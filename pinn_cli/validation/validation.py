@@ -75,11 +75,7 @@ class Validation(ABC):
 
     @abstractmethod
     def check(self, problem: JointProblem, setup: Setup) -> None:
-        """Refuse, before anything is trained, what cannot be scored.
-
-        Raises:
-            InputError: There is nothing to score with.
-        """
+        """Refuse, before anything is trained, what there is nothing to score with."""
 
     @abstractmethod
     def score(self, problem: JointProblem, estimate: Estimate, setup: Setup) -> Score | None:

@@ -84,19 +84,6 @@ def test_parameters_that_are_wrong_are_put_right_with_honest_intervals() -> None
     assert held.parameters == []
 
 
-def test_masses_can_be_unknown() -> None:
-    true = small_chain("linear")
-    measurements = measured(true, snr_db=50.0, duration=24.0, samples=513)
-    wrong = true.with_parameters(m=true.parameters["m"] * 1.1)
-    uncertain = (Parameter("m", 1, 11.0, 2.0),)
-    mass = true.parameters["m"].clone()
-    mass[1] = 11.0
-    problem = Problem(wrong.with_parameters(m=mass), accelerations(measurements.record), uncertain)
-    (found,) = solved(problem).parameters
-    assert found.estimate == pytest.approx(10.0, rel=0.01)
-    assert found.name == "m_2"
-
-
 @pytest.mark.slow
 def test_bands_cover_the_truth() -> None:
     shares = {quantity: [] for quantity in QUANTITIES}

@@ -18,7 +18,7 @@ from vibrating_records import (
 )
 
 from pinn_cli.inspection.mode_report import ModesReport, mode_table
-from pinn_cli.inspection.modes import JoinedModes, ModalRecord, mac_table
+from pinn_cli.inspection.modes import JoinedModes, ModalRecord
 from pinn_cli.record.identification.lines import RecordMode, normalised
 from pinn_cli.record.identification.modes import Identified
 from pinn_cli.record.identification.subspace import assurance, stabilisation
@@ -63,30 +63,21 @@ def test_displacements_and_accelerations_have_one_shape():
     np.testing.assert_allclose(mixed.shapes.real, recorded(record).shapes.real, atol=0.1)
 
 
-@pytest.mark.slow
-def test_records_beside_each_other(building):
-    other = recorded(Measured(of_building(1).outputs[:, :2], np.zeros((30_000, 0)), 50.0, BUILDING), (1, 2))
-    table = mac_table([building, other])
-    assert table["record"].tolist() == [1, 1, 1, 2, 2, 2]
-    np.testing.assert_allclose(np.diag(table.iloc[:, 3:]), 1.0)
-    np.testing.assert_allclose([table.loc[i, f"record_2_mode_{i + 1}"] for i in range(3)], 1.0, atol=0.02)
-    elsewhere = recorded(Measured(of_building(1).outputs[:, :1], np.zeros((30_000, 0)), 50.0, BUILDING), (1,))
-    assert mac_table([building, elsewhere])["record_2_mode_1"].isna().all()
-
-
-@pytest.mark.parametrize("make", [of_hammer, of_multisine])
-def test_what_is_written_of_forced_records(make, tmp_path):
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (of_hammer, "what acts: force of DOF 1"),
+        (of_multisine, "what acts: force of DOF 1"),
+        (of_building_with_machines, "steady lines at 1, 2, 4.1, 7.3, "),
+    ],
+)
+def test_what_is_written_of_a_record(make, told, tmp_path):
     record = make(0)
     found = ModesReport([recorded(record)], None)
     found.write(tmp_path)
-    assert "what acts: force of DOF 1" in found.text()
+    assert told in found.text()
     assert len(pd.read_csv(tmp_path / "modes.csv")) == len(record.structure.frequency)
     assert (tmp_path / "figures" / "stabilisation.png").stat().st_size > 10_000
-
-
-def test_machines_are_named():
-    text = ModesReport([recorded(of_building_with_machines(1))], None).text()
-    assert "steady lines at 1, 2, 4.1, 7.3, " in text
 
 
 def test_the_command(pinn_run, tmp_path):
@@ -218,7 +209,8 @@ def roving(tmp_path_factory) -> list[str]:
 def test_files_of_sensors_that_rove(pinn_run, roving):
     """Files with a column in common are records of their own; the structure's modes are compared at all places."""
     columns = "data.acceleration={" + ", ".join(f"{p}: floor_{p}" for p in range(1, 6)) + "}"
-    w = (2.0 * np.pi * 1.2) ** 2 / np.linalg.eigvalsh(_stiffness())[0]
+    drift = np.eye(5) - np.eye(5, k=-1)
+    w = (2.0 * np.pi * 1.2) ** 2 / np.linalg.eigvalsh(drift.T @ np.diag([1.0, 1.1, 1.0, 0.9, 1.0]) @ drift)[0]
     structure = ["system=linear", "system.ndof=5", "system.m=1", "system.c=0.1",
                  f"system.k=[{w},{1.1 * w},{w},{0.9 * w},{w}]"]  # fmt: skip
     outcome = pinn_run("modes", *roving, columns, *structure).done()
@@ -233,8 +225,3 @@ def test_files_of_sensors_that_rove(pinn_run, roving):
         true = TALL.shapes[:, np.argmin(np.abs(TALL.frequency - f))]
         assert assurance(row[names].to_numpy(float)[None], true[None])[0, 0] > 0.98
     assert (outcome.directory / "figures" / "shapes.png").stat().st_size > 10_000
-
-
-def _stiffness() -> np.ndarray:
-    drift = np.eye(5) - np.eye(5, k=-1)
-    return drift.T @ np.diag([1.0, 1.1, 1.0, 0.9, 1.0]) @ drift

@@ -32,6 +32,7 @@ def test_densities_responses_and_coherences_are_those_of_scipy(spectra):
     options = {"fs": RATE, "window": "hann", "nperseg": length, "noverlap": length // 2, "detrend": "constant"}
     _, _, f = spectra.values.T
     frequency, of_force = welch(f, **options)
+    assert table["psd_force_5 [N^2/Hz]"].sum() * frequency[1] == pytest.approx(np.var(f), rel=0.1)
     np.testing.assert_allclose(table["frequency_hz"], frequency[1:])
     for i, (name, unit) in enumerate((("acceleration_5", "(m/s^2)"), ("displacement_5", "m"))):
         power, both = welch(spectra.values[:, i], **options)[1], csd(f, spectra.values[:, i], **options)[1]
@@ -44,12 +45,6 @@ def test_densities_responses_and_coherences_are_those_of_scipy(spectra):
         np.testing.assert_allclose((real + 1j * imag)[resonant], expected, atol=0.03 * np.abs(expected).max())
         coherence = np.abs(both[1:]) ** 2 / power[1:] / of_force[1:]
         np.testing.assert_allclose(table[f"coherence_{name}"][resonant], coherence[resonant], atol=0.05)
-
-
-def test_the_sum_of_a_density_is_the_variance(spectra):
-    table = spectra_table(spectra)
-    step = table["frequency_hz"][1] - table["frequency_hz"][0]
-    assert table["psd_force_5 [N^2/Hz]"].sum() * step == pytest.approx(np.var(spectra.values[:, 2]), rel=0.1)
 
 
 def test_columns_that_nobody_has_told_go_by_their_names():
@@ -76,19 +71,6 @@ def signals(record) -> list[Signal]:
 
 def found_in(columns: list[Signal], time: np.ndarray) -> list[RecordMode]:
     return list(ModalRecord.of(columns, time).modes)
-
-
-def test_intervals_hold_the_true_modes(chain):
-    """Of some 50 modes of ten records: 90 % intervals, which hold 75 % or more."""
-    inside = []
-    for seed in range(10):
-        record = chain.record(90.0, 100 + seed, snr_db=20.0)
-        for peak in found_in(signals(record), record[0]):
-            true = FREQUENCIES[np.argmin(np.abs(FREQUENCIES - peak.frequency))]
-            inside.append(abs(peak.frequency - true) < 1.645 * peak.frequency_std)
-            inside.append(abs(peak.damping - 0.02) < 1.645 * peak.damping_std)
-    assert len(inside) >= 90
-    assert 0.8 <= np.mean(inside) <= 0.97
 
 
 def test_two_forces_at_once(chain):
@@ -143,7 +125,7 @@ def told(chain, structure: Structure, **factors: float) -> list[str]:
     time, f, _, a = chain.record(60.0, 11)
     signals = [Signal("f", f, "force", "5")]
     signals += [Signal(f"a{i}", factors.get(f"a{i}", 1.0) * a[:, i - 1], "acceleration", str(i)) for i in (1, 3, 5)]
-    return contradictions(structure, signals, Sampling.of(time))
+    return contradictions(structure, signals, Sampling(time))
 
 
 @pytest.mark.parametrize(("factor", "word"), [(-1.0, "negative"), (1.0 / 9.80665, "1/9.80665")])
@@ -157,9 +139,5 @@ def test_a_mass_that_is_another_one(chain):
     assert told(chain, structure(chain)) == []
     (text,) = told(chain, structure(chain, m=[1.0, 1.0, 1.5, 1.0, 1.0]))
     assert "m_3" in text
-
-
-def test_sensors_whose_place_is_no_dof_are_left_out(chain):
-    time, _, _, a = chain.record(20.0, 1)
-    lost = [Signal("a", a[:, 0], "acceleration", "9"), Signal("b", a[:, 1], "acceleration", "")]
-    assert contradictions(structure(chain), lost, Sampling.of(time)) == []
+    lost = [Signal(name, np.sin(np.arange(500.0)), "acceleration", place) for name, place in (("a", "9"), ("b", ""))]
+    assert contradictions(structure(chain), lost, Sampling(np.arange(500) / RATE)) == []  # whose place is no DOF

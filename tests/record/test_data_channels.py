@@ -13,6 +13,7 @@ from pinn_cli.record.data_channels import DataChannel, data_channels
 from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.record.record import Record
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.quantities import MOTION
 
 STEP, ROWS = 0.01, 200
 TIME = np.round(STEP * np.arange(ROWS), 2)
@@ -46,17 +47,12 @@ def test_every_key(rig):
         ("storey", "brace"),
         roof={"sensor": "acceleration", "dof": "2", "column": "a1", "unit": "g"},
         u={"sensor": "displacement", "between": [2, 1], "unit": "mm"},
-        a2={"sensor": "connection_force", "connection": "brace", "unit": "kN"},
+        a2={"sensor": "connection_force", "connection": 2, "unit": "kN"},
         f={"sensor": "force", "dof": 3, "unit": "kN", "gain": "unknown", "delay": {"value": 0.01, "uncertainty": 0.02}},
     )
     np.testing.assert_allclose(record.acceleration[:, 1], 9.80665 * A1)
     drift, brace, force = record.calibrated
-    assert (drift.key, drift.quantity, drift.weights, drift.is_column) == (
-        "u",
-        "displacement",
-        {1: 1.0, 0: -1.0},
-        False,
-    )
+    assert (drift.key, drift.quantity, drift.weights, drift.is_column) == ("u", MOTION[0], {1: 1.0, 0: -1.0}, False)
     np.testing.assert_allclose(drift.measured, 1e-3 * U)
     assert (brace.quantity, brace.connection, brace.weights) == ("connection_force", 1, {})
     np.testing.assert_allclose(brace.measured, 1e3 * A2)
@@ -81,15 +77,10 @@ def test_short_and_long_form_are_the_same_record(rig):
     ("sensor", "unit", "factor"),
     [
         ("acceleration", "g", 9.80665),
-        ("acceleration", "mg", 9.80665e-3),
         ("ground_acceleration", "gal", 1e-2),
         ("acceleration", "cm/s^2", 1e-2),
-        ("velocity", "mm/s", 1e-3),
         ("displacement", "1e-6", 1e-6),
-        ("displacement", 1e-6, 1e-6),
         ("displacement", "in", 0.0254),
-        ("displacement", "m", 1.0),
-        ("force", "kN", 1e3),
         ("force", "lbf", 4.4482216152605),
         ("connection_force", "kN", 1e3),
     ],
@@ -104,19 +95,15 @@ def test_units(sensor, unit, factor):
     [
         ({"unit": "furlonk"}, "data.channels.x.unit=furlonk"),
         ({"unit": "mm"}, "mm measures [length], and the channel's sensor is one of acceleration"),
-        ({"unit": "kN"}, "kN measures [mass] * [length] / [time] ** 2"),
         ({"unit": "__import__('os')"}, "data.channels.x.unit=__import__('os')"),
-        ({"unit": 0}, "data.channels.x.unit=0"),
         ({"unit": True}, "data.channels.x.unit=True"),
         ({"sensor": "acelerometer"}, "data.channels.x.sensor=acelerometer: must be"),
-        ({"gian": "unknown"}, "data.channels.x.gian=unknown"),
         ({"gian": "unknown"}, "gain"),
         ({"high_pass": 0.0}, "data.channels.x.high_pass=0.0"),
         ({"high_pass": {"frequency": 0.5, "order": 3}}, "must be a corner in Hz, or {frequency: 0.5, order: 1 or 2}"),
         ({"sensor": "displacement", "high_pass": 1.0}, "data.channels.x.high_pass=1.0"),
         ({"sensor": "velocity", "tilt": "unknown"}, "data.channels.x.tilt=unknown"),
         ({"dof": 0}, "data.channels.x.dof=0"),
-        ({"dof": 1.5}, "data.channels.x.dof=1.5"),
         ({"dof": None}, "data.channels.x={}: must be one of dof, between, weights, support with"),
         ({"sensor": "ground_acceleration"}, "data.channels.x={dof: 1}: must be no dof, between"),
         (
@@ -125,21 +112,15 @@ def test_units(sensor, unit, factor):
         ),
         ({"sensor": "connection_force"}, "data.channels.x={dof: 1}: must be one of connection"),
         ({"between": [1, 2]}, "data.channels.x={dof: 1, between: [1, 2]}"),
-        ({"connection": "brace"}, "data.channels.x={dof: 1, connection: brace}"),
-        ({"dof": None, "between": [1]}, "data.channels.x.between=[1]"),
         ({"dof": None, "between": [1, 1]}, "data.channels.x.between=[1, 1]"),
-        ({"dof": None, "weights": {}}, "data.channels.x.weights={}"),
         ({"dof": None, "weights": {1: "a"}}, "data.channels.x.weights.1=a"),
-        ({"dof": None, "weights": {1: 0.0}}, "data.channels.x.weights.1=0.0"),
-        ({"dof": None, "weights": {1: 1.0, "1": 2.0}}, "data.channels.x.weights=1"),
+        ({"dof": None, "weights": {1: 0.0}}, "data.channels.x.weights={1: 0.0}"),
+        ({"dof": None, "weights": {1: 1.0, "1": 2.0}}, "data.channels.x.weights={1: 1.0, '1': 2.0}"),
         ({"dof": None, "support": "a"}, "data.channels.x.support=a"),
         ({"dof": None, "support": 1, "gain": "unknown"}, "data.channels.x.gain=unknown"),
         ({"column": 3}, "data.channels.x.column=3"),
         ({"gain": 0}, "data.channels.x.gain=0"),
-        ({"gain": "about 1"}, "data.channels.x.gain=about 1"),
-        ({"offset": {"value": 1}}, "data.channels.x.offset={'value': 1}"),
         ({"offset": {"value": 1, "uncertainty": -1}}, "data.channels.x.offset.uncertainty=-1"),
-        ({"delay": {"value": 1, "uncertainty": "a"}}, "data.channels.x.delay="),
         ({"drift": [1, 2]}, "data.channels.x.drift=[1, 2]"),
     ],
 )
@@ -176,11 +157,8 @@ def test_a_filter_has_a_corner_and_an_order(rig):
     (channel,) = record_of(rig, a1={**ROOF, **shown}, f={"sensor": "force", "dof": 2}).calibrated
     assert (channel.filter_order, channel.number("high_pass").unknown, channel.number("tilt").std) == (2, True, 2.0)
     (channel,) = record_of(rig, a1={**ROOF, "high_pass": 0.5}, f={"sensor": "force", "dof": 2}).calibrated
-    assert (channel.filter_order, channel.number("high_pass").value, channel.number("high_pass").is_known) == (
-        1,
-        0.5,
-        True,
-    )
+    corner = channel.number("high_pass")
+    assert (channel.filter_order, corner.value, corner.is_known) == (1, 0.5, True)
 
 
 def test_what_is_known_of_a_calibration_is_taken_out(rig):
@@ -189,16 +167,12 @@ def test_what_is_known_of_a_calibration_is_taken_out(rig):
     record = record_of(rig, u=shown)
     assert record.calibrated == ()
     np.testing.assert_allclose(record.displacement[:, 0], 1e-3 * (U - 0.5 + 0.1 * TIME) / 2.0, atol=1e-15)
+    later = measured(rig, {"u": shown}, start=0.5).measure(1).record  # its drift counts from the window's start
+    np.testing.assert_allclose(later.displacement[:, 0], record.displacement[50:, 0] - 1e-3 * 0.1 * 0.5 / 2.0)
     (late,) = record_of(rig, u={**shown, "delay": 0.02}).calibrated
     at, felt = late.corrected_samples()
     np.testing.assert_allclose(at, TIME - 0.02)
     np.testing.assert_allclose(felt, record.displacement[:, 0], atol=1e-15)
-
-
-def test_drift_counts_from_the_start_of_the_window(rig):
-    shown = {"sensor": "displacement", "dof": 1, "drift": 1.0}
-    record = measured(rig, {"u": shown}, start=0.5).measure(1).record
-    np.testing.assert_allclose(record.displacement[:, 0], U[50:] - (TIME[50:] - 0.5), atol=1e-12)
 
 
 def test_two_sensors_of_one_dof(rig):
@@ -208,13 +182,9 @@ def test_two_sensors_of_one_dof(rig):
     assert (second.key, second.fills, second.is_column) == ("a2", False, False)
     assert record.plain("acceleration").tolist() == record.sensors("acceleration").tolist()
     np.testing.assert_allclose(second.corrected_samples()[1], A2 / 1.1)
-
-
-def test_the_plain_sensor_of_a_dof_fills_its_column_whatever_the_order(rig):
-    record = record_of(rig, a1={**ROOF, "offset": "unknown"}, a2=ROOF)
+    record = record_of(rig, a1={**ROOF, "offset": "unknown"}, a2=ROOF)  # the plain one, whatever the order
     np.testing.assert_array_equal(record.acceleration[:, 1], A2)
-    (channel,) = record.calibrated
-    assert (channel.key, channel.fills) == ("a1", False)
+    assert [(channel.key, channel.fills) for channel in record.calibrated] == [("a1", False)]
 
 
 @pytest.mark.parametrize(
@@ -234,13 +204,6 @@ def test_the_plain_sensor_of_a_dof_fills_its_column_whatever_the_order(rig):
 )
 def test_what_does_not_fit_the_file_or_the_structure(rig, channels, expected):
     assert expected in refusal(record_of, rig, ("storey", "brace"), **channels)
-
-
-def test_a_connection_by_its_number(rig):
-    calibrated = record_of(
-        rig, ("storey", "brace"), a1=ROOF, f={"sensor": "connection_force", "connection": 2}
-    ).calibrated
-    assert calibrated[0].connection == 1
 
 
 def test_the_header_tells_the_unit_where_nobody_else_does():

@@ -13,7 +13,7 @@ from scipy.signal import welch
 from pinn_cli.record.excitation import banded_noise
 from pinn_cli.record.excitation.banded_noise import BandedNoise, sum_of_sinusoids
 from pinn_cli.record.excitation.excitation import Excitation
-from pinn_cli.record.excitation.ground_motion import Envelope, GroundMotion, RecordedMotion
+from pinn_cli.record.excitation.ground_motion import Envelope, GroundMotion
 from pinn_cli.record.excitation.impulse import Impulse
 from pinn_cli.record.excitation.sine_sweep import SineSweep
 from pinn_cli.settings.instantiation import build
@@ -92,30 +92,19 @@ def test_impulse_is_a_half_sine():
     ("setting", "excitation", "settings"),
     [
         ("excitation.dofs", BandedNoise, {**NOISE, "dofs": []}),
-        ("excitation.dofs", BandedNoise, {**NOISE, "dofs": [0]}),
         ("excitation.dofs", BandedNoise, {**NOISE, "dofs": [4]}),
         ("excitation.dofs", BandedNoise, {**NOISE, "dofs": [1, 1]}),
-        ("excitation.dofs", BandedNoise, {**NOISE, "dofs": 1}),
         ("excitation.dofs", SineSweep, {**SWEEP, "dofs": [1.5]}),
-        ("excitation.rms", BandedNoise, {**NOISE, "rms": 0.0}),
-        ("excitation.rms", BandedNoise, {**NOISE, "rms": math.nan}),
         ("excitation.rms", BandedNoise, {**NOISE, "rms": None}),
         ("excitation.rms", SineSweep, {**SWEEP, "rms": -1.0}),
         ("excitation.seed", BandedNoise, {**NOISE, "seed": -1}),
         ("excitation.phases", BandedNoise, {**NOISE, "phases": "zero"}),
         ("excitation.band", BandedNoise, {**NOISE, "band": [1.0, 0.05]}),
-        ("excitation.band", BandedNoise, {**NOISE, "band": [0.05]}),
-        ("excitation.band", BandedNoise, {**NOISE, "band": [0.05, math.inf]}),
         ("excitation.band", BandedNoise, {**NOISE, "band": [0.05, 34.2]}),
-        ("excitation.band", SineSweep, {**SWEEP, "band": [0.05, 34.2]}),
         ("excitation.band", SineSweep, {**SWEEP, "band": [0.0, 1.0], "law": "logarithmic"}),
         ("excitation.law", SineSweep, {**SWEEP, "law": "cubic"}),
-        ("excitation.peak", Impulse, {**PULSE, "peak": math.nan}),
-        ("excitation.width", Impulse, {**PULSE, "width": 0.0}),
         ("excitation.width", Impulse, {**PULSE, "width": 0.05}),
-        ("excitation.start", Impulse, {**PULSE, "start": -1.0}),
         ("excitation.start", Impulse, {**PULSE, "start": 59.6}),
-        ("simulation.duration", BandedNoise, {**NOISE, "duration": 0.0}),
         ("simulation.samples", Impulse, {**PULSE, "samples": 15}),
     ],
 )
@@ -143,15 +132,10 @@ def test_many_evenly_spaced_times_are_transformed(begin, samples, monkeypatch):
     monkeypatch.setattr(banded_noise, "ifft", lambda *x, **settings: transformed.append(1) or ifft(*x, **settings))
     np.testing.assert_allclose(sum_of_sinusoids(time, 60.0, bins, coefficients), expected, atol=1e-11)
     assert transformed
-
-
-@pytest.mark.parametrize("time", [np.arange(100) ** 1.01, 0.7 * np.arange(100), 2.0 * np.arange(100)])
-def test_other_times_are_not(time, monkeypatch):
-    """Uneven ones, those that do not fill a period, and those that are too far apart for the highest frequency."""
-    bins, coefficients = np.arange(3, 40), np.ones((37, 1))
-    expected = np.cos(2.0 * np.pi / 60.0 * np.outer(time, bins)).sum(axis=1, keepdims=True)
-    monkeypatch.setattr(banded_noise, "MANY_TERMS", 1)
-    np.testing.assert_allclose(sum_of_sinusoids(time, 60.0, bins, coefficients), expected, atol=1e-9)
+    # Uneven ones, those that do not fill a period, and those that are too far apart for the highest frequency, are not.
+    for other in (np.arange(100) ** 1.01, 0.7 * np.arange(100), 2.0 * np.arange(100)):
+        expected = np.cos(2.0 * np.pi / 60.0 * np.outer(other, bins)).sum(axis=1, keepdims=True)
+        np.testing.assert_allclose(sum_of_sinusoids(other, 60.0, bins, np.ones((len(bins), 1))), expected, atol=1e-9)
 
 
 GROUND_CONF = Path(__file__).parents[2] / "conf" / "excitation" / "ground_motion.yaml"
@@ -166,11 +150,13 @@ def clough_penzien(f: np.ndarray, fg: float, zg: float, ff: float, zf: float) ->
     return ground * w**4 / ((wf**2 - w**2) ** 2 + 4 * zf**2 * wf**2 * w**2)
 
 
-def test_the_config_lists_every_setting_and_nothing_else_acts():
+def test_the_config_lists_every_setting_and_no_force_acts_that_nobody_asked_for():
     motion = build(OmegaConf.load(GROUND_CONF), "excitation", **SPAN)
     assert np.max(np.abs(motion.ground(TIME))) == pytest.approx(3.0)
     assert not motion.force(TIME).any()
-    assert not motion.forced.any()
+    pushed = GroundMotion(**SPAN, force={"band": [0.5, 5.0], "rms": 100.0, "dofs": [3]})
+    assert np.std(pushed.force(TIME)[:, 2]) == pytest.approx(100.0, rel=0.01)
+    assert (motion.forced.tolist(), pushed.forced.tolist()) == ([False] * 3, [False, False, True])
 
 
 def test_filtered_noise_has_the_spectrum_of_clough_and_penzien():
@@ -199,23 +185,9 @@ def test_the_envelope_rises_stays_and_decays():
     a = GroundMotion(**SPAN, rms=2.0).ground(TIME)
     assert np.std(a[strong]) == pytest.approx(2.0, rel=0.25)
     assert np.std(a[late]) < 0.5
-
-
-def test_it_is_known_at_every_time_and_the_seed_tells_it():
-    motion = GroundMotion(**SPAN, peak=2.0, seed=5)
-    a = motion.ground(TIME)
-    assert np.max(np.abs(a)) == pytest.approx(2.0)
+    motion = GroundMotion(**SPAN, rms=2.0)  # known at every time, and its seed tells it
     np.testing.assert_allclose(a[1700:1703], motion.ground(TIME[1700:1703]), atol=1e-10)
-    np.testing.assert_array_equal(a, GroundMotion(**SPAN, peak=2.0, seed=5).ground(TIME))
-    assert not np.allclose(a, GroundMotion(**SPAN, peak=2.0, seed=6).ground(TIME))
-
-
-def test_a_force_may_act_as_well():
-    motion = GroundMotion(**SPAN, force={"band": [0.5, 5.0], "rms": 100.0, "dofs": [3]})
-    force = motion.force(TIME)
-    assert motion.forced.tolist() == [False, False, True]
-    assert np.std(force[:, 2]) == pytest.approx(100.0, rel=0.01)
-    assert motion.ground(TIME).any()
+    assert not np.allclose(a, GroundMotion(**SPAN, rms=2.0, seed=6).ground(TIME))
 
 
 def sinusoids(time: np.ndarray) -> np.ndarray:
@@ -244,6 +216,7 @@ def files(tmp_path) -> Path:
 def test_a_recorded_motion_is_known_between_its_samples(files, name, settings):
     motion = GroundMotion(**SPAN, path=name, base=files, **settings)
     np.testing.assert_allclose(motion.ground(TIME), sinusoids(TIME), atol=2e-7)
+    np.testing.assert_allclose(motion.ground(np.array([-5.0, 41.0, 500.0])), 0.0, atol=1e-8)  # at rest
     scaled = GroundMotion(**SPAN, path=str(files / name), peak=5.0, **settings).ground(TIME)
     assert np.max(np.abs(scaled)) == pytest.approx(5.0)
 
@@ -254,11 +227,6 @@ def test_a_header_that_says_g_is_told(files, caplog, settings, told):
     (files / "g.at2").write_text(text)
     GroundMotion(**SPAN, path=str(files / "g.at2"), **settings)
     assert ("g.at2 says that it is in g: excitation.scale=9.80665" in caplog.text) == told
-
-
-def test_the_ground_is_at_rest_outside_its_motion():
-    motion = RecordedMotion(0.1, sinusoids(0.1 * np.arange(401)))
-    np.testing.assert_allclose(motion(np.array([-5.0, 41.0, 60.0, 500.0])), 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["el_centro", "kobe", "morgan_hill"])
@@ -276,15 +244,10 @@ def test_people_s_records_are_read(shared, name):
         ("excitation.peak=-1", {"peak": -1}),
         ("excitation.path=5", {"path": 5}),
         ("excitation.rms=1.0", {"rms": 1.0, "peak": 2.0}),
-        ("excitation.ground_frequency=0", {"ground_frequency": 0}),
-        ("excitation.ground_damping=None", {"ground_damping": None}),
         ("excitation.high_pass=3", {"high_pass": 3}),
         ("excitation.highest=60", {"highest": 60}),
         ("excitation.highest=2.0", {"highest": 2}),
-        ("excitation.rise=-1", {"rise": -1}),
-        ("excitation.decay=0", {"decay": 0}),
         ("excitation.seed=0.5", {"seed": 0.5}),
-        ("excitation.force=5", {"force": 5}),
         ("excitation.force={'band': [0, 1]}", {"force": {"band": [0, 1]}}),
     ],
 )
@@ -298,14 +261,11 @@ def test_settings_that_cannot_be_used(expected, settings):
         ("excitation.path=", None, {}),
         ("excitation.step=None", "1\n2\n3\n", {}),
         ("excitation.step=0.1", "0,1\n1,2\n2,3\n", {"step": 0.1}),
-        ("excitation.step=0: must be", "1\n2\n", {"step": 0}),
         ("quake.txt, line 4 reads '0.3, x'", "t, a\n0.1, 1\n0.2, 2\n0.3, x\n", {}),
         ("quake.txt has none", "nothing\nhere\n", {}),
-        ("3 values", "0 1\n1 2\n2 3\n", {}),
         ("quake.txt, line 21: 20.5 s after 19 s", "".join(f"{t} 1\n" for t in range(20)) + "20.5 1\n22 2\n", {}),
-        ("a motion below 1e+30; it reaches 1e+300", "1e300\n" * 20, {"step": 0.1}),
-        ("must be a text file; it is a zip archive or a spreadsheet", "PK\x03\x04", {}),
-        ("all of them 0", "0\n" * 20, {"step": 0.1}),
+        ("to 1e+30; 20 values, the largest of them 1e+300", "1e300\n" * 20, {"step": 0.1}),
+        ("the largest of them 0", "0\n" * 20, {"step": 0.1}),
         ("excitation.scale=0", "1\n" * 20, {"step": 0.1, "scale": 0}),
     ],
 )

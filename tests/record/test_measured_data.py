@@ -1,7 +1,6 @@
 """Records from text: what goes where; of what is unusable one line with file, column and line, or with the setting."""
 
 import gzip
-import math
 import os
 import re
 from pathlib import Path
@@ -118,21 +117,14 @@ def test_a_gap_outside_the_window_is_no_matter(rig):
     assert (channel.key, len(channel.time)) == ("a1", 155)
 
 
-@pytest.mark.parametrize("decimals", [3, 4, 6])
-def test_times_printed_with_few_digits_are_uniform(rig, decimals):
+@pytest.mark.parametrize(("begin", "decimals"), [(0.0, 3), (0.0, 6), (1.7e9, 4)])
+def test_times_printed_with_few_digits_are_uniform(rig, begin, decimals):
     values = table()
-    values["t (s)"] = np.round(np.arange(ROWS) / 256.0, decimals)
+    values["t (s)"] = [f"{begin + row / 256.0:.{decimals}f}" for row in range(ROWS)]
     values.to_csv(rig / "rig.csv", index=False)
     record = read(rig).record
     assert record.sampling_rate == pytest.approx(256.0, rel=1e-3)
     assert np.ptp(np.diff(record.time)) < 1e-12
-
-
-def test_clock_times_are_uniform(rig):
-    values = table()
-    values["t (s)"] = [f"{1.7e9 + STEP * row:.2f}" for row in range(ROWS)]
-    values.to_csv(rig / "rig.csv", index=False)
-    assert read(rig, decimate=2).record.step == pytest.approx(2 * STEP, rel=1e-4)
 
 
 def test_dofs_may_come_as_text_and_a_missing_map_as_null(rig):
@@ -202,14 +194,12 @@ def with_cell(column: str, row: int, cell: object) -> pd.DataFrame:
         (plain().assign(a1=plain()["a1"] > 0), "rig.csv, column 'a1', line 2='True'"),
         (with_cell("a1", 5, "x" * 99), f"rig.csv, column 'a1', line 7='{'x' * 60}...': must be a finite number"),
         (plain() * [1e300, 1, 1, 1], "rig.csv, column 't', line 101=9.9e+299, its largest number"),
-        (plain() * [1, 1, 1e-300, 1], "rig.csv, column 'a1', line 2=1e-300, its largest number"),
         (with_cell("t", 3, ""), "rig.csv, column 't', line 5=empty or NaN"),
         (with_cell("t", 3, 0.02), "rig.csv, column 't', line 5=0.02"),
         (plain().assign(a2=np.nan), "data.acceleration.2='a2'"),
         (plain().drop(columns="a2"), "data.acceleration.2='a2'"),
         (plain().drop(columns="t"), "data.time='t'"),
         (plain()[:10], "data.start, data.stop=None, None"),
-        (plain()[:0], "data.start, data.stop=None, None"),
     ],
 )
 def test_a_table_that_cannot_be_used(tmp_path, values, expected):
@@ -227,22 +217,18 @@ def test_numbers_are_no_names(tmp_path, above):
     assert not message(tmp_path, time="0", force={1: "1"}, acceleration={1: "2", 2: "9"}).startswith("rig.csv, line 1")
 
 
-def test_a_blank_line_in_the_middle_is_a_gap_on_its_own_line(tmp_path):
-    lines = plain().to_csv(index=False).splitlines()
-    (tmp_path / "rig.csv").write_text("\n".join([*lines[:20], "", *lines[20:]]))
-    assert message(tmp_path).startswith("rig.csv, column 't', line 21=empty or NaN")
-
-
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
         (b"", "must be a readable file of comma-separated values"),
         (b"t,f,a1,a2\n1,2,3,4\n1,2,3,4,5,6\n", "line 3"),
+        (plain().to_csv(index=False).replace("\n0.2,", "\n\n0.2,").encode(), "column 't', line 22=empty or NaN"),
+        (b"t,f,a1,a2\n" + b"0,01,0,5,1,25,3,3\n" * 9, "first row of numbers=8 cells"),  # as of decimal commas
         (b"t;f;a1;a2\n0;1;2;3\n", "must be a window of at least 16 samples; rig.csv has 1 rows"),
         (b"t;f;a1\n0;1;2\n", "data.acceleration.2='a2'"),
-        (b"\xff\xfe\x00\xd8", "rig.csv, line 1=byte 0x00"),
-        (b"t,f,a1,a2\n0,1,2,\x81\n", "rig.csv, line 2=byte 0x81"),
-        (b"t,f,a1,a2\n0,1,\x00,2\n", "rig.csv, line 2=byte 0x00"),
+        (b"\xff\xfe\x00\xd8", "rig.csv: must be text in utf-16; "),
+        (b"t,f,a1,a2\n0,1,2,\x81\n", "rig.csv: must be text in utf-8 or cp1252"),
+        (b"t,f,a1,a2\n0,1,\x00,2\n", "rig.csv: must be text in utf-8 or cp1252"),
         (gzip.compress(b"t,f,a1,a2\n0,1,2,3\n" * 99, mtime=0)[:40], "must be a gzip file that is whole; damaged"),
         (b"PK\x03\x04 no more", "must be a text file; it is a zip archive or a spreadsheet (data=excel): unpack it"),
         (b"t,f,a1,a1,a2\n0,1,2,3,4\n", "data.acceleration.1='a1'"),
@@ -256,33 +242,19 @@ def test_a_file_that_is_no_csv(tmp_path, content, expected):
     assert expected in message(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["rig.csv.bz2", "rig.zip"])
-def test_a_packed_file_is_to_be_unpacked_whatever_is_in_it(tmp_path, name):
-    (tmp_path / name).write_bytes(b"hello")
-    assert message(tmp_path, path=name).startswith(f"data.path={tmp_path / name}: must be a text file; unpack it")
-
-
-def test_a_pipe_is_not_waited_for(tmp_path):
-    os.mkfifo(tmp_path / "rig.csv")
-    assert "it is a pipe or a device" in message(tmp_path)
+@pytest.mark.parametrize("path", ["nowhere\0.csv", "~nobody-of-that-name/rig.csv", "n" * 300, ".", "pipe", "none.csv"])
+def test_a_path_that_leads_to_no_file(tmp_path, path):
+    os.mkfifo(tmp_path / "pipe")  # which is not waited for
+    hint = {".": "; it is a folder", "pipe": "; it is a pipe or a device", "none.csv": "a file that exists"}
+    told = message(tmp_path, path=path)
+    assert told.startswith(f"data.path={tmp_path / path}: must be a ")
+    assert hint.get(path, "") in told
 
 
 def test_a_file_beyond_memory(tmp_path, monkeypatch):
     plain().to_csv(tmp_path / "rig.csv", index=False)
     monkeypatch.setattr("pinn_cli.record.files.on_disk.of_this_machine", lambda: 2**10)
     assert "must be a file of at most 5.96e-08 GiB" in message(tmp_path)
-
-
-@pytest.mark.parametrize("path", ["nowhere\0.csv", "~nobody-of-that-name/rig.csv", "n" * 300])
-def test_a_path_that_leads_nowhere(tmp_path, path):
-    assert message(tmp_path, path=path).startswith(f"data.path={tmp_path / path}: must be a ")
-
-
-def test_a_missing_file_is_named_with_the_folder_it_was_looked_for_in(tmp_path):
-    assert message(tmp_path).startswith(f"data.path={tmp_path / 'rig.csv'}: must be a file that exists")
-    assert message(tmp_path, path=str(tmp_path)).startswith(
-        f"data.path={tmp_path}: must be a readable file; it is a folder"
-    )
 
 
 @pytest.mark.parametrize(
@@ -292,24 +264,18 @@ def test_a_missing_file_is_named_with_the_folder_it_was_looked_for_in(tmp_path):
         ("data.time=", {"time": ""}),
         ("data.acceleration=3", {"ndof": 2, "acceleration": {1: "a1", 3: "a2"}}),
         ("data.force=0", {"force": {0: "f"}}),
-        ("data.velocity=one", {"velocity": {"one": "a2"}}),
         ("data.velocity=a2", {"velocity": "a2"}),
         ("data.velocity=1", {"velocity": {1: "v1", "1": "v2"}}),
         ("data.velocity.1=None", {"velocity": {1: None}}),
-        ("data.velocity.2=5", {"velocity": {2: 5}}),
         ("data.acceleration.2='a1'", {"acceleration": {1: "a1", 2: "a1"}}),
         ("data.displacement, data.velocity, data.acceleration={}", {"acceleration": {}}),
         ("data.holdout=3", {"holdout": [3]}),
         ("data.holdout=[1, 2]", {"holdout": [1, 2]}),
         ("data.holdout=2", {"holdout": 2}),
         ("data.start=0.5", {"start": 0.5, "stop": 0.5}),
-        ("data.start=nan", {"start": math.nan}),
         ("data.stop=end", {"stop": "end"}),
         ("data.start, data.stop=0.5, 0.6", {"start": 0.5, "stop": 0.6}),
-        ("data.start, data.stop=7.0, None", {"start": 7.0}),
-        ("data.start, data.stop=None, None", {"decimate": 10}),
         ("data.decimate=0", {"decimate": 0}),
-        ("data.decimate=2.5", {"decimate": 2.5}),
         ("data.decimate=2", {"decimate": 2, "intersample": "zero_order_hold"}),
         ("data.intersample=linear", {"intersample": "linear"}),
     ],
@@ -317,15 +283,6 @@ def test_a_missing_file_is_named_with_the_folder_it_was_looked_for_in(tmp_path):
 def test_a_setting_that_cannot_be_used(tmp_path, expected, changes):
     plain().to_csv(tmp_path / "rig.csv", index=False)
     assert re.match(re.escape(expected), message(tmp_path, **changes))
-
-
-def test_more_cells_than_names(tmp_path):
-    """As of a decimal comma: pandas alone would read 0,00 as two cells, and the next column from the second."""
-    lines = [f"0,{i:02d},0,5,1,25,{i},3" for i in range(100)]
-    (tmp_path / "rig.csv").write_text("\n".join(["t,f,a1,a2", *lines]) + "\n")
-    told = message(tmp_path)
-    assert told.startswith("rig.csv, first row of numbers=8 cells")
-    assert "decimal comma" in told
 
 
 @pytest.mark.parametrize("value", [0.0, -3.25])

@@ -41,6 +41,7 @@ def record(**changes) -> Record:
 def test_an_unknown_force_is_no_sensor_and_a_known_zero_is_none_either():
     it = record(force=columns(3), unforced=[False, False, False])
     assert it.sensors("force").tolist() == [False, False, True]
+    assert record(time=1.7e9 + 0.001 * np.arange(41)).step == pytest.approx(0.001, rel=1e-4)  # a clock since 1970
 
 
 def test_keep_blanks_every_other_response_sensor():
@@ -86,22 +87,20 @@ def half_filled() -> np.ndarray:
         ("time", {"time": TIME[:10], "velocity": columns(2)[:10]}),
         ("step", {"time": np.append(TIME[:-1], 3.01)}),
         ("grow", {"time": TIME[::-1]}),
-        ("finite", {"time": np.append(TIME[:-1], np.nan)}),
         ("velocity has shape", {"velocity": columns(2)[:, :2]}),
-        ("velocity has shape", {"velocity": columns(2)[:-1]}),
         ("acceleration must be finite throughout", {"acceleration": half_filled()}),
         ("unforced DOF must be 0", {"force": columns(1, 2, 3)}),
         ("intersample", {"intersample": "linear"}),
         ("no response sensor", {"velocity": columns(), "acceleration": columns()}),
+        ("ground_acceleration must be", {"ground_acceleration": np.zeros(40)}),
+        ("ground_acceleration must be", {"ground_acceleration": np.r_[np.nan, np.zeros(40)]}),
+        ("data.frame=fixed", {"frame": "fixed"}),
+        ("data.intersample", {"ground_acceleration": TIME, "intersample": "zero_order_hold"}),
     ],
 )
 def test_contradictions_are_refused(what, changes):
     with pytest.raises(ValueError, match=what):
         record(**changes)
-
-
-def test_clock_times_since_1970_pass():
-    assert record(time=1.7e9 + 0.001 * np.arange(41)).step == pytest.approx(0.001, rel=1e-4)
 
 
 STEP, ROWS = 0.02, 200
@@ -162,20 +161,6 @@ def test_a_sample_of_the_ground_may_be_missing(tmp_path):
         read(tmp_path, intersample="first_order_hold")
 
 
-@pytest.mark.parametrize(
-    ("match", "changes"),
-    [
-        ("ground_acceleration must be", {"ground_acceleration": np.zeros(ROWS - 1)}),
-        ("ground_acceleration must be", {"ground_acceleration": np.r_[np.nan, np.zeros(ROWS - 1)]}),
-        ("data.frame=fixed", {"frame": "fixed"}),
-        ("data.intersample", {"intersample": "zero_order_hold"}),
-    ],
-)
-def test_a_record_refuses_contradictions(quake, match, changes):
-    with pytest.raises(ValueError, match=match):
-        replace(read(quake), **changes)
-
-
 def test_straight_lines_between_its_samples_are_taken_out(tmp_path, caplog):
     rng = np.random.default_rng(0)
     time = np.arange(1001) * STEP
@@ -187,12 +172,8 @@ def test_straight_lines_between_its_samples_are_taken_out(tmp_path, caplog):
     np.testing.assert_allclose(found.ground_acceleration, held_by_lines(lines), rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(read(tmp_path, **left).ground_acceleration, lines)
     np.testing.assert_array_equal(found.acceleration[:, 2], np.cos(time))
-    assert not found.assumed
-
-
-def test_nobody_says_what_it_does_between_its_samples(quake):
-    assert read(quake).assumed
-    assert not read(quake, intersample="band_limited").assumed
+    pd.DataFrame({"t": time, "ground": np.sin(time), "roof": np.cos(time)}).to_csv(tmp_path / "quake.csv", index=False)
+    assert (found.assumed, read(tmp_path).assumed, read(tmp_path, **left).assumed) == (False, True, False)
 
 
 CLOCK = 2.0 + 0.01 * np.arange(400)
@@ -217,6 +198,9 @@ def test_what_is_known_is_taken_out():
     np.testing.assert_allclose(felt, motion(at), atol=1e-12)
     inside = CLOCK[CLOCK[-1] - 0.06 > CLOCK]
     np.testing.assert_allclose(channel.history(inside), motion(inside), atol=2e-4)
+    line = 5.0 + 3.0 * (CLOCK - CLOCK[0])
+    offset, drift = (unknown_calibration(kind, CLOCK, line, both=True) for kind in ("offset", "drift"))
+    assert (offset.value, drift.value) == (pytest.approx(5.0), pytest.approx(3.0))
 
 
 @pytest.mark.parametrize(
@@ -236,12 +220,6 @@ def test_what_it_feels(quantity, weights, fills, column, feels_one):
     assert channel.feels_one == feels_one
     assert channel.is_column == (column is not None)
     assert channel.place == (CALIBRATED if column is None else quantity, column or 0)
-
-
-def test_where_offset_and_drift_are_unknown_a_straight_line_says_where_they_start():
-    values = 5.0 + 3.0 * (CLOCK - CLOCK[0])
-    offset, drift = (unknown_calibration(kind, CLOCK, values, both=True) for kind in ("offset", "drift"))
-    assert (offset.value, drift.value) == (pytest.approx(5.0), pytest.approx(3.0))
 
 
 def test_a_search_may_start_elsewhere_where_a_number_is_unknown_and_nowhere_else():
@@ -269,13 +247,6 @@ def test_a_late_sensor_shows_what_it_felt_between_its_samples(delay):
     np.testing.assert_allclose(shown[10:-10], felt[10:-10], atol=2e-3)
 
 
-def test_between_uneven_samples_there_are_straight_lines():
-    time = np.delete(0.01 * np.arange(50), range(20, 30))
-    channel = Channel("a", "acceleration", {0: 1.0}, time, time**2)
-    assert channel.even_step is None
-    np.testing.assert_allclose(channel.history(np.array([0.245])), np.interp(0.245, time, time**2))
-
-
 def test_the_longest_even_run_stands_for_a_channel_with_gaps():
     time = 2.0 + 0.01 * np.arange(1000)
     values = np.arange(1000.0)
@@ -288,13 +259,11 @@ def test_the_longest_even_run_stands_for_a_channel_with_gaps():
     np.testing.assert_array_equal(found, values[600:])
     assert step == pytest.approx(0.01)
     assert run(np.random.default_rng(0).random(1000) < 0.5) is None
+    uneven = Channel("a", "acceleration", {0: 1.0}, time[gap], values[gap])
+    assert uneven.even_step is None
+    np.testing.assert_allclose(uneven.history(np.array([6.5])), 450.0)  # along a straight line
+    # A double tells times of today to 2.4e-7 s, which is 5 % of a step at 200 kHz.
+    since_1970 = Channel("a", "acceleration", {0: 1.0}, 1.7e9 + 5e-6 * np.arange(1000), values).even_run
+    assert (len(since_1970[0]), since_1970[1]) == (1000, pytest.approx(5e-6, rel=1e-3))
     # All of them where none is missing, however few.
     np.testing.assert_array_equal(run(np.arange(1000) < 20)[0], values[:20])
-
-
-def test_samples_of_a_clock_since_1970_are_even_up_to_its_rounding():
-    """A double tells times of today to 2.4e-7 s, which is 5 % of a step at 200 kHz."""
-    time = 1.7e9 + 5e-6 * np.arange(1000)
-    run, step = Channel("a1", "acceleration", {0: 1.0}, time, motion(time)).even_run
-    assert len(run) == 1000
-    assert step == pytest.approx(5e-6, rel=1e-3)

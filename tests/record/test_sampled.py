@@ -69,6 +69,7 @@ def test_jitter_leaves_every_sample_at_its_own_time(tmp_path, caplog, jitter):
     assert (record.time[0], record.time[-1]) == (time[0], time[-1])
     assert np.ptp(np.diff(record.time)) < 1e-12
     np.testing.assert_allclose(record.acceleration[:, 0], np.cos(7 * record.time), atol=5e-3)
+    assert refusal(read, tmp_path, table(time), holdout=[2]).startswith("data.holdout=[2]")
 
 
 def test_several_files_whose_rates_do_not_divide_each_other(tmp_path):
@@ -113,12 +114,6 @@ def test_a_channel_with_too_few_samples_or_one_value_is_refused(tmp_path):
     assert read(tmp_path, table().assign(f=0.0)).calibrated == ()
 
 
-def test_what_is_held_out_at_uneven_times_scores_nothing(tmp_path):
-    time = TIME + 0.4 * STEP * np.random.default_rng(1).uniform(-1.0, 1.0, ROWS)
-    told = refusal(read, tmp_path, table(time), holdout=[2])
-    assert told.startswith("data.holdout=[2]")
-
-
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -139,7 +134,7 @@ def tried(validation, **settings):
     return seen[0], held.read(seen, 2)
 
 
-def test_the_file_s_end_is_taken_from_the_estimator(folder):
+def test_a_segment_is_taken_from_the_estimator(folder):
     seen, found = tried({"start": 30.0})
     assert seen.time[[0, -1]] == pytest.approx([0.0, 29.9])
     assert found.record.time[-1] == pytest.approx(40.0)
@@ -148,18 +143,11 @@ def test_the_file_s_end_is_taken_from_the_estimator(folder):
     assert found.record.time[0] == seen.time[found.begins]
     assert 28.0 < found.record.time[0] < 29.9
     np.testing.assert_allclose(found.record.acceleration[:, 0], np.cos(found.record.time))
-
-
-def test_the_file_s_beginning_is_taken_from_the_estimator(folder):
-    seen, found = tried({"stop": 10.0})
+    seen, found = tried({"stop": 10.0})  # the file's beginning
     assert seen.time[[0, -1]] == pytest.approx([10.1, 40.0])
-    assert found.begins is None
-    assert found.first == 0
+    assert (found.begins, found.first) == (None, 0)
     assert found.record.time[[0, -1]] == pytest.approx([0.0, 10.0])
-
-
-def test_windows_that_the_user_gives_stay(folder):
-    seen, found = tried({"start": 30.0, "stop": 35.0, "settle": 1.0}, stop=20.0)
+    seen, found = tried({"start": 30.0, "stop": 35.0, "settle": 1.0}, stop=20.0)  # what the user gives stays
     assert seen.time[-1] == pytest.approx(20.0)
     assert found.record.time[[found.first, -1]] == pytest.approx([31.0, 35.0])
     assert found.record.time[0] < 20.0  # the force in between is followed
@@ -235,8 +223,5 @@ def test_a_segment_between_two_parts_of_one_file(folder):
     assert [record.time[0] for record in seen] == pytest.approx([20.0, 0.0, 6.0])
     with pytest.raises(InputError, match="outside of what the estimator sees"):
         among({"start": 12.0, "stop": 18.0}, {"start": 20.0}, {"start": 6.0, "stop": 15.0})
-
-
-def test_a_segment_of_nobody_knows_which_file(folder):
     with pytest.raises(InputError, match=r"data\.validation\.path=None: must be the file"):
         among({"start": 30.0}, {}, {"path": "b.csv"})

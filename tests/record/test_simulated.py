@@ -1,6 +1,5 @@
 """Simulated records: noise and its seeds, repeated measurements, what the record says; and the paper's own signals."""
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -97,17 +96,13 @@ def test_shared_streams_are_shared_by_neighbours():
         np.testing.assert_allclose(unit[1, :, 2], drawn, atol=1e-9)
 
 
-def test_one_repeat_and_a_sensor_that_is_not_there_scatter_nothing():
-    seen, scatter = Noise(20.0).measured(response())
-    assert scatter is None
-    blind = replace(seen, velocity=np.where([False, True, False], np.nan, seen.velocity))
-    np.testing.assert_array_equal(np.isnan(averaged([blind, blind])[1].noise_of_mean("velocity")), [0, 1, 0])
-
-
 @pytest.mark.parametrize("repeats", [2, 5, 20])
 def test_the_noise_of_the_mean(repeats):
     """Told by the scatter, found in the mean itself, and sigma / sqrt(R)."""
     mean, scatter = Noise(10.0, seed=1, repeats=repeats).measured(response())
+    assert Noise(20.0).measured(response())[1] is None
+    blind = replace(mean, velocity=np.where([False, True, False], np.nan, mean.velocity))
+    np.testing.assert_array_equal(np.isnan(averaged([blind, blind])[1].noise_of_mean("velocity")), [0, 1, 0])
     for quantity in QUANTITIES:
         clean = getattr(response(), quantity)
         noisy = clean.any(axis=0)
@@ -156,17 +151,12 @@ def test_a_record_of_repeats_is_their_mean_and_knows_their_scatter():
 @pytest.mark.parametrize(
     ("setting", "settings"),
     [
-        ("noise.snr_db", {"snr_db": math.inf}),
         ("noise.snr_db", {"snr_db": "50 dB"}),
-        ("noise.snr_db", {"snr_db": True}),
         ("seed", {"seed": -1}),
-        ("seed", {"seed": None}),
         ("noise.seeds", {"seeds": {"force": 1}}),
         ("noise.seeds", {"seeds": {**SEEDS, "strain": 5}}),
-        ("noise.seeds", {"seeds": 43810}),
         ("noise.seeds.force", {"seeds": {**SEEDS, "force": 0.5}}),
         ("noise.repeats", {"snr_db": 20.0, "repeats": 0}),
-        ("noise.repeats", {"snr_db": 20.0, "repeats": 2.5}),
         ("noise.repeats", {"repeats": 5}),
         ("noise.repeat_streams", {"snr_db": 20.0, "repeats": 5, "repeat_streams": "same"}),
         ("noise.repeat_streams", {"snr_db": 20.0, "repeats": 5, "repeat_streams": "shared"}),

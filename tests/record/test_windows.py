@@ -30,16 +30,14 @@ def test_windows_hand_over_where_the_next_one_begins():
     np.testing.assert_allclose([(w.start, w.stop) for w in found], [(5.0, 17.0), (15.0, 27.0), (25.0, 35.0)])
     assert [w.hand_over for w in found] == [pytest.approx(15.0), pytest.approx(25.0), None]
     assert found[1].name == "window 2 (15 to 27 s)"
-
-
-def test_a_record_that_ends_with_a_window():
-    found = windows(22.0, 12.0, 2.0)
+    found = windows(22.0, 12.0, 2.0)  # the record ends with a window
     np.testing.assert_allclose([(w.start, w.stop) for w in found], [(0.0, 12.0), (10.0, 22.0)])
     assert [w.hand_over for w in found] == [pytest.approx(10.0), None]
-
-
-def test_a_record_shorter_than_a_window_is_one():
     assert windows(5.0, 12.0, 2.0) == [Window(1, 0.0, 5.0)]
+    grid = Grid.of(12.0, None, np.round(np.arange(4000) / 30.0, 3))  # whose median step of 0.033 s is 1 % off
+    assert (grid.step, grid.overlap) == (pytest.approx(1.0 / 30.0, rel=1e-4), 60)
+    assert not grid.is_reached(grid.window(1), 12.0 - grid.step)
+    assert grid.is_reached(grid.window(1), 12.0 - 1e-9)
 
 
 def test_what_is_too_little_for_a_window_is_left_out():
@@ -48,35 +46,25 @@ def test_what_is_too_little_for_a_window_is_left_out():
     np.testing.assert_allclose([w.stop for w in windows(24.2, 12.0, 2.0)], [12.0, 22.0, 24.2])
 
 
-def test_an_overlap_that_nobody_gave():
-    assert Grid.of(12.0, None, np.arange(1000) * STEP).overlap == round(2.0 / STEP)
-
-
-def test_a_window_is_there_when_its_last_sample_is():
-    grid = Grid(0.0, STEP, 600, 100)
-    window = grid.window(1)
-    assert not grid.is_reached(window, 12.0 - STEP)
-    assert grid.is_reached(window, 12.0 - 1e-9)
-
-
 @pytest.mark.parametrize(
     ("window", "overlap", "told"),
-    [(0, None, "data.window=0"), ("a", None, "data.window"), (10, 6, "data.overlap=6"), (10, -1, "data.overlap=-1")],
+    [
+        (0, None, "data.window=0"),
+        (0.2, 0.0, "data.window=0.2"),
+        ("a", None, "data.window"),
+        (10, 6, "data.overlap=6"),
+        (10, -1, "data.overlap=-1"),
+    ],
 )
 def test_lengths_that_are_none(window, overlap, told):
     with pytest.raises(InputError, match=told):
-        checked_lengths(window, overlap)
+        windows(30.0, *checked_lengths(window, overlap))
 
 
-def test_windows_of_too_few_samples():
-    with pytest.raises(InputError, match=r"data.window=0.2"):
-        windows(30.0, 0.2, 0.0)
-
-
-def test_times_that_are_printed_with_few_digits():
-    """A median step of 0.033 s would put the end of the hundredth window three seconds off."""
-    time = np.round(np.arange(4000) / 30.0, 3)
-    assert Grid.of(12.0, 2.0, time).step == pytest.approx(1.0 / 30.0, rel=1e-4)
+@pytest.mark.parametrize("setting", ["poll", "until_idle"])
+def test_patience_is_a_number_of_seconds(setting):
+    with pytest.raises(InputError, match=f"follow.{setting}=0"):
+        Patience(**{setting: 0})
 
 
 SAMPLING, CHAIN = 0.1, build_chain(1, Linear(), m=1.0, c=0.1, k=10.0)
@@ -119,21 +107,11 @@ def test_each_is_there_once_and_the_same_however_it_grows(tmp_path, at_once):
     for number, _, _, values in found:
         first = 80 * (number - 1)
         np.testing.assert_allclose(values, np.sin(np.arange(first, first + len(values))), atol=1e-8)
-
-
-def test_it_goes_on_with_the_next_one(tmp_path):
-    rig = Rig(tmp_path / "a.csv", 263, 1000)
-    whole = followed(rig.windows())
-    later = followed(rig.windows(), done=2)
-    assert [n for n, *_ in later] == [3, 4]
-    np.testing.assert_array_equal(whole[2][3], later[0][3])
-
-
-def test_what_stands_before_a_window_is_forgotten(tmp_path):
-    rig = Rig(tmp_path / "a.csv", 263, 1000)
     windows = rig.windows()
-    followed(windows)
-    assert len(windows.arriving.time) < 30
+    later = followed(windows, done=2)  # it goes on with the next one
+    assert [n for n, *_ in later] == [3, 4]
+    np.testing.assert_array_equal(found[2][3], later[0][3])
+    assert len(windows.arriving.time) < 30  # what stands before a window is forgotten
 
 
 def test_it_ends_where_data_stop_says(tmp_path):
@@ -141,19 +119,10 @@ def test_it_ends_where_data_stop_says(tmp_path):
     found = followed(rig.windows(start=3.0, stop=20.0))
     assert [(n, pytest.approx(a), pytest.approx(b)) for n, a, b, _ in found] == [(1, 3.0, 13.0), (2, 11.0, 20.0)]
     assert rig.written < 400
-
-
-def test_nothing_comes(tmp_path):
-    rig = Rig(tmp_path / "a.csv", 0, 1)
+    rig = Rig(tmp_path / "b.csv", 0, 1)
     with pytest.raises(InputError, match="nothing has come"):
         followed(rig.windows())
     assert rig.clock == 5.0
-
-
-@pytest.mark.parametrize("setting", ["poll", "until_idle"])
-def test_patience_is_a_number_of_seconds(setting):
-    with pytest.raises(InputError, match=f"follow.{setting}=0"):
-        Patience(**{setting: 0})
 
 
 WANTED = {"data.acceleration.1": "a"}
@@ -215,6 +184,12 @@ def test_what_is_forgotten_leaves_the_rest_as_it_was(tmp_path):
     assert came.table.columns["a"][0] == 10.5
     with pytest.raises(InputError, match="wrong"):
         came.table.numbers("a")
+    path.write_text("t,a,note\n" + rows(0, 3))
+    with pytest.raises(InputError, match="shorter than it was"):
+        came.read()
+    path.write_text("t,b,note\n" + rows(0, 6))
+    with pytest.raises(InputError, match=r"data.acceleration.1='a'"):
+        arriving(path).read()
 
 
 def test_dates_count_from_the_first_and_marks_are_gaps(tmp_path):
@@ -225,22 +200,6 @@ def test_dates_count_from_the_first_and_marks_are_gaps(tmp_path):
     came.read()
     np.testing.assert_array_equal(came.clock.time, np.arange(8.0))
     assert np.flatnonzero(np.isnan(came.table.columns["a"])).tolist() == [6]
-
-
-def test_a_column_that_there_is_not_is_told_at_once(tmp_path):
-    append(tmp_path / "a.csv", "t,b,note\n" + rows(0, 6))
-    with pytest.raises(InputError, match=r"data.acceleration.1='a'"):
-        arriving(tmp_path / "a.csv").read()
-
-
-def test_a_file_that_begins_anew_is_told(tmp_path):
-    path = tmp_path / "a.csv"
-    append(path, "t,a,note\n" + rows(0, 30))
-    came = arriving(path)
-    came.read()
-    path.write_text("t,a,note\n" + rows(0, 3))
-    with pytest.raises(InputError, match="shorter than it was"):
-        came.read()
 
 
 def test_files_of_a_folder_in_the_order_of_their_names(tmp_path):

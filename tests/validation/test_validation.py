@@ -12,7 +12,6 @@ from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.channel import Channel
-from pinn_cli.record.channels import channels
 from pinn_cli.record.record import Measurements, Truth
 from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.record.simulated import Simulated
@@ -210,17 +209,9 @@ def test_the_evidence_prefers_the_right_model(pinn_run: PinnRun, monkeypatch: py
 NOISE, SAMPLES = 0.1, 200_000
 
 
-@pytest.fixture
-def response() -> np.ndarray:
-    return np.random.default_rng(0).normal(size=SAMPLES)
-
-
-@pytest.fixture
-def shown(response: np.ndarray) -> np.ndarray:
-    return response + NOISE * np.random.default_rng(1).normal(size=SAMPLES)
-
-
-def test_the_truth_scores_nothing_and_the_right_spread_best(response: np.ndarray, shown: np.ndarray) -> None:
+def test_the_truth_scores_nothing_and_the_right_spread_best() -> None:
+    response = np.random.default_rng(0).normal(size=SAMPLES)
+    shown = response + NOISE * np.random.default_rng(1).normal(size=SAMPLES)
     agreement = compared(shown, response, np.zeros(SAMPLES), NOISE)
     assert agreement["score"] == pytest.approx(0.0, abs=0.01)
     assert agreement["standardised_error_rms"] == pytest.approx(1.0, abs=0.01)
@@ -237,15 +228,12 @@ def test_the_truth_scores_nothing_and_the_right_spread_best(response: np.ndarray
     assert np.isnan(compared(shown, np.full(SAMPLES, np.nan), np.zeros(SAMPLES), NOISE)["score"])
 
 
-def channel(record, dof):
-    return next(c for c in channels(record, ["acceleration"]) if c.dof == dof)
-
-
 def test_the_noise_is_that_of_the_channel() -> None:
     structure = small_chain()
     noisy, clean = (measured(structure, snr_db=snr).record for snr in (20.0, None))
     for dof in np.flatnonzero(noisy.sensors("acceleration")):
         true = float(np.std(noisy.acceleration[:, dof] - clean.acceleration[:, dof]))
-        assert channel_noise(noisy, channel(noisy, dof)) == pytest.approx(true, rel=0.3)
+        of_noisy, of_clean = (record.column("acceleration", int(dof)) for record in (noisy, clean))
+        assert channel_noise(noisy, of_noisy) == pytest.approx(true, rel=0.3)
         rms = float(np.sqrt(np.mean(clean.acceleration[:, dof] ** 2)))
-        assert 1e-6 * rms <= channel_noise(clean, channel(clean, dof)) < 0.01 * rms
+        assert 1e-6 * rms <= channel_noise(clean, of_clean) < 0.01 * rms

@@ -61,7 +61,10 @@ class BandedNoise(Excitation):
         self.seed = whole_number("excitation.seed", seed, most=most)
         self.period = self.duration * (samples / (samples - 1) if phases == "authors" else 1.0)
         self.bins = self._bins_in_band()
-        self.amplitude = self._amplitude(rms)
+        if rms is None and phases == "authors":
+            self.amplitude = 2.0 * AUTHORS_AMPLITUDE / samples
+        else:
+            self.amplitude = positive_number("excitation.rms", rms) * math.sqrt(2.0 / len(self.bins))
         self._coefficients = self.amplitude * np.exp(1j * self._phases())  # (bins, dofs)
 
     def signals(self, time: np.ndarray) -> np.ndarray:
@@ -82,11 +85,6 @@ class BandedNoise(Excitation):
             raise InputError("excitation.band", list(self.band), allowed, hint)
         return np.asarray(bins)
 
-    def _amplitude(self, rms: float | None) -> float:
-        if rms is None and self.phases == "authors":
-            return 2.0 * AUTHORS_AMPLITUDE / self.samples
-        return positive_number("excitation.rms", rms) * math.sqrt(2.0 / len(self.bins))
-
     def _phases(self) -> np.ndarray:
         """(bins, dofs), rad."""
         if self.phases == "authors":
@@ -98,13 +96,9 @@ class BandedNoise(Excitation):
 
 
 def sum_of_sinusoids(time: np.ndarray, period: float, bins: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-    """Re sum_k c_k exp(2 pi i k t / P), (M, columns).
+    """Re sum_k c_k exp(2 pi i k t / P), (M, columns), at times (M,), s, of a period P, s.
 
-    Args:
-        time: (M,), s.
-        period: P, s.
-        bins: (K,), whole numbers k, one after the other without gaps.
-        coefficients: (K, columns), complex: amplitude and phase.
+    Bins k (K,) are whole numbers without gaps; coefficients (K, columns) hold amplitude and phase.
     """
     # With w = exp(2 pi i t / P) the sum is the real part of a polynomial in w. Horner's scheme needs no array of
     # (time, bins) and takes a tenth of the cosines' time, but loops over the bins: at few times, form the powers.

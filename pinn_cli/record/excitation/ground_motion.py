@@ -98,7 +98,12 @@ class GroundMotion(Excitation):
         motion: FilteredNoise | RecordedMotion
         if path is None:
             spectrum = Spectrum(ground_frequency, ground_damping, high_pass, high_pass_damping)
-            highest = DEFAULT_HIGHEST * self.nyquist if highest is None else self._checked_highest(highest)
+            highest = (
+                DEFAULT_HIGHEST * self.nyquist if highest is None else positive_number("excitation.highest", highest)
+            )
+            if highest > self.nyquist:
+                allowed = f"at most the Nyquist frequency of the record, {self.nyquist:.4g} Hz"
+                raise InputError("excitation.highest", highest, allowed, "take more simulation.samples")
             motion = FilteredNoise(self.duration, highest, spectrum, Envelope(rise, strong, decay), seed)
             unscaled, strength = DEFAULT_PEAK if rms is None else None, 1.0
         else:
@@ -121,12 +126,6 @@ class GroundMotion(Excitation):
         """See :meth:`Excitation.signals`."""
         return np.zeros((len(time), 0)) if self.acting is None else self.acting.signals(time)
 
-    def _checked_highest(self, highest: float) -> float:
-        if positive_number("excitation.highest", highest) > self.nyquist:
-            allowed = f"at most the Nyquist frequency of the record, {self.nyquist:.4g} Hz"
-            raise InputError("excitation.highest", highest, allowed, "take more simulation.samples")
-        return float(highest)
-
     def _factor(self, scale: float, peak: float | None, rms: float | None, strength: float) -> float:
         """By which the motion is multiplied."""
         if finite_number("excitation.scale", scale) == 0.0:
@@ -140,20 +139,12 @@ class GroundMotion(Excitation):
 
     def _tell_differences(self, motion: RecordedMotion, path: str) -> None:
         """What of a recorded motion the record has not, or the other way round."""
-        name = Path(path).name
-        if motion.duration > self.duration:
-            log.info(
-                "%s lasts %.4g s; simulation.duration=%.4g uses its beginning", name, motion.duration, self.duration
-            )
-        elif motion.duration < self.duration:
-            log.info("%s lasts %.4g s; the ground is at rest after that", name, motion.duration)
-        above = motion.power_above(self.nyquist)
+        name, above = Path(path).name, motion.power_above(self.nyquist)
+        if motion.duration != self.duration:
+            log.info("%s lasts %.4g s, simulation.duration=%.4g", name, motion.duration, self.duration)
         if above > TOLD_POWER:
-            log.warning(
-                "%.2g %% of the power of %s lies above the Nyquist frequency of the record, %.4g Hz: it is aliased; "
-                "take more simulation.samples",
-                100.0 * above, name, self.nyquist,
-            )  # fmt: skip
+            text = "%.2g %% of the power of %s lies above the record's Nyquist frequency: take more simulation.samples"
+            log.warning(text, 100.0 * above, name)
 
 
 def _acting(force: Mapping[str, Any], ndof: int, duration: float, samples: int) -> BandedNoise:
@@ -314,50 +305,44 @@ class RecordedMotion:
         from pinn_cli.record.files.csv import rate_above  # not above: pandas takes a while
 
         header, rows = _rows(path)
-        rate = rate_above(header, ".")
-        widths = {len(row) for row in rows}
-        columns = np.array(rows) if widths == {2} else None
-        has_times = columns is not None and bool(np.all(np.diff(columns[:, 0]) > 0))
-        if step is not None:
-            if has_times:
+        rate, values = rate_above(header, "."), np.concatenate(rows)
+        pairs = np.array(rows) if {len(row) for row in rows} == {2} else None
+        if pairs is not None and bool(np.all(np.diff(pairs[:, 0]) > 0)):
+            if step is not None:
                 raise InputError("excitation.step", step, "null", f"{path.name} has times of its own")
-            values, step = np.concatenate([np.array(row) for row in rows]), positive_number("excitation.step", step)
-        elif columns is not None and has_times:
-            values, step = columns[:, 1], _uniform_step(path, columns[:, 0], len(header) + 1)
+            values, step = pairs[:, 1], _uniform_step(path, pairs[:, 0], len(header) + 1)
+        elif step is not None:
+            step = positive_number("excitation.step", step)
         elif rate is not None:  # PEER's: NPTS= 4000, DT= .0100 SEC
-            values, step = np.concatenate([np.array(row) for row in rows]), 1.0 / rate
+            step = 1.0 / rate
         else:
-            allowed = "given, the time between two values in s"
             hint = f"{path.name} has no two columns, growing time and acceleration"
-            raise InputError("excitation.step", None, allowed, hint)
-        if len(values) < MINIMUM_SAMPLES or not values.any():
-            content = f"{len(values)} values" + ("" if values.any() else ", all of them 0")
-            raise InputError(MOTION_SETTING, path, f"a motion of {MINIMUM_SAMPLES} values or more", content)
-        if (largest := float(np.abs(values).max())) > LARGEST:
-            raise InputError(MOTION_SETTING, path, f"a motion below {LARGEST:g}", f"it reaches {largest:g}")
+            raise InputError("excitation.step", None, "given, the time between two values in s", hint)
+        if len(values) < MINIMUM_SAMPLES or not values.any() or np.abs(values).max() > LARGEST:
+            content = f"{len(values)} values, the largest of them {np.abs(values).max():g}"
+            raise InputError(
+                MOTION_SETTING, path, f"{MINIMUM_SAMPLES} values or more, not all 0, to {LARGEST:g}", content
+            )
         return cls(step, values, in_g=re.search(r"units? (?:of|in) g\b", " ".join(header), re.IGNORECASE) is not None)
 
 
 def _rows(path: Path) -> tuple[list[str], list[list[float]]]:
     """The lines of the header, and the numbers of every line after it."""
     lines = read_text(path, MOTION_SETTING).splitlines()
-    rows: list[list[float]] = []
-    first = 0
+    rows: dict[int, list[float]] = {}
     for number, line in enumerate(lines, start=1):
         try:
             row = [float(cell) for cell in _SEPARATOR.split(line.strip()) if cell]
         except ValueError:
             row = [np.nan]
-        if not np.isfinite(row).all():
-            if rows:
-                hint = f"{path.name}, line {number} reads {line.strip()[:SHOWN]!r}"
-                raise InputError(MOTION_SETTING, path, "a file of finite numbers", hint)
-        elif row:
-            first = first or number
-            rows.append(row)
+        if np.isfinite(row).all():
+            rows |= {number: row} if row else {}
+        elif rows:
+            hint = f"{path.name}, line {number} reads {line.strip()[:SHOWN]!r}"
+            raise InputError(MOTION_SETTING, path, "a file of finite numbers", hint)
     if not rows:
         raise InputError(MOTION_SETTING, path, "a file of numbers", f"{path.name} has none")
-    return lines[: first - 1], rows
+    return lines[: min(rows) - 1], list(rows.values())
 
 
 def _uniform_step(path: Path, time: np.ndarray, first: int) -> float:

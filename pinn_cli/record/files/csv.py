@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from io import StringIO
 from itertools import islice, zip_longest
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -103,57 +102,43 @@ class CsvFormat(FileFormat):
     def _columns(self, path: Path, text: str, lines: Sequence[str], wanted: Mapping[str, str] | None) -> Table:
         """The columns of a text, from all of it and from its first lines, down to the names and beyond."""
         heading = self._heading(lines)
-        if heading.width < 2 and heading.numbers and not all(map(_is_number, heading.numbers[0])):
-            reason = f"one history whose numbers fill its lines? Write one number a line; {_NAMES_LINE}"
-            reason += "; an earthquake to simulate is read as it is by excitation.path"
-            raise InputError("data.path", path, "a file with a line of names above columns of numbers", reason)
-        separator = heading.separator
+        header, separator = heading.header, heading.separator
         decimal = self.decimal or _decimal(heading.numbers, separator)
-        notes = [] if self.decimal else _doubtful_commas(path, heading.numbers, decimal)
-        dialect: dict[str, Any] = {"sep": r"\s+" if separator == BLANKS else separator, "decimal": decimal}
-        below = text[sum(map(len, lines[: heading.first_line])) :]
-        head = "".join(lines[heading.line : heading.end]) if len(heading.names) < 2 else heading.joined()
-        header = list(map(str, _frame(head, dialect, nrows=0).columns))
-        _check_nameless(path, heading)
         times = [name for name in header if is_called_times(name)]
         empty = [name for name in times if not any(row[header.index(name) :][:1] > [""] for row in heading.numbers)]
         rate = rate_above(lines[: heading.line], decimal) if times == empty else None
-        if wanted is not None and rate is not None:
+        heading.check_names(path)
+        if wanted is None:
+            wanted = {f"column {name!r}": name for name in header}
+        elif rate is not None:
             wanted = {setting: column for setting, column in wanted.items() if column}
-        asked = asked_for(
-            path, {f"column {name!r}": name for name in header} if wanted is None else wanted, header, _NAMES_LINE
-        )
-        _check_names(path, heading, asked)
-        # Blank lines are kept, so that rows and lines go together; those at the end are no gap.
-        frame = _frame(head + below, dialect, usecols=sorted(set(asked.values())))
-        filled = np.flatnonzero(frame.notna().any(axis=1))
-        check_size(path, 8 * frame.size)
-        frame = frame.iloc[: filled[-1] + 1 if len(filled) else 0]
-        cells = {str(name): frame[name] for name in frame.columns}
+        asked = asked_for(path, wanted, header, _NAMES_LINE)
+        heading.check_columns(path, asked)
+        below = text[sum(map(len, lines[: heading.first_line])) :]
+        cells = _cells(below, heading, decimal, [name for name in header if name in asked.values()])
+        check_size(path, 8 * sum(map(len, cells.values())))
         in_brackets = {name: match[1].strip() for name in cells if (match := _UNIT.match(name))}
         units = {name: unit.strip("[]() ") for name, unit in zip(header, heading.units, strict=False) if unit}
         table = Table.of_cells(path, cells, in_brackets | units, decimal, heading.first_line + 1)
-        table = replace(table, notes=notes)
+        table = replace(table, notes=[] if self.decimal else _doubtful_commas(path, heading.numbers, decimal))
         if rate is None:
             return table
         timeless = {name: values for name, values in table.columns.items() if name not in empty}
-        return replace(table, columns=timeless, time=np.arange(len(frame)) / rate)
+        return replace(table, columns=timeless, time=np.arange(len(table)) / rate)
 
     def _heading(self, lines: Sequence[str]) -> Heading:
         """Where the names are: by ``names_line``, else above the first rows of numbers."""
-        separators = SEPARATORS if self.separator is None else (self.separator,)
-        first = self.names_line if self.names_line is None else self.names_line - 1
-        headings = (Heading.sought(lines, separator, first) for separator in separators)
-        heading = next((heading for heading in headings if heading is not None), None)
-        if heading is not None:
-            return heading
-        if first is None:
-            first = next((i for i, line in enumerate(lines) if line.strip()), 0)
-        separator = "," if self.separator is None else self.separator
-        rows = rows_of(lines[first : first + 1], separator)
-        return Heading(
-            separator, first, first + 1, first + 1, tuple(rows), (), rows_of(lines[first + 1 :][:1], separator)
-        )
+        first = None if self.names_line is None else self.names_line - 1
+        for separator in SEPARATORS if self.separator is None else (self.separator,):
+            heading = Heading.sought(lines, separator, first)
+            if heading is not None:
+                return heading
+        separator = self.separator or ","
+        rows = _numbered(lines, separator, first or 0)[:2]
+        if not rows:
+            raise csv.Error("it has no line of names")
+        line, end, names = rows[0]
+        return Heading(separator, line, end, [names], (), [cells for _, _, cells in rows[1:]])
 
 
 @dataclass(frozen=True)
@@ -163,7 +148,6 @@ class Heading:
     Attributes:
         separator: Between cells.
         line: That of the names.
-        end: The one after the names.
         first_line: Of the numbers.
         names: A row of cells, or two.
         units: Cells; empty where no row has units.
@@ -172,9 +156,8 @@ class Heading:
 
     separator: str
     line: int
-    end: int
     first_line: int
-    names: tuple[list[str], ...]
+    names: Sequence[list[str]]
     units: Sequence[str]
     numbers: Sequence[list[str]]
 
@@ -189,36 +172,70 @@ class Heading:
         first = next((i for i in range(1, len(rows)) if _begins_numbers(cells[i:], cells[i - 1])), len(rows))
         below = _row_of_units(cells[:first])
         top = 0 if names_line is not None else _top(cells[:below])
-        below = min(below, top + 2)
-        over, numbers = rows[top:first], cells[first : first + _LINES]
-        if not over or not numbers or len(over) > _MOST_ROWS:
+        below, numbers = min(below, top + 2), cells[first : first + _LINES]
+        if not top < first <= top + _MOST_ROWS or not numbers:
             return None
-        names = cells[top:below]
-        units = cells[below] if below < first else _units_above(cells[:top])
+        # Units may stand further above the names, in a row that says so: Y_Unit_Label, N, g.
+        above = [["", *row[1:]] for row in cells[:top] if row and _UNITS_FOLLOW.search(row[0])]
+        names, units = cells[top:below], cells[below] if below < first else ([[], *above])[-1]
         width = max(map(_filled, names))
         spare = separator != BLANKS  # for comments, which no row has
         if width < 2 or any(not _filled(row) <= width <= max(len(row) + spare, 1) for row in numbers[1:] or numbers):
             return None
-        end = over[len(names) - 1][1]
-        return cls(separator, over[0][0], end, rows[first][0], tuple(names), units, numbers)
+        return cls(separator, rows[top][0], rows[first][0], names, units, numbers)
 
     @property
-    def width(self) -> int:
-        """Number of columns that have a name."""
-        return max(map(len, self.names), default=0)
-
-    def joined(self) -> str:
-        """Two rows of names as one line; a cell that is left empty above has the name to its left."""
-        above, below = self.names
-        left, cells = "", []
-        for i in range(self.width):
-            top, name = (row[i] if i < len(row) else "" for row in (above, below))
+    def header(self) -> list[str]:
+        """A name of every column. Of two rows, a cell that is left empty above has the name to its left."""
+        left, names = "", []
+        for i, column in enumerate(zip_longest(*self.names, fillvalue="")):
+            top, name = column if len(column) > 1 else ("", column[0])
             left = top or (left if name else "")
             times = next((cell for cell in (top, name) if cell and is_called_times(cell)), "")
-            cells.append(times or " ".join(filter(None, dict.fromkeys((left, name)))))
-        line = StringIO()
-        csv.writer(line, delimiter=self.separator, lineterminator="\n").writerow(cells)
-        return line.getvalue()
+            names.append(times or " ".join(filter(None, dict.fromkeys((left, name)))) or f"Unnamed: {i}")
+        return names
+
+    def check_names(self, path: Path) -> None:
+        """Refuse numbers in the place of names, which would be lost. Columns may be counted: 0, 1, 2."""
+        cells = [cell for cell in self.names[0] if cell]
+        if self.numbers and all(map(_is_number, cells)) and not all(map(str.isdigit, cells)):
+            hint = "write names above the numbers, such as t, force_1 [N], acc_1 [m/s^2]"
+            raise InputError(f"{path.name}, line {self.line + 1}", ", ".join(cells[:3]), "names of the columns", hint)
+
+    def check_columns(self, path: Path, asked: Mapping[str, str]) -> None:
+        """Refuse a name that is asked for and there twice; and more cells in the first row of numbers than names.
+
+        That row may end with separators.
+        """
+        names = self.header
+        for setting, column in asked.items():
+            if names.count(column) > 1:
+                hint = f"it is there {names.count(column)} times: give each its own name"
+                raise InputError(setting, repr(column), f"the name of one column of {path.name}", hint)
+        filled = _filled(self.numbers[0]) if self.numbers else 0
+        if filled > len(names):
+            hint = f"a decimal comma, or a column without a name? Write one sample a line; or {_NAMES_LINE}"
+            place = f"{path.name}, first row of numbers"
+            raise InputError(place, f"{filled} cells", f"as many as the header has names, {len(names)}", hint)
+
+
+def _cells(text: str, heading: Heading, decimal: str, names: Sequence[str]) -> dict[str, pd.Series]:
+    """Columns by some of the names, from what stands below them. Blank lines are gaps, but for those at the end."""
+    if not text.strip():
+        return {name: pd.Series(dtype=np.float64) for name in names}
+    places, above = [str(heading.header.index(name)) for name in names], heading.first_line - 1
+    numbered = heading.separator.join(map(str, range(len(heading.header))))
+    with warnings.catch_warnings():
+        # Rows that end with a separator have a cell more than the names; it is no label.
+        warnings.simplefilter("ignore", pd.errors.ParserWarning)
+        frame = pd.read_csv(
+            StringIO("\n" * above + f"{numbered}\n{text}"),  # so that errors have the file's lines
+            sep=r"\s+" if heading.separator == BLANKS else heading.separator, decimal=decimal, usecols=places,
+            index_col=False, skiprows=above, skip_blank_lines=False, skipinitialspace=True, low_memory=False,
+        )  # fmt: skip
+    filled = np.flatnonzero(frame.notna().any(axis=1))
+    frame = frame.iloc[: filled[-1] + 1 if len(filled) else 0]
+    return {name: frame[place] for name, place in zip(names, places, strict=True)}
 
 
 def _numbered(lines: Sequence[str], separator: str, first: int) -> list[tuple[int, int, list[str]]]:
@@ -268,12 +285,6 @@ def _row_of_units(rows: Sequence[Sequence[str]]) -> int:
     return len(rows)
 
 
-def _units_above(rows: Sequence[Sequence[str]]) -> Sequence[str]:
-    """Units that stand further above the names, in a row that says so: Y_Unit_Label, N, g; empty: there are none."""
-    units = [("", *row[1:]) for row in rows if row and _UNITS_FOLLOW.search(row[0])]
-    return units[-1] if units else ()
-
-
 def _top(rows: Sequence[Sequence[str]]) -> int:
     """Of the rows above the numbers and their units, the one where the names begin."""
     last = len(rows) - 1
@@ -291,50 +302,6 @@ def _is_units(row: Sequence[str]) -> bool:
     words = [cell for cell in row if cell not in ("", "-")]
     units = sum(_ONLY_UNIT.match(word) is not None for word in words)
     return bool(words) and 2 * units >= len(words) and not any(map(is_called_times, words))
-
-
-def _check_nameless(path: Path, heading: Heading) -> None:
-    """Refuse numbers in the place of names, which would be lost. Columns may be counted: 0, 1, 2."""
-    (header,) = heading.names if len(heading.names) == 1 else ([],)
-    cells = [cell for cell in header if cell]
-    if heading.numbers and cells and all(map(_is_number, cells)) and not all(map(str.isdigit, cells)):
-        hint = "write names above the numbers, such as t, force_1 [N], acc_1 [m/s^2]"
-        raise InputError(f"{path.name}, line {heading.line + 1}", ", ".join(cells[:3]), "names of the columns", hint)
-
-
-def _check_names(path: Path, heading: Heading, wanted: Mapping[str, str]) -> None:
-    """Refuse names that do not fit the columns.
-
-    A name that is asked for is there twice; or the first row of numbers, which may end with separators, has more cells
-    than there are names.
-    """
-    (header,) = heading.names if len(heading.names) == 1 else ([],)
-    for setting, column in wanted.items():
-        if header.count(column) > 1:
-            hint = f"it is there {header.count(column)} times: give each its own name"
-            raise InputError(setting, repr(column), f"the name of one column of {path.name}", hint)
-    filled = _filled(heading.numbers[0]) if heading.numbers else 0
-    if filled > heading.width:
-        hint = f"a decimal comma, or a column without a name? Write one sample a line; or {_NAMES_LINE}"
-        place = f"{path.name}, first row of numbers"
-        raise InputError(place, f"{filled} cells", f"as many as the header has names, {heading.width}", hint)
-
-
-def _frame(text: str, dialect: dict[str, Any], **options: Any) -> pd.DataFrame:
-    options |= {"skip_blank_lines": False, "skipinitialspace": True, "low_memory": False}
-    # Rows that end with a comma have a cell more than the header; pandas would take their first one for a label.
-    options["index_col"] = False
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", pd.errors.ParserWarning)  # of that cell
-        frame: pd.DataFrame = pd.read_csv(StringIO(text), **dialect, **options)
-    return frame
-
-
-def rows_of(lines: Sequence[str], separator: str) -> list[list[str]]:
-    """Cells of lines, row by row."""
-    if separator == BLANKS:
-        return [line.split() for line in lines]
-    return [list(map(str.strip, row)) for row in csv.reader(lines, delimiter=separator, skipinitialspace=True)]
 
 
 def _filled(row: Sequence[str]) -> int:

@@ -73,11 +73,8 @@ class ArrayFormat(FileFormat):
     def variables(self, path: Path, wanted: Collection[str] | None) -> Mapping[str, Variable]:
         """The arrays of a file by name, in the process that reads it; one that has a second name has it further down.
 
-        Whatever is raised here but an InputError says that the file is damaged.
-
-        Args:
-            path: Of the file.
-            wanted: Names of columns that are asked for, beside which none need be looked at; None: all.
+        Beside columns that are wanted, if names of some are given, none need be looked at. Whatever is raised here but
+        an InputError says that the file is damaged.
         """
 
     def read(self, path: Path, wanted: Mapping[str, str] | None = None) -> Table:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import gzip
 import zlib
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 
@@ -30,21 +31,14 @@ PACKED_AS = {
     b"CDF": "netCDF (data=netcdf)",
     _UNIVERSAL: "a universal file (data=uff)",
 }
-_PACKED = (".zip", ".bz2", ".xz", ".zst")
 _MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 # Of text that is no UTF-8: what Windows writes in Western Europe and America. The numbers are the same in any of them.
 _FALLBACK = "cp1252"
 _SAVE_AS = "save it as text with separated values, in UTF-8"
-_CHUNK = 2**20
 
 
 def read_bytes(path: Path, setting: str = "data.path", most: int = -1) -> bytes:
-    """All of a file, or its first ``most`` bytes.
-
-    Args:
-        path: Of the file.
-        setting: That named it, for errors.
-        most: Bytes to read; -1: all.
+    """All of a file that a setting has named, or its first ``most`` bytes; -1: all.
 
     Raises:
         InputError: It is missing, is no regular file, cannot be read, or is larger than memory can hold.
@@ -55,8 +49,8 @@ def read_bytes(path: Path, setting: str = "data.path", most: int = -1) -> bytes:
         if not path.is_file():  # a pipe would be waited for, a device would never end
             hint = "it is a folder" if path.is_dir() else "it is a pipe or a device"
             raise InputError(setting, path, "a readable file", hint)
-        check_size(path, path.stat().st_size, setting)
         with path.open("rb") as file:
+            check_size(path, path.stat().st_size, setting)
             return file.read(most)
     except InputError:
         raise
@@ -65,12 +59,9 @@ def read_bytes(path: Path, setting: str = "data.path", most: int = -1) -> bytes:
 
 
 def read_text(path: Path, setting: str = "data.path", encoding: str | None = None) -> str:
-    """The text of a file, without a byte order mark; one that is packed by gzip is unpacked.
+    """The text of a file that a setting has named, without a byte order mark; gzip is unpacked.
 
-    Args:
-        path: Of the file.
-        setting: That named it, for errors.
-        encoding: As Python calls it; None: by the byte order mark, else UTF-8, else cp1252.
+    The encoding, as Python calls it, is by default that of the byte order mark, else UTF-8, else cp1252.
 
     Raises:
         InputError: It is missing, is no regular file, cannot be read or held, or is no text.
@@ -79,23 +70,15 @@ def read_text(path: Path, setting: str = "data.path", encoding: str | None = Non
     if content.startswith(_GZIP):
         content = _unpacked(path, content, setting)
     kind = _kind(content)
-    if (kind and kind != PACKED_AS[_UNIVERSAL]) or path.suffix.lower() in _PACKED:
-        hint = f"it is {kind}: unpack it, or {_SAVE_AS}" if kind else f"unpack it, and {_SAVE_AS}"
-        raise InputError(setting, path, "a text file", hint)
-    given = (
-        encoding or next((name for mark, name in _MARKS.items() if content.startswith(mark)), None) or _wide(content)
-    )
-    if given is None and (place := content.find(b"\0")) >= 0:
-        hint = f"it is a binary file, or UTF-16 without a mark: {_SAVE_AS}"
-        raise InputError(_line(path, content, place), "byte 0x00", "text", hint)
-    for name in (given,) if given else ("utf-8", _FALLBACK):
-        try:
+    if kind and kind != PACKED_AS[_UNIVERSAL]:
+        raise InputError(setting, path, "a text file", f"it is {kind}: unpack it, or {_SAVE_AS}")
+    given = encoding or next((name for mark, name in _MARKS.items() if content.startswith(mark)), _wide(content))
+    names = (given,) if given else ("utf-8", _FALLBACK)
+    for name in names if given or b"\0" not in content else ():
+        with suppress(UnicodeError, LookupError):
             return content.decode(name)
-        except (UnicodeError, LookupError, ValueError) as error:
-            place = error.start if isinstance(error, UnicodeDecodeError) else 0
-    hint = f"the file is in another encoding, or no text: give data.format.encoding, or {_SAVE_AS}"
-    byte = f"byte 0x{content[place]:02x}" if content else "nothing"
-    raise InputError(_line(path, content, place), byte, f"text in {name}", hint)
+    hint = f"it is in another encoding, or no text: give data.format.encoding, or {_SAVE_AS}"
+    raise InputError(setting, path, f"text in {' or '.join(names)}", hint)
 
 
 def looks_like_text(content: bytes) -> bool:
@@ -114,11 +97,7 @@ def _wide(content: bytes) -> str | None:
 
 
 def check_size(path: Path, size: float, setting: str = "data.path") -> None:
-    """Refuse more bytes than a record may have, packed or not.
-
-    Raises:
-        InputError: Naming the setting.
-    """
+    """Refuse more bytes, packed or not, than a record that a setting has named may have."""
     most = of_this_machine() // PART_OF_MEMORY
     if size > most:
         hint = "the record has to fit into memory: cut the file, or average it down"
@@ -143,19 +122,12 @@ def _kind(content: bytes) -> str:
     return next((kind for start, kind in PACKED_AS.items() if content.startswith(start)), "")
 
 
-def _line(path: Path, content: bytes, place: int) -> str:
-    number = content.count(b"\n", 0, place) + 1
-    return f"{path.name}, line {number}"
-
-
 def _unpacked(path: Path, content: bytes, setting: str) -> bytes:
     """What gzip has packed, which may be no more than any file."""
-    parts, size = [], 0
     try:
         with gzip.GzipFile(fileobj=BytesIO(content)) as packed:
-            while part := packed.read(_CHUNK):
-                parts.append(part)
-                check_size(path, size := size + len(part), setting)
+            unpacked = packed.read(of_this_machine() // PART_OF_MEMORY + 1)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise InputError(setting, path, "a gzip file that is whole", f"damaged or cut off? {error}") from None
-    return b"".join(parts)
+    check_size(path, len(unpacked), setting)
+    return unpacked

@@ -53,27 +53,17 @@ _OF_NINES = np.array([
 _SEVENTH_DIGIT = 5e-8
 # A number that comes so many times as often as any other marks something: levels of a converter are met by turns.
 COMES_AGAIN = 8
-# Cells that are no numbers, and how to write them as such.
-_WRITTEN_AS = (
-    (
-        re.compile(r"\d{4}-\d\d|\d\d?[./]\d\d?[./]\d|\d\d?:\d\d"),
-        "write times as seconds, such as 0, 0.01, or all as dates: 2026-03-01T12:00:00.25, 1.3.2026 12:00:00.25",
-    ),
-    (re.compile(r"[+-]?\d+,\d+([eE].*)?$"), "write decimals with a point"),
-    (re.compile(r"(true|false|yes|no|on|off)$", re.IGNORECASE), "write 1 and 0 if these are numbers"),
-    (re.compile(r"[#%!]|[A-Za-z]+ "), "a comment or a note among the numbers? Take its line out"),
-    (re.compile(r"=|[+-]?[A-Za-z]\w*\("), "it looks like a formula, and pinn-run evaluates none: save its value"),
-)
 # m/s² is m/s^2, and both letters that are written for micro are u.
 _PLAIN_LETTERS = str.maketrans({"\N{SUPERSCRIPT TWO}": "2", "\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"})
 _LEFT_OUT = "leave gaps out with data.start and data.stop"
+_TO_WRITE = "decimals take a point, times are seconds or dates, no formula is evaluated; take notes and comments out"
 # Dates and times of day. A month in letters, 12-Mar-2026, is read as its number.
 _MONTHS = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"]
 _MONTH = re.compile(rf"(?<=\d)[-./ ]+({'|'.join(_MONTHS)})[a-z]*[-./ ]+(?=\d)", re.IGNORECASE)
-_DAY = r"(\d{1,4})[-./](\d{1,2})[-./](\d{1,4})"
-_CLOCK = r"(\d{1,3}):(\d{2})(?::(\d{2}(?:[.,]\d*)?))?"
-_ZONE = r"(?:Z|[A-Z]{2,5}|(?:UTC|GMT)?\s*([+-])(\d{1,2}):?(\d{2})?)"
-_WRITTEN = re.compile(rf"\s*(?:{_DAY}[,T]?\s*)?(?:{_CLOCK})?\s*([AaPp]\.?[Mm]\.?)?\s*({_ZONE})?\s*")
+_DAY = r"(?P<a>\d{1,4})[-./](?P<b>\d{1,2})[-./](?P<c>\d{1,4})"
+_CLOCK = r"(?P<hours>\d{1,3}):(?P<minutes>\d{2})(?::(?P<seconds>\d{2}(?:[.,]\d*)?))?"
+_ZONE = r"(?P<zone>Z|[A-Z]{2,5}|(?:UTC|GMT)?\s*(?P<sign>[+-])(?P<zone_hours>\d{1,2}):?(?P<zone_minutes>\d{2})?)"
+_WRITTEN = rf"^\s*(?:{_DAY}[,T]?\s*)?(?:{_CLOCK})?\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*{_ZONE}?\s*$"
 # Which of the three numbers is the year, the month and the day, in the order in which they are tried.
 _ORDERS = ((2, 1, 0), (2, 0, 1), (0, 1, 2))
 _DAY_S = 86400.0
@@ -154,9 +144,8 @@ class Table:
         values = self.columns[column][first:last]
         odd = sorted(row for row in self.odd_cells.get(column, ()) if first <= row < first + len(values))
         if odd:
-            text = self.odd_cells[column][odd[0]].strip()
-            hints = (hint for pattern, hint in _WRITTEN_AS if pattern.match(text))
-            raise InputError(self.place(column, odd[0]), shortened(text), "a finite number", next(hints, _LEFT_OUT))
+            text = shortened(self.odd_cells[column][odd[0]].strip())
+            raise InputError(self.place(column, odd[0]), text, "a finite number", f"{_TO_WRITE}; {_LEFT_OUT}")
         if len(values) == 0 or np.isnan(size := np.abs(values)).all():
             return values
         largest = int(np.nanargmax(size))
@@ -169,11 +158,9 @@ class Table:
         return values
 
     def with_gaps(self, marks: Sequence[float] | None, times: str | None) -> Table:
-        """The same with gaps where a number stands for a missing value.
+        """The same with gaps where one of some marks stands for a missing value, but for the column of the times.
 
-        Args:
-            marks: Such numbers; None: -9999 and the like, where they lie far outside of all others, which a note tells.
-            times: The column that has no such marks; None: all may.
+        None marks -9999 and the like, where they lie far outside of all others, which a note tells.
         """
         columns, notes = dict(self.columns), list(self.notes)
         for name, values in ((name, values) for name, values in self.columns.items() if name != times):
@@ -194,14 +181,9 @@ class Table:
         return list(texts.values()) if len(texts) == len(self) else []
 
     def with_dates(self, column: str, first: str | None = None) -> Table:
-        """The same with a column whose every cell is a date or a time of day, in s.
+        """The same with a column whose every cell is a date or a time of day, in s from the first one.
 
-        Args:
-            column: Its name.
-            first: The date from which they count, as another file writes it; None: the first of the column.
-
-        Raises:
-            InputError: One among dates is none.
+        They may count from another ``first`` date, as another file writes it. One that is none among them is refused.
         """
         texts = self.odd_cells.get(column, {})
         dates = self.dates(column)
@@ -217,11 +199,7 @@ class Table:
         return replace(self, columns={**self.columns, column: since[1:]}, odd_cells={**self.odd_cells, column: {}})
 
     def refuse_gaps(self, column: str, values: np.ndarray) -> None:
-        """Refuse NaN among all numbers (N,) of a column.
-
-        Raises:
-            InputError: At the first of them.
-        """
+        """Refuse NaN among all numbers (N,) of a column, at the first of them."""
         gaps = np.flatnonzero(np.isnan(values))
         if len(gaps):
             raise InputError(self.place(column, int(gaps[0])), "empty or NaN", "a finite number", _LEFT_OUT)
@@ -316,12 +294,9 @@ def _rank(column: str) -> int | None:
 
 
 def rate_of(name: str, value: float, unit: str = "") -> float | None:
-    """Hz, where a number by its name says how often was sampled; else None.
+    """Hz, where a number by its name (``fs``, ``Sampling rate``, ``dt``) says how often was sampled; else None.
 
-    Args:
-        name: Such as ``fs``, ``Sampling rate``, ``dt``.
-        value: The number.
-        unit: Of it; one that is not known is Hz or s.
+    A unit that is not known is Hz or s.
     """
     rate, step = (kind.fullmatch(name.strip()) for kind in (_TELLS_RATE, _TELLS_STEP))
     if (rate is None and step is None) or not (math.isfinite(value) and value > 0.0):
@@ -336,11 +311,7 @@ def column_of_times(names: Collection[str]) -> str:
 
 
 def asked_for(path: Path, wanted: Mapping[str, str], names: Collection[str], otherwise: str = "") -> dict[str, str]:
-    """Setting to column, with that of the times by its own name where it is asked for as ""; see :func:`check_names`.
-
-    Raises:
-        InputError: The file lacks a column.
-    """
+    """Setting to column, that of the times by its own name where it is asked for as ""; see :func:`check_names`."""
     asked = {setting: column or column_of_times(names) for setting, column in wanted.items()}
     check_names(path, asked, names, otherwise=otherwise)
     return asked
@@ -349,17 +320,11 @@ def asked_for(path: Path, wanted: Mapping[str, str], names: Collection[str], oth
 def check_names(
     path: Path, wanted: Mapping[str, str], names: Collection[str], hint: str = "", otherwise: str = ""
 ) -> None:
-    """Refuse a file that lacks a column of those that are asked for, setting by setting.
-
-    Args:
-        path: Of the file.
-        wanted: Such as ``{"data.force.1": "fp (N)"}``.
-        names: Of the file's columns.
-        hint: The likely cause, where it is known.
-        otherwise: What it may be where no name is near.
+    """Refuse a file that lacks a column of those that are asked for, such as ``{"data.force.1": "fp (N)"}``.
 
     Raises:
-        InputError: Naming the setting, and the columns that there are.
+        InputError: Naming the setting, the columns that there are, and the likely cause: ``hint``, or a name that is
+            near, or ``otherwise``.
     """
     for setting, column in wanted.items():
         if column not in names:
@@ -428,57 +393,49 @@ def seconds_of(texts: Sequence[str]) -> np.ndarray | None:
     dates = pd.to_datetime(pd.Series(texts), format="ISO8601", errors="coerce", utc=True)
     if not dates.isna().any():
         return np.asarray((dates - dates.iloc[0]).dt.total_seconds(), dtype=np.float64)
-    matches = [_written(text) for text in texts]
-    parts = [match.groups() for match in matches if match is not None and any(match.groups()[:5])]
-    if len(parts) < len(texts):
+    parts = _parts(texts)
+    dated, named = parts["a"].notna(), parts["sign"].isna()
+    if not (dated | parts["hours"].notna()).all() or dated.any() != dated.all():
         return None
-    zones = {part[7] for part in parts if part[8] is None}
-    if len(zones) > 1 or (zones and len(zones) < len({part[7] for part in parts})):  # names of zones, which change
+    if named.any() and len(parts["zone"].unique()) > 1:  # names of zones, which change
         return None
-    clock = np.array([_of_the_day(part) for part in parts])
-    if all(part[0] is None for part in parts):
+    clock = _of_the_day(parts)
+    if not dated.all():
         turns = np.concatenate(([0], np.cumsum(np.diff(clock) < -0.5 * _DAY_S)))
         return np.asarray(clock + _DAY_S * turns - clock[0])
-    days = _days([part[:3] for part in parts])
+    days = _days(parts[["a", "b", "c"]].astype(int).to_numpy())
     return None if days is None else np.asarray(clock - clock[0] + _DAY_S * (days - days[0]))
 
 
 def first_other(texts: Sequence[str]) -> int | None:
     """Place of the first text that is no date or time of day, where the first one of all is; else None."""
-    others = (i for i, text in enumerate(texts) if _written(text) is None)
-    return next(others, None) or None
+    return int(_parts(texts).isna().all(axis=1).argmax()) or None
 
 
-def _written(text: str) -> re.Match[str] | None:
-    """The parts of a date or a time of day."""
-    return _WRITTEN.fullmatch(_MONTH.sub(lambda month: f"-{1 + _MONTHS.index(month[1].lower())}-", text))
+def _parts(texts: Sequence[str]) -> pd.DataFrame:
+    """The parts of dates and times of day, texts; a row without any of what is none."""
+    with_numbers = [_MONTH.sub(lambda month: f"-{1 + _MONTHS.index(month[1].lower())}-", text) for text in texts]
+    return pd.Series(with_numbers, dtype=str).str.extract(_WRITTEN)
 
 
-def _of_the_day(part: Sequence[str | None]) -> float:
-    """Seconds since midnight, of UTC where the zone is a number."""
-    hours, minutes, seconds, half, _, sign, zone_hours, zone_minutes = part[3:]
-    hour = int(hours or 0)
-    if half:
-        hour = hour % 12 + (12 if half[0] in "Pp" else 0)
-    shift = 0 if sign is None else 3600 * int(zone_hours or 0) + 60 * int(zone_minutes or 0)
-    shift = -shift if sign == "-" else shift
-    return 3600.0 * hour + 60.0 * int(minutes or 0) + float((seconds or "0").replace(",", ".")) - shift
+def _of_the_day(parts: pd.DataFrame) -> np.ndarray:
+    """(N,), seconds since midnight, of UTC where the zone is a number."""
+    numbers = parts[["hours", "minutes", "zone_hours", "zone_minutes"]].fillna("0").astype(int)
+    of_twelve = numbers["hours"] % 12 + 12 * parts["half"].str[0].isin(["P", "p"])
+    hour = numbers["hours"].where(parts["half"].isna(), of_twelve)
+    seconds = parts["seconds"].fillna("0").str.replace(",", ".").astype(float)
+    shift = (3600 * numbers["zone_hours"] + 60 * numbers["zone_minutes"]) * np.where(parts["sign"] == "-", -1, 1)
+    return np.asarray(3600.0 * hour + 60.0 * numbers["minutes"] + seconds - shift, dtype=np.float64)
 
 
-def _days(parts: Sequence[Sequence[str | None]]) -> np.ndarray | None:
-    """Days (N,) since some day; None: there is no order of day, month and year in which all are dates."""
-    if any(part[0] is None for part in parts):
-        return None
-    different = list(dict.fromkeys(tuple(part) for part in parts))
+def _days(numbers: np.ndarray) -> np.ndarray | None:
+    """Days (N,) since the first, of three numbers each; None: in no order of day, month and year all are dates."""
+    different, place = np.unique(numbers, axis=0, return_inverse=True)
     tried = []
-    for year, month, day in _ORDERS:
-        columns = {"year": year, "month": month, "day": day}
-        frame = pd.DataFrame({name: [int(part[i] or 0) for part in different] for name, i in columns.items()})
-        frame["year"] += np.where(frame["year"] < 100, 2000, 0)
-        days = (pd.to_datetime(frame, errors="coerce") - pd.Timestamp(2000, 1, 1)).dt.days
-        if not days.isna().any():
-            tried.append(dict(zip(different, days, strict=True)))
-    if not tried:
-        return None
-    best = min(tried, key=lambda days: max(days.values()) - min(days.values()))
-    return np.array([best[tuple(part)] for part in parts], dtype=np.float64)
+    for order in _ORDERS:
+        year, month, day = different[:, order].T
+        frame = pd.DataFrame({"year": np.where(year < 100, year + 2000, year), "month": month, "day": day})
+        dates = pd.to_datetime(frame, errors="coerce")
+        if not dates.isna().any():
+            tried.append((dates - dates.min()).dt.days.to_numpy(dtype=np.float64))
+    return min(tried, key=np.max)[place.reshape(-1)] if tried else None

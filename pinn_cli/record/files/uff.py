@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -81,16 +80,13 @@ def _is_history(data_set: Mapping[str, Any]) -> bool:
 
 def _variable(path: Path, name: str, data_set: Mapping[str, Any], code: int) -> Variable:
     """The samples of a data set, as many as its header tells, at increasing times."""
-    count, step = data_set["num_pts"], data_set["abscissa_inc"]
+    count = data_set["num_pts"]
     values = data_set["data"][:count]  # the last block is filled up
     time = np.asarray(data_set["x"][:count], dtype=np.float64)
 
     def read() -> np.ndarray:
         if len(values) < count:
             raise ValueError(f"{name!r} has {len(values)} of the {count} samples that its header tells")
-        if data_set["abscissa_spacing"] == 1 and not (math.isfinite(step) and step > 0):
-            allowed = "a file whose samples have a step in time"
-            raise InputError("data.path", path, allowed, f"that of {name!r} is {step}")
         if not np.all(np.diff(time) > 0):
             raise InputError("data.path", path, "a file whose times increase", f"those of {name!r} do not")
         return values

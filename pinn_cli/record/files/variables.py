@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -75,19 +74,11 @@ class Variable:
         array = np.atleast_2d(np.asarray(self.load()).astype(np.float64).reshape(self.sides))
         return array if array.shape[0] < array.shape[1] else array.T
 
-    def why_none(self, name: str) -> str:
-        """Why it is no column; to be read after ``it``."""
+    @property
+    def described(self) -> str:
+        """What it is; to be read after ``it``."""
         shape = " × ".join(map(str, self.shape)) or "1 × 1"
-        if self.content:
-            return f"holds {self.content}, which pinn-run does not evaluate"
-        if 0 in self.shape:
-            return f"is empty, {shape}"
-        if not self.sides:
-            return "is a single number"
-        if not self.columns:
-            return f"is {shape}, neither vector nor matrix"
-        channels = f"{name}.1 to {name}.{self.columns} are its {self.columns} channels"
-        return f"is {shape}: {channels} of {self.samples} samples"
+        return f"holds {self.content}, which pinn-run does not evaluate" if self.content else f"is {shape}"
 
 
 def content_of(dtype: np.dtype) -> str:
@@ -116,7 +107,14 @@ def tables_of(path: Path, variables: Mapping[str, Variable], wanted: Mapping[str
     for setting, column in (wanted or {}).items():
         if column not in places:
             _refuse(path, setting, column, variables, distinct)
-    names = _of_usual_length({column: places[column][0] for column in distinct}) if wanted is None else wanted.values()
+    if wanted is None:
+        timeless = [places[column][0].samples for column in distinct if places[column][0].time is None]
+        usual = max(timeless, key=lambda length: (timeless.count(length), length), default=0)
+        names = [
+            column for column in distinct if places[column][0].time is not None or places[column][0].samples == usual
+        ]
+    else:
+        names = list(wanted.values())
     clocks: dict[bytes, dict[str, Variable]] = {}
     for column in names:
         variable = places[column][0]
@@ -160,37 +158,23 @@ def _columns_of(name: str, variable: Variable) -> list[str]:
     return [name] if count == 1 else [f"{name}.{j}" for j in range(1, count + 1)]
 
 
-def _of_usual_length(columns: Mapping[str, Variable]) -> list[str]:
-    lengths = Counter(variable.samples for variable in columns.values() if variable.time is None)
-    usual = max(lengths, key=lambda length: (lengths[length], length), default=0)
-    return [name for name, variable in columns.items() if variable.time is not None or variable.samples == usual]
-
-
 def _refuse(path: Path, setting: str, name: str, variables: Mapping[str, Variable], columns: list[str]) -> None:
     """Say why there is no such column."""
-    root, _, number = name.rpartition(".")
-    if name in variables:
-        hint = f"in {path.name} it {variables[name].why_none(name)}"
-        raise InputError(setting, repr(name), "a column of numbers", hint)
-    if root in variables and number.isdecimal():
-        hint = f"{root} has {variables[root].columns} columns of numbers, counted from 1"
-        raise InputError(setting, repr(name), f"a column of {path.name}", hint)
+    root = name if name in variables else name.rpartition(".")[0]
+    if root in variables:
+        allowed = "a column of numbers: a vector, or a channel of a matrix, counted from 1, such as acc.2"
+        raise InputError(setting, repr(name), allowed, f"in {path.name} {root!r} {variables[root].described}")
     within = next((other for other in variables if other.startswith((f"{name}.", f"{name}/"))), "")
-    check_names(
-        path, {setting: name}, columns, within and f"{name} is a structure: name one of its fields, such as {within}"
-    )
+    check_names(path, {setting: name}, columns, within and f"name one of its fields, such as {within}")
 
 
 def joined(tables: Sequence[Table], times: Sequence[np.ndarray], without: Sequence[str] = ()) -> Table:
-    """One table over all the times that there are; a column is NaN at times that it has no sample of.
+    """One table over all the times that there are, with ``sources``; a column is NaN at times that it has no sample of.
 
     Args:
         tables: Their columns have different names.
         times: Of each table's samples, (N,), s, increasing, on the same clock.
         without: Columns that are left out: those of the times.
-
-    Returns:
-        With ``time``, and ``sources``.
 
     Raises:
         InputError: The clocks do not overlap, or two tables have a column of the same name.

@@ -45,13 +45,7 @@ class Identified:
 
 
 def identify(outputs: np.ndarray, inputs: np.ndarray, step: float) -> Identified:
-    """Find the modes of a record.
-
-    Args:
-        outputs: (N, S), sensors, finite.
-        inputs: (N, F), what acts as far as it was measured; F = 0: nothing of it.
-        step: From sample to sample, s.
-    """
+    """Find the modes of a record with a step, s: of sensors (N, S), and what acts (N, F) as far as it was measured."""
     poles = stabilisation(outputs, inputs, step)
     lines = Lines.of(_levelled(outputs), _levelled(inputs), step)
     tried = []

@@ -110,33 +110,23 @@ def test_numbers_that_mark_missing_values(tmp_path, caplog, mark, missing, gaps)
     np.testing.assert_array_equal(table.numbers("f"), [-999, 400, -400, 500, -500])  # near the others
     told = f"rig.csv, column 'a': 2 samples are {mark}, far from all others, and are taken for missing; data.missing=[]"
     assert (told in caplog.text) == (gaps and missing is None)
+    assert "data.missing=gap: must be a finite number" in refusal(MeasuredFiles, (), CsvFormat(), missing=[mark, "gap"])
 
 
-def test_marks_that_are_none(tmp_path):
-    (tmp_path / "rig.csv").write_text("t,a\n0,1\n")
-    assert "data.missing=gap: must be a finite number" in refusal(MeasuredFiles, (), CsvFormat(), missing="gap")
-    assert "data.missing=None" in refusal(MeasuredFiles, (), CsvFormat(), missing=[-999, None])
-
-
-def test_a_constant_far_from_all_others():
-    values = np.random.default_rng(0).normal(size=100)
+def test_a_number_that_is_no_measurement_by_its_looks():
+    random = np.random.default_rng(0)
+    values, more = random.normal(size=100), random.normal(size=400)
     assert mark(values) is None
     values[[3, 50]] = -80.0
     assert mark(values) == -80.0
     assert mark(np.append(values, 200.0)) is None  # which tells no more of them
-    assert mark(np.repeat([0.0, 5.0], 50)) is None
-    assert mark(np.full(5, np.nan)) is None
-
-
-def test_a_number_that_comes_again_and_again():
-    values = np.random.default_rng(0).normal(size=400)
-    values[10:60] = 0.0  # at rest
-    assert mark(values) is None
-    assert mark(np.round(values, 1)) is None
-    values[100:400:30] = 0.5
-    assert mark(values) == 0.5
-    values[100:400:30] = values.max()
-    assert mark(values) is None  # clipped
+    assert mark(np.repeat([0.0, 5.0], 50)) is mark(np.full(5, np.nan)) is None
+    more[10:60] = 0.0  # at rest
+    assert mark(more) is mark(np.round(more, 1)) is None
+    more[100:400:30] = 0.5
+    assert mark(more) == 0.5
+    more[100:400:30] = more.max()
+    assert mark(more) is None  # clipped
 
 
 @pytest.mark.parametrize(
@@ -158,34 +148,17 @@ def test_what_a_comma_is_the_other_numbers_tell(tmp_path, caplog, cells, read, t
 
 def test_a_comma_that_may_be_one_of_decimals_groups_no_digits(tmp_path):
     (tmp_path / "rig.csv").write_text("t;a\n" + "0.1;9,807\n0.2;9,806\n" * 3)
-    assert "write decimals with a point" in refusal(CsvFormat().read(tmp_path / "rig.csv").numbers, "a")
+    assert "decimals take a point" in refusal(CsvFormat().read(tmp_path / "rig.csv").numbers, "a")
     (tmp_path / "rig.csv").write_text("t;a\n" + "0.1;9,807\n0.2;1,009,806.5\n")
     np.testing.assert_array_equal(CsvFormat().read(tmp_path / "rig.csv").numbers("a"), [9807, 1009806.5])
-
-
-def test_a_line_that_is_named_may_have_two_more_below(tmp_path):
-    (tmp_path / "rig.csv").write_text("rig\nTime,Ch1\n,Roof\nx,y\n0,1\n1,2\n")
-    assert list(CsvFormat(names_line=2).read(tmp_path / "rig.csv").columns) == ["Time", "Ch1 Roof"]
-
-
-def test_notes_among_the_numbers_and_numbers_that_fill_lines_are_named(tmp_path):
-    (tmp_path / "rig.csv").write_text("t,a\n" + "0,1\n1,2\n" * 20 + "# the door\n2,3\n")
-    table = CsvFormat().read(tmp_path / "rig.csv")
-    assert "a comment or a note among the numbers?" in refusal(table.numbers, "t")
-    (tmp_path / "roof.v2").write_text("Corrected\nStation 1\n600 points at .02 sec\n" + "  1.0 2.0 3.0 4.0\n" * 9)
-    assert "Write one number a line" in refusal(CsvFormat().read, tmp_path / "roof.v2")
-    (tmp_path / "quake.at2").write_text(
-        "PEER\nA quake, 5/19/1940, 180\nIN G\nNPTS= 45, DT= .01 SEC\n" + "1. 2. 3.\n" * 9
-    )
-    assert "an earthquake to simulate is read as it is by excitation.path" in refusal(
-        CsvFormat().read, tmp_path / "quake.at2"
-    )
 
 
 def test_lines_above_that_nobody_can_tell_apart_are_named(tmp_path):
     (tmp_path / "rig.csv").write_text("t,a\n1,2,3\n4,5,6\n")
     assert "data.format.names_line" in refusal(CsvFormat().read, tmp_path / "rig.csv")
     assert "data.format.names_line" in refusal(CsvFormat(names_line=2).read, tmp_path / "rig.csv", {"data.time": "x"})
+    (tmp_path / "rig.csv").write_text("rig\nTime,Ch1\n,Roof\nx,y\n0,1\n1,2\n")
+    assert list(CsvFormat(names_line=2).read(tmp_path / "rig.csv").columns) == ["Time", "Ch1 Roof"]
 
 
 @pytest.mark.parametrize(
@@ -210,15 +183,12 @@ def test_lines_above_that_nobody_can_tell_apart_are_named(tmp_path):
     ],
 )
 def test_dates_and_times_of_day(texts, seconds):
+    assert first_other([texts[0], texts[-1], "soon"]) == 2 or seconds is None
+    assert first_other(["soon", *texts]) is None
     found = seconds_of(texts)
     assert (found is None) == (seconds is None)
     if seconds is not None:
         np.testing.assert_allclose(found, seconds, atol=1e-9)
-
-
-def test_the_first_that_is_no_date():
-    assert first_other(["1.2.2026", "2.2.2026", "soon"]) == 2
-    assert first_other(["soon", "1.2.2026"]) is None
 
 
 def test_excel_has_sheets_and_evaluates_nothing(tmp_path, caplog):

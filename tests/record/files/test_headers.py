@@ -56,14 +56,10 @@ def test_a_universal_file_tells_quantity_place_and_unit(tmp_path):
     np.testing.assert_allclose(table.time, np.arange(40) / 100.0)
     by_label = UffFormat().read(path, {"data.displacement.1": "roof"})
     np.testing.assert_allclose(by_label.columns["roof"], VALUES, atol=1e-11)
-
-
-def test_units_of_a_whole_universal_file(tmp_path):
-    pyuff = pytest.importorskip("pyuff")
-    units = pyuff.prepare_164(
+    units = pytest.importorskip("pyuff").prepare_164(
         units_code=5, units_description="mm", temp_mode=1, length=1e3, force=1e3, temp=1.0, temp_offset=273.15
     )
-    table = UffFormat().read(universal(tmp_path / "rig.uff", units, data_set(), data_set(ordinate_spec_data_type=13)))
+    table = UffFormat().read(universal(tmp_path / "mm.uff", units, data_set(), data_set(ordinate_spec_data_type=13)))
     assert [hint.unit for hint in table.hints.values()] == ["mm/s^2", "mN"]
 
 
@@ -82,23 +78,20 @@ def test_data_sets_of_different_rates_stand_on_one_clock(tmp_path):
     [
         ([], "it has none, and no time history"),
         ([{"func_type": 4, "data": VALUES + 1j, "abscissa_spec_data_type": 18}], "it has 1 frequency response"),
-        ([{"x": np.zeros(40)}], "must be a file whose samples have a step in time; that of 'acceleration 1:+Z' is 0.0"),
+        ([{"x": np.zeros(40)}], "must be a file whose times increase; those of 'acceleration 1:+Z'"),
         ([{"x": np.zeros(40), "abscissa_spacing": 0}], "must be a file whose times increase; those of 'acceleration"),
+        ([{"num_pts": 80}], "'acceleration 1:+Z' has 40 of the 80 samples that its header tells"),
     ],
 )  # fmt: skip
 def test_a_universal_file_without_a_record(tmp_path, sets, expected):
     path = tmp_path / "rig.uff"
     if sets:
+        longer = [changes.pop("num_pts", 40) for changes in sets]
         universal(path, *(data_set(**changes) for changes in sets))
+        path.write_text(path.read_text().replace("        40         1", f"{longer[0]:10}         1"))
     else:
         path.write_text("    -1\n   151\nmodel\n    -1\n")
     assert expected in refusal(UffFormat().read, path)
-
-
-def test_a_data_set_shorter_than_its_header_tells(tmp_path):
-    path = universal(tmp_path / "rig.uff", data_set())
-    path.write_text(path.read_text().replace("        40         1", "        80         1"))
-    assert "'acceleration 1:+Z' has 40 of the 80 samples that its header tells" in refusal(UffFormat().read, path)
 
 
 def test_channels_of_a_tdms_file(tmp_path):
@@ -119,7 +112,7 @@ def test_channels_of_a_tdms_file(tmp_path):
     assert table.hints == {"rig/a": SensorHint("g")}
     read = TdmsFormat().read
     assert "must be a column of rig.tdms" in refusal(read, tmp_path / "rig.tdms", {"data.force.1": "a"})
-    assert "it holds text or objects" in refusal(read, tmp_path / "rig.tdms", {"data.force.1": "note"})
+    assert "holds text or objects" in refusal(read, tmp_path / "rig.tdms", {"data.force.1": "note"})
     both = {"data.force.1": "other/a", "data.acceleration.1": "b"}
     assert "10 samples of 'b', 40 of 'other/a'" in refusal(read, tmp_path / "rig.tdms", both)
 
@@ -154,10 +147,10 @@ def test_hdf5_reads_what_the_file_itself_holds_and_unpickles_nothing(tmp_path):
     read = Hdf5Format().read
     for name, expected in {
         "link": "must be a column of rig.h5",
-        "raw": "it holds data of another file",
-        "virtual": "it holds data of another file",
-        "pickled": "it holds text or objects",
-        "words": "it holds text or objects",
+        "raw": "holds data of another file",
+        "virtual": "holds data of another file",
+        "pickled": "holds text or objects",
+        "words": "holds text or objects",
     }.items():
         assert expected in refusal(read, tmp_path / "rig.h5", {"data.force.1": name})
     assert read(tmp_path / "rig.h5", {"data.force.1": "table.a"}).columns["table.a"].tolist() == [1.5, 2.5]
@@ -184,7 +177,8 @@ def test_parquet_refuses_what_is_no_number(tmp_path):
     assert read.hints == {"a": SensorHint("g")}
     for name, holds in (("x", "string"), ("t", "timestamp[ms]"), ("on", "bool")):
         told = refusal(ParquetFormat().read, tmp_path / "rig.parquet", {"data.time": name})
-        assert told.startswith(f"data.time='{name}': must be a column of numbers; in rig.parquet it holds {holds}")
+        assert told.startswith(f"data.time='{name}': must be a column of numbers")
+        assert f"in rig.parquet {name!r} holds {holds}" in told
 
 
 @pytest.mark.parametrize(
@@ -225,10 +219,10 @@ def test_how_text_is_written_is_recognised_or_set(tmp_path, text, settings, colu
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("t;a\n0;1,5\n1;2.5\n", "column 'a', line 2='1,5': must be a finite number; write decimals with a point"),
+        ("t;a\n0;1,5\n1;2.5\n", "column 'a', line 2='1,5': must be a finite number; decimals take a point"),
         ("t;a\n0;1,5\n1;x\n", "column 'a', line 3='x': must be a finite number"),
-        ("t,a\ns,g\n0,=1+1\n", "column 'a', line 3='=1+1': must be a finite number; it looks like a formula"),
-        ("t,a\n0,SUM(A1)\n1,2\n", "column 'a', line 2='SUM(A1)': must be a finite number; it looks like a formula"),
+        ("t,a\ns,g\n0,=1+1\n", "column 'a', line 3='=1+1': must be a finite number"),
+        ("t,a\n" + "0,1\n1,2\n" * 20 + "2,# the door\n", "column 'a', line 42='# the door': must be a finite number"),
     ],
 )
 def test_cells_that_are_no_numbers_keep_their_line(tmp_path, text, expected):
@@ -237,23 +231,14 @@ def test_cells_that_are_no_numbers_keep_their_line(tmp_path, text, expected):
 
 
 @pytest.mark.parametrize(
-    ("settings", "expected"),
+    ("settings", "told"),
     [
-        ({"separator": "ab"}, "data.format.separator='ab'"),
-        ({"separator": ""}, "data.format.separator=''"),
-        ({"decimal": "x"}, "data.format.decimal='x'"),
-        ({"separator": ",", "decimal": ","}, "data.format.decimal=','"),
-        ({"encoding": "klingon"}, "data.format.encoding=klingon"),
-        ({"encoding": 8}, "data.format.encoding=8"),
-        ({"names_line": 0}, "data.format.names_line=0"),
+        ({"separator": "ab"}, "separator='ab'"), ({"separator": ""}, "separator=''"), ({"decimal": "x"}, "decimal='x'"),
+        ({"separator": ",", "decimal": ","}, "decimal=','"), ({"encoding": "klingon"}, "encoding=klingon"),
+        ({"encoding": 8}, "encoding=8"), ({"names_line": 0}, "names_line=0"),
+        ({"names_line": 9}, "names_line=9: must be a line of rig.csv, which has 2"),
     ],
-)
-def test_settings_of_text_that_cannot_be_used(settings, expected):
-    assert refusal(lambda: CsvFormat(**settings)).startswith(expected)
-
-
-def test_a_line_of_names_beyond_the_file(tmp_path):
+)  # fmt: skip
+def test_settings_of_text_that_cannot_be_used(tmp_path, settings, told):
     (tmp_path / "rig.csv").write_text("t,a\n0,1\n")
-    assert "data.format.names_line=9: must be a line of rig.csv, which has 2" in refusal(
-        CsvFormat(names_line=9).read, tmp_path / "rig.csv"
-    )
+    assert refusal(lambda: CsvFormat(**settings).read(tmp_path / "rig.csv")).startswith(f"data.format.{told}")
