@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,10 +16,9 @@ from markupsafe import Markup
 from pinn_cli.report import text
 from pinn_cli.report.estimates import ModeEstimates, mode_table
 from pinn_cli.report.figures.structure import moving_modes
-from pinn_cli.report.fitness import FORMULAS
 from pinn_cli.report.results import Results
 from pinn_cli.report.sheet import Cell, Row, Sheet, render
-from pinn_cli.report.text import Column
+from pinn_cli.report.text import Column, Scores, Shown
 from pinn_cli.runs.identity import package_version
 from pinn_cli.runs.writing import write_text
 from pinn_cli.verdict.finding import Verdict
@@ -112,14 +111,15 @@ def run_page(
     sheets = [*parameter_sheets(parameters), *fitness_sheets(fitness)]
     sensors = text.sensors_shown(residuals, results.run.baseline)
     if len(sensors.rows):
-        sheets.append(sheet_of(("sensors", "Sensors", sensors.note), sensors.columns, sensors.rows))
+        sheets.append(sheet_of("sensors", "Sensors", sensors))
     if tried is not None and tried[0].response is not None:
-        shown = text.validation_shown(*tried)
-        sheets.append(sheet_of(("validation", "Validation on other data", shown.note), shown.columns, shown.rows))
+        sheets.append(sheet_of("validation", "Validation on other data", text.validation_shown(*tried)))
+    moving: list[str] = []
     if modes is not None:
         note = "Of the estimated structure, linearised about rest; the shapes stand in modes.csv."
-        sheets.append(sheet_of(("modes", "Natural modes", note), _MODES, mode_table(modes).head(text.SENSORS_SHOWN)))
-    moving = [] if modes is None else list(moving_modes(results.prescribed, modes))
+        rows = mode_table(modes).head(text.SENSORS_SHOWN)
+        sheets.append(sheet_of("modes", "Natural modes", Shown.of(_MODES, rows, note)))
+        moving = list(moving_modes(results.prescribed, modes))
     return Page(results.run.case, verdict, sheets, warnings, next_steps(results, verdict), moving)
 
 
@@ -136,39 +136,33 @@ def figures_in(directory: Path) -> list[tuple[str, Path]]:
     return figures
 
 
-def sheet_of(titles: tuple[str, str, str], columns: Mapping[str, Column], table: pd.DataFrame) -> Sheet:
-    """A table as it is printed, without columns of which nothing is known; its name, title and note are given."""
-    first, *others = [name for name in columns if table[name].notna().any()]
+def sheet_of(name: str, title: str, shown: Shown) -> Sheet:
+    """A table as it is printed."""
+    (first, head), *others = shown.columns.items()
     rows = [
-        Row((columns[first].text(row[first]),), tuple(Cell(columns[name].text(row[name])) for name in others))
-        for row in table.to_dict(orient="records")
+        Row((head.text(row[first]),), tuple(Cell(column.text(row[key])) for key, column in others))
+        for row in shown.rows.to_dict(orient="records")
     ]
-    return Sheet(*titles, (columns[first].title,), [("", [columns[name].title for name in others])], rows)
+    groups = [("", [column.title for _, column in others])]
+    return Sheet(name, title, " ".join(shown.notes), (head.title,), groups, rows)
 
 
 def parameter_sheets(parameters: pd.DataFrame) -> list[Sheet]:
     """Of the unknown parameters, and of those that were prescribed."""
-    tables, left_out = text.parameter_tables(parameters)
-    unknown = "unknown", "Unknown parameters", "Identified from the record; start is where the search began."
-    believed = " ".join(["What was given, and what the record makes of it.", *left_out])
-    prescribed = "prescribed", "Prescribed parameters", believed
-    return [
-        sheet_of(
-            unknown if "start" in columns else prescribed,
-            columns,
-            rows.assign(parameter=rows["parameter"].str.removesuffix(" *")),
-        )
-        for columns, rows in tables
-    ]
+    sheets = []
+    for columns, rows, left_out in text.parameters_shown(parameters):
+        name, note = "prescribed", "What was given, and what the record makes of it."
+        if "start" in columns:
+            name, note = "unknown", "Identified from the record; start is where the search began."
+        named = rows.assign(parameter=rows["parameter"].str.removesuffix(" *"))
+        sheets.append(sheet_of(name, f"{name.capitalize()} parameters", Shown.of(columns, named, note, *left_out)))
+    return sheets
 
 
 def fitness_sheets(fitness: pd.DataFrame) -> list[Sheet]:
     """By group of DOFs and quantity, by both formulas; none where there is nothing to compare with."""
-    quantities, shown, _ = text.fitness_shown(fitness, PAGE_DOFS)
-    rows = []
-    for name in shown:
-        scores = fitness[fitness["group"] == name].set_index("quantity").reindex(quantities)
-        rows.append(Row((name,), tuple(Cell(text.percent(x)) for formula in FORMULAS for x in scores[formula])))
+    (quantities, scored), _ = Scores.of(fitness, "group").without_single(PAGE_DOFS)
+    rows = [Row((name,), tuple(Cell(text.percent(score)) for score in scores.flat)) for name, scores in scored]
     note = "100 is perfect; error: root mean square of the difference. DOF by DOF, then the mean over the DOFs."
     formulas = [(f"1 - error / {what} of the truth (%)", quantities) for what in ("deviation", "range")]
     return [Sheet("fitness", "Fitness", note, ("DOFs",), formulas, rows)] if rows else []

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES
+from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report.fitness import FORMULAS
 from pinn_cli.system.quantities import GROUND, SUPPORT, UNITS
 
@@ -133,36 +133,41 @@ _TITLES = ("fitness, 1 - error / deviation (%)", "fitness, 1 - error / range (%)
 _CELL_WIDTH, _GAP = 9, "   "
 
 
-class SensorTable(NamedTuple):
-    """Sensors one by one: the columns in which anything is known, the rows, and what they say."""
+class Shown(NamedTuple):
+    """A table as it is read, in print and on a page: the columns in which anything is known, the rows, and notes."""
 
     columns: dict[str, Column]
     rows: pd.DataFrame
-    note: str
+    notes: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, columns: Mapping[str, Column], rows: pd.DataFrame, says: str = "", more: str = "") -> SensorTable:
-        """What is said of it stands before and behind the meanings of its columns."""
-        filled = {name: column for name, column in columns.items() if rows[name].notna().any()}
-        meanings = [meaning for name, meaning in _OF_SENSORS.items() if name in filled]
-        return cls(filled, rows, "; ".join(filter(None, (says, *meanings, more))))
+    def of(cls, columns: Mapping[str, Column], rows: pd.DataFrame, *notes: str) -> Shown:
+        """Without columns of which nothing is known."""
+        return cls({name: column for name, column in columns.items() if rows[name].notna().any()}, rows, notes)
 
-    def text(self, file: str) -> str:
+    @classmethod
+    def of_sensors(cls, columns: Mapping[str, Column], rows: pd.DataFrame, says: str = "", more: str = "") -> Shown:
+        """Sensor by sensor; the note has the meanings of the columns, what is said before and what behind."""
+        shown = cls.of(columns, rows)
+        meanings = [meaning for name, meaning in _OF_SENSORS.items() if name in shown.columns]
+        return shown._replace(notes=("; ".join(filter(None, (says, *meanings, more))),))
+
+    def sensors_text(self, file: str) -> str:
         """Of many sensors those with the largest NMSE; the others are left to the file."""
-        shown, left_out = self.rows, []
-        if len(shown) > SENSORS_SHOWN:
-            shown = shown.loc[shown["nmse_percent"].nlargest(SENSORS_SHOWN).index.sort_values()]
-            left_out = [f"the {len(shown)} of {len(self.rows)} sensors with the largest NMSE; all: {file}"]
-        return "\n".join([*table_lines(self.columns, shown), *left_out, *textwrap.wrap(self.note, WIDTH)])
+        rows, left_out = self.rows, []
+        if len(rows) > SENSORS_SHOWN:
+            rows = rows.loc[rows["nmse_percent"].nlargest(SENSORS_SHOWN).index.sort_values()]
+            left_out = [f"the {len(rows)} of {len(self.rows)} sensors with the largest NMSE; all: {file}"]
+        return "\n".join([*table_lines(self.columns, rows), *left_out, *textwrap.wrap(self.notes[0], WIDTH)])
 
 
 def sensors_text(records: Sequence[Sequence[pd.DataFrame]], baseline: str = "") -> str:
     """What is left of every sensor beside the noise found; see :func:`sensors_shown`."""
-    table = sensors_shown(records, baseline)
-    return "" if table.rows.empty else table.text("residuals.csv")
+    shown = sensors_shown(records, baseline)
+    return "" if shown.rows.empty else shown.sensors_text("residuals.csv")
 
 
-def sensors_shown(records: Sequence[Sequence[pd.DataFrame]], baseline: str = "") -> SensorTable:
+def sensors_shown(records: Sequence[Sequence[pd.DataFrame]], baseline: str = "") -> Shown:
     """``records`` are the rows of ``residuals.csv`` of every record.
 
     Of the only one they are also those of a baseline, whose NMSE stands beside ours.
@@ -173,29 +178,30 @@ def sensors_shown(records: Sequence[Sequence[pd.DataFrame]], baseline: str = "")
     names = table["channel"].str.rsplit(" ", n=1).str[-1]
     named = (quantity + " " + table["dof"].astype(str)).where(table["dof"].notna(), names)
     named = named.where((table["quantity"] != GROUND) | table["dof"].isna(), "ground")
-    shown, columns = table.assign(sensor=named, unit=table["quantity"].map(UNITS)), dict(_SENSORS)
+    rows, columns = table.assign(sensor=named, unit=table["quantity"].map(UNITS)), dict(_SENSORS)
     if len(records) > 1:
         columns = {"record": Column("record", -7), **columns}
     else:
         for theirs in records[0][1:]:  # with the same sensors in the same order
-            shown["baseline"] = theirs["nmse_percent"].to_numpy()
+            rows["baseline"] = theirs["nmse_percent"].to_numpy()
             columns["baseline"] = Column(f"{baseline} (%)", len(baseline) + 5, _THREE)
-    return SensorTable.of(columns, shown, more="more: residuals.csv")
+    return Shown.of_sensors(columns, rows, more="more: residuals.csv")
 
 
 def validation_text(run: ValidationRun, table: pd.DataFrame) -> str:
     """Sensor by sensor how far the identified system is from other data, with the table of its run on them."""
     if run.response is None:
         return f"no validation on other data: {run.finding}"
-    return validation_shown(run, table).text("validation.csv")
+    return validation_shown(run, table).sensors_text("validation.csv")
 
 
-def validation_shown(run: ValidationRun, table: pd.DataFrame) -> SensorTable:
+def validation_shown(run: ValidationRun, table: pd.DataFrame) -> Shown:
     """The same to be laid out."""
     times = f"{run.record.time[run.first]:.6g} to {run.record.time[-1]:.6g} s"
     begins = "at rest" if run.at_rest else "where the estimate ends"
     says = f"the identified system under the measured force, {times}, beginning {begins}"
-    return SensorTable.of(_VALIDATION, table.assign(sensor=table["quantity"] + " " + table["dof"].astype(str)), says)
+    rows = table.assign(sensor=table["quantity"] + " " + table["dof"].astype(str))
+    return Shown.of_sensors(_VALIDATION, rows, says)
 
 
 def parameters_text(table: pd.DataFrame, warnings: Sequence[str] = (), baseline: pd.DataFrame | None = None) -> str:
@@ -206,12 +212,10 @@ def parameters_text(table: pd.DataFrame, warnings: Sequence[str] = (), baseline:
         warnings: From `pinn_cli.report.parameters.identifiability_warnings`, of the same run.
         baseline: Rows of another estimator, with its name. Where the truth is known it leaves no room for them.
     """
-    tables, notes = parameter_tables(table, baseline)
     lines: list[str] = []
-    for columns, rows in tables:
+    for columns, rows, notes in parameters_shown(table, baseline):
         head, rule, *cells = table_lines(columns, rows)
-        lines += [*([rule] if lines else []), head, rule, *cells]
-    lines += notes
+        lines += [*([rule] if lines else []), head, rule, *cells, *notes]
     if table["start"].notna().any():
         lines += ["* unknown: identified from the record; start is where the search for it began"]
         more = [f"and {len(warnings) - WARNINGS_SHOWN} more: identifiability.csv"]
@@ -221,10 +225,8 @@ def parameters_text(table: pd.DataFrame, warnings: Sequence[str] = (), baseline:
     return "\n".join(lines)
 
 
-def parameter_tables(
-    table: pd.DataFrame, baseline: pd.DataFrame | None = None
-) -> tuple[list[tuple[dict[str, Column], pd.DataFrame]], list[str]]:
-    """Columns and rows of the unknown parameters and of the prescribed ones, and what is left out; see above."""
+def parameters_shown(table: pd.DataFrame, baseline: pd.DataFrame | None = None) -> list[Shown]:
+    """Of the unknown parameters, and behind them of the prescribed ones, with a note of those left out."""
     table, columns = _with_interval(table), {"estimate": Column("estimate", 12, number), **_INTERVAL}
     if table["true"].notna().any():
         columns |= _TRUTH
@@ -235,25 +237,24 @@ def parameter_tables(
         columns["baseline_std"] = Column("std", 10, _TWO)
     sought = table["start"].notna()
     unknown = table[sought].assign(parameter=table.loc[sought, "parameter"] + " *")
-    prescribed, notes = table[~sought], []
+    prescribed, notes = table[~sought], list[str]()
     if len(prescribed) > (limit := PRESCRIBED_BESIDE_UNKNOWN if len(unknown) else PARAMETERS_SHOWN):
         moved = (prescribed["estimate"] / prescribed["prescribed"] - 1.0).abs()
         notes = [f"the {limit} of {len(moved)} that moved furthest from their prescribed values; all: parameters.csv"]
         prescribed = prescribed.loc[moved.nlargest(limit).index.sort_values()]
-    tables = []
-    for given, rows in (("start", unknown), ("prescribed", prescribed)):
-        if len(rows):
-            first = {"parameter": Column("parameter", -12), given: Column(given, 12, number)}
-            tables.append((first | columns, rows))
-    return tables, notes
+    first = {"parameter": Column("parameter", -12)}
+    return [
+        Shown(first | {given: Column(given, 12, number)} | columns, rows, tuple(said))
+        for given, rows, said in (("start", unknown, []), ("prescribed", prescribed, notes))
+        if len(rows)
+    ]
 
 
 def _with_interval(table: pd.DataFrame) -> pd.DataFrame:
     ends = table[["lower_90", "upper_90"]].to_numpy()
-    intervals = [
-        f"{number(low)} to {number(high)}" if np.isfinite(low) and np.isfinite(high) else "-" for low, high in ends
-    ]
-    return table.assign(interval=intervals)
+    return table.assign(
+        interval=[f"{number(low)} to {number(high)}" if np.isfinite([low, high]).all() else "-" for low, high in ends]
+    )
 
 
 def diagnostics_text(diagnostics: pd.DataFrame, verdict: Sequence[str] = ()) -> str:
@@ -276,6 +277,41 @@ def diagnostics_text(diagnostics: pd.DataFrame, verdict: Sequence[str] = ()) -> 
     return "\n".join([*table_lines(_DIAGNOSTICS, table), *notes, *quality])
 
 
+class Scores(NamedTuple):
+    """Fitness by both formulas, %, of what anything is known of: quantities, and by row a name and (2, quantities)."""
+
+    quantities: list[str]
+    rows: list[tuple[str, Any]]
+
+    @classmethod
+    def of(cls, table: pd.DataFrame, by: str) -> Scores:
+        """Of rows as in ``fitness.csv``; the column ``by`` has the names."""
+        known = table[np.isfinite(table[list(FORMULAS)]).any(axis=1)]
+        quantities = [quantity for quantity in QUANTITIES if quantity in set(known["quantity"])]
+        cells = known.set_index([by, "quantity"])[list(FORMULAS)]
+        names = dict.fromkeys(known[by])
+        return cls(quantities, [(name, cells.loc[name].reindex(quantities).to_numpy().T) for name in names])
+
+    def without_single(self, most: int) -> tuple[Scores, list[str]]:
+        """Of more than ``most`` single DOFs none, and those that are left out."""
+        single = [name for name, _ in self.rows if name.startswith("dof_")]
+        left_out = single if len(single) > most else []
+        return self._replace(rows=[row for row in self.rows if row[0] not in left_out]), left_out
+
+    def lines(self, first: str, titles: Sequence[str] = _TITLES, width: int = 12) -> list[str]:
+        """Headings, a rule and a line per row: all quantities by one formula after the other."""
+        half = _CELL_WIDTH * len(QUANTITIES)
+
+        def line(name: str, halves: Iterable[Iterable[str]]) -> str:
+            cells = (f"{''.join(f'{text:>{_CELL_WIDTH}}' for text in texts):<{half}}" for texts in halves)
+            return f"{name:<{width}}" + _GAP.join(cells)
+
+        headings = line(first, [[_HEADINGS[quantity] for quantity in self.quantities]] * len(titles))
+        lines = [line(name, (map(percent, scores) for scores in halves)).rstrip() for name, halves in self.rows]
+        above = " " * width + _GAP.join(f"{title:>{half}}" for title in titles)
+        return [above, headings.rstrip(), "-" * len(headings), *lines]
+
+
 def fitness_text(table: pd.DataFrame, observed: np.ndarray | None = None, published: pd.DataFrame | None = None) -> str:
     """The fitness table with groups as rows and quantities as columns, both formulas side by side, in percent.
 
@@ -287,31 +323,20 @@ def fitness_text(table: pd.DataFrame, observed: np.ndarray | None = None, publis
         observed: (dof,) bool; marks the rows of unobserved DOFs with an asterisk.
         published: From `pinn_cli.report.fitness.published_fitness_of`; its rows are printed under their groups.
     """
-    quantities, shown, left_out = fitness_shown(table, DOFS_SHOWN)
-    if not shown:
+    scores, left_out = Scores.of(table, "group").without_single(DOFS_SHOWN)
+    if not scores.rows:
         return ""
     unobserved = [] if observed is None else [f"dof_{i}" for i in np.flatnonzero(~np.asarray(observed)) + 1]
-    rows: list[tuple[str, Iterable[Any]]] = []
-    for name in shown:
-        scores = table[table["group"] == name].set_index("quantity").loc[quantities, list(FORMULAS)]
-        rows.append((f"{name} *" if name in unobserved else name, scores.to_numpy().T))
+    rows: list[tuple[str, Any]] = []
+    for name, cells in scores.rows:
+        rows.append((f"{name} *" if name in unobserved else name, cells))
         paper = None if published is None else published[published["group"] == name]
         if paper is not None and len(paper):
-            rows.append(("  published", ([], paper.groupby("quantity")[FORMULAS[0]].mean().reindex(quantities))))
+            rows.append(("  published", ([], paper.groupby("quantity")[FORMULAS[0]].mean().reindex(scores.quantities))))
     notes = [f"{left_out[0]} to {left_out[-1]}: fitness.csv"] if left_out else []
-    if any(name in unobserved for name in shown):
+    if any(name in unobserved for name, _ in scores.rows):
         notes.append("* no response sensor on this DOF")
-    return "\n".join([*_score_lines("DOFs", quantities, rows), *notes])
-
-
-def fitness_shown(table: pd.DataFrame, most: int) -> tuple[list[str], list[str], list[str]]:
-    """Quantities and groups of which anything is known; of more than ``most`` single DOFs none, which are the last."""
-    scored = table[np.isfinite(table[list(FORMULAS)]).any(axis=1)]
-    groups = list(dict.fromkeys(scored["group"]))
-    single = [name for name in groups if name.startswith("dof_")]
-    left_out = single if len(single) > most else []
-    quantities = [quantity for quantity in QUANTITIES if quantity in set(scored["quantity"])]
-    return quantities, [name for name in groups if name not in left_out], left_out
+    return "\n".join([*scores._replace(rows=rows).lines("DOFs"), *notes])
 
 
 def free_run_line(run: FreeRun, table: pd.DataFrame) -> str:
@@ -331,17 +356,14 @@ def free_run_text(run: FreeRun, table: pd.DataFrame, truth: str = "truth") -> st
     finding = textwrap.fill(run.finding, WIDTH)
     if run.response is None:
         return finding
-    of_all = table[table["group"] == "all"].set_index(["against", "quantity"])[list(FORMULAS)]
-    quantities = [q for q in RESPONSE_QUANTITIES if of_all.loc[[("truth", q), ("sensors", q)]].notna().any(axis=None)]
-    rows = []
-    for name in dict.fromkeys(table["against"]):
-        scores = of_all.loc[name].reindex(quantities).to_numpy().T
-        if np.isfinite(scores).any() and not (name == "sensors" and np.isfinite(of_all.loc["truth"].to_numpy()).all()):
-            rows.append((truth if name == "truth" else name, scores))
+    of_all = table[table["group"] == "all"]
+    if of_all.loc[of_all["against"] == "truth", list(FORMULAS)].notna().all(axis=None):
+        of_all = of_all[of_all["against"] != "sensors"]
+    known = Scores.of(of_all[of_all["against"] != "estimate"], "against").quantities
+    scores = Scores.of(of_all[of_all["quantity"].isin(known)].replace({"against": {"truth": truth}}), "against")
     title = "free run: the estimated system from its estimated start under the measured force; mean over DOFs"
-    width = max(12, 1 + max((len(name) for name, _ in rows), default=0))
-    lines = _score_lines("against", quantities, rows, width=width)
-    return "\n".join([title, *lines, *([finding] if finding else [])])
+    width = max(12, 1 + max((len(name) for name, _ in scores.rows), default=0))
+    return "\n".join([title, *scores.lines("against", width=width), *([finding] if finding else [])])
 
 
 def comparison_text(ours: pd.DataFrame, theirs: pd.DataFrame, seconds: Mapping[str, float]) -> str:
@@ -351,39 +373,16 @@ def comparison_text(ours: pd.DataFrame, theirs: pd.DataFrame, seconds: Mapping[s
     """
     names = [str(table["estimator"].iloc[0]) for table in (ours, theirs)]
     taken = [f"{seconds[stage]:.1f}" if stage in seconds else "-" for stage in ("estimate", "baseline")]
-    used = dict(zip(names, taken, strict=True))
-    of_all = [table[table["group"] == "all"].set_index("quantity") for table in (ours, theirs)]
-    tables = dict(zip(names, of_all, strict=True))
-    quantities = [q for q in QUANTITIES if any(table.loc[q, list(FORMULAS)].notna().any() for table in tables.values())]
-    if not quantities:
+    used, both = dict(zip(names, taken, strict=True)), pd.concat([ours, theirs])
+    scores = Scores.of(both[both["group"] == "all"], "estimator")
+    if not scores.rows:
         return "seconds: " + ", ".join(f"{name} {taken}" for name, taken in used.items())
-    titles = "mean of 1 - error / deviation (%)", "1 - error / range (%)"
-    rows = [(name, table.loc[quantities, list(FORMULAS)].to_numpy(dtype=float).T) for name, table in tables.items()]
-    lines = _score_lines("estimator", quantities, rows, titles, width=16)
-    column = ["", "seconds", "", *used.values()]
-    full = max(map(len, lines))
+    lines = scores.lines("estimator", ("mean of 1 - error / deviation (%)", "1 - error / range (%)"), width=16)
+    column, full = ["", "seconds", "", *(used[name] for name, _ in scores.rows)], max(map(len, lines))
     return "\n".join(
         f"{line}{'-' * _CELL_WIDTH}" if set(line) == {"-"} else f"{line:<{full}}{text:>{_CELL_WIDTH}}".rstrip()
         for line, text in zip(lines, column, strict=True)
     )
-
-
-def _score_lines(
-    first: str, quantities: Sequence[str], rows: Iterable[tuple[str, Iterable[Any]]], titles: Sequence[str] = _TITLES,
-    width: int = 12,
-) -> list[str]:  # fmt: skip
-    """Headings, a rule and a line per row: a name, and its scores of all quantities by one formula after the other."""
-    half = _CELL_WIDTH * len(QUANTITIES)
-
-    def line(name: str, halves: Iterable[Iterable[str]]) -> str:
-        return f"{name:<{width}}" + _GAP.join(
-            f"{''.join(f'{text:>{_CELL_WIDTH}}' for text in cells):<{half}}" for cells in halves
-        )
-
-    headings = line(first, [[_HEADINGS[quantity] for quantity in quantities]] * len(titles))
-    lines = [line(name, (map(percent, scores) for scores in halves)).rstrip() for name, halves in rows]
-    above = " " * width + _GAP.join(f"{title:>{half}}" for title in titles)
-    return [above, headings.rstrip(), "-" * len(headings), *lines]
 
 
 def stories_text(stories: Sequence[Story]) -> str:

@@ -24,7 +24,7 @@ from pinn_cli.report.figures.structure import MOST_MOVING, moving_modes
 from pinn_cli.report.page import CAPTIONS, Page, figures_in, next_steps, sheet_of
 from pinn_cli.report.results import LABELS
 from pinn_cli.report.run_report import RunReport
-from pinn_cli.report.text import Column
+from pinn_cli.report.text import Column, Shown
 from pinn_cli.runs.machine import usable_cores
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import WriteError
@@ -207,7 +207,7 @@ def test_a_run_that_draws_leaves_a_page_that_loads_nothing(make_case, tmp_path, 
 def test_names_of_anybody_are_text(make_case, tmp_path):
     (tmp_path / "record_2").mkdir()
     save(history_figure(make_case().estimate.history), tmp_path / "record_2" / "figures", "history")
-    sheet = sheet_of(("a", "b", "c"), {"x": Column("x", 2)}, pd.DataFrame({"x": ["<b>\x1b[31m"]}))
+    sheet = sheet_of("a", "b", Shown({"x": Column("x", 2)}, pd.DataFrame({"x": ["<b>\x1b[31m"]})))
     reason = Finding("gain", "x", "the channel <script>alert(1)</script> is late")
     Page("my_rig", Verdict("failed", (reason,)), [sheet]).write(tmp_path)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
