@@ -119,41 +119,39 @@ class Histories:
         return Estimates(self.places, peak, std, self.peaks("true")[0])
 
 
+def history_of(results: Results, name: str) -> Histories | None:
+    """A quantity of DOFs, of the ground or of supports: estimated, true where known at any place, and observed.
+
+    None where nobody knows anything of it.
+    """
+    record, truth = results.record, results.truth.response
+    axis, places, true = "dof", tuple(record.dof_name(i) for i in range(record.ndof)), values_of(truth, name)
+    is_measured, is_known = True, true is not None and bool(np.isfinite(true).any())
+    if name == GROUND:
+        axis, places, is_measured = "", ("ground",), record.measured_ground is not None
+    elif name in SUPPORT:
+        axis, places, is_measured, is_known = "support", tuple(record.support_names), name in record.supports, False
+    sources = {
+        "estimate": values_of(results.estimate.response, name),
+        "std": values_of(results.estimate.std, name),
+        "true": true if is_known else None,
+        "observed": observed(record, name) if is_measured else None,
+    }
+    known = {source: values for source, values in sources.items() if values is not None}
+    return Histories(name, axis, places, record.time, known) if known else None
+
+
 def dof_histories(results: Results) -> list[Histories]:
-    """Motion and force of every DOF: estimated, true where known at any DOF, and observed."""
-    estimate, record = results.estimate, results.record
-    places, out = tuple(record.dof_name(i) for i in range(record.ndof)), []
-    for name in QUANTITIES:
-        true = getattr(results.truth.response, name)
-        histories = Histories(name, "dof", places, record.time, {})
-        estimated = {"estimate": getattr(estimate.response, name), "std": getattr(estimate.std, name)}
-        references = {"true": true if np.isfinite(true).any() else None, "observed": observed(record, name)}
-        out.append(histories.with_sources(**estimated, **references))
-    return out
+    """Motion and force of every DOF."""
+    return [histories for name in QUANTITIES if (histories := history_of(results, name))]
 
 
-def ground_history(results: Results) -> Histories | None:
-    """The ground's acceleration; None where nobody knows of any."""
-    estimate, record, truth = results.estimate, results.record, results.truth.response
-    sources = {"estimate": estimate.response, "std": estimate.std, "true": truth}
-    moved = {source: getattr(response, GROUND) for source, response in sources.items()}
-    values = {source: x[:, None] for source, x in moved.items() if x is not None}
-    if record.measured_ground is not None:
-        values["observed"] = observed(record, GROUND)
-    return Histories(GROUND, "", ("ground",), record.time, values) if values else None
-
-
-def support_histories(results: Results) -> list[Histories]:
-    """The motion of supports, where they move: estimated and observed."""
-    estimate, record, out = results.estimate, results.record, []
-    moved = {"estimate": estimate.response.supports, "std": estimate.std.supports}
-    for order, name in enumerate(SUPPORT):
-        sources = {source: x[:, order] for source, x in moved.items() if x is not None}
-        if name in record.supports:
-            sources["observed"] = observed(record, name)
-        if sources:
-            out.append(Histories(name, "support", tuple(record.support_names), record.time, sources))
-    return out
+def values_of(response: Response, name: str) -> np.ndarray | None:
+    """(N, C) of a quantity of DOFs, of the ground or of supports; None where a response has none."""
+    if name in SUPPORT:
+        return None if response.supports is None else response.supports[:, list(SUPPORT).index(name)]
+    values: np.ndarray | None = getattr(response, name)
+    return values[:, None] if values is not None and values.ndim == 1 else values
 
 
 def observed(record: Record, quantity: str) -> np.ndarray:

@@ -23,7 +23,7 @@ from pinn_cli.runs.identity import package_version
 from pinn_cli.runs.reading import stamp
 from pinn_cli.runs.writing import write_bytes
 from pinn_cli.system.parameters import LINEAR_TITLES, Parameter
-from pinn_cli.system.quantities import UNITS
+from pinn_cli.system.quantities import GROUND, SUPPORT, UNITS
 
 # The suffix of a variable and its description, by its source.
 SOURCES = {
@@ -67,7 +67,8 @@ def response_dataset(results: Results, free_run: Response | None = None) -> xr.D
         for histories in of_dofs:
             sources = {"estimate": getattr(other.response, histories.name), "std": getattr(other.std, histories.name)}
             variables |= _variables(replace(histories, sources=sources), described)
-    for further in (estimates.ground_history(results), stretched, *estimates.support_histories(results), forces):
+    supports = [estimates.history_of(results, name) for name in SUPPORT]
+    for further in (estimates.history_of(results, GROUND), stretched, *supports, forces):
         variables |= {} if further is None else _variables(further, SOURCES)
     fixed = {
         "Conventions": "CF-1.11",

@@ -16,10 +16,11 @@ from matplotlib.ticker import MaxNLocator
 
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import QUANTITIES, Response
-from pinn_cli.report.estimates import Histories, dof_histories, ground_history
+from pinn_cli.report.estimates import Histories, dof_histories, history_of, values_of
 from pinn_cli.report.figures import style
 from pinn_cli.report.results import Results
 from pinn_cli.system.priors import HALF_WIDTH_95
+from pinn_cli.system.quantities import GROUND
 from pinn_cli.training.estimate import Estimate
 
 POINTS_DRAWN = 400  # observations drawn in a panel at most
@@ -174,7 +175,7 @@ def response_figure(results: Results) -> Figure:
     window = window_about(_largest_input(record), estimate.velocity)
     if results.shown is not None:
         window = window_between(record.time, results.shown)
-    ground = None if record.ground_acceleration is None else ground_history(results)
+    ground = None if record.ground_acceleration is None else history_of(results, GROUND)
     stride = thinned(len(record.time[window]))
     seen = "observations" + (f" (one in {stride} shown)" if stride > 1 else "")
     labelled = looks(true=run.truth_label, baseline=run.baseline.replace("_", " "), observed=seen)
@@ -218,8 +219,8 @@ def _with_others(histories: Histories, results: Results) -> Histories:
     """Beside the baseline's, and those of the equivalent linear system."""
     baseline = None if results.baseline is None else results.baseline.response
     others = {"linear": results.linear_response, "baseline": baseline}
-    values = {name: getattr(response, histories.name) for name, response in others.items() if response is not None}
-    return histories.with_sources(**{name: x if x is None or x.ndim > 1 else x[:, None] for name, x in values.items()})
+    values = {name: values_of(response, histories.name) for name, response in others.items() if response is not None}
+    return histories.with_sources(**values)
 
 
 def _draw_ground(rows: np.ndarray, ground: Histories, window: slice, looks: Looks) -> None:
