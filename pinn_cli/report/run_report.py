@@ -108,27 +108,18 @@ class RecordReport:
             export.write(dataset, self.directory / f"response.{export.name}")
 
 
-@dataclass(frozen=True, eq=False)
-class FigureShare:
-    """A part of a run's figures, as :func:`pinn_cli.report.figures.write_figures` has it."""
+def draw_figures(drawn: tuple[Results, Path]) -> None:
+    """Draw all figures of a run, on the cores that there are, which have one matplotlib read for all."""
+    import pinn_cli.report.figures  # noqa: F401
 
-    results: Results
-    directory: Path
-    part: int = 0
-    of: int = 1
+    side_by_side([(*drawn, part, _SHARES) for part in range(_SHARES)]).each(_draw_share)
 
-    def share_out(self) -> None:
-        """Draw all of them, on the cores that there are, which have one matplotlib read for all."""
-        import pinn_cli.report.figures  # noqa: F401
 
-        side_by_side([replace(self, part=i, of=_SHARES) for i in range(_SHARES)]).each(FigureShare.draw)
+def _draw_share(share: tuple[Results, Path, int, int]) -> None:
+    # Not above: a sweep's jobs draw nothing and have no need of matplotlib.
+    from pinn_cli.report import figures
 
-    def draw(self) -> None:
-        """Draw and save them."""
-        # Not above: a sweep's jobs draw nothing and have no need of matplotlib.
-        from pinn_cli.report import figures
-
-        figures.write_figures(self.results, self.directory, self.part, self.of)
+    figures.write_figures(*share)
 
 
 class RunReport:
@@ -238,8 +229,8 @@ class RunReport:
 
         Where there is no core to spare, or copies of a process do no good, :meth:`write` draws them.
         """
-        drawn = in_a_copy(FigureShare(self.results, self.directory))
-        self._drawn = drawn.begin(FigureShare.share_out)
+        drawn = in_a_copy((self.results, self.directory))
+        self._drawn = drawn.begin(draw_figures)
         try:
             yield
         except BaseException:
@@ -253,14 +244,10 @@ class RunReport:
         Figures are those of :meth:`drawing`.
         """
         results, directory, drawn, verdict = self.results, self.directory, self._drawn, self.verdict
-        parameter_table = below(*[table for _, table in self.tables])
         with self.stages("report"):
             self.records.each(RecordReport.write)
-            write_tables(results, parameter_table, directory)
-            for name, table in self._further_tables().items():
-                write_table(table, directory / name)
-            if not results.estimate.peaks:
-                write_run_model(results, verdict, directory)
+            write_tables(results, below(*[table for _, table in self.tables]), directory)
+            self._write_further_tables()
         page = None
         if drawn is not None:
             # Not above: who draws nothing has no need of templates.
@@ -288,19 +275,20 @@ class RunReport:
         estimate = self.results.estimate
         return parameters.identifiability_warnings(estimate.before_any_record, estimate.correlation)
 
-    def _further_tables(self) -> dict[str, pd.DataFrame]:
-        """Those that not every run has, by their files: of several records, of other data, of records before."""
-        out = {}
-        if self.results.further:
-            rows = zip(self.results.by_record, [tables[0] for tables in self.residuals], self.verdicts, strict=True)
-            out["records.csv"] = with_labels(records_table(list(rows)), self.labels)
+    def _write_further_tables(self) -> None:
+        """Those that not every run has: of several records, of other data, of records before, of what is predicted."""
+        results, directory, peaks = self.results, self.directory, self.results.estimate.peaks
+        if results.further:
+            rows = zip(results.by_record, [tables[0] for tables in self.residuals], self.verdicts, strict=True)
+            write_table(with_labels(records_table(list(rows)), self.labels), directory / "records.csv")
         if self.validation is not None:
-            out["validation.csv"] = with_labels(self.validation[1], self.labels)
+            write_table(with_labels(self.validation[1], self.labels), directory / "validation.csv")
         if self.over_time is not None:
-            out[parameters.OVER_TIME] = self.over_time
-        if self.results.estimate.peaks:
-            out["peaks.csv"] = pd.DataFrame([asdict(peak) for peak in self.results.estimate.peaks])
-        return out
+            write_table(self.over_time, directory / parameters.OVER_TIME)
+        if peaks:
+            write_table(pd.DataFrame([asdict(peak) for peak in peaks]), directory / "peaks.csv")
+        else:
+            write_run_model(results, self.verdict, directory)
 
     def _draw_tables(self) -> None:
         """Draw what is not drawn of the results alone."""
