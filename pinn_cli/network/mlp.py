@@ -137,43 +137,35 @@ class MlpNetwork(Network):
     (paper, algorithm 1).
 
     Args:
-        ndof: Number of DOFs.
-        continuity: See :class:`Network`.
-        depth, width: Hidden layers and units in each.
-        activation: A name of :data:`pinn_cli.network.activation.ACTIVATIONS`.
+        design: Depth, width, activation and continuity.
+        record: Which scales time and outputs, and has the band of networks that begin as sinusoids.
         inputs: What the first layer gets.
-        start, span: Time that becomes 0 and duration that becomes 1, s.
-        amplitudes: Of the displacement, m, and velocity outputs, m/s.
-        cycles: Periods of the record's highest frequency in ``span``, for networks that begin as sinusoids.
+        width: Of the hidden layers.
+        functions: Unknown functions of time.
         dtype: Of weights and outputs.
+
+    Attributes:
+        start, span: Time that becomes 0 and duration that becomes 1, s.
+        cycles: Periods of the record's highest frequency in ``span``.
+        amplitude: Of every output, m and m/s.
     """
 
     amplitude: Tensor
 
     def __init__(
-        self,
-        ndof: int,
-        continuity: Continuity,
-        depth: int,
-        width: int,
-        activation: str,
-        inputs: Embedding,
-        start: float,
-        span: float,
-        amplitudes: tuple[float, float],
-        cycles: float,
-        dtype: torch.dtype,
+        self, design: Mlp, record: Record, inputs: Embedding, width: int, functions: int, dtype: torch.dtype
     ) -> None:
-        super().__init__(ndof, continuity)
-        self.activation, self.start, self.span, self.cycles = activation, start, span, cycles
-        self.inputs = inputs
-        sizes = [inputs.count, *[width] * depth, self.channels * ndof]
+        super().__init__(functions, design.continuity)
+        self.activation, self.start, self.span = design.activation, float(record.time[0]), record.duration
+        self.cycles, self.inputs = record_band(record) * record.duration, inputs
+        sizes = [inputs.count, *[width] * design.depth, self.channels * functions]
         self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
         for fan_in, fan_out in pairwise(sizes):
             self.weights.append(torch.zeros(fan_out, fan_in, dtype=dtype))
             self.biases.append(torch.zeros(fan_out, dtype=dtype))
-        scale = torch.tensor(amplitudes[: self.channels], dtype=dtype)
-        self.register_buffer("amplitude", scale.repeat_interleave(ndof))
+        amplitudes = motion_amplitudes(record)
+        scale = torch.tensor([amplitudes["displacement"], amplitudes["velocity"]][: self.channels], dtype=dtype)
+        self.register_buffer("amplitude", scale.repeat_interleave(functions))
 
     @torch.no_grad()
     def reset(self, seed: int) -> None:
@@ -325,13 +317,8 @@ class Mlp(NetworkDesign):
 
         Residuals are compared at so many points, see :func:`embedding`; None: wherever it takes.
         """
-        amplitudes = motion_amplitudes(record)
         width = max(LEAST_WIDTH, UNITS_PER_DOF * record.ndof) if self.width is None else self.width
         inputs = embedding(self.embedding, record, dtype, points)
-        network = MlpNetwork(
-            functions or record.ndof, self.continuity, self.depth, width, self.activation, inputs,
-            float(record.time[0]), record.duration, (amplitudes["displacement"], amplitudes["velocity"]),
-            record_band(record) * record.duration, dtype,
-        )  # fmt: skip
+        network = MlpNetwork(self, record, inputs, width, functions or record.ndof, dtype)
         network.reset(0)
         return network
