@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
 
 from omegaconf import DictConfig
 
@@ -48,28 +48,19 @@ _ELSEWHERE = {
 }
 
 
-@overload
-def run(
-    *overrides: str,
-    data: Any = None,
-    directory: str | os.PathLike[str] | None = None,
-    keep: bool = True,
-    config_dir: str | os.PathLike[str] | None = None,
-    multirun: Literal[False] = False,
-) -> Result: ...
+class _Given(TypedDict, total=False):
+    """Arguments of :func:`run` that say nothing of what it returns."""
+
+    data: Any
+    directory: str | os.PathLike[str] | None
+    keep: bool
+    config_dir: str | os.PathLike[str] | None
 
 
 @overload
-def run(
-    *overrides: str,
-    data: Any = None,
-    directory: str | os.PathLike[str] | None = None,
-    keep: bool = True,
-    config_dir: str | os.PathLike[str] | None = None,
-    multirun: Literal[True],
-) -> SweepResult: ...
-
-
+def run(*overrides: str, multirun: Literal[False] = False, **given: Unpack[_Given]) -> Result: ...
+@overload
+def run(*overrides: str, multirun: Literal[True], **given: Unpack[_Given]) -> SweepResult: ...
 def run(
     *overrides: str,
     data: Any = None,

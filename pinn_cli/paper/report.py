@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 from omegaconf import OmegaConf
@@ -147,8 +147,7 @@ def _where(rows: pd.DataFrame, wanted: Mapping[str, str]) -> pd.DataFrame:
     return rows[(rows[list(wanted)] == pd.Series(dict(wanted))).all(axis=1)]
 
 
-@dataclass(frozen=True)
-class Shortfall:
+class Shortfall(NamedTuple):
     """One value of ours that is worse than the published one."""
 
     table: str

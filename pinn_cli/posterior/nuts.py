@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -34,17 +34,6 @@ PROBES = 4
 STATISTICS: dict[str, type] = {"lp": float, "step_size": float, "n_steps": int, "tree_depth": int, "diverging": bool}
 
 log = logging.getLogger(__name__)
-
-
-class Density(Protocol):
-    """What NUTS samples from."""
-
-    @property
-    def size(self) -> int:
-        """Number of coordinates."""
-
-    def potential(self, q: np.ndarray) -> tuple[float, np.ndarray]:
-        """Minus the logarithm of the density at q (size,), and its gradient (size,)."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +62,7 @@ class ChainDraws:
 
 
 def sample_chain(
-    density: Density, seed: int, chain: int, settings: NutsSettings, after_iteration: Callable[[], Any] = lambda: None
+    density: Target, seed: int, chain: int, settings: NutsSettings, after_iteration: Callable[[], Any] = lambda: None
 ) -> ChainDraws:
     """Draws of one chain: the same for the same (density, seed, chain, settings), whatever ran before.
 
@@ -145,7 +134,7 @@ class _UnitMasses(BlockMassMatrix):
         return {(SITE,): r[SITE]}
 
 
-def _start(density: Density, sequence: np.random.SeedSequence) -> tuple[np.ndarray, int]:
+def _start(density: Target, sequence: np.random.SeedSequence) -> tuple[np.ndarray, int]:
     """An overdispersed start (size,) where the density is finite, and the seed of what follows."""
     for_start, for_torch = sequence.spawn(2)
     away = OVERDISPERSION * np.random.default_rng(for_start).standard_normal(density.size)

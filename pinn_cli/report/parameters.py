@@ -10,8 +10,7 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.report.estimates import error_percent
-from pinn_cli.runs.reading import DamagedError, read_table
-from pinn_cli.settings.errors import InputError
+from pinn_cli.runs.reading import read_table, undamaged
 from pinn_cli.system.priors import HALF_WIDTH_90
 from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.training.bounded_estimates import CENTRAL_90
@@ -256,15 +255,9 @@ def history(model: Model) -> pd.DataFrame:
     """
     file = model.directory / OVER_TIME
     if file.is_file():
-        try:
-            numbers = tuple(name for name in OVER_TIME_COLUMNS if name not in ("run", "parameter", "unit", "changed"))
-            table = read_table(file, numbers, OVER_TIME_COLUMNS)
-            if list(table) == list(OVER_TIME_COLUMNS) and len(table) and table["record"].between(0, 1e9).all():
-                return table
-        except DamagedError:
-            pass
-        hint = f"{OVER_TIME} in it is damaged; without that file the history begins with this run"
-        raise InputError("model", model.directory, "a run with the history that it wrote", hint)
+        numbers = tuple(name for name in OVER_TIME_COLUMNS if name not in ("run", "parameter", "unit", "changed"))
+        with undamaged("model", model.directory):
+            return read_table(file, numbers, OVER_TIME_COLUMNS)
     mean, covariance = model.known.within(model.lower)
     half = HALF_WIDTH_90 * (std := np.sqrt(np.diag(covariance)))
     rows = zip(model.parameters, mean, std, np.maximum(mean - half, model.lower), mean + half, strict=True)

@@ -35,14 +35,14 @@ _QUANTITIES = {
 }
 _PARAMETER = re.compile(r"(m|c|k|kappa|mu)_(\d+)")
 _GREEK = {"kappa": "κ", "mu": "μ"}
-_LATEX = str.maketrans(
-    {"\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
-     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "−": "$-$", "κ": r"$\kappa$", "μ": r"$\mu$",
-     "–": "--", "±": r"$\pm$", "²": "$^2$", "³": "$^3$", "‖": r"$\|$", "·": r"$\cdot$"}
-)  # fmt: skip
-# Letters with a combining accent are two characters, which a translation by character cannot see.
-_ACCENTED = {"x̃": r"$\tilde{x}$", "x̄": r"$\bar{x}$"}
-_ACCENTS = re.compile(f"({'|'.join(_ACCENTED)})")
+# Letters with a combining accent are two characters.
+_LATEX = {
+    "x̃": r"$\tilde{x}$", "x̄": r"$\bar{x}$",
+    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
+    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "−": "$-$", "κ": r"$\kappa$", "μ": r"$\mu$",
+    "–": "--", "±": r"$\pm$", "²": "$^2$", "³": "$^3$", "‖": r"$\|$", "·": r"$\cdot$",
+}  # fmt: skip
+_SPECIAL = re.compile("|".join(map(re.escape, _LATEX)))
 
 
 class Cell(NamedTuple):
@@ -162,7 +162,7 @@ def written(text: str, form: Form) -> str:
     if all(name in _QUANTITIES or _PARAMETER.fullmatch(name) for name in names):
         text = "/".join(_symbol(name, form) for name in names)
     elif form == "latex":
-        text = "".join(_ACCENTED.get(part, part.translate(_LATEX)) for part in _ACCENTS.split(text))
+        text = _SPECIAL.sub(lambda found: _LATEX[found[0]], text)
     elif form == "html":
         text = escape(text)
     return Markup(text) if form == "html" else text

@@ -45,15 +45,10 @@ SYMBOLS = {
 }  # fmt: skip
 
 # Fonts with the signs of many scripts, for names that the first one cannot write.
-_FONT, _OTHER_FONTS = "STIXGeneral", ("Noto Sans CJK", "Source Han Sans", "WenQuanYi", "Droid Sans Fallback", "Unifont")
-_FROM_THEIR_SYSTEMS = (
-    "Arial Unicode MS",
-    "Hiragino Sans",
-    "PingFang SC",
-    "Yu Gothic",
-    "Microsoft YaHei",
-    "Malgun Gothic",
-)
+_OTHER_FONTS = (
+    "Noto Sans CJK", "Source Han Sans", "WenQuanYi", "Droid Sans Fallback", "Unifont",
+    "Arial Unicode MS", "Hiragino Sans", "PingFang SC", "Yu Gothic", "Microsoft YaHei", "Malgun Gothic",
+)  # fmt: skip
 
 _STYLE: dict[Any, Any] = {
     "mathtext.fontset": "stix", "font.size": 8,
@@ -82,8 +77,7 @@ def look() -> Iterator[None]:
 def _fonts() -> list[str]:
     """The figures' font, and what this machine has for other scripts."""
     there = sorted({font.name for font in fontManager.ttflist})
-    fonts = [name for name in there if name.startswith(_OTHER_FONTS) or name in _FROM_THEIR_SYSTEMS]
-    return [_FONT, "DejaVu Sans", *fonts]
+    return ["STIXGeneral", "DejaVu Sans", *(name for name in there if name.startswith(_OTHER_FONTS))]
 
 
 def panels(
