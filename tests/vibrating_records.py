@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.linalg import expm
 from scipy.signal import cont2discrete, lfilter
 
 FINER = 4  # steps of the simulation in one of the record
@@ -35,22 +34,10 @@ class Vibrating:
     def accelerations(self, pushed: np.ndarray, rate: float) -> np.ndarray:
         """(N, dofs), under modal forces (N, modes) with straight lines between samples."""
         found = np.zeros((len(pushed), len(self.shapes)))
-        for j, (f, zeta) in enumerate(zip(self.frequency, self.damping, strict=True)):
-            w, step = 2.0 * np.pi * f, 1.0 / rate
-            a = np.array([[0.0, 1.0, 0.0, 0.0], [-(w**2), -2.0 * zeta * w, 1.0, 0.0], [0, 0, 0, 1.0], [0, 0, 0, 0]])
-            e = expm(a * step)
-            phi, first, second = e[:2, :2], e[:2, 2], e[:2, 3] / step
-            gains = np.stack((first - second, second), axis=1)  # of the force at this sample and at the next
-            denominator = np.array([1.0, -np.trace(phi), np.linalg.det(phi)])
-            adjugate = np.array([[-phi[1, 1], phi[0, 1]], [phi[1, 0], -phi[0, 0]]])
-            # z^2 x = ..: x(z) = (zI - phi)^-1 (g0 + g1 z) f
-            states = []
-            for row in range(2):
-                g0, g1 = gains[row]
-                h0, h1 = adjugate[row] @ gains[:, 0], adjugate[row] @ gains[:, 1]
-                states.append(lfilter([g1, g0 + h1, h0], denominator, pushed[:, j]))
-            q, v = states
-            found += np.outer(pushed[:, j] - w**2 * q - 2.0 * zeta * w * v, self.shapes[:, j])
+        for f, zeta, shape, force in zip(self.frequency, self.damping, self.shapes.T, pushed.T, strict=True):
+            w = 2.0 * np.pi * f
+            b, a, _ = cont2discrete(([1.0, 0.0, 0.0], [1.0, 2.0 * zeta * w, w**2]), 1.0 / rate, method="foh")
+            found += np.outer(lfilter(np.ravel(b), a, force), shape)
         return found
 
 

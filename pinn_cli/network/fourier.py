@@ -46,11 +46,8 @@ class FourierNetwork(LinearReadout):
         for q in range(order + 1):
             # d/dt turns cos(x) into omega cos(x + pi/2), and sin likewise.
             wave = omega**q * torch.cos(phase + q * math.pi / 2), omega**q * torch.sin(phase + q * math.pi / 2)
-            trend = (
-                (torch.ones_like(t), t / self.span)
-                if q == 0
-                else (torch.zeros_like(t), torch.full_like(t, (q == 1) / self.span))
-            )
+            constant, slope = (torch.full_like(t, float(q == order)) for order in (0, 1))
+            trend = constant, (t if q == 0 else slope) / self.span
             features.append(torch.cat((torch.stack(trend, -1), *wave), -1)[None])
         sample = torch.arange(len(time), device=time.device)[None]
         mask = torch.ones(1, len(time), dtype=time.dtype, device=time.device)
