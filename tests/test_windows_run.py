@@ -110,45 +110,30 @@ def test_a_simulated_record_by_windows(pinn_run: PinnRun) -> None:
     assert parameters("run")["true"].notna().all()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (("scheme=bayesian",), "scheme=bayesian: must be"),
-        (("network=mlp",), "network=mlp: must be"),
-        (("baseline=kalman_smoother",), "baseline=kalman_smoother: must be"),
-        (("validation=heldout",), "validation=heldout: must be"),
-        (("data.overlap=3",), "data.overlap=3.0: must be at most half"),
-    ],
-)
-def test_what_windows_have_not(pinn_run: PinnRun, arguments: tuple[str, ...], told: str) -> None:
-    pinn_run(*SMALL, "data.window=5", *arguments).refused(told)
-    assert not Path("outputs").exists()
-
-
-def test_what_a_measured_record_by_windows_has_not(pinn_run: PinnRun, tmp_path: Path) -> None:
+def test_what_windows_have_not(pinn_run: PinnRun, tmp_path: Path) -> None:
     data = written(record(3).record, tmp_path / "one.csv")
     file = tmp_path / "one.csv"
     file.write_text("".join(f"{line},{'a4' if i == 0 else i}\n" for i, line in enumerate(file.read_text().split())))
     doubtful = "data.channels={roof: {sensor: displacement, column: a4, dof: 2, gain: {uncertainty: 0.05, value: 1}}}"
-    for own, told in (
-        (("data.decimate=2",), "data.decimate=2"),
-        (("data.validation={start: 6, stop: 9}",), "data.validation"),
-        ((doubtful,), "data.channels.roof.gain"),
-    ):
-        pinn_run(*KNOWN, *data, *WINDOWS, *own).refused(told)
-    pinn_run(*KNOWN, *data, "data.overlap=2").refused("null without data.window")
-
-
-def test_a_record_that_is_followed_has_windows(pinn_run: PinnRun, tmp_path: Path) -> None:
-    data = written(record(3).record, tmp_path / "one.csv")
+    simulated, measured = (*SMALL, "data.window=5"), (*KNOWN, *data, *WINDOWS)
     for arguments, told in (
-        ((*KNOWN, *data), "given with follow, in seconds"),
-        ((*SMALL, "data.window=5"), "csv or another format of files with follow"),
-        ((*KNOWN, *data, *WINDOWS, "resume=auto"), "left out with follow"),
-        ((*KNOWN, *data, *WINDOWS, "--multirun"), "left out with follow"),
-        ((*KNOWN, *data, *WINDOWS, "follow.poll=0"), "follow.poll=0"),
+        ((*simulated, "scheme=bayesian"), "scheme=bayesian: must be"),
+        ((*simulated, "network=mlp"), "network=mlp: must be"),
+        ((*simulated, "baseline=kalman_smoother"), "baseline=kalman_smoother: must be"),
+        ((*simulated, "validation=heldout"), "validation=heldout: must be"),
+        ((*simulated, "data.overlap=3"), "data.overlap=3.0: must be at most half"),
+        ((*measured, "data.decimate=2"), "data.decimate=2"),
+        ((*measured, "data.validation={start: 6, stop: 9}"), "data.validation"),
+        ((*measured, doubtful), "data.channels.roof.gain"),
+        ((*KNOWN, *data, "data.overlap=2"), "null without data.window"),
+        (("follow", *KNOWN, *data), "given with follow, in seconds"),
+        (("follow", *simulated), "csv or another format of files with follow"),
+        (("follow", *measured, "resume=auto"), "left out with follow"),
+        (("follow", *measured, "--multirun"), "left out with follow"),
+        (("follow", *measured, "follow.poll=0"), "follow.poll=0"),
     ):
-        pinn_run("follow", *arguments).refused(told)
+        pinn_run(*arguments).refused(told)
+    assert not Path("outputs").exists()
 
 
 DURATION = 30.0
