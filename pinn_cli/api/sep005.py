@@ -94,39 +94,32 @@ def _times(series: Sequence[Mapping[str, Any]], setting: str) -> list[np.ndarray
         samples = np.shape(entry["data"])[-1] if np.ndim(entry["data"]) else 0
         if entry.get("time") is not None:
             time = _numbers(entry["time"], f"{place}, time")
-            if time.shape != (samples,) or not np.isfinite(time).all() or (np.diff(time) <= 0.0).any():
-                allowed = f"{samples} times that grow, one for each sample"
-                raise InputError(f"{place}, time", f"an array of shape {time.shape}", allowed)
         elif entry.get("fs") is not None:
             time = np.arange(samples) / positive_number(f"{place}, fs", entry["fs"])
         else:
             raise InputError(f"{place}, fs", None, "given, in Hz, or time, in s")
+        if time.shape != (samples,) or not np.isfinite(time).all() or not (np.diff(time) > 0.0).all():
+            allowed = f"{samples} times that grow, one for each sample"
+            raise InputError(f"{place}, time", f"an array of shape {time.shape}", allowed)
         times.append(time)
-        starts.append(_start(entry.get("start_timestamp"), f"{place}, start_timestamp"))
-    known_starts = [start for start in starts if start is not None]
-    if len(known_starts) < len(starts):
+        if (start := entry.get("start_timestamp")) is not None:
+            try:  # a time without a zone counts as that of this machine
+                moment = start if isinstance(start, datetime) else datetime.fromisoformat(str(start))
+            except ValueError:
+                allowed = "a date as ISO 8601 writes it, 2026-03-01T12:00:00"
+                raise InputError(f"{place}, start_timestamp", start, allowed) from None
+            starts.append(moment.timestamp())
+    if len(starts) < len(times):
         return times
-    return [time + (start - min(known_starts)) for time, start in zip(times, known_starts, strict=True)]
-
-
-def _start(given: Any, setting: str) -> float | None:
-    """Seconds since 1970; a time without a zone counts as that of this machine."""
-    if given is None:
-        return None
-    try:
-        return (given if isinstance(given, datetime) else datetime.fromisoformat(str(given))).timestamp()
-    except ValueError:
-        raise InputError(setting, given, "a date as ISO 8601 writes it, 2026-03-01T12:00:00") from None
+    return [time + (start - min(starts)) for time, start in zip(times, starts, strict=True)]
 
 
 def _columns(entry: Mapping[str, Any], setting: str, samples: int) -> dict[str, np.ndarray]:
     values, name = _numbers(entry["data"], f"{setting}, data"), str(entry["name"])
     if values.ndim not in (1, 2) or samples == 0:
-        shown = f"an array of shape {values.shape}"
-        raise InputError(f"{setting}, data", shown, "samples of one channel, or (channels, samples)")
-    if values.ndim == 1:
-        return {name: values}
-    return {f"{name}.{i}": row for i, row in enumerate(values, start=1)}
+        allowed = "samples of one channel, or (channels, samples)"
+        raise InputError(f"{setting}, data", f"an array of shape {values.shape}", allowed)
+    return {name: values} if values.ndim == 1 else {f"{name}.{i}": row for i, row in enumerate(values, start=1)}
 
 
 def _numbers(given: Any, setting: str) -> np.ndarray:
