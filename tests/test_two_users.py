@@ -88,6 +88,29 @@ def test_the_second_waits_until_the_first_is_killed(other, tmp_path: Path, monke
     assert f'"pid": {first.pid}' in told
 
 
+def test_many_come_in_one_by_one(tmp_path: Path, monkeypatch) -> None:
+    """Also across the moment at which the one before removes the file."""
+    monkeypatch.setattr(claim, "EVERY_S", 1e-4)
+    inside: list[int] = []
+    most: list[int] = []
+
+    def come_in(number: int) -> None:
+        for _ in range(30):
+            with held(tmp_path):
+                inside.append(number)
+                most.append(len(inside))
+                time.sleep(1e-4)
+                inside.remove(number)
+
+    threads = [threading.Thread(target=come_in, args=[number]) for number in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert (len(most), max(most)) == (180, 1)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_file_system_without_locks_is_told_of(tmp_path: Path, monkeypatch, caplog) -> None:
     def refuse(lock: FileLock, **_: object) -> None:
         raise OSError(errno.ENOLCK, "no locks available")
@@ -136,6 +159,28 @@ def test_a_refused_command_takes_no_directory_from_another(other, tmp_path: Path
     first.wait()
     claim.discard()
     assert not place.parent.exists()
+
+
+def test_who_waits_for_a_directory_that_goes_makes_it_anew(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(claim, "EVERY_S", 0.02)
+    place = tmp_path / "place"
+    place.mkdir()
+    claim.note_new(tmp_path / "x")
+    entered = threading.Event()
+
+    def second() -> None:
+        with held(place):
+            assert (place / LOCK).is_file()
+            entered.set()
+
+    waiting = threading.Thread(target=second)
+    with held(place):
+        waiting.start()
+        time.sleep(0.1)
+        (place / LOCK).unlink()
+        place.rmdir()
+    waiting.join(timeout=10)
+    assert entered.is_set()
 
 
 def both(folder: Path, *commands: tuple[str, ...]) -> list[str]:
