@@ -52,7 +52,7 @@ STEPS: tuple[tuple[Step, int], ...] = (
     (combine_windows, 1),
     (count_independent_values, 1),
     (set_force_level, 2),
-    (move_to_marginal_peak, 5),
+    (move_to_marginal_peak, 12),
     (fit_free_run, 1),
     (fit_smooth_force, 1),
 )

@@ -29,6 +29,8 @@ from pinn_cli.training.steps.unknown_forces import set_force_level
 
 # How far a round may move any parameter, in its standard deviations, and how far is not worth a round.
 LARGEST_MOVE, NEGLIGIBLE_PULL = 2.0, 0.1
+# Parts of a change of what pulls that are tried, one after the other, where a law bends within it.
+PARTS_OF_PULL = (1.0, 0.25)
 # Central differences of a matrix by a parameter. Where equations are linear in it a wide one is exact: this part of its
 # value, and a deviation at least. Elsewhere P^-1, which hardly knows some motions, makes large numbers of what bends:
 # how far to either side, in its deviations, and the weight of each, so that the second takes the first order away.
@@ -47,18 +49,26 @@ def move_to_marginal_peak(inference: Inference) -> Inference | None:
         return None
     if max(moved) < NEGLIGIBLE_PULL:
         return replace(inference, at_marginal_peak=True)
-    evidence.each_record(pulled, trained, pulls)
-    again = evidence.train(trained.noise, trained.solution.point)
-    solved = again is not None and again.solution.converged
-    # Where an accelerometer is compared with the equations nothing says how probable that is.
-    if again is None or not solved or _gain(evidence, trained, again) < -NEGLIGIBLE_GAIN:
-        evidence.each_record(pulled, trained, held)
+    for share in PARTS_OF_PULL:
+        evidence.each_record(pulled, trained, [_between(*ends, share) for ends in zip(held, pulls, strict=True)])
+        again = evidence.train(trained.noise, trained.solution.point)
+        solved = again is not None and again.solution.converged
+        # Where an accelerometer is compared with the equations nothing says how probable that is.
+        if again is not None and solved and not _gain(evidence, trained, again) < -NEGLIGIBLE_GAIN:
+            at_peak = replace(inference, trained=again)
+            # As large as the forces are with these parameters: with less damping smaller ones make the same motion.
+            return set_force_level(at_peak) or at_peak
         # Near the peak a move gains half of its square, of which less than that cannot be told.
-        is_there = solved and 0.5 * max(moved) ** 2 < NEGLIGIBLE_GAIN
-        return replace(inference, at_marginal_peak=True) if is_there else None
-    at_peak = replace(inference, trained=again)
-    # As large as the forces are with these parameters: with less damping smaller ones make the same motion.
-    return set_force_level(at_peak) or at_peak
+        if solved and 0.5 * max(moved) ** 2 < NEGLIGIBLE_GAIN:
+            inference = replace(inference, at_marginal_peak=True)
+            break
+    evidence.each_record(pulled, trained, held)
+    return inference if inference.at_marginal_peak else None
+
+
+def _between(before: np.ndarray | None, after: np.ndarray, share: float) -> np.ndarray:
+    """So much of the change of what pulls."""
+    return share * after + (0.0 if before is None else (1.0 - share) * before)
 
 
 def _gain(evidence: Evidence, before: Trained, after: Trained) -> float:
