@@ -35,8 +35,8 @@ log = logging.getLogger(__name__)
 
 LAST, PREVIOUS = CHECKPOINTS
 FORMAT, SEAL_LENGTH = 1, 64
-# What comes of a state that is one of another training.
-OTHER_STATE = (AttributeError, KeyError, RuntimeError, TypeError, ValueError)
+# What may come of a file whose seal is right but whose content is none of ours.
+FORGED = (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError)
 
 
 class DamagedCheckpointError(ValueError):
@@ -44,7 +44,15 @@ class DamagedCheckpointError(ValueError):
 
 
 class OtherRunError(ValueError):
-    """A checkpoint of another run: what differs, setting by setting."""
+    """A checkpoint of another run.
+
+    Attributes:
+        changes: What differs, setting by setting.
+    """
+
+    def __init__(self, changes: list[str]) -> None:
+        super().__init__("; ".join(changes))
+        self.changes = changes
 
 
 class Resumable(Protocol):
@@ -145,11 +153,14 @@ class Checkpoints:
         if content is None:
             return False
         check_layout(content, FORMAT, self.files.directory / LAST)
-        changes = self.identity.changes_from(Identity(**content["identity"]))
+        try:
+            identity, kept, states = Identity(**content["identity"]), list(content["trainings"]), content["random"]
+            changes = self.identity.changes_from(identity)
+        except FORGED as error:
+            raise OtherRunError([f"a checkpoint that pinn-run did not write ({error!r})"]) from error
         if changes:
-            raise OtherRunError("; ".join(changes))
-        self._kept, self._random = list(content["trainings"]), content["random"]
-        self.taken_up = bool(self._kept)
+            raise OtherRunError(changes)
+        self._kept, self._random, self.taken_up = kept, states, bool(kept)
         return True
 
     def begin(self, training: Resumable) -> bool:
@@ -167,7 +178,7 @@ class Checkpoints:
             training.load_state_dict(state)
             if number == len(self._kept) - 1:
                 set_random_states(self._random)
-        except OTHER_STATE as error:
+        except FORGED as error:
             hint, place = f"{error!r}; remove checkpoint*.pt to start over", self.files.directory / LAST
             raise InputError("resume", place, "a checkpoint of this training", hint) from error
         if ended:
@@ -216,15 +227,14 @@ def open_checkpoints(
     try:
         if checkpoints.take_up():
             log.info("going on from the checkpoint in %s", directory)
-        else:
-            log.info("%s holds no checkpoint to go on from: training starts over", directory)
-        return checkpoints
+            return checkpoints
+        log.info("%s holds no checkpoint to go on from: training starts over", directory)
     except OtherRunError as error:
         if resume != AUTO:
             allowed, hint = "a run whose checkpoint is its own", "remove checkpoint*.pt there to start over"
             raise InputError("resume", resume, f"{allowed}, but {error}", hint) from error
         log.warning("the checkpoint in %s is of another run: training starts over; %s", directory, error)
-    return Checkpoints(directory, identity, every_s, device)  # none of whose files is good
+    return Checkpoints(directory, identity, every_s, device)
 
 
 def sealed(content: dict[str, Any]) -> bytes:
@@ -248,9 +258,11 @@ def unsealed(data: bytes, device: str = "cpu") -> dict[str, Any]:
         return default_restore_location(storage, saved_on if saved_on == "cpu" else device)
 
     try:
-        content: dict[str, Any] = torch.load(BytesIO(data), map_location=place, weights_only=True)
+        content = torch.load(BytesIO(data), map_location=place, weights_only=True)
     except Exception as error:  # zip, pickle or whatever else a file made by hand may break
         raise DamagedCheckpointError(f"not plain values and tensors: {type(error).__name__}") from error
+    if not isinstance(content, dict):
+        raise DamagedCheckpointError("not a checkpoint")
     return content
 
 

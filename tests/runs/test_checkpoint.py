@@ -16,6 +16,7 @@ from pinn_cli.runs.checkpoint import (
     CheckpointFiles,
     Checkpoints,
     DamagedCheckpointError,
+    OtherRunError,
     sealed,
     unsealed,
 )
@@ -117,6 +118,7 @@ HARM = {
     "not an archive": lambda data: b"x" * 10_000,
     "code": lambda data: sealed({"state": Evil()}),
     "forged and broken": lambda data: reseal(data[:200] + b"\0" * 100 + data[300:]),
+    "no mapping": lambda data: sealed([1, 2]),
 }
 
 
@@ -215,10 +217,21 @@ def test_several_trainings_in_one_run(killed_in, tmp_path):
     assert all(map(torch.equal, both(again), expected))
 
 
-def test_a_state_of_another_training_is_an_error_of_the_input(tmp_path):
-    trainings = [{"ended": False, "state": {"sum": 1}}]
+GOOD_STATE = {"sum": torch.zeros(3), "done": 1}
+
+
+@pytest.mark.parametrize(
+    "trainings",
+    [[{"ended": False, "state": {"sum": 1}}], [{"ended": False}], [3], [{"ended": False, "state": GOOD_STATE}]],
+    ids=["another state", "no state", "a number", "no generators"],
+)
+def test_a_forged_state_is_an_error_of_the_input(trainings, tmp_path):
     kept = checkpoints(tmp_path)
     kept.write(sealed({"format": 1, "identity": asdict(IDENTITY), "trainings": trainings, "random": {}}))
     kept.take_up()
     with pytest.raises(InputError, match="resume=.*checkpoint.pt: must be a checkpoint of this training"):
         walk(RandomWalk(), kept)
+    for other in ({}, {"format": 1}, {"format": 1, "identity": 3}):  # no checkpoint, or another run's
+        checkpoints(tmp_path).write(sealed(other))
+        with pytest.raises(OtherRunError):
+            checkpoints(tmp_path).take_up()
