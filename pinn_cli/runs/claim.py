@@ -43,6 +43,7 @@ MARKED, MARK_OF_OURS = (f"{SETTINGS}/hydra.yaml", "multirun.yaml"), "pinn_cli"
 _PREPARED = re.compile(r"(run|sweep)\.lock|failure\.json|\.submitit|\.(failure|multirun)\.\d+\.partial\.(json|yaml)")
 _PREPARED_SETTINGS = re.compile(r"overrides\.yaml|\.(hydra|config|overrides)\.\d+\.partial\.yaml")
 _FILES = re.compile(r".*\.(csv|db|json|pt|nc|log|lock|yaml)")
+_FOLDERS = (SETTINGS, "figures", "chains", "tensorboard")
 DIRECTORIES_ALLOWED = "a new or empty directory, or one that pinn-run made"
 
 log = logging.getLogger(__name__)
@@ -60,14 +61,27 @@ def check_destination(directory: Path, setting: str) -> None:
         entries = sorted(directory.iterdir())
     except OSError as error:
         raise InputError(setting, directory, "a directory that can be made", error.strerror or str(error)) from error
-    ours = any((directory / name).is_file() and MARK_OF_OURS in small_text(directory / name) for name in MARKED)
-    foreign = [entry.name for entry in entries if not (is_prepared(entry) or ours)]
-    # Where a run would write a file there must be a file or nothing: no folder, FIFO or link to another place.
-    foreign += [e.name for e in entries if _FILES.fullmatch(e.name) and not stat.S_ISREG(e.lstat().st_mode)]
-    if foreign:
-        named = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
-        hint = f"files of yours might be replaced there ({named}): name another directory"
-        raise InputError(setting, directory, DIRECTORIES_ALLOWED, hint)
+    if not any(_carries_mark(directory / name) for name in MARKED):
+        foreign = [entry.name for entry in entries if not is_prepared(entry)]
+        if foreign:
+            named = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
+            hint = f"files of yours might be replaced there ({named}): name another directory"
+            raise InputError(setting, directory, DIRECTORIES_ALLOWED, hint)
+    settings = directory / SETTINGS
+    for entry in [*entries, *(sorted(settings.iterdir()) if settings.is_dir() else ())]:
+        # Where a run would write a file there must be a file or nothing: no folder, FIFO or link to another place.
+        kind = entry.lstat().st_mode
+        if entry.name in _FOLDERS and not stat.S_ISDIR(kind):
+            raise InputError(setting, entry.parent, DIRECTORIES_ALLOWED, f"{entry.name} there is no directory")
+        if _FILES.fullmatch(entry.name) and not stat.S_ISREG(kind):
+            raise InputError(setting, entry.parent, DIRECTORIES_ALLOWED, f"{entry.name} there is no regular file")
+
+
+def _carries_mark(file: Path) -> bool:
+    try:
+        return MARK_OF_OURS in small_text(file)
+    except OSError:
+        return False
 
 
 def is_prepared(entry: Path) -> bool:
@@ -85,6 +99,23 @@ def held(directory: Path, name: str = LOCK) -> Iterator[None]:
     """
     with locked(directory / name, f"waiting for another process to leave {directory}", EVERY_S):
         yield
+
+
+@contextmanager
+def if_free(directory: Path) -> Iterator[bool]:
+    """Whether no other process is in a run's or a sweep's directory, or comes in meanwhile: see :func:`held`."""
+    from filelock import FileLock, Timeout
+
+    with ExitStack() as locks:
+        try:
+            for name in (LOCK, SWEEP_LOCK):
+                locks.enter_context(FileLock(directory / name, blocking=False, fallback_to_soft=False))
+            free = True
+        except Timeout:
+            free = False
+        except OSError:  # a file system without locks
+            free = True
+        yield free
 
 
 @contextmanager
@@ -141,14 +172,20 @@ def note_new(directory: Path) -> None:
 
 
 def discard() -> None:
-    """Remove what unusable input left: directories that are new, and in which no run was begun."""
+    """Remove what unusable input left: directories that are new, and in which nobody is nor any run was begun."""
     for directory in _new[:1]:
-        # `Path.is_dir` raises where a name is too long
-        if os.path.isdir(directory) and all(map(is_prepared, directory.iterdir())):
-            shutil.rmtree(directory)
+        if _is_unused(directory):
+            with if_free(directory) as free:
+                if free and _is_unused(directory):
+                    shutil.rmtree(directory)
     for directory in _new[1:]:
         with suppress(OSError):  # it holds something, or was not made
             directory.rmdir()
+
+
+def _is_unused(directory: Path) -> bool:
+    # `Path.is_dir` raises where a name is too long
+    return os.path.isdir(directory) and all(map(is_prepared, directory.iterdir()))
 
 
 class RunLog(MemoryHandler):
@@ -213,6 +250,7 @@ class Claim:
         self.taken = self.untouched = self.locked = False
         self._held = ExitStack()
         self._before: dict[Path, bytes | None] = {}
+        self._aside: dict[Path, Path] = {}
 
     def lock(self) -> None:
         """Wait until no other process is at work in the directory, and keep others out from then on.
@@ -243,14 +281,17 @@ class Claim:
         try:
             with self._one_line():
                 tidy(self.directory)
-                replaced = [self.directory / name for name in (LOG, *outdated)]
-                self._before = {place: content_of(place) for place in (*written, *replaced)}
+                self._before = {place: content_of(place) for place in (*written, self.directory / LOG)}
                 with ExitStack() as files:  # all, or none: the mark of the directory is there at any moment
                     for place, content in written.items():
                         temporary = files.enter_context(replacing(place))
                         temporary.write_text(OmegaConf.to_yaml(content), encoding="utf-8")
-                for name in outdated:
-                    (self.directory / name).unlink(missing_ok=True)
+                for place in (self.directory / name for name in outdated):
+                    if place.is_file():
+                        # As a file that is being written: should the process be killed, :func:`tidy` removes it.
+                        aside = place.with_name(f".{place.stem}.before.{os.getpid()}.partial{place.suffix}")
+                        os.replace(place, aside)
+                        self._aside[place] = aside
                 self.log.open(self.directory / LOG)
         except BaseException:
             self.refuse()
@@ -258,8 +299,11 @@ class Claim:
         self.taken = True
 
     def settle(self) -> None:
-        """Forget what was replaced: the input has stood every test, and nothing leads back to the earlier run."""
-        self._before.clear()
+        """Remove what was set aside: the input has stood every test, and nothing leads back to the earlier run."""
+        for place in self._aside.values():
+            with suppress(OSError):
+                place.unlink(missing_ok=True)
+        self._aside.clear()
 
     def refuse(self) -> None:
         """Put everything back as it was before the directory was taken, if it was."""
@@ -268,11 +312,15 @@ class Claim:
             with suppress(WriteError):
                 put_back(place, content)
         self._before.clear()
+        for place, aside in self._aside.items():
+            os.replace(aside, place)
+        self._aside.clear()
         with suppress(OSError):  # it holds something, or was not made
             (self.directory / SETTINGS).rmdir()
 
     def release(self) -> None:
         """Let others in."""
+        self.settle()
         self.log.close()
         self._held.close()
 

@@ -126,9 +126,10 @@ def content_of(file: Path) -> bytes | None:
 
 def put_back(file: Path, content: bytes | None) -> None:
     """Have a file be as it was when :func:`content_of` said this."""
-    if content is None and file.is_file():
-        file.unlink()
-    elif content is not None and content_of(file) != content:
+    if content is None:
+        if file.is_file() and not file.is_symlink():  # a pipe or a link there is somebody's
+            file.unlink()
+    elif content_of(file) != content:
         write_bytes(content, file)
 
 

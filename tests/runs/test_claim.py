@@ -1,5 +1,6 @@
 """A command that is refused, or waits, changes no byte of what lies where it would write; a user's files stay."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from interrupted_runs import ADAM, Steps, contents, without_figures
 from sweeps import start
 
 from pinn_cli.runs import claim as claims
-from pinn_cli.runs.claim import LOG, RunLog, check_destination
+from pinn_cli.runs.claim import LOG, Claim, RunLog, check_destination
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.gradient.training import GradientTraining
 
@@ -109,6 +110,23 @@ def test_what_is_logged_before_the_directory_is_taken_is_not_lost(tmp_path: Path
     assert [line.rpartition("]")[2] for line in lines] == [" early", " late"]
 
 
+def test_a_claim_that_is_killed_leaves_a_directory_that_can_be_taken(tmp_path: Path) -> None:
+    """What was set aside looks like a file half-written, and goes with those."""
+    (tmp_path / "run.json").write_text("{}")
+    (tmp_path / ".hydra").mkdir()
+    (tmp_path / ".hydra" / "hydra.yaml").write_text("pinn_cli")
+    child = os.fork()
+    if child == 0:
+        Claim(tmp_path, "hydra.run.dir", {}).take(["run.json"])
+        os.kill(os.getpid(), signal.SIGKILL)
+    os.waitpid(child, 0)
+    assert not (tmp_path / "run.json").exists()
+    claim = Claim(tmp_path, "hydra.run.dir", {})
+    claim.take()
+    claim.release()
+    assert {entry.name for entry in tmp_path.iterdir()} == {".hydra", LOG}
+
+
 QUICK = (*ADAM, "training.iterations=1", "figures=false")
 SWEEP = ("--multirun", *QUICK, "seed=0,1")
 
@@ -160,6 +178,14 @@ def test_files_of_another_program_and_what_is_no_file_are_refused(tmp_path: Path
     (tmp_path / ".hydra" / "hydra.yaml").write_text("pinn_cli")
     (tmp_path / "notes").mkdir()
     check_destination(tmp_path, "hydra.run.dir")
-    (tmp_path / "pinn-run.log").symlink_to("elsewhere")
-    with pytest.raises(InputError, match=r"hydra\.run\.dir=.*pinn-run\.log"):
-        check_destination(tmp_path, "hydra.run.dir")
+    makers = {
+        "checkpoint.pt": lambda place: place.mkdir(),
+        "run.json": os.mkfifo,
+        "pinn-run.log": lambda place: place.symlink_to("elsewhere"),
+        "figures": lambda place: place.touch(),
+    }
+    for name, make in makers.items():
+        make(tmp_path / name)
+        with pytest.raises(InputError, match=f"{name} there is no"):
+            check_destination(tmp_path, "hydra.run.dir")
+        (tmp_path / name).rmdir() if name == "checkpoint.pt" else (tmp_path / name).unlink()

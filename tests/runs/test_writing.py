@@ -11,7 +11,7 @@ import pytest
 
 from pinn_cli.runs import workbook
 from pinn_cli.runs.workbook import write_workbook
-from pinn_cli.runs.writing import WriteError, replacing, replacing_by_large, write_json, write_table
+from pinn_cli.runs.writing import WriteError, put_back, replacing, replacing_by_large, write_json, write_table
 from pinn_cli.settings.errors import InputError
 
 
@@ -49,6 +49,15 @@ def test_json_is_strict_and_takes_numpy(tmp_path):
     with pytest.raises(TypeError, match="cannot hold"):
         write_json({"x": object()}, tmp_path / "other.json")
     assert [file.name for file in tmp_path.iterdir()] == ["run.json"]
+
+
+def test_what_was_no_file_is_not_removed_when_it_is_put_back(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("nowhere")
+    (tmp_path / "new").write_text("of the program")
+    for name in ("pipe", "link", "new", "nothing"):
+        put_back(tmp_path / name, None)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["link", "pipe"]
 
 
 def test_a_full_disk_is_told_before_a_large_file_is_written(tmp_path, monkeypatch):
