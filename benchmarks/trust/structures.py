@@ -95,6 +95,16 @@ class Structure:
             "connections": links,
         }
 
+    def unknown(self) -> tuple[dict[str, object], dict[str, float]]:
+        """`system:` of an experiment in which no connection has a value but n of Bouc-Wen, and what is to be found."""
+        system = self.settings()
+        for link in self.connections:
+            system["connections"][link.name] |= {kind: 1.0 if kind == "n" else None for kind in link.values}  # type: ignore[index]
+        found = {
+            f"{kind}_{link.name}": x for link in self.connections for kind, x in link.values.items() if kind != "n"
+        }
+        return system, found
+
     def parameters(self, kinds: str = "ck") -> dict[str, float]:
         """Name as in `parameters.csv` and value, of the kinds that are letters of `kinds`."""
         return {f"{kind}_{link.name}": link.values[kind] for kind in kinds for link in self.connections

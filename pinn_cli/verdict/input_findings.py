@@ -153,13 +153,15 @@ def _under_forces(problem: Problem, estimate: Estimate) -> Iterator[Finding]:
     one that the record shows, and a sensor is wherever a force acts (a storey next to the ground, whose motion nobody
     measured, came out 30 to 50 % too soft).
     """
-    summary, unheld = estimate.summary, _unheld(problem)
+    summary = estimate.summary
     if not problem.uncertain or not problem.inputs.unmeasured or "spectral_misfit" in summary:
         return
-    some_are_held, is_integrated = len(unheld) < len(problem.uncertain), summary.get("at_marginal_peak", False)
+    is_integrated = summary.get("at_marginal_peak", False)
     is_shown = summary.get("misfit_unknown_force", np.inf) <= MISSED and not problem.structure.is_modal
     if is_integrated and is_shown and problem.record.observed[list(problem.inputs.forces)].all():
         return
+    unheld = _unheld(problem)
+    some_are_held = len(unheld) < len(problem.uncertain)
     if unheld and some_are_held:
         names = ", ".join(unheld)
         text = f"of {names} nothing is known but through the spectrum of a force that was not measured"

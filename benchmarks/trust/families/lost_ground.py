@@ -43,10 +43,7 @@ def draw(seed: int) -> Case:
     quiet = -10.0 * np.log10(2.0 * upper.sum(axis=0).max() / len(times) ** 2 / motion.displacement.var(axis=0).max())
     decibel = max(rng.uniform(30, 60), float(quiet) + ABOVE)
     table = {"t": times} | {f"u{i + 1}": noisy(rng, motion.displacement[:, i], decibel) for i in range(n)}
-    system = structure.settings()
-    for link in structure.connections:
-        unknown = {kind: 1.0 if kind == "n" else None for kind in link.values}
-        system["connections"][link.name] |= unknown  # type: ignore[index]
+    system, true = structure.unknown()
     settings: dict[str, object] = {
         "defaults": UNKNOWN_STRUCTURE,
         "system": system,
@@ -56,7 +53,6 @@ def draw(seed: int) -> Case:
         },
         "scheme": {"unknown": "missing", "initial_motion": "rest"},
     }  # fmt: skip
-    true = {f"{k}_{link.name}": x for link in structure.connections for k, x in link.values.items() if k != "n"}
     truth = Truth(true, motion.displacement, motion.velocity, motion.acceleration, tuple(range(n)))
     about = (
         f"{n} storeys{', a brace' if len(structure.connections) > n else ''}, {first:.3g} to {last:.3g} Hz,"

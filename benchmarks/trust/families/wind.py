@@ -42,10 +42,7 @@ def draw(seed: int) -> Case:
     motion = simulated(structure, pushes, times, ends, method=method)
     decibel = rng.uniform(25, 50)
     table = {"t": times} | {f"a{i + 1}": noisy(rng, motion.acceleration[:, i], decibel) for i in range(n)}
-    system = structure.settings()
-    for link in structure.connections:
-        unknown = {kind: 1.0 if kind == "n" else None for kind in link.values}
-        system["connections"][link.name] |= unknown  # type: ignore[index]
+    system, true = structure.unknown()
     settings: dict[str, object] = {
         "defaults": UNKNOWN_STRUCTURE,
         "system": system,
@@ -55,7 +52,6 @@ def draw(seed: int) -> Case:
         },
         "scheme": {"unknown": "missing", "initial_motion": "rest"},
     }  # fmt: skip
-    true = {f"{k}_{link.name}": x for link in structure.connections for k, x in link.values.items() if k != "n"}
     truth = Truth(true, motion.displacement, motion.velocity, motion.acceleration, tuple(range(n)))
     about = (
         f"{n} storeys{', a brace' if len(structure.connections) > n else ''}, {first:.3g} to {last:.3g} Hz,"
