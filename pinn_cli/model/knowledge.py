@@ -244,3 +244,12 @@ class Model:
     def lower(self) -> np.ndarray:
         """(p,), least values of the parameters; -inf without one."""
         return np.array([0.0 if p.positive else -np.inf for p in self.parameters])
+
+    @property
+    def used(self) -> tuple[np.ndarray, np.ndarray]:
+        """What a record that adds nothing to it takes for known: the estimates of the run's table (p,), and covariance.
+
+        They need not be the posterior's means: where a structure runs free, they are what makes it run.
+        """
+        estimates = [float(self.structure.parameters[p.kind][p.index]) for p in self.parameters]
+        return np.array(estimates), self.known.within(self.lower)[1]

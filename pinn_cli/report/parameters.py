@@ -258,7 +258,7 @@ def history(model: Model) -> pd.DataFrame:
         numbers = tuple(name for name in OVER_TIME_COLUMNS if name not in ("run", "parameter", "unit", "changed"))
         with undamaged("model", model.directory):
             return read_table(file, numbers, OVER_TIME_COLUMNS)
-    mean, covariance = model.known.within(model.lower)
+    mean, covariance = model.used
     half = HALF_WIDTH_90 * (std := np.sqrt(np.diag(covariance)))
     rows = zip(model.parameters, mean, std, np.maximum(mean - half, model.lower), mean + half, strict=True)
     table = estimate_rows(ParameterEstimate(p, *numbers) for p, *numbers in rows)

@@ -102,7 +102,7 @@ class JointProblem:
         if not np.isfinite(known.covariance).all():
             allowed = "a run whose training gives standard deviations of the parameters, as gauss_newton does"
             raise InputError(MODEL_SETTING, model.directory, allowed)
-        within = (known.most_probable(model.lower), known.covariance) if updates else known.within(model.lower)
+        within = (known.most_probable(model.lower), known.covariance) if updates else model.used
         mean, covariance = within
         std = np.sqrt(np.diag(covariance))
         parameters = [

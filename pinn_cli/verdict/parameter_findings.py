@@ -71,8 +71,6 @@ LACKS = {
 }
 # What acts from a sample to the next one, as a converter puts it out, acts half a sample later than it seems to.
 OF_DELAY = "check its clock (half a sample: data.intersample=zero_order_hold), or say delay: unknown (data.channels)"
-# Where the record contradicts the bound of its parameter, a law that has it lacks it all the same.
-OWN = {term.kind: term.parameter for term in lacking.LEFT_OUT if term.parameter}
 # The overrides that add it.
 _GIVE = "give {{of}} law: {law} with {parameters} unknown (system={law}, or in system.connections)"
 LAWS = {
@@ -279,11 +277,12 @@ def posterior_findings(posterior: PosteriorResult | None) -> list[Finding]:
 
 def doubt_findings(estimate: Estimate) -> list[Finding]:
     """One of each doubt that makes the record far more probable; those that move nothing are told of a sound run."""
-    held, findings = {p.name for p in estimate.parameters if p.held}, []
+    held, findings = {p.name.partition("_")[2]: p.name for p in estimate.parameters if p.held}, []
     for doubt in estimate.doubts:
         what, remedy = _said(doubt)
-        parameter = f"{OWN.get(doubt.kind)}_{doubt.of.removeprefix('connection ')}"
-        if parameter in held:
+        # What a connection lacks may be what its own bound forbids, whatever term of another law resembles it most.
+        parameter = held.get(doubt.of.removeprefix("connection "))
+        if parameter is not None:
             remedy = f"{parameter} is held at its bound, 0: check the channels, or let it be negative (scheme.positive)"
         share = f", {100.0 * doubt.share:.0f} % of what it leaves out" if doubt.share > LEAST_SHARE else ""
         odds = f"the record is exp({doubt.log_odds:.0f}) times as probable with it"
