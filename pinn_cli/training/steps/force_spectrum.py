@@ -17,16 +17,17 @@ from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, white_level
 from pinn_cli.scheme.modal_fit import IMPROBABLE_PART
 from pinn_cli.scheme.problem import with_every_force
 from pinn_cli.system.functions import FLAT, Inputs
-from pinn_cli.system.modes import modes_of
-from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 
 # Draws from the posterior that tell how many values of a residual, or of what drives the forces, the record determines.
 DRAWS = 8
 # Part of the drive in the band that must be determined: of less no level can be read.
 LEAST_DETERMINED = 0.02
-# Parts of the band, on a logarithmic axis, and the lowest corners that are tried over the band's edge.
-PARTS, CORNERS = 16, (1.0, 0.3, 0.1, 0.03, 0.01)
+# Parts of the band, on a logarithmic axis, and corners that are tried over its edge.
+PARTS, CORNERS = 16, np.geomspace(0.01, 2.0, 14)
+# Forces end where their power falls to this part of it from one narrow part of the band to the next, and ratio of the
+# frequencies at the ends of one.
+END, NARROW = 0.2, 1.08
 # Another spectrum must be so much more probable, as a logarithm.
 DECISIVE_SPECTRUM = 3.0
 # Share of a part's values that the record must determine, and frequencies that a part must have, for its level to be
@@ -35,8 +36,6 @@ TOLD_OF_PART, FEWEST_OF_PART, COLOURED_CELL = 0.25, 16, 50.0
 # Prior standard deviation of the logarithm of one force's level about that of all: forces on one structure are of a
 # kind. With 1.0 two sensors took one of three forces for nothing within 5 s; 60 s with three tell a seventh from all.
 OF_A_KIND = 0.2
-# How far above its highest natural frequency the damping of a structure shows.
-ABOVE_MODES = 1.2
 # What the forces would give a sensor above the band, over the power that it has there: about as much is theirs, and
 # much less is noise beside which forces do not show.
 OF_FORCES = (0.3, 3.0)
@@ -80,6 +79,20 @@ class DriveSpectrum:
         """(functions,) standard deviations of the drive, per collocation point; None where they cannot be read."""
         return levels_of_a_kind(self.power.sum(0), self.determined.sum(0)) if self.is_enough else None
 
+    def to_end(self) -> DriveSpectrum:
+        """As far as forces reach.
+
+        A nonlinear structure moves in a wider band than theirs, with whose level a damper was 55 % too strong.
+        """
+        from_top = np.log(self.frequency[-1:] / self.frequency)
+        part = np.floor(from_top / np.log(NARROW)).astype(int)
+        power, values = (np.bincount(part, x.sum(1)) for x in (self.power, np.maximum(self.determined, 0.0)))
+        told = np.logical_and.accumulate(values > FEWEST_OF_PART)
+        level = power[told] / values[told]
+        ends = np.flatnonzero(level[:-1] < END * level[1:])
+        inside = part > ends.max(initial=-1)
+        return DriveSpectrum(self.frequency[inside], self.power[inside], self.determined[inside])
+
 
 def levels_of_a_kind(squares: np.ndarray, values: np.ndarray) -> np.ndarray:
     """(functions,) most probable standard deviations of what drives functions of one kind.
@@ -106,25 +119,11 @@ def level_in_band(evidence: RecordEvidence, solution: RecordSolution) -> np.ndar
     return None if seen is None else seen.levels
 
 
-def level_at_modes(evidence: RecordEvidence, solution: RecordSolution) -> np.ndarray | None:
-    """The same of the part of the band that the structure's modes reach: its damping goes with the level there.
-
-    A process of second order falls off before its edge. With the level of a band that white forces fill to that edge,
-    dampers came out 15 % too strong.
-    """
-    equations, edge = evidence.equations, evidence.equations.problem.inputs.edge / (2.0 * np.pi)
-    values = equations.scale.numpy() * solution.point.parameters.numpy()
-    found = {p: p.prescribed + x for p, x in zip(equations.uncertain, values, strict=True)}
-    of_structure = {p: x for p, x in found.items() if p.kind not in OUTSIDE_THE_EQUATIONS}
-    highest = np.nanmax(modes_of(equations.problem.structure.with_values(of_structure)).natural_frequencies)
-    seen = drive_below(evidence, solution, equations.dynamics.forces, min(edge, ABOVE_MODES * float(highest)))
-    return None if seen is None else seen.levels
-
-
 def spectrum_in_band(evidence: RecordEvidence, solution: RecordSolution) -> Drive | None:
     """The drive of the most probable spectrum of the unknown forces; None where that is the present one.
 
-    Flat up to the band's edge, or falling off from a corner below it.
+    Flat up to a corner, or falling off from a lower to an upper one. That may lie beyond the forces' band, since a
+    process of second order falls off before it: else coloured wind gave stiffnesses that were 6 deviations off.
     """
     seen, inputs = _of_forces(evidence, solution), evidence.equations.problem.inputs
     if seen is None or not seen.is_enough:
@@ -184,15 +183,20 @@ def _fitted(
         likelihood = float((shape - known * np.log(levels**2) - power / levels**2).sum())
         return likelihood, Drive(levels, correlation_time, damping_ratio)
 
-    best = max((fit(*process) for process in _processes(inputs)), key=lambda fitted: fitted[0])
+    edge = 2.0 * np.pi * seen.frequency[-1]
+    best = max((fit(*process) for process in _processes(edge)), key=lambda fitted: fitted[0])
     return fit(inputs.correlation_time, inputs.damping_ratio), best
 
 
-def _processes(inputs: Inputs) -> list[tuple[float, float]]:
-    """Correlation times and damping ratios: flat to the band's edge, or two corners, the upper one there."""
-    edge = inputs.edge
-    flat = (2.0 * FLAT / edge, FLAT)
-    return [flat] + [((1.0 + 1.0 / x) / edge, 0.5 * (1.0 + x) / x**0.5) for x in CORNERS]
+def _processes(edge: float) -> list[tuple[float, float]]:
+    """Correlation times and damping ratios: flat to a corner, or falling off from a lower to an upper one.
+
+    Args:
+        edge: Of the forces' band, rad/s.
+    """
+    pairs = [(low, high) for low in CORNERS for high in CORNERS if low <= high]
+    falling = [((1.0 / low + 1.0 / high) / edge, 0.5 * (low + high) / (low * high) ** 0.5) for low, high in pairs]
+    return falling + [(2.0 * FLAT / (corner * edge), FLAT) for corner in CORNERS]
 
 
 def _gain(correlation_time: float, damping_ratio: float, frequency: np.ndarray) -> np.ndarray:
@@ -258,9 +262,11 @@ def _by_part(part: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _of_forces(evidence: RecordEvidence, solution: RecordSolution) -> DriveSpectrum | None:
-    """What drives the unknown forces, in the record's band; None without any."""
+    """What drives the unknown forces, as far as they reach in the record's band; None without any."""
     equations = evidence.equations
-    return drive_below(evidence, solution, equations.dynamics.forces, equations.problem.inputs.edge / (2.0 * np.pi))
+    top = equations.problem.inputs.edge / (2.0 * np.pi)
+    seen = drive_below(evidence, solution, equations.dynamics.forces, top)
+    return None if seen is None else seen.to_end()
 
 
 def drive_below(

@@ -25,7 +25,6 @@ from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.reported.model_evidence import model_log_evidence, of_motion
 from pinn_cli.training.solver import Inference
 from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN
-from pinn_cli.training.steps.force_spectrum import level_at_modes
 from pinn_cli.training.steps.unknown_forces import set_force_level
 
 # How far a round may move any parameter, in its standard deviations, and how far is not worth a round.
@@ -58,7 +57,7 @@ def move_to_marginal_peak(inference: Inference) -> Inference | None:
         if again is not None and solved and not _gain(evidence, trained, again) < -NEGLIGIBLE_GAIN:
             at_peak = replace(inference, trained=again)
             # As large as the forces are with these parameters: with less damping smaller ones make the same motion.
-            return set_force_level(at_peak, level_at_modes) or at_peak
+            return set_force_level(at_peak) or at_peak
         # Near the peak a move gains half of its square, of which less than that cannot be told.
         if solved and 0.5 * max(moved) ** 2 < NEGLIGIBLE_GAIN:
             inference = replace(inference, at_marginal_peak=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,13 +11,10 @@ from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.noise_model import NoiseLevels
-from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.solver import Inference
 from pinn_cli.training.steps.first_solution import first_solution
 from pinn_cli.training.steps.force_spectrum import Drive, level_in_band, reaches_beyond, spectrum_in_band
 
-# From a solution of a record to (forces,) what drives its unknown forces.
-Level = Callable[[RecordEvidence, RecordSolution], "np.ndarray | None"]
 # Rounds of the noise levels under each spectrum.
 CORRELATION_ROUNDS = 3
 
@@ -68,11 +65,11 @@ def of_spectrum(problem: Problem, drive: Drive | None) -> Problem:
     return replace(problem, inputs=inputs)
 
 
-def set_force_level(inference: Inference, level: Level = level_in_band) -> Inference | None:
-    """The solution with unknown forces as large as they are in the record's band, or elsewhere; None without any."""
+def set_force_level(inference: Inference) -> Inference | None:
+    """The solution with unknown forces as large as they are in their band; None without any."""
     if not inference.problem.has_unknown_forces:
         return None
-    levels = inference.evidence.each_record(level, inference.trained)
+    levels = inference.evidence.each_record(level_in_band, inference.trained)
     again = inference.evidence.train(
         _with_levels(inference.evidence, inference.trained.noise, levels), inference.trained.solution.point
     )
