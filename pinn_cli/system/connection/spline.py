@@ -20,6 +20,9 @@ LETTERS = {"elongation": "g", "speed": "h"}
 SPAN_UNITS = {"elongation": "m", "speed": "m/s"}
 # At which functions are compared with one another, over a span that goes from -1 to 1.
 OVER_SPAN = np.linspace(-1.0, 1.0, 2001)
+# Distance from rest over the span from which on knots are the further apart the further from rest they are: dry
+# friction turns over in a hundredth of the speeds that occur, and far from rest a curve is smooth.
+NEAR_REST = {"elongation": 1.0, "speed": 0.01}
 
 
 class Spline(Nonlinearity):
@@ -29,7 +32,7 @@ class Spline(Nonlinearity):
     one before. It is zero at rest, has no part in k e, and over the span a root mean square of one; there it ends above
     zero, and beyond it becomes a straight line. A term may be the smaller the rougher its function is, which is the
     prior of a smoothing spline (Wahba, Spline Models for Observational Data, 1990, chapter 1) in the functions of
-    Demmler and Reinsch.
+    Demmler and Reinsch. Knots are the nearer to each other the nearer to rest they are, over speed a hundred times.
 
     Args:
         elongation: Over which g is a curve, m: up to a number either way, or from one to another; None: there is no g.
@@ -52,7 +55,7 @@ class Spline(Nonlinearity):
         self.terms = whole_number("system.nonlinearity.terms", terms, least=1, most=MOST_TERMS)
         given = {"elongation": elongation, "speed": speed}
         self.spans: Mapping[str, tuple[float, float]] = {k: _span(k, x) for k, x in given.items() if x is not None}
-        self.curves = {LETTERS[k]: _Curve(LETTERS[k], span, self.terms) for k, span in self.spans.items()}
+        self.curves = {LETTERS[k]: _Curve(LETTERS[k], span, self.terms, NEAR_REST[k]) for k, span in self.spans.items()}
         if not self.curves:
             allowed, hint = "given in m, or speed in m/s", "the force is a curve up to there: the largest that occurs"
             raise InputError("system.nonlinearity.elongation", None, allowed, hint)
@@ -89,31 +92,37 @@ class _Curve:
         letter: Of its terms.
         span: From where to where.
         terms: How many.
+        near: See :data:`NEAR_REST`.
 
     Attributes:
         kinds: Of the terms.
         smaller: (terms,), how large each may be over the first.
     """
 
-    def __init__(self, letter: str, span: tuple[float, float], terms: int) -> None:
+    def __init__(self, letter: str, span: tuple[float, float], terms: int, near: float) -> None:
         self.kinds = tuple(f"{letter}_{i}" for i in range(1, terms + 1))
         low, high = span
         self._middle, self._half = (low + high) / 2.0, (high - low) / 2.0
         # Of so many functions of the knots, two and two more fall to what is asked of them. The ends, where the curve
         # becomes straight, lie outside the span: within it most laws are not.
         end = 1.0 + 2.0 / (terms + 1)
-        self._knots = np.linspace(-end, end, terms + 2)
         rest = np.array([-self._middle / self._half])
+        # A bend counts over the distance of knots there: a step near rest is as rough as a wide one further out.
+        first, last = np.arcsinh((np.array([-end, end]) - rest) / near).tolist()
+        self._knots = rest + near * np.sinh(np.linspace(first, last, terms + 2))
+        distance = np.hypot(end * OVER_SPAN - rest, near)
         raw, at_rest = (
             np.concatenate([np.stack((x**0, x), -1), _cubes(x, self._knots)], -1) for x in (OVER_SPAN, rest)
         )
         bent = np.pad(6.0 * np.maximum(end * OVER_SPAN[:, None] - self._knots, 0.0), ((0, 0), (2, 0)))
         beyond = np.pad([self._knots**0, self._knots], ((0, 0), (2, 0)))
         free = null_space(np.stack((*beyond, at_rest[0], (OVER_SPAN - rest) @ raw / len(OVER_SPAN))))
-        roughness, vectors = eigh(*(f.T @ f / len(OVER_SPAN) for f in (bent @ free, raw @ free)))
+        bends = distance[:, None] ** 1.5 * (bent @ free)
+        roughness, vectors = eigh(*(f.T @ f / len(OVER_SPAN) for f in (bends, raw @ free)))
         # What each function is made of (terms, 2 + knots): one, x, and the knots' cubes.
         self._made_of = (free @ (vectors * np.sign(raw[-1] @ free @ vectors))).T
-        self.smaller = np.sqrt(roughness[0] / roughness)
+        # The first is even, and over speed costs next to nothing where it turns over at rest.
+        self.smaller = np.minimum(1.0, np.sqrt(roughness[min(1, len(roughness) - 1)] / roughness))
         self._slopes = self._made_of @ np.r_[0.0, 1.0, 3.0 * np.maximum(rest - self._knots, 0.0) ** 2] / self._half
 
     def force(self, at: Array, parameters: Mapping[str, Array]) -> Array:
