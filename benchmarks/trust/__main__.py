@@ -1,6 +1,6 @@
 """How often is the program right? `make trust`.
 
-Random structures of twelve families, made with numpy and scipy alone, are estimated by the real command, in its own
+Random structures of many families, made with numpy and scipy alone, are estimated by the real command, in its own
 sweeps, and compared with the truth:
 
     make trust                                            some 600 cases: hours on two cores

@@ -13,6 +13,7 @@ FAMILIES = (
     "damping",
     "nonlinear",
     "degrading",
+    "unknown_law",
     "unmeasured",
     "unmeasured_nonlinear",
     "lost_ground",
