@@ -10,7 +10,7 @@ RAY := $(VENV)/.installed-ray
 # Overrides for the run, as pinn-run takes them: make run ARGS="system.ndof=20 noise.snr_db=20"
 ARGS ?=
 
-.PHONY: help venv run test quick-tests test-all trust kills lint format fuzz stored audit bench bench-epochs bench-models bench-nearly-right bench-sweeps bench-tasks calibration table1 table2 table3 table4 table5 table6 paper figures tables seeds nonlinearity paper-all \
+.PHONY: help venv run test quick-tests test-all trust kills lint format fuzz stored audit bench bench-epochs bench-filters bench-models bench-nearly-right bench-sweeps bench-tasks calibration table1 table2 table3 table4 table5 table6 paper figures tables seeds nonlinearity paper-all \
 	against-smoother bench-peers docs gallery clean
 
 help: ## list the targets
@@ -91,6 +91,9 @@ bench-models: venv ## does the evidence find the law that a record comes from? 2
 
 bench-nearly-right: venv ## on machines that are nearly what the model says, against an output-error fit (long; ARGS=--quick: 10 minutes)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.nearly_right $(ARGS)
+
+bench-filters: venv ## a hysteretic structure beside extended, unscented, ensemble and particle filters (20 minutes)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.filters $(ARGS)
 
 bench-epochs: venv ## time of one epoch of the paper's network, against one reverse pass per output
 	$(BIN)/python -m benchmarks.epochs $(ARGS)
