@@ -274,6 +274,7 @@ def with_every_force(problem: Problem) -> Problem:
         correlation_time=FIRST_CORRELATION / band,
         rate=math.pi * band,
         edge=2.0 * math.pi * band,
+        left_out=True,
     )
     return replace(problem, inputs=inputs)
 

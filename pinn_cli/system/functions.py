@@ -45,6 +45,7 @@ class Inputs:
         filters: Calibrated channels, counted from 0, behind a filter that has a state, whose equation is its own.
         supports: What sensors measure of the supports that move, names of :data:`pinn_cli.system.quantities.SUPPORT`.
         misses_ground: Whether nobody measured the ground, which moves: it is a process as unknown forces are.
+        left_out: Whether unknown forces stand for what the model leaves out.
     """
 
     ground: bool = False
@@ -59,6 +60,7 @@ class Inputs:
     filters: tuple[int, ...] = ()
     supports: tuple[str, ...] = ()
     misses_ground: bool = False
+    left_out: bool = False
 
     @property
     def unmeasured(self) -> bool:

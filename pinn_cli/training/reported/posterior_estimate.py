@@ -34,7 +34,7 @@ from pinn_cli.training.reported.hand_over import end_state
 from pinn_cli.training.reported.misfit_history import misfit_history
 from pinn_cli.training.reported.model_evidence import model_log_evidence
 from pinn_cli.training.reported.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
-from pinn_cli.training.steps.force_spectrum import spectrum_misfit
+from pinn_cli.training.steps.force_spectrum import spectrum_misfit, std_in_band
 
 # Directions of the parameters that a record tells and the others do not, over its own information: nothing compares
 # them.
@@ -143,21 +143,12 @@ def _noise_felt(equations: NormalEquations, solution: RecordSolution) -> dict[st
 
 
 def _of_unknown_forces(evidence: RecordEvidence, solution: RecordSolution) -> dict[str, float]:
-    """Correlation time (s), standard deviation (N, m/s^2) and misfit of what nobody measured, forces or the ground.
-
-    A process of second order that white noise drives has this standard deviation, whatever its damping ratio.
-    """
-    equations, innovation = evidence.equations, solution.noise.innovation
-    inputs = equations.problem.inputs
-    if not inputs.unmeasured or innovation is None:
+    """Correlation time (s), standard deviation (N, m/s^2) and misfit of what nobody measured, forces or the ground."""
+    inputs = evidence.equations.problem.inputs
+    if not inputs.unmeasured or solution.noise.innovation is None:
         return {}
-    step = equations.problem.record.step / equations.refinement
-    level = (
-        float(np.sqrt(np.mean(innovation[equations.dynamics.forces] ** 2)))
-        * (step / (2.0 * inputs.correlation_time)) ** 0.5
-    )
-    what = "force" if inputs.forces else "ground"
-    told = {f"correlation_time_unknown_{what}": inputs.correlation_time, f"std_unknown_{what}": level}
+    what, std = "force" if inputs.forces else "ground", std_in_band(evidence, solution)
+    told = {f"correlation_time_unknown_{what}": inputs.correlation_time, f"std_unknown_{what}": std}
     misfit = spectrum_misfit(evidence, solution)
     return told if misfit is None else told | {f"misfit_unknown_{what}": misfit}
 

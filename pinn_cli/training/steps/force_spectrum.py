@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from scipy.integrate import trapezoid
 from scipy.special import chdtr, chdtrc, wrightomega
 
 from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, white_level
@@ -23,8 +24,9 @@ from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 DRAWS = 8
 # Part of the drive in the band that must be determined: of less no level can be read.
 LEAST_DETERMINED = 0.02
-# Parts of the band, on a logarithmic axis, and corners that are tried over its edge.
-PARTS, CORNERS = 16, np.geomspace(0.01, 2.0, 14)
+# Parts of the band, on a logarithmic axis, and corners that are tried over its edge; of what a model leaves out nothing
+# is known above the band, and one of two corners is there.
+PARTS, CORNERS, OF_LEFT_OUT = 16, np.geomspace(0.01, 2.0, 14), np.array([0.01, 0.03, 0.1, 0.3, 1.0])
 # Forces end where their power falls to this part of it from one narrow part of the band to the next, and ratio of the
 # frequencies at the ends of one.
 END, NARROW = 0.2, 1.08
@@ -133,6 +135,21 @@ def spectrum_in_band(evidence: RecordEvidence, solution: RecordSolution) -> Driv
     return best if likelihood > now + DECISIVE_SPECTRUM else None
 
 
+def std_in_band(evidence: RecordEvidence, solution: RecordSolution) -> float:
+    """Standard deviation of the unknown forces (N; of a ground m/s^2) as far as they reach, root mean square of all.
+
+    Of a process whose corner lies beyond the record's band, what it would do there is none of the record's.
+    """
+    equations, inputs, innovation = evidence.equations, evidence.equations.problem.inputs, solution.noise.innovation
+    seen = _of_forces(evidence, solution)
+    assert innovation is not None
+    top = inputs.edge / (2.0 * np.pi) if seen is None or not seen.is_enough else float(seen.frequency[-1])
+    frequency = np.linspace(0.0, top, 2001)
+    share = trapezoid(_gain(inputs.correlation_time, inputs.damping_ratio, frequency) ** -2.0, frequency)
+    step = equations.problem.record.step / equations.refinement
+    return float(np.sqrt(2.0 * step * share * np.mean(innovation[equations.dynamics.forces] ** 2)))
+
+
 def spectrum_misfit(evidence: RecordEvidence, solution: RecordSolution) -> float | None:
     """Relative, how far the power of an unknown force is off its spectrum in a part of the band, beyond chance.
 
@@ -184,19 +201,24 @@ def _fitted(
         return likelihood, Drive(levels, correlation_time, damping_ratio)
 
     edge = 2.0 * np.pi * seen.frequency[-1]
-    best = max((fit(*process) for process in _processes(edge)), key=lambda fitted: fitted[0])
+    processes = (
+        _processes(edge, OF_LEFT_OUT, OF_LEFT_OUT[-1:]) if inputs.left_out else _processes(edge, CORNERS, CORNERS)
+    )
+    best = max((fit(*process) for process in processes), key=lambda fitted: fitted[0])
     return fit(inputs.correlation_time, inputs.damping_ratio), best
 
 
-def _processes(edge: float) -> list[tuple[float, float]]:
+def _processes(edge: float, lower: np.ndarray, upper: np.ndarray) -> list[tuple[float, float]]:
     """Correlation times and damping ratios: flat to a corner, or falling off from a lower to an upper one.
 
     Args:
         edge: Of the forces' band, rad/s.
+        lower: Corners over that.
+        upper: Likewise.
     """
-    pairs = [(low, high) for low in CORNERS for high in CORNERS if low <= high]
+    pairs = [(low, high) for low in lower for high in upper if low <= high]
     falling = [((1.0 / low + 1.0 / high) / edge, 0.5 * (low + high) / (low * high) ** 0.5) for low, high in pairs]
-    return falling + [(2.0 * FLAT / (corner * edge), FLAT) for corner in CORNERS]
+    return falling + [(2.0 * FLAT / (corner * edge), FLAT) for corner in upper]
 
 
 def _gain(correlation_time: float, damping_ratio: float, frequency: np.ndarray) -> np.ndarray:
@@ -263,10 +285,9 @@ def _by_part(part: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 def _of_forces(evidence: RecordEvidence, solution: RecordSolution) -> DriveSpectrum | None:
     """What drives the unknown forces, as far as they reach in the record's band; None without any."""
-    equations = evidence.equations
-    top = equations.problem.inputs.edge / (2.0 * np.pi)
-    seen = drive_below(evidence, solution, equations.dynamics.forces, top)
-    return None if seen is None else seen.to_end()
+    equations, inputs = evidence.equations, evidence.equations.problem.inputs
+    seen = drive_below(evidence, solution, equations.dynamics.forces, inputs.edge / (2.0 * np.pi))
+    return seen if seen is None or inputs.left_out else seen.to_end()
 
 
 def drive_below(
