@@ -27,11 +27,12 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 
 from benchmarks.__main__ import counted
-from benchmarks.trust.case import HERE, UNKNOWN_STRUCTURE, Case, Truth
+from benchmarks.trust.case import Case, Truth
 from benchmarks.trust.families.nonlinear import bouc_wen
 from benchmarks.trust.structures import Connection, Structure, noisy, simulated
 from benchmarks.trust.waves import random_waves
-from benchmarks.written import write
+from benchmarks.written import markdown, write
+from pinn_cli.system.priors import HALF_WIDTH_90
 
 STOREYS, RATE, SECONDS, DECIBEL = 3, 100.0, 60.0, 30.0
 OFF, BELIEVED = 0.33, 0.4  # of the filters' first values: how far off, and how far they are said to be
@@ -40,7 +41,6 @@ WALK = 1e-3  # of a logarithm of a parameter, from a sample to the next one
 UNSAID = 1e-2  # of the model's acceleration over the rms one
 ENSEMBLE, PARTICLES = 300, 3000
 SHRINKS = 0.99  # of the particles' parameters towards their mean, from a sample to the next one (Liu and West 2001)
-HALF_WIDTH_90 = 1.6449
 PAGE = Path(__file__).parents[1] / "docs" / "compared.md"
 
 Array = np.ndarray
@@ -125,7 +125,7 @@ class Model:
 
 
 def gaussian(model: Model, spread: Callable[[Array, Array], tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Last mean (S,) and covariance (S, S) of a filter of points with equal weights: (mean, covariance) to (N, S)."""
+    """Last mean (S,) and covariance (S, S) of a filter whose Gaussian is points and weights, as ``spread`` has them."""
     mean, covariance = model.begins
     for i in range(len(model.force) - 1):
         points, weights = spread(mean, covariance)
@@ -187,8 +187,7 @@ def particles(model: Model, rng: np.random.Generator) -> tuple[Array, Array]:
         x = model.after(x, i) + rng.standard_normal(x.shape) * np.sqrt(model.driven)
         off = (model.measured[i + 1] - model.felt(x, i + 1)) / model.noise
         log_weight = np.nan_to_num(log_weight - 0.5 * (off**2).sum(1), nan=-np.inf)
-        weights = np.exp(log_weight - log_weight.max())
-        weights /= weights.sum()
+        weights = _normalised(log_weight)
         log_weight = np.log(np.maximum(weights, 1e-300))
         if 1.0 / (weights**2).sum() < 0.5 * PARTICLES:
             places = np.searchsorted(np.cumsum(weights), (np.arange(PARTICLES) + rng.random()) / PARTICLES)
@@ -198,10 +197,14 @@ def particles(model: Model, rng: np.random.Generator) -> tuple[Array, Array]:
             x[:, states:] = SHRINKS * x[:, states:] + (1.0 - SHRINKS) * about
             x[:, states:] += rng.standard_normal(x[:, states:].shape) * spread
             log_weight = np.zeros(PARTICLES)
-    weights = np.exp(log_weight - log_weight.max())
-    weights /= weights.sum()
+    weights = _normalised(log_weight)
     mean = weights @ x
     return mean, ((x - mean).T * weights) @ (x - mean)
+
+
+def _normalised(log_weight: Array) -> Array:
+    weights: Array = np.exp(log_weight - log_weight.max())
+    return weights / weights.sum()
 
 
 FILTERS: dict[str, Callable[[Model, np.random.Generator], tuple[Array, Array]]] = {
@@ -234,16 +237,7 @@ def drawn(seed: int) -> tuple[Case, Model]:
     motion = simulated(structure, lambda t: roof * unit(t), times, 25.0, method="LSODA")
     felt = np.stack([noisy(rng, motion.acceleration[:, i], DECIBEL) for i in range(n)], -1)
     table = {"t": times, "f": unit(times)} | {f"a{i + 1}": felt[:, i] for i in range(n)}
-    system, true = structure.unknown()
-    settings: dict[str, object] = {
-        "defaults": UNKNOWN_STRUCTURE,
-        "system": system,
-        "data": {
-            "path": f"{HERE}/record.csv", "time": "t", "force": {structure.dofs[-1]: "f"},
-            "acceleration": {dof: f"a{i + 1}" for i, dof in enumerate(structure.dofs)},
-        },
-        "scheme": {"unknown": "missing", "initial_motion": "rest"},
-    }  # fmt: skip
+    settings, true = structure.unknown(force={structure.dofs[-1]: "f"}, acceleration=structure.columns("a"))
     truth = Truth(true, motion.displacement, motion.velocity, motion.acceleration, tuple(range(n)))
     names = tuple(f"{kind}_storey_{i + 1}" for kind in "kc" for i in range(n))
     names += tuple(f"{kind}_storey_1" for kind in ("A", "beta", "gamma"))
@@ -261,9 +255,8 @@ def by_program(case: Case) -> tuple[pd.DataFrame, float]:
         case.write(folder)
         took = counted(["--config-dir", str(folder), f"experiment={case.name}", "figures=false"], folder / "run")
         table = pd.read_csv(folder / "run" / "parameters.csv").set_index("parameter")
-    return table.rename(columns={"lower_90": "lower", "upper_90": "upper"})[["estimate", "lower", "upper"]], took[
-        "cpu_s"
-    ]
+    ends = {"lower_90": "lower", "upper_90": "upper"}
+    return table.rename(columns=ends)[["estimate", *ends.values()]], took["cpu_s"]
 
 
 def by_filter(model: Model, name: str, seed: int) -> tuple[pd.DataFrame, float]:
@@ -273,8 +266,8 @@ def by_filter(model: Model, name: str, seed: int) -> tuple[pd.DataFrame, float]:
         try:
             mean, covariance = FILTERS[name](model, np.random.default_rng(seed))
         except np.linalg.LinAlgError:  # it has diverged
-            mean, covariance = np.full((2, model.states + len(model.names)), np.nan)
-            covariance = np.diag(covariance)
+            mean = np.full(model.states + len(model.names), np.nan)
+            covariance = np.diag(mean)
     half = HALF_WIDTH_90 * np.sqrt(np.maximum(np.diag(covariance), 0.0))[model.states :]
     middle = mean[model.states :]
     ends = {"estimate": middle, "lower": middle - half, "upper": middle + half}
@@ -297,13 +290,15 @@ def row(found: tuple[pd.DataFrame, float], truth: dict[str, float], program: str
 
 def summary(table: pd.DataFrame) -> str:
     """Medians, and shares, as Markdown."""
-    lines = ["| program | k, % | c, % | law, % | 90 % intervals hold, % | lost | s |", "| --- |" + " ---: |" * 6]
+    rows = []
     for program, part in table.groupby("program", sort=False):
         middle = part.median(numeric_only=True)
-        kinds = " | ".join("diverged" if np.isinf(middle[of]) else f"{middle[of]:.2g}" for of in ("k", "c", "law"))
-        lost = f"{int(part['lost'].sum())} of {len(part)}"
-        lines.append(f"| {program} | {kinds} | {part['inside'].mean():.0f} | {lost} | {middle['s']:.2g} |")
-    return "\n".join(lines)
+        errors = {f"{of}, %": "diverged" if np.isinf(middle[of]) else f"{middle[of]:.2g}" for of in ("k", "c", "law")}
+        held, lost = f"{part['inside'].mean():.0f}", f"{int(part['lost'].sum())} of {len(part)}"
+        rows.append(
+            {"program": program, **errors, "90 % intervals hold, %": held, "lost": lost, "s": f"{middle['s']:.2g}"}
+        )
+    return markdown(pd.DataFrame(rows))
 
 
 def main() -> None:

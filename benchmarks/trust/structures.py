@@ -11,6 +11,8 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh, expm
 
+from benchmarks.trust.case import HERE, UNKNOWN_STRUCTURE
+
 Force = Callable[[float], np.ndarray]
 
 RELATIVE, ABSOLUTE = 1e-9, 1e-12  # tolerances of the integration; the absolute one of the largest motion so far
@@ -95,15 +97,29 @@ class Structure:
             "connections": links,
         }
 
-    def unknown(self) -> tuple[dict[str, object], dict[str, float]]:
-        """`system:` of an experiment in which no connection has a value but n of Bouc-Wen, and what is to be found."""
+    def unknown(self, **data: object) -> tuple[dict[str, object], dict[str, float]]:
+        """An experiment at rest in which no connection has a value but n of Bouc-Wen, and what is to be found.
+
+        Args:
+            data: Of the record, beside its file and its time.
+        """
         system = self.settings()
         for link in self.connections:
             system["connections"][link.name] |= {kind: 1.0 if kind == "n" else None for kind in link.values}  # type: ignore[index]
         found = {
             f"{kind}_{link.name}": x for link in self.connections for kind, x in link.values.items() if kind != "n"
         }
-        return system, found
+        settings: dict[str, object] = {
+            "defaults": UNKNOWN_STRUCTURE,
+            "system": system,
+            "data": {"path": f"{HERE}/record.csv", "time": "t", **data},
+            "scheme": {"unknown": "missing", "initial_motion": "rest"},
+        }
+        return settings, found
+
+    def columns(self, letter: str) -> dict[str, str]:
+        """The channel of each DOF: the letter and its number."""
+        return {dof: f"{letter}{i + 1}" for i, dof in enumerate(self.dofs)}
 
     def parameters(self, kinds: str = "ck") -> dict[str, float]:
         """Name as in `parameters.csv` and value, of the kinds that are letters of `kinds`."""

@@ -102,8 +102,7 @@ class JointProblem:
         if not np.isfinite(known.covariance).all():
             allowed = "a run whose training gives standard deviations of the parameters, as gauss_newton does"
             raise InputError(MODEL_SETTING, model.directory, allowed)
-        within = (known.most_probable(model.lower), known.covariance) if updates else model.used
-        mean, covariance = within
+        mean, covariance = (known.most_probable(model.lower), known.covariance) if updates else model.used
         std = np.sqrt(np.diag(covariance))
         parameters = [
             replace(p, prescribed=float(m), prior_std=float(s), scale=None, unknown=updates and p.unknown)

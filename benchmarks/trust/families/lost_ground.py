@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
-from benchmarks.trust.case import HERE, UNKNOWN_STRUCTURE, Case, Truth
+from benchmarks.trust.case import Case, Truth
 from benchmarks.trust.families.ground import building, filtered_noise
 from benchmarks.trust.families.nonlinear import bouc_wen, duffing
 from benchmarks.trust.families.topology import damped
@@ -43,16 +43,7 @@ def draw(seed: int) -> Case:
     quiet = -10.0 * np.log10(2.0 * upper.sum(axis=0).max() / len(times) ** 2 / motion.displacement.var(axis=0).max())
     decibel = max(rng.uniform(30, 60), float(quiet) + ABOVE)
     table = {"t": times} | {f"u{i + 1}": noisy(rng, motion.displacement[:, i], decibel) for i in range(n)}
-    system, true = structure.unknown()
-    settings: dict[str, object] = {
-        "defaults": UNKNOWN_STRUCTURE,
-        "system": system,
-        "data": {
-            "path": f"{HERE}/record.csv", "time": "t", "ground_acceleration": "unmeasured",
-            "displacement": {dof: f"u{i + 1}" for i, dof in enumerate(structure.dofs)},
-        },
-        "scheme": {"unknown": "missing", "initial_motion": "rest"},
-    }  # fmt: skip
+    settings, true = structure.unknown(ground_acceleration="unmeasured", displacement=structure.columns("u"))
     truth = Truth(true, motion.displacement, motion.velocity, motion.acceleration, tuple(range(n)))
     about = (
         f"{n} storeys{', a brace' if len(structure.connections) > n else ''}, {first:.3g} to {last:.3g} Hz,"

@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.random import Generator
 from scipy.interpolate import CubicSpline
 
-from benchmarks.trust.case import HERE, UNKNOWN_STRUCTURE, Case, Truth
+from benchmarks.trust.case import Case, Truth
 from benchmarks.trust.families.nonlinear import duffing, power_damping
 from benchmarks.trust.families.unmeasured import structure_of
 from benchmarks.trust.structures import Connection, noisy, simulated
@@ -63,7 +63,9 @@ def draw(seed: int) -> Case:
     occurs = {"elongation": motion.displacement @ made.row, "speed": motion.velocity @ made.row}
     span = float(f"{rng.uniform(1.02, 1.2) * np.abs(occurs[over]).max():.3g}")
     links[which] = replace(known, law="spline", options={over: span})
-    system, true = replace(structure, connections=tuple(links)).unknown()
+    pushed = {structure.dofs[int(place.argmax())]: "f"}
+    told = replace(structure, connections=tuple(links))
+    settings, true = told.unknown(force=pushed, acceleration=structure.columns("a"))
 
     # The spring or the damper beside a curve is the line that comes nearest to the whole over its span.
     kind, at = ("k" if over == "elongation" else "c"), np.linspace(-span, span, 20001)
@@ -74,15 +76,6 @@ def draw(seed: int) -> Case:
     response_db, force_db = rng.uniform(25, 60), rng.uniform(40, 60)
     table = {"t": times, "f": noisy(rng, unit(times), force_db)}
     table |= {f"a{i + 1}": noisy(rng, motion.acceleration[:, i], response_db) for i in range(n)}
-    settings: dict[str, object] = {
-        "defaults": UNKNOWN_STRUCTURE,
-        "system": system,
-        "data": {
-            "path": f"{HERE}/record.csv", "time": "t", "force": {structure.dofs[int(place.argmax())]: "f"},
-            "acceleration": {dof: f"a{i + 1}" for i, dof in enumerate(structure.dofs)},
-        },
-        "scheme": {"unknown": "missing", "initial_motion": "rest"},
-    }  # fmt: skip
     truth = Truth(true, motion.displacement, motion.velocity, motion.acceleration, tuple(range(n)))
     about = (
         f"{n} DOFs, {first:.3g} to {last:.3g} Hz, {rate:.4g} Hz x {len(times)}, {response_db:.0f} dB,"

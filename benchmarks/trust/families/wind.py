@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
-from benchmarks.trust.case import HERE, UNKNOWN_STRUCTURE, Case, Truth
+from benchmarks.trust.case import Case, Truth
 from benchmarks.trust.families.nonlinear import bouc_wen, duffing
 from benchmarks.trust.families.unmeasured import structure_of
 from benchmarks.trust.structures import noisy, simulated
@@ -42,16 +42,7 @@ def draw(seed: int) -> Case:
     motion = simulated(structure, pushes, times, ends, method=method)
     decibel = rng.uniform(25, 50)
     table = {"t": times} | {f"a{i + 1}": noisy(rng, motion.acceleration[:, i], decibel) for i in range(n)}
-    system, true = structure.unknown()
-    settings: dict[str, object] = {
-        "defaults": UNKNOWN_STRUCTURE,
-        "system": system,
-        "data": {
-            "path": f"{HERE}/record.csv", "time": "t", "force": dict.fromkeys(structure.dofs),
-            "acceleration": {dof: f"a{i + 1}" for i, dof in enumerate(structure.dofs)},
-        },
-        "scheme": {"unknown": "missing", "initial_motion": "rest"},
-    }  # fmt: skip
+    settings, true = structure.unknown(force=dict.fromkeys(structure.dofs), acceleration=structure.columns("a"))
     truth = Truth(true, motion.displacement, motion.velocity, motion.acceleration, tuple(range(n)))
     about = (
         f"{n} storeys{', a brace' if len(structure.connections) > n else ''}, {first:.3g} to {last:.3g} Hz,"

@@ -96,7 +96,7 @@ class _Curve:
 
     Attributes:
         kinds: Of the terms.
-        smaller: (terms,), how large each may be over the first.
+        smaller: (terms,), how large each may be over the second, and at most as large as that.
     """
 
     def __init__(self, letter: str, span: tuple[float, float], terms: int, near: float) -> None:

@@ -34,7 +34,7 @@ from pinn_cli.training.reported.hand_over import end_state
 from pinn_cli.training.reported.misfit_history import misfit_history
 from pinn_cli.training.reported.model_evidence import model_log_evidence
 from pinn_cli.training.reported.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
-from pinn_cli.training.steps.force_spectrum import spectrum_misfit, std_in_band
+from pinn_cli.training.steps.force_spectrum import std_and_misfit
 
 # Directions of the parameters that a record tells and the others do not, over its own information: nothing compares
 # them.
@@ -147,9 +147,8 @@ def _of_unknown_forces(evidence: RecordEvidence, solution: RecordSolution) -> di
     inputs = evidence.equations.problem.inputs
     if not inputs.unmeasured or solution.noise.innovation is None:
         return {}
-    what, std = "force" if inputs.forces else "ground", std_in_band(evidence, solution)
+    what, (std, misfit) = "force" if inputs.forces else "ground", std_and_misfit(evidence, solution)
     told = {f"correlation_time_unknown_{what}": inputs.correlation_time, f"std_unknown_{what}": std}
-    misfit = spectrum_misfit(evidence, solution)
     return told if misfit is None else told | {f"misfit_unknown_{what}": misfit}
 
 

@@ -135,34 +135,36 @@ def spectrum_in_band(evidence: RecordEvidence, solution: RecordSolution) -> Driv
     return best if likelihood > now + DECISIVE_SPECTRUM else None
 
 
-def std_in_band(evidence: RecordEvidence, solution: RecordSolution) -> float:
-    """Standard deviation of the unknown forces (N; of a ground m/s^2) as far as they reach, root mean square of all.
+def std_and_misfit(evidence: RecordEvidence, solution: RecordSolution) -> tuple[float, float | None]:
+    """Of the unknown forces in their band, where there are any: standard deviation, and how far off their spectrum is.
 
-    Of a process whose corner lies beyond the record's band, what it would do there is none of the record's.
+    Returns:
+        Root mean square of all (N; of a ground m/s^2). Of a process whose corner lies beyond the record's band, what it
+        would do there is none of the record's. And see :func:`_misfit`; None where the record determines too little of
+        every force.
     """
     equations, inputs, innovation = evidence.equations, evidence.equations.problem.inputs, solution.noise.innovation
-    seen = _of_forces(evidence, solution)
     assert innovation is not None
-    top = inputs.edge / (2.0 * np.pi) if seen is None or not seen.is_enough else float(seen.frequency[-1])
+    variance, seen = innovation[equations.dynamics.forces] ** 2, _of_forces(evidence, solution)
+    told = seen if seen is not None and seen.is_enough else None
+    top = inputs.edge / (2.0 * np.pi) if told is None else float(told.frequency[-1])
     frequency = np.linspace(0.0, top, 2001)
     share = trapezoid(_gain(inputs.correlation_time, inputs.damping_ratio, frequency) ** -2.0, frequency)
     step = equations.problem.record.step / equations.refinement
-    return float(np.sqrt(2.0 * step * share * np.mean(innovation[equations.dynamics.forces] ** 2)))
+    return float(np.sqrt(2.0 * step * share * np.mean(variance))), None if told is None else _misfit(told, variance)
 
 
-def spectrum_misfit(evidence: RecordEvidence, solution: RecordSolution) -> float | None:
-    """Relative, how far the power of an unknown force is off its spectrum in a part of the band, beyond chance.
+def _misfit(seen: DriveSpectrum, variance: np.ndarray) -> float:
+    """Relative, how far the power of a force is off its spectrum in a part of the band, beyond chance; 0: no part is.
 
-    0 where no part is; None where the record determines too little of every force.
+    Args:
+        seen: What drives the forces.
+        variance: (functions,) of that, by their spectrum.
     """
-    seen = _of_forces(evidence, solution)
-    if seen is None or not seen.is_enough:
-        return None
-    innovation, part = solution.noise.innovation, _parts(seen.frequency)
-    assert innovation is not None
+    part = _parts(seen.frequency)
     power, values = (_by_part(part, x) for x in (seen.power, np.maximum(seen.determined, 0.0)))
     told = values > FEWEST_OF_PART
-    squares, values = (power / innovation[evidence.equations.dynamics.forces] ** 2)[told], values[told]
+    squares, values = (power / variance)[told], values[told]
     by_chance = 2.0 * len(values) * np.minimum(chdtr(2.0 * values, 2.0 * squares), chdtrc(2.0 * values, 2.0 * squares))
     return float(np.abs(squares / values - 1.0)[by_chance < IMPROBABLE_PART].max(initial=0.0))
 
