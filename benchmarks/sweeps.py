@@ -16,7 +16,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from pinn_cli.runs.machine import usable_cores
+from pinn_cli.runs.process import usable_cores
 
 # Stages of run.json in which a job computes; all else is start-up: importing, composing, simulating, writing.
 COMPUTING = ("estimate", "posterior", "baseline", "free_run")

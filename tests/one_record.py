@@ -20,10 +20,10 @@ from pinn_cli.training.factors.constant_channels import ConstantChannels
 from pinn_cli.training.factors.factor import Residuals
 from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.least_squares import LeastSquares
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.normal_matrix.bordered import BorderedFactor, BorderedSystem, SharedSystem
-from pinn_cli.training.point import Point
 from pinn_cli.training.record_evidence import RecordEvidence
 from pinn_cli.training.sensor_samples import starting_levels
 

@@ -25,10 +25,10 @@ from pinn_cli.system.structure import Structure
 from pinn_cli.system.substructures import Parts
 from pinn_cli.system.topology import build_structure, connected
 from pinn_cli.training.estimator import built
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.point import Point
-from pinn_cli.training.starting_noise import starting_noise
+from pinn_cli.training.solver import starting_noise
 
 SAMPLES, STEP, START = 30, 0.1, 2.0
 # Settings, and parameters beside c and k, of a connection of every law; some share a kind of parameter.

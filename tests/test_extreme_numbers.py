@@ -8,7 +8,7 @@ from calls import PinnRun
 
 from pinn_cli.record.simulated import MOST_SIMULATED_STEPS, check_size
 from pinn_cli.record.simulation import Simulation
-from pinn_cli.runs.machine import is_out_of_memory
+from pinn_cli.runs.process import is_out_of_memory
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear

@@ -26,8 +26,8 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.system.topology import build_partial_structure, build_structure
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.estimator import TrainedNetwork
-from pinn_cli.training.found_noise import FoundNoise
 from pinn_cli.training.gauss_newton import GaussNewton
+from pinn_cli.training.noise_model import FoundNoise
 from pinn_cli.training.whittle.whittle_estimate import known_parameters
 from pinn_cli.verdict.input_findings import input_findings
 from pinn_cli.verdict.judge import judge

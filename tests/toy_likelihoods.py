@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pinn_cli.training.likelihood import ParameterLikelihood
+from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihood
 
 
 class GaussianLikelihood(ParameterLikelihood):

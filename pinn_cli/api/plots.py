@@ -34,7 +34,7 @@ from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS, GROUND
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import ConnectionHistories, Estimate, ParameterEstimate
-from pinn_cli.training.found_noise import FoundNoise
+from pinn_cli.training.noise_model import FoundNoise
 
 # Those that figures are drawn from; others may lie in the directory, a user's own among them.
 DRAWN_TABLES = ("history", "parameters", "identifiability", "correlation")

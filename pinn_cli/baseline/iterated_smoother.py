@@ -18,7 +18,7 @@ from pinn_cli.baseline.linear_gaussian import Filtered
 from pinn_cli.baseline.state_space import Linearised, NoiseLevels, StateSpace, Trajectory
 from pinn_cli.record.spectrum import occupied_band
 from pinn_cli.system.quantities import CALIBRATION_UNITS
-from pinn_cli.training.parameter_spread import updated_spread
+from pinn_cli.training.noise_model import updated_spread
 from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN
 
 # Steps shorter than this part of the motion are taken unseen: the model is smooth on their scale, and looking costs a

@@ -21,10 +21,10 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
 from pinn_cli.system.parameters import FACTOR
-from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
 from pinn_cli.training.estimator import Estimator
-from pinn_cli.training.found_noise import FoundNoise
+from pinn_cli.training.noise_model import FoundNoise
+from pinn_cli.training.reported.parameter_posterior import bounded_estimates
 
 
 def smoothed_estimate(space: StateSpace, last: Pass, history: pd.DataFrame, summary: dict[str, Any]) -> Estimate:

@@ -34,7 +34,7 @@ from pinn_cli.cli.options import read_options
 from pinn_cli.cli.terminal import AS_JSON, QUIET, Terminal
 from pinn_cli.runs.claim import Claim, discard, entered
 from pinn_cli.runs.interruption import Interruption, stop_if_asked, watched
-from pinn_cli.runs.machine import is_out_of_memory, of_this_machine
+from pinn_cli.runs.process import is_out_of_memory, of_this_machine
 from pinn_cli.runs.reading import printable, stamp
 from pinn_cli.runs.resume import FORMAT, StoredRun, check_sound, going_on, how_to_go_on
 from pinn_cli.runs.writing import OUTPUT, WriteError, refused_by_disk

@@ -182,7 +182,7 @@ class RunConfig:
             return Predictor(self.training, self.network, self.model, self.scheme)
         if not self.scheme.looks_for_changes:
             return TrainedNetwork(self.training, self.network)
-        from pinn_cli.training.updating import UpdatedNetwork
+        from pinn_cli.training.changes import UpdatedNetwork
 
         return UpdatedNetwork(self.training, self.network)
 

@@ -159,7 +159,7 @@ def prepare_windows(
     from pinn_cli.report.parameters import history
     from pinn_cli.sweep.window_store import WindowStore
     from pinn_cli.sweep.windowed_run import WindowedRun, WindowSolver
-    from pinn_cli.training.updating import UpdatedNetwork
+    from pinn_cli.training.changes import UpdatedNetwork
 
     windows, directory = config.source.windows, context.directory
     assert windows is not None

@@ -14,7 +14,7 @@ from scipy.optimize import linear_sum_assignment
 
 from pinn_cli.inspection.modes import FEWEST_SENSORS, JoinedMode, JoinedModes, ModalRecord, mac_table
 from pinn_cli.inspection.report import LookReport, spectra_table
-from pinn_cli.record.identification.subspace import assurance
+from pinn_cli.record.identification.modes import assurance
 from pinn_cli.report.text import Column, count, marked_lines, number, table_lines
 from pinn_cli.system.priors import HALF_WIDTH_90
 from pinn_cli.system.quantities import MOTION

@@ -22,8 +22,7 @@ from scipy.stats import chi2
 
 from pinn_cli.record.cross_spectra import CrossSpectra
 from pinn_cli.record.identification.lines import RecordMode, deviations
-from pinn_cli.record.identification.modes import Identified, identify
-from pinn_cli.record.identification.subspace import assurance
+from pinn_cli.record.identification.modes import Identified, assurance, identify
 from pinn_cli.record.signal import Sampling, Signal, guessed, number_of, spectra_of
 from pinn_cli.settings.errors import InputError
 

@@ -12,7 +12,7 @@ from pinn_cli.paper.report import copy_figures, paper_figures, write_report
 from pinn_cli.paper.runs import TABLES, FinishedRun, PlannedRun, Runner, make_runs, planned_runs, read_runs, run_case
 from pinn_cli.paper.studies import NonlinearityScores, SeedScores, nonlinearity_realisations, seed_realisations
 from pinn_cli.paper.tables import paper_tables
-from pinn_cli.runs.machine import usable_cores
+from pinn_cli.runs.process import usable_cores
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -9,8 +9,7 @@ from pinn_cli.settings.errors import InputError
 
 if TYPE_CHECKING:
     from pinn_cli.scheme.problem import Problem
-    from pinn_cli.training.likelihood import ParameterLikelihood
-    from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihoods
+    from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihood, ParameterLikelihoods
 
 
 class Conditional(Marginal):

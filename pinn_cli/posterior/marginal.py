@@ -13,7 +13,7 @@ from pinn_cli.posterior.posterior import Posterior, PosteriorSamples
 from pinn_cli.posterior.target import Target
 from pinn_cli.settings.legal_values import fraction, whole_number
 from pinn_cli.system.priors import Prior
-from pinn_cli.training.likelihood import ParameterLikelihood
+from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihood
 
 if TYPE_CHECKING:
     from pinn_cli.training.estimate import RunContext

@@ -16,8 +16,8 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.system.priors import Prior
-from pinn_cli.training.bounded_estimates import CENTRAL_90
-from pinn_cli.training.likelihood import ParameterLikelihood
+from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihood
+from pinn_cli.training.reported.parameter_posterior import CENTRAL_90
 
 if TYPE_CHECKING:
     from pinn_cli.scheme.joint_problem import JointProblem

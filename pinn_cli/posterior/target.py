@@ -12,7 +12,7 @@ from scipy import optimize
 from pinn_cli.posterior.posterior import PosteriorSamples
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.priors import Prior, stacked
-from pinn_cli.training.likelihood import ParameterLikelihood
+from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihood
 
 # Standard deviation of the prior of s. The noise's scale has Jeffreys' prior, flat in its logarithm, over a range that
 # nobody will miss (a factor of exp(10) either way); without any end a record without a force sensor leaves s nowhere.

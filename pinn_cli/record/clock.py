@@ -12,11 +12,10 @@ import numpy as np
 
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.excel import ExcelFormat
-from pinn_cli.record.files.file_format import ArrayFormat, FileFormat
+from pinn_cli.record.files.file_format import ArrayFormat, FileFormat, looks_like_text, read_bytes
 from pinn_cli.record.files.hdf5 import Hdf5Format
 from pinn_cli.record.files.mat import MatFormat
 from pinn_cli.record.files.netcdf import NetcdfFormat
-from pinn_cli.record.files.on_disk import looks_like_text, read_bytes
 from pinn_cli.record.files.parquet import ParquetFormat
 from pinn_cli.record.files.table import SensorHint, Table, check_names, column_of_times, is_called_times, unit_of_times
 from pinn_cli.record.files.tdms import TdmsFormat

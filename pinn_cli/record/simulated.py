@@ -15,7 +15,7 @@ from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Measurements, Record,
 from pinn_cli.record.response import MEASURED_QUANTITIES, QUANTITIES, Repeats, Response
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.record.steps import at_rest, fastest_rates
-from pinn_cli.runs.machine import of_this_machine
+from pinn_cli.runs.process import of_this_machine
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import LARGEST_LEGACY_SEED, is_finite_number, one_of, whole_number
 from pinn_cli.system.quantities import GROUND

@@ -21,8 +21,7 @@ from pinn_cli.system.modes import NaturalModes, frequency
 from pinn_cli.system.priors import HALF_WIDTH_90
 from pinn_cli.system.quantities import CONNECTION_FORCE, GROUND, SUPPORT, UNITS
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.estimate import Estimate
-from pinn_cli.training.estimated_structure import estimated_structure, sought_laws
+from pinn_cli.training.estimate import Estimate, estimated_structure, sought_laws
 from pinn_cli.training.propagation import half_widths_90
 
 CURVE_PLACES = 101  # of a curve

@@ -35,8 +35,7 @@ from pinn_cli.system.priors import HALF_WIDTH_95
 from pinn_cli.system.quantities import FORCE, GROUND, UNITS
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.calibrated_record import as_felt, compared_record
-from pinn_cli.training.estimate import Estimate
-from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.estimate import Estimate, estimated_structure
 from pinn_cli.training.prediction import drawn_structures, parameter_draws
 
 REFERENCES = ("truth", "sensors", "estimate")

@@ -13,8 +13,8 @@ from pinn_cli.report.estimates import error_percent
 from pinn_cli.runs.reading import read_table, undamaged
 from pinn_cli.system.priors import HALF_WIDTH_90
 from pinn_cli.system.quantities import CALIBRATION_UNITS
-from pinn_cli.training.bounded_estimates import CENTRAL_90
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, Story
+from pinn_cli.training.reported.parameter_posterior import CENTRAL_90
 
 if TYPE_CHECKING:
     from pinn_cli.model.knowledge import Model

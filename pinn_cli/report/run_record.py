@@ -26,8 +26,7 @@ from pinn_cli.runs.identity import package_version
 from pinn_cli.runs.reading import stamp
 from pinn_cli.runs.resume import FORMAT
 from pinn_cli.system.quantities import CALIBRATION_UNITS, GROUND
-from pinn_cli.training.estimate import Estimate
-from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.estimate import Estimate, estimated_structure
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
 if TYPE_CHECKING:

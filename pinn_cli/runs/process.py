@@ -1,4 +1,4 @@
-"""Whose this process is: the command's own, or somebody else's, as a notebook's, who gets it back as it was.
+"""Whose this process is, the command's own or somebody else's, who gets it back as it was; and what it may use.
 
 A run sets much that belongs to the process: threads, Hydra's state, logs, generators of random numbers, the arguments.
 The command ends with its run. A process that is borrowed goes on, so that each of these is put back.
@@ -153,3 +153,26 @@ def _logs() -> Iterator[None]:
         for handler in hushed:
             handler.removeFilter(was_heard)
         root.removeHandler(console)
+
+
+# Where the system does not tell, bytes.
+_UNTOLD = 2**40
+
+
+def usable_cores() -> list[int]:
+    """Those that this process may run on."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    return sorted(affinity(0)) if affinity else list(range(os.cpu_count() or 1))
+
+
+def of_this_machine() -> int:
+    """All its memory, bytes."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, OSError, ValueError):
+        return _UNTOLD
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether an exception says that there is no memory left: torch has none of its own for that on the CPU."""
+    return isinstance(error, MemoryError) or "can't allocate memory" in str(error) or "out of memory" in str(error)

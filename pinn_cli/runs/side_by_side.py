@@ -27,7 +27,7 @@ from multiprocessing import Process, current_process, get_context
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
-from pinn_cli.runs.machine import usable_cores
+from pinn_cli.runs.process import usable_cores
 from pinn_cli.runs.writing import WriteError
 from pinn_cli.settings.errors import DivergenceError, InputError
 

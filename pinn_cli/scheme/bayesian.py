@@ -18,8 +18,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import calibrated_starts
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import FREE, GAUSSIAN_PROCESS, Problem
-from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, UnknownForce, check_given
-from pinn_cli.scheme.sensors import Sensors
+from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Sensors, Through, UnknownForce, check_given
 from pinn_cli.scheme.starts import Start, Starts
 from pinn_cli.scheme.unknowns import (
     at_starts,
@@ -114,7 +113,7 @@ class Bayesian(EstimationScheme):
     """Posterior distribution of all unknown parameters from the motion and force of every DOF.
 
     Args:
-        unobserved: See :func:`pinn_cli.scheme.sensors.unobserved_dofs`.
+        unobserved: See :func:`pinn_cli.scheme.scheme.unobserved_dofs`.
         sensors: What an observed DOF of a simulated record has sensors for.
         unknown: See :func:`pinn_cli.scheme.unknowns.unknown_parameters`; None: everything but the masses, or of a
             finite-element model what that function says.

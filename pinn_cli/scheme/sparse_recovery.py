@@ -9,8 +9,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import calibrated_starts, sensor_parameters
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import FREE, GAUSSIAN_PROCESS
-from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, UnknownForce, check_given
-from pinn_cli.scheme.sensors import Sensors
+from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Sensors, Through, UnknownForce, check_given
 from pinn_cli.scheme.starts import Starts
 from pinn_cli.scheme.unknowns import believed_parameters, checked_uncertainty
 from pinn_cli.system.structure import Structure
@@ -20,7 +19,7 @@ class SparseRecovery(EstimationScheme):
     """States from sparse sensors and a prescribed model.
 
     Args:
-        unobserved_fraction, unobserved: See :func:`pinn_cli.scheme.sensors.unobserved_dofs`.
+        unobserved_fraction, unobserved: See :func:`pinn_cli.scheme.scheme.unobserved_dofs`.
         sensors: What an observed DOF of a simulated record has sensors for.
         parameter_uncertainty: Relative prior standard deviation of every prescribed parameter but the masses; 0 holds
             them fixed, as the paper does.

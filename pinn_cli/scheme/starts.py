@@ -2,8 +2,8 @@
 
 Masses, dampers and springs come from linear chains that make of the measured force what the sensors saw
 (:mod:`pinn_cli.scheme.screening`); several where one is not clearly the best. Where no linear chain comes near, what is
-said of the springs keeps its ratios, and the structure's own free run tells how stiff they are together
-(:mod:`pinn_cli.scheme.own_motion`). Where no force is known, they come from the record's own scale.
+said of the springs keeps its ratios, and the structure's own free run tells how stiff they are together. Where no
+force is known, they come from the record's own scale.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.record.channels import motion_amplitudes
-from pinn_cli.record.cross_spectra import misses_samples
-from pinn_cli.record.free_run import is_linear
+from pinn_cli.record.channels import channels, motion_amplitudes
+from pinn_cli.record.cross_spectra import CrossSpectra, misses_samples
+from pinn_cli.record.free_run import NoFreeRunError, affordable, free_run, is_linear
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.linear_fit import STARTING_RATIO, last_ends
-from pinn_cli.scheme.own_motion import distance
+from pinn_cli.record.response import Response
+from pinn_cli.scheme.linear_fit import ABOVE_FLOOR, STARTING_RATIO, WIDTHS, last_ends, lines_in_band
 from pinn_cli.scheme.screening import NEARLY_NOTHING, SAME_START, Candidate, Screening, common_factors
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
@@ -205,7 +205,7 @@ class Starts:
     def _by_own_motion(self, candidate: Candidate) -> Candidate:
         """Of a structure that is no linear one, with the common factor on its unknown springs that its free run tells.
 
-        See :mod:`pinn_cli.scheme.own_motion`. Where parameters of a law are unknown, the free run says nothing of
+        See :mod:`pinn_cli.scheme.starts`. Where parameters of a law are unknown, the free run says nothing of
         springs.
         """
         prescribed, unknown = self.prescribed, self.unknown
@@ -345,3 +345,32 @@ def _of_law(
     """Starts of the parameters of a connection that its law has a say in, by kind."""
     connection = int(prescribed.members[parameter.kind][parameter.index])
     return prescribed.laws[connection].starts(max(abs(float(linear[connection])), typical), size)
+
+
+def distance(structure: Structure, records: Sequence[Record]) -> float:
+    """Root mean square of the logarithms of power over measured power, of all sensors in the records' bands.
+
+    Returns:
+        Infinity where the structure has no free run under one of the records.
+    """
+    squares = []
+    for record in records:
+        part = affordable(structure, record)
+        try:
+            squares.append(_logarithms(part, free_run(structure, part)) ** 2)
+        except NoFreeRunError:
+            return np.inf
+    return float(np.sqrt(np.mean(np.concatenate(squares))))
+
+
+def _logarithms(record: Record, motion: Response) -> np.ndarray:
+    """Of power over measured power, flat, weighed as the sensors stand out of their noise."""
+    sensors = channels(record)
+    measured, moved = (
+        CrossSpectra.of_bands(record, shown, [], lines_in_band(record))
+        for shown in (sensors, [replace(sensor, measured=sensor.of(motion)) for sensor in sensors])
+    )
+    kernel = measured.smoothing(WIDTHS[0])
+    power, floor = np.maximum(kernel @ measured.power, 1e-300), ABOVE_FLOOR * measured.floor
+    logarithms: np.ndarray = power / (power + floor) * np.log((kernel @ moved.power + floor) / power)
+    return logarithms.reshape(-1)

@@ -17,8 +17,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import calibrated_starts
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import FREE, GAUSSIAN_PROCESS
-from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, UnknownForce, check_given
-from pinn_cli.scheme.sensors import Sensors
+from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Sensors, Through, UnknownForce, check_given
 from pinn_cli.scheme.starts import AUTO, Start, Starts, checked_starts
 from pinn_cli.scheme.unknowns import (
     at_starts,
@@ -46,7 +45,7 @@ class StateParameter(EstimationScheme):
     """States and unknown parameters from sparse sensors.
 
     Args:
-        unobserved_fraction, unobserved: See :func:`pinn_cli.scheme.sensors.unobserved_dofs`.
+        unobserved_fraction, unobserved: See :func:`pinn_cli.scheme.scheme.unobserved_dofs`.
         sensors: What an observed DOF of a simulated record has sensors for.
         unknown: See :func:`pinn_cli.scheme.unknowns.unknown_parameters`.
         initial: What is said about unknown parameters, by kind, name or pattern, see :mod:`pinn_cli.scheme.starts`; of

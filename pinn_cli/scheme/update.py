@@ -8,8 +8,7 @@ from pinn_cli.model.knowledge import Model
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.joint_problem import MODEL_SETTING, JointProblem
 from pinn_cli.scheme.problem import FREE, GAUSSIAN_PROCESS
-from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Through, UnknownForce
-from pinn_cli.scheme.sensors import Sensors
+from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Sensors, Through, UnknownForce
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.structure import Structure
 

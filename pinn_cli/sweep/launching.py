@@ -29,8 +29,7 @@ from joblib import Parallel, delayed, effective_n_jobs
 from joblib.externals.loky.process_executor import BrokenProcessPool
 from omegaconf import DictConfig, open_dict, read_write
 
-from pinn_cli.runs.machine import usable_cores
-from pinn_cli.runs.process import environment
+from pinn_cli.runs.process import environment, usable_cores
 from pinn_cli.runs.resume import asked_to_resume, going_on, is_finished, is_tracked, stored_score
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number, positive_number

@@ -17,7 +17,7 @@ from scipy.io.matlab import MatReadError
 from scipy.sparse import csc_matrix, issparse, load_npz
 
 from pinn_cli.runs.apart import Answer, UnreadableError, read_apart
-from pinn_cli.runs.machine import of_this_machine
+from pinn_cli.runs.process import of_this_machine
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import located
 

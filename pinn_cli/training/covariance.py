@@ -18,10 +18,10 @@ from torch import Tensor
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.system.quantities import GROUND
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.normal_matrix.bordered import BorderedFactor
-from pinn_cli.training.normal_matrix.diagonals import Diagonals
-from pinn_cli.training.point import Point
+from pinn_cli.training.normal_matrix.elimination import Diagonals
 
 # Groups from which on lines are quicker than a covariance for each.
 ENOUGH = 1000

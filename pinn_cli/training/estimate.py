@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,14 +13,16 @@ import pandas as pd
 
 from pinn_cli.model.knowledge import EndState, HandOver, Misfit, ParameterKnowledge
 from pinn_cli.record.response import Response
-from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.parameters import LINEAR_UNITS, Parameter
+from pinn_cli.system.quantities import CALIBRATION_UNITS
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.doubts.other_damping import DampingDoubt
-from pinn_cli.training.found_noise import FoundNoise
+from pinn_cli.training.noise_model import FoundNoise
 
 if TYPE_CHECKING:
     from pinn_cli.runs.checkpoint import Checkpoints
-    from pinn_cli.system.structure import Structure
     from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihoods
+
 
 # Called with each row of a history as it comes; it must not change it.
 Watch = Callable[[Mapping[str, float]], None]
@@ -363,3 +365,27 @@ class RunContext:
     progress: bool = field(default=False)
     checkpoints: Checkpoints | None = None
     watch: Watch = unwatched
+
+
+def estimated_structure(prescribed: Structure, parameters: Iterable[ParameterEstimate]) -> Structure:
+    """The prescribed chain with its estimated parameters in place; those that are not listed stay as prescribed.
+
+    Those of sensors are left out.
+
+    Raises:
+        ValueError: A parameter that the chain does not have.
+    """
+    values = {}
+    for estimate in parameters:
+        if estimate.kind in CALIBRATION_UNITS:
+            continue
+        if estimate.parameter.index >= len(prescribed.parameters.get(estimate.kind, ())):
+            raise ValueError(f"the chain of {prescribed.ndof} DOFs has no parameter {estimate.name}")
+        values[estimate.parameter] = estimate.estimate
+    return prescribed.with_values(values)
+
+
+def sought_laws(structure: Structure, parameters: Iterable[ParameterEstimate]) -> set[int]:
+    """The connections, from 0, of whose law a parameter was unknown."""
+    of_laws = [p for p in parameters if p.unknown and p.kind in structure.members and p.kind not in LINEAR_UNITS]
+    return {int(structure.members[p.kind][p.parameter.index]) for p in of_laws}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
@@ -10,13 +11,11 @@ import numpy as np
 
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.training.least_squares import LeastSquares
-from pinn_cli.training.minimise import Solution, minimise
-from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+from pinn_cli.training.minimise import Point, Solution, minimise
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel, updated_spread
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.normal_matrix.bordered import BorderedFactor, Eliminated, SharedFactor
-from pinn_cli.training.parameter_spread import updated_spread
-from pinn_cli.training.point import Point
-from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
+from pinn_cli.training.record_evidence import OF_PARAMETERS, RecordEvidence, RecordSolution
 
 R = TypeVar("R")
 
@@ -140,3 +139,42 @@ def _part(
     point: Point, noise: NoiseModel, eliminated: Eliminated, schur: np.ndarray, prior: np.ndarray
 ) -> RecordSolution:
     return RecordSolution(point, noise, BorderedFactor(schur, eliminated.readout), prior)
+
+
+def model_log_evidence(evidence: Evidence, trained: Trained) -> float:
+    """Natural logarithm of the density of all sensors' samples, SI units, with motion and parameters integrated out.
+
+    NaN where the equations alone cannot be solved, or a sensor is compared with what the equations say of it.
+    """
+    terms = evidence.each_record(sensors_term, trained)
+    return float(sum(terms)) + evidence.parameter_term(trained.solution.point, trained.noise, trained.factor)
+
+
+def sensors_term(evidence: RecordEvidence, solution: RecordSolution) -> float:
+    """One record's part; see :func:`model_log_evidence`."""
+    equations, point, noise = evidence.equations, solution.point, solution.noise
+    losses, forces = equations.losses(point, noise), evidence.force_residuals(point, noise)
+    if forces.observer is not None:
+        return math.nan
+    alone = equations.assemble(point, of_motion(evidence, noise)).eliminated()
+    if alone is None:
+        return math.nan
+    physics = float((forces.seen / noise.physics_variance)[forces.enforced].sum())
+    rest = sum(value for name, value in losses.items() if name not in ("physics", *OF_PARAMETERS))
+    change = solution.factor.readout.log_determinant - alone.readout.log_determinant
+    return -0.5 * (physics + rest + evidence.log_variances(noise) + _count(evidence) * math.log(2.0 * math.pi) + change)
+
+
+def _count(evidence: RecordEvidence) -> int:
+    """Samples of all response sensors."""
+    return int(sum(channels.samples[channels.present].sum() for channels in evidence.equations.channels))
+
+
+def of_motion(evidence: RecordEvidence, noise: NoiseModel) -> NoiseModel:
+    """Sensors that together say of the motion how large it is, and no more."""
+    response = dict(noise.response)
+    for channels in evidence.equations.channels:
+        # Of each sample the deviation with which all of them together say the root mean square.
+        size = channels.numbers("rms") * np.sqrt(channels.samples)
+        response[channels.name] = np.where(size > 0.0, size, np.where(channels.present, 1.0, np.nan))
+    return replace(noise, response=response)

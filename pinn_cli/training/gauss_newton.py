@@ -31,8 +31,7 @@ from pinn_cli.training.reported.hand_over import handed_over
 from pinn_cli.training.reported.parameter_likelihoods import parameter_likelihoods
 from pinn_cli.training.reported.posterior_estimate import posterior_estimate
 from pinn_cli.training.reported.stories import with_stories
-from pinn_cli.training.solver import ITERATIONS, TOLERANCE, Inference, Solver
-from pinn_cli.training.starting_noise import starting_noise
+from pinn_cli.training.solver import ITERATIONS, TOLERANCE, Inference, Solver, starting_noise
 from pinn_cli.training.steps.known_levels import as_fine_as_before
 
 FIXED_WEIGHTS = ("observation", "physics", "continuity")

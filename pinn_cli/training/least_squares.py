@@ -13,9 +13,9 @@ from torch import Tensor
 from pinn_cli.runs.side_by_side import side_by_side
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_matrix.bordered import BorderedSystem, SharedSystem
-from pinn_cli.training.point import Point
 from pinn_cli.training.record_evidence import RecordEvidence
 
 # What changes of a sensor from one record to the next.

@@ -17,9 +17,8 @@ from pinn_cli.record.channel import CALIBRATED
 from pinn_cli.record.channels import FINEST_KNOWN
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.evidence import Evidence, Trained
-from pinn_cli.training.force_residuals import ForceResiduals
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
-from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
+from pinn_cli.training.record_evidence import ForceResiduals, RecordEvidence, RecordSolution
 from pinn_cli.training.sensor_samples import SensorSamples
 from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN, negligible
 from pinn_cli.training.steps.force_spectrum import DRAWS, drive_below, levels_of_a_kind

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
+from torch import Tensor
 
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.normal_matrix.bordered import SharedFactor
-from pinn_cli.training.point import Point
 
 # Damping of the scaled matrix (unit diagonal): where it starts once a step has failed, and where trying is given up.
 FIRST_DAMPING, LARGEST_DAMPING = 1e-9, 1e6
@@ -306,3 +306,20 @@ class _Trial:
     terms: dict[str, float]
     promised: float
     gain: float
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Where Gauss-Newton stands.
+
+    Attributes:
+        unknowns: (size,) readout weights in the layout's order; of several records one after the other.
+        parameters: (p,) uncertain parameters, in prior standard deviations from their prescribed values.
+    """
+
+    unknowns: Tensor
+    parameters: Tensor
+
+    def moved(self, step: tuple[Tensor, Tensor]) -> Point:
+        """The point after a step."""
+        return Point(self.unknowns + step[0], self.parameters + step[1])

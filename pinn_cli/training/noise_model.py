@@ -1,4 +1,4 @@
-"""Noise levels: what loss weights mean, lambda = 1 / sigma^2.
+"""Noise levels: what loss weights mean, lambda = 1 / sigma^2; the levels that a training found.
 
 Sensor noise is white, and shows in each channel beyond what the network's features can follow. Model error is a force
 on every DOF, the discrepancy, as rich as the features and no richer: K independent values per DOF, however often it is
@@ -18,6 +18,8 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import LinearReadout, Segments
+from pinn_cli.record.channel import CALIBRATED, Channel
+from pinn_cli.record.response import MEASURED_QUANTITIES
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,3 +225,76 @@ def output_features(network: LinearReadout, segments: Segments) -> tuple[Tensor,
         return segments.displacement, segments.velocity, segments.acceleration
     value, rate = segments.displacement[..., ::2], segments.acceleration[..., 1::2]
     return value, value, rate
+
+
+# How levels are called in ``run.json``, before the name of what they are of.
+SIGMA, DISCREPANCY, TAKEN = "sigma_", "sigma_discrepancy", "effective_parameters"
+
+
+@dataclass(frozen=True, eq=False)
+class FoundNoise:
+    """Standard deviations.
+
+    Attributes:
+        sensors: Quantity (`CALIBRATED` of calibrated channels) to those of its sensors (C,), in the unit of what they
+            feel; NaN where there is none. Empty where the training finds none.
+        discrepancy: N, per sample, of the force that the model leaves out; NaN where the training has none.
+        taken: Likewise of how many values of each sensor's samples the solution has taken up.
+    """
+
+    sensors: Mapping[str, np.ndarray] = field(default_factory=dict)
+    discrepancy: float = math.nan
+    taken: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, summary: Mapping[str, Any]) -> FoundNoise:
+        """From what :attr:`summary` has left in ``run.json``."""
+        pairs = ((name, summary.get(f"{SIGMA}{name}")) for name in (*MEASURED_QUANTITIES, CALIBRATED))
+        sensors = {quantity: _numbers(values) for quantity, values in pairs if values is not None}
+        taken = {quantity: _numbers(values) for quantity, values in summary.get(TAKEN, {}).items()}
+        discrepancy = summary.get(DISCREPANCY)
+        return cls(sensors, math.nan if discrepancy is None else discrepancy, taken)
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """For ``run.json``."""
+        taken = {TAKEN: {quantity: _listed(values) for quantity, values in self.taken.items()}} if self.taken else {}
+        discrepancy = {} if math.isnan(self.discrepancy) else {DISCREPANCY: float(self.discrepancy)}
+        return (
+            taken | discrepancy | {f"{SIGMA}{quantity}": _listed(values) for quantity, values in self.sensors.items()}
+        )
+
+    def of(self, channel: Channel) -> float:
+        """That of one sensor; NaN where the training found none."""
+        quantity, place = channel.place
+        levels = self.sensors.get(quantity, np.empty(0))
+        return float(levels[place]) if place < len(levels) else math.nan
+
+
+def _numbers(values: list[float | None]) -> np.ndarray:
+    return np.array([math.nan if x is None else x for x in values], dtype=float)
+
+
+def _listed(values: np.ndarray) -> list[float | None]:
+    return [None if np.isnan(x) else float(x) for x in values]
+
+
+# Weight of the user's parameter uncertainty, in parameters, when the common spread is learned from the record. With
+# less, a few parameters that a record tells half draw it to zero by chance, and their intervals hold 70 to 80 %.
+PRIOR_PARAMETERS = 1.0
+
+
+def updated_spread(x: np.ndarray, variance: np.ndarray, spread: float) -> float:
+    """How far believed parameters are off, in common, as far as the record says.
+
+    MacKay's update of one relative variance, s^2 = (nu + sum x^2) / (nu + gamma), with gamma the number of parameters
+    that the record determines and the user's own spread counting as nu parameters. Parameters that are right sharpen
+    each other; parameters that are wrong free each other.
+
+    Args:
+        x: (p,), distances from the prescribed values, in the user's standard deviations.
+        variance: (p,), posterior variances, in their squares.
+        spread: Under which both were found.
+    """
+    determined = float((1.0 - variance / spread**2).clip(min=0.0).sum())
+    return float(np.sqrt((PRIOR_PARAMETERS + float(x @ x)) / (PRIOR_PARAMETERS + determined)))

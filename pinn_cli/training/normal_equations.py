@@ -25,19 +25,18 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 from pinn_cli.training.factors.calibrated_channels import CalibratedChannels, Gains, SensorFilter
 from pinn_cli.training.factors.constant_channels import ConstantRows, ResponseChannels
-from pinn_cli.training.factors.equation_rows import EquationRows
-from pinn_cli.training.factors.equations_of_motion import EquationsOfMotion
+from pinn_cli.training.factors.equation_rows import EquationRows, EquationsOfMotion
 from pinn_cli.training.factors.factor import Channels, Factor, Residuals
 from pinn_cli.training.factors.frame import Frame
 from pinn_cli.training.factors.input_channels import InputChannels
 from pinn_cli.training.factors.known_state import states_known
 from pinn_cli.training.factors.ridge import Ridge
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_matrix.bordered import BorderedSystem
-from pinn_cli.training.normal_matrix.diagonals import Diagonals
 from pinn_cli.training.normal_matrix.dissection import FrontTree, order_of_elimination
+from pinn_cli.training.normal_matrix.elimination import Diagonals
 from pinn_cli.training.normal_matrix.row_sums import RowSums
-from pinn_cli.training.point import Point
 from pinn_cli.training.whittle.whittle_estimate import KnownParameters
 
 

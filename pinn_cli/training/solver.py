@@ -1,7 +1,8 @@
-"""A solution of a problem, and how one is looked for."""
+"""A solution of a problem, how one is looked for, and where its noise levels start."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -10,16 +11,20 @@ import numpy as np
 from pinn_cli.model.knowledge import DiscrepancyEvidence
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.network import NetworkDesign
+from pinn_cli.record.channels import support_amplitudes
 from pinn_cli.scheme.joint_problem import JointProblem
+from pinn_cli.system.parameters import MASS
+from pinn_cli.system.quantities import FORCE, GROUND, MOTION, SUPPORT
 from pinn_cli.training.estimate import Rival
 from pinn_cli.training.estimator import built
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.history import History
 from pinn_cli.training.levels import ROUNDS, settled
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.point import Point
-from pinn_cli.training.starting_noise import starting_noise
+from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE, force_and_velocity_scale, newtons
+from pinn_cli.training.sensor_samples import starting_levels
 from pinn_cli.training.whittle.whittle_estimate import KnownParameters
 
 # Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
@@ -134,3 +139,61 @@ class Inference:
     def is_informed(self) -> bool:
         """Whether the parameters or the levels are known from elsewhere: from spectra, or from earlier records."""
         return self.solver.known_parameters is not None or self.problem.is_informed
+
+
+def starting_noise(equations: NormalEquations) -> NoiseModel:
+    """Where the noise levels of one record start; the discrepancy is the force that acts."""
+    problem = equations.problem
+    force, velocity = force_and_velocity_scale(problem)
+    quantities = [*problem.record.response_quantities, *((FORCE,) if problem.dynamics.inputs.loads else ())]
+    response = {quantity: np.full(len(problem.record.sensors(quantity)), np.nan) for quantity in quantities}
+    response |= {channels.name: channels.numbers("first") for channels in equations.channels}
+    if equations.observer is not None:
+        response["acceleration"] = starting_levels(problem.record, "acceleration")
+    points, dynamics = equations.refinement, problem.dynamics
+    innovation, sensors = np.full((2, dynamics.size), np.nan)
+    if equations.target.measured_force.any():  # otherwise load cells are channels
+        sensors[: dynamics.ndof] = starting_levels(problem.record, FORCE)
+    # A force of modes acts on a DOF the more, the less this DOF moves with them.
+    innovation[dynamics.forces] = force / newtons(problem)
+    innovation[dynamics.loads] = [np.std(problem.record.force[:, dof]) for dof in dynamics.inputs.loads]
+    if problem.record.measured_ground is not None:
+        innovation[dynamics.ground] = np.std(problem.record.measured_ground)
+    if dynamics.structure.supports:
+        innovation[dynamics.supports] = support_amplitudes(problem.record)
+    continuity = CONTINUITY_TOLERANCE * velocity
+    return NoiseModel(
+        response,
+        sensors,
+        force,
+        continuity,
+        points_per_sample=points,
+        innovation=None if dynamics.is_plain else innovation,
+        pushes=_pushes(equations),
+    )
+
+
+def _pushes(equations: NormalEquations) -> dict[str, np.ndarray]:
+    """See :class:`NoiseModel`; a support's displacement pushes by a spring, its acceleration by a mass."""
+    structure, record = equations.problem.structure, equations.problem.record
+    masses = structure.parameters[MASS].detach().cpu().numpy()
+    by_quantity = {FORCE: structure.shapes.scale}
+    if record.measured_ground is not None:
+        by_quantity[GROUND] = _least(masses * structure.with_ground)
+    if structure.by_supports is not None:
+        moved = abs(structure.by_supports).sum(axis=1).A1 > 0.0
+        stiffness, mass = _least(structure.at_rest()[0].sum(axis=0)[: len(moved)][moved]), _least(masses)
+        for quantity in record.supports:
+            order = MOTION.index(SUPPORT[quantity])
+            by_quantity[quantity] = stiffness ** (1.0 - order / 2.0) * mass ** (order / 2.0)
+    return {
+        channels.name: np.array(
+            [by_quantity.get(sensor.channel.quantity, np.nan) if sensor else np.nan for sensor in channels.sensors]
+        )
+        for channels in equations.channels
+    }
+
+
+def _least(values: np.ndarray) -> float:
+    """Size of the least that is not zero."""
+    return float(np.min(np.abs(values[values != 0.0]), initial=math.inf))

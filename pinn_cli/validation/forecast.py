@@ -17,8 +17,7 @@ from pinn_cli.record.record import MINIMUM_SAMPLES, Record
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import fraction, whole_number
-from pinn_cli.training.estimate import Estimate
-from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.estimate import Estimate, estimated_structure
 from pinn_cli.validation.validation import Setup, Withheld, channel_noise, compared
 
 # The forecast begins this share of what was seen before its end, where the ends of splines do not show.

@@ -16,7 +16,7 @@ from pinn_cli.record.channels import channels
 from pinn_cli.scheme.joint_problem import unreached_dofs
 from pinn_cli.system.parameters import MASS
 from pinn_cli.training.calibrated_record import as_run
-from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.estimate import estimated_structure
 from pinn_cli.verdict.causes import causes as fitted_causes
 from pinn_cli.verdict.channel_faults import LEAST_GAIN_FAULT, channel_faults, first_sample_findings, record_faults
 from pinn_cli.verdict.finding import Finding, Verdict

@@ -16,7 +16,7 @@ from pinn_cli.system.connection.nonlinearity import OVER
 from pinn_cli.system.coupling import loose_dofs
 from pinn_cli.system.modes import modes_of
 from pinn_cli.training.doubts.other_damping import DECISIVE_DAMPING
-from pinn_cli.training.estimated_structure import sought_laws
+from pinn_cli.training.estimate import sought_laws
 from pinn_cli.verdict.finding import Finding, Word, failed_if
 
 if TYPE_CHECKING:

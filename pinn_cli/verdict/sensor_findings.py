@@ -17,7 +17,7 @@ from pinn_cli.record.inputs import input_force
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import usable_periodogram
 from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
-from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.estimate import estimated_structure
 from pinn_cli.verdict.finding import Finding, failed_if
 from pinn_cli.verdict.prediction import Comparison, comparisons, predicted
 

@@ -20,8 +20,7 @@ from vibrating_records import (
 from pinn_cli.inspection.mode_report import ModesReport, mode_table
 from pinn_cli.inspection.modes import JoinedModes, ModalRecord
 from pinn_cli.record.identification.lines import RecordMode, normalised
-from pinn_cli.record.identification.modes import Identified
-from pinn_cli.record.identification.subspace import assurance, stabilisation
+from pinn_cli.record.identification.modes import Identified, assurance, stabilisation
 from pinn_cli.record.signal import Sampling, Signal
 from pinn_cli.system.priors import HALF_WIDTH_90
 

@@ -8,7 +8,7 @@ from scipy.stats import norm, truncnorm
 from pinn_cli.model.knowledge import ParameterKnowledge
 from pinn_cli.model.truncated_gaussian import TruncatedGaussian, tail_moments
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.bounded_estimates import bounded_estimates
+from pinn_cli.training.reported.parameter_posterior import bounded_estimates
 
 LOWER = np.array([0.0, -np.inf, 0.0])
 

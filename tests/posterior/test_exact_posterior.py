@@ -24,8 +24,11 @@ from pinn_cli.system.building import build_chain
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
-from pinn_cli.training.likelihood import ParameterLikelihood
-from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihoods, parameter_likelihoods
+from pinn_cli.training.reported.parameter_likelihoods import (
+    ParameterLikelihood,
+    ParameterLikelihoods,
+    parameter_likelihoods,
+)
 
 # Priors that pull: about as narrow as the likelihood, and off the truth.
 PULLING = {"k": {"kind": "normal", "mean": 15.5, "std": 0.4}, "c": {"kind": "normal", "mean": 0.8, "std": 0.2}}

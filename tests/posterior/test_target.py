@@ -8,12 +8,12 @@ from toy_likelihoods import Everywhere, GaussianLikelihood, RegressionLikelihood
 from pinn_cli.posterior.target import Softplus, Target, Whitening
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal
-from pinn_cli.training.likelihood import ParameterLikelihood
 from pinn_cli.training.reported.parameter_likelihoods import (
     S_POINTS,
     S_RANGE,
     ConditionalLikelihood,
     MarginalLikelihood,
+    ParameterLikelihood,
 )
 
 PRIORS = [Gamma(2.0, 0.1), Normal(0.0, 5.0), HalfNormal(30.0), LogNormal(10.0, 0.5)]

@@ -253,7 +253,7 @@ def test_a_path_that_leads_to_no_file(tmp_path, path):
 
 def test_a_file_beyond_memory(tmp_path, monkeypatch):
     plain().to_csv(tmp_path / "rig.csv", index=False)
-    monkeypatch.setattr("pinn_cli.record.files.on_disk.of_this_machine", lambda: 2**10)
+    monkeypatch.setattr("pinn_cli.record.files.file_format.of_this_machine", lambda: 2**10)
     assert "must be a file of at most 5.96e-08 GiB" in message(tmp_path)
 
 

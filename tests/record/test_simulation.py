@@ -14,10 +14,10 @@ from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import LEAST_STEPS, runge_kutta_step, shot
 from pinn_cli.record.simulation import OverflowsError, Simulation, StateEquation, simulate
 from pinn_cli.record.steps import substeps_needed
-from pinn_cli.system import matrices
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Linear, PowerDamping, VanDerPol
 from pinn_cli.system.structure import Structure
+from tests import paper_matrices as matrices
 
 DURATION = 8.0
 CHAINS = {

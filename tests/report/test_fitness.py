@@ -24,7 +24,7 @@ from pinn_cli.report.fitness import (
     white_probability,
 )
 from pinn_cli.system.quantities import CONNECTION_FORCE
-from pinn_cli.training.found_noise import FoundNoise
+from pinn_cli.training.noise_model import FoundNoise
 
 SIGNALS = Path(__file__).resolve().parents[3] / "shared" / "data" / "reference_signals"
 NOISE = 0.05

@@ -24,7 +24,7 @@ from pinn_cli.system.connection import Duffing, Gap
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
-from pinn_cli.training.found_noise import FoundNoise
+from pinn_cli.training.noise_model import FoundNoise
 
 SIGNALS = Path(__file__).resolve().parents[3] / "shared" / "data" / "reference_signals"
 

@@ -19,7 +19,7 @@ from pinn_cli.report.netcdf import response_dataset
 from pinn_cli.report.text import sensors_text
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
-from pinn_cli.training.found_noise import FoundNoise
+from pinn_cli.training.noise_model import FoundNoise
 
 NOISE = 0.05
 

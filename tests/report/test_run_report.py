@@ -25,7 +25,7 @@ from pinn_cli.report.page import CAPTIONS, Page, figures_in, next_steps, sheet_o
 from pinn_cli.report.results import LABELS
 from pinn_cli.report.run_report import RunReport
 from pinn_cli.report.text import Column, Shown
-from pinn_cli.runs.machine import usable_cores
+from pinn_cli.runs.process import usable_cores
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import WriteError
 from pinn_cli.verdict.finding import Finding, Verdict

@@ -28,7 +28,7 @@ from pinn_cli.report.text import (
     table_lines,
 )
 from pinn_cli.training.estimate import ParameterEstimate, Story
-from pinn_cli.training.found_noise import FoundNoise
+from pinn_cli.training.noise_model import FoundNoise
 
 MANY = [f"{symbol}_{i}" for symbol in ("c", "k", "kappa") for i in range(1, 11)]
 

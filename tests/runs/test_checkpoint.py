@@ -24,7 +24,7 @@ from pinn_cli.runs.identity import Identity
 from pinn_cli.runs.writing import tidy
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.estimate import RunContext
-from pinn_cli.training.stepwise import Stepwise, train
+from pinn_cli.training.history import Stepwise, train
 
 IDENTITY = Identity({"noise.snr_db": "50"}, {"torch": "2.4"})
 

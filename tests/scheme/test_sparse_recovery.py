@@ -17,7 +17,7 @@ from pinn_cli.record.record import Measurements, Record, Truth
 from pinn_cli.record.response import Repeats
 from pinn_cli.scheme.joint_problem import JointProblem, tell_if_unreached, unreached_dofs
 from pinn_cli.scheme.problem import Problem, SpectralEstimate
-from pinn_cli.scheme.sensors import has_load_cells, sensor_quantities, unobserved_dofs
+from pinn_cli.scheme.scheme import has_load_cells, sensor_quantities, unobserved_dofs
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError

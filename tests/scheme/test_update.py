@@ -15,12 +15,11 @@ from pinn_cli.scheme.update import Update
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
-from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.changes import UpdatedNetwork
+from pinn_cli.training.estimate import Estimate, RunContext, estimated_structure
 from pinn_cli.training.estimator import TrainedNetwork
 from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.record_scales import force_and_velocity_scale
-from pinn_cli.training.updating import UpdatedNetwork
 
 PRESCRIBED = build_chain(3, Linear(), m=M.tolist(), c=(1.04 * C).tolist(), k=(1.1 * K).tolist())
 SCHEME = StateParameter(unknown=["k_*"], starts="given")

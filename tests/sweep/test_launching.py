@@ -17,7 +17,7 @@ from hydra.core.utils import JobReturn
 from interrupted_runs import run_in_a_child
 from sweeps import start
 
-from pinn_cli.runs.machine import usable_cores
+from pinn_cli.runs.process import usable_cores
 from pinn_cli.sweep.launching import QUIET_END, JoblibLauncher, SerialLauncher, pin, shares
 
 

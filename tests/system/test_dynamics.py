@@ -7,11 +7,11 @@ import pytest
 import torch
 from structures import braced, hysteretic, modal
 
-from pinn_cli.system import matrices
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Linear, Nonlinearity, PowerDamping, VanDerPol
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Inputs, Jet
+from tests import paper_matrices as matrices
 
 GROUND_AND_FORCES = Inputs(True, True, (1,), correlation_time=0.3, damping_ratio=0.6, rate=4.0, edge=11.0)
 ON_MODES = Inputs(True, True, (1,), correlation_time=0.3, rate=4.0, edge=11.0, loads=(0, 3))

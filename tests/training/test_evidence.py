@@ -17,9 +17,9 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.levels import settled
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.point import Point
 from pinn_cli.training.record_evidence import log_density, seen_powers
 from pinn_cli.training.steps.discrepancy_search import scanned
 from pinn_cli.training.steps.windows_discrepancy import widened

@@ -28,7 +28,7 @@ from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_o
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.record_scales import force_and_velocity_scale
 from pinn_cli.training.sensor_samples import SensorSamples, starting_levels
-from pinn_cli.training.starting_noise import starting_noise
+from pinn_cli.training.solver import starting_noise
 from pinn_cli.training.steps.discrepancy_search import searched
 
 HIGHEST = 20.0  # Hz, of the frame's force

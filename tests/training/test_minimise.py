@@ -15,11 +15,10 @@ from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.factors import ridge
 from pinn_cli.training.least_squares import LeastSquares
-from pinn_cli.training.minimise import minimise
+from pinn_cli.training.minimise import Point, minimise
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.normal_matrix.bordered import SharedSystem
-from pinn_cli.training.point import Point
 
 
 def stiffnesses(structure) -> tuple[Parameter, ...]:

@@ -18,8 +18,7 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Linear
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.estimate import Estimate, RunContext, estimated_structure
 from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.prediction import Predictor
 

@@ -11,8 +11,7 @@ from pinn_cli.scheme.problem import JointPrior, Problem
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.changes import IMPROBABLE, found_changes, left_open, released
-from pinn_cli.training.updating import common_spread, under_spread
+from pinn_cli.training.changes import IMPROBABLE, common_spread, found_changes, left_open, released, under_spread
 
 P = 6
 LEVELS = Levels({}, 1.0, 1.0, 1.0, 1.0)

@@ -13,7 +13,7 @@ from pinn_cli.model.knowledge import ParameterKnowledge
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.topology import build_structure
-from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.estimate import estimated_structure
 from pinn_cli.verdict.parameter_findings import baseline_findings, parameter_findings
 from pinn_cli.verdict.prediction import predicted
 from pinn_cli.verdict.sensor_findings import noise_findings, random_structure, sensor_findings

@@ -22,7 +22,7 @@ from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Linear
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Estimate
-from pinn_cli.training.found_noise import FoundNoise
+from pinn_cli.training.noise_model import FoundNoise
 from pinn_cli.verdict.causes import causes
 from pinn_cli.verdict.channel_faults import channel_faults, record_faults
 from pinn_cli.verdict.input_findings import resonance_findings, sampling_findings

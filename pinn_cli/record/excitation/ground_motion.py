@@ -13,7 +13,7 @@ import numpy as np
 
 from pinn_cli.record.excitation.banded_noise import BandedNoise, sum_of_sinusoids
 from pinn_cli.record.excitation.excitation import Excitation
-from pinn_cli.record.files.on_disk import read_text
+from pinn_cli.record.files.file_format import read_text
 from pinn_cli.record.record import MINIMUM_SAMPLES
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import (

@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.files.file_format import FileFormat
-from pinn_cli.record.files.on_disk import check_size, read_text
+from pinn_cli.record.files.file_format import FileFormat, check_size, read_text
 from pinn_cli.record.files.table import IN_BRACKETS, Table, asked_for, commas_group, is_called_times, may_group, rate_of
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import whole_number

@@ -18,7 +18,7 @@ from pinn_cli.report.figures.style import save
 from pinn_cli.report.parameters import worst_sampled
 from pinn_cli.report.results import Results, record_folder
 from pinn_cli.runs.side_by_side import shared_out
-from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.estimate import estimated_structure
 
 if TYPE_CHECKING:
     import xarray as xr

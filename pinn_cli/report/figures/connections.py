@@ -17,7 +17,7 @@ from pinn_cli.report.results import Results
 from pinn_cli.system.connection.nonlinearity import OVER
 from pinn_cli.system.modes import NaturalModes
 from pinn_cli.system.priors import HALF_WIDTH_95
-from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.estimate import estimated_structure
 
 ROWS_IN_FULL, LOOPS_IN_FULL = 8, 6  # more connections than these: those with the largest drifts, or forces
 SAMPLES_SHOWN = 600  # of a loop, about the largest elongation

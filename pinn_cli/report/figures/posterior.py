@@ -25,7 +25,7 @@ from pinn_cli.report.figures import histories, style
 from pinn_cli.report.figures.parameters import write_correlation
 from pinn_cli.report.parameters import posterior_correlation, true_value
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.bounded_estimates import CENTRAL_90
+from pinn_cli.training.reported.parameter_posterior import CENTRAL_90
 
 if TYPE_CHECKING:
     import xarray as xr

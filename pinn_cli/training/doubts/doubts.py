@@ -34,10 +34,10 @@ from pinn_cli.training.doubts.sensor_doubts import (
 )
 from pinn_cli.training.estimate import Doubt
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.normal_matrix.elimination import Elimination
-from pinn_cli.training.point import Point
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 
 # Least discrepancy over the rms force of the connections, and least noise of a sensor over the rms of the largest one

@@ -40,9 +40,9 @@ from pinn_cli.system.structure import Structure
 from pinn_cli.training.doubts.other_damping import USUAL
 from pinn_cli.training.doubts.sensor_doubts import DELAY, Term, delays
 from pinn_cli.training.factors.channel_at_point import sparse_rows
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.point import Point
 
 # Oscillators that are attached are tried at frequencies in this ratio at first, or in a larger one, and damped so that
 # they reach each other; then nearer, with these damping ratios. Periods in the record of the lowest, and how many are

@@ -26,9 +26,9 @@ from pinn_cli.system.quantities import MOTION
 from pinn_cli.training.doubts.force_doubts import ForceTerm, equation_columns, force_histories
 from pinn_cli.training.doubts.sensor_doubts import SensorTerm
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.point import Point
 
 # Bands are this much wider than high, but have so many residuals of every sensor.
 BAND_RATIO, FEWEST_IN_BAND = 1.25, 16

@@ -25,9 +25,9 @@ from pinn_cli.training.factors.channel_at_point import ChannelAtPoint, Part
 from pinn_cli.training.factors.factor import Channels, Factor, Piece
 from pinn_cli.training.factors.feels import Feels, WeightedSum, felt_by, weighted
 from pinn_cli.training.factors.frame import Frame
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_matrix.row_sums import Rows, RowSums, Touched
-from pinn_cli.training.point import Point
 from pinn_cli.training.sensor_samples import SensorSamples
 
 # What the equation may leave, over the rms of the channel: less than any sensor's noise.

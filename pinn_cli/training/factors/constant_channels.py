@@ -19,10 +19,10 @@ from pinn_cli.training.factors.channel_at_point import ChannelAtPoint
 from pinn_cli.training.factors.factor import Channels, Piece
 from pinn_cli.training.factors.feels import weighted
 from pinn_cli.training.factors.frame import EVERY, Frame
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_matrix.row_sums import RowSums
 from pinn_cli.training.normal_matrix.separable_rows import FeatureWindows, LocalFeatures, SeparableRows
-from pinn_cli.training.point import Point
 from pinn_cli.training.sensor_samples import SensorSamples
 
 

@@ -15,9 +15,9 @@ from torch import Tensor
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint
 from pinn_cli.training.factors.frame import Frame
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_matrix.row_sums import RowSums
-from pinn_cli.training.point import Point
 from pinn_cli.training.sensor_samples import SensorSamples
 
 

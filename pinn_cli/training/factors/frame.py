@@ -23,9 +23,9 @@ from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
 from pinn_cli.training.beginning import Beginning
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.normal_matrix.layout import BandLayout
 from pinn_cli.training.normal_matrix.row_pattern import RowPattern
-from pinn_cli.training.point import Point
 from pinn_cli.training.subdomains import Subdomains
 
 # Numbers of the linearised equation of motion that are held at once: little enough for the caches.

@@ -33,8 +33,8 @@ from pinn_cli.system.functions import FLAT
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint, Part
 from pinn_cli.training.factors.constant_channels import ConstantChannels, ConstantRows
 from pinn_cli.training.factors.frame import Frame
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
-from pinn_cli.training.point import Point
 
 # Corner of the errors' filter over the Nyquist frequency.
 CORNER = 1.2

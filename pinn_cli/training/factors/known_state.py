@@ -22,9 +22,9 @@ from pinn_cli.system.parameters import MASS
 from pinn_cli.training.beginning import TIE, Beginning
 from pinn_cli.training.factors.factor import Factor
 from pinn_cli.training.factors.frame import Frame
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_matrix.row_sums import Rows, RowSums, Touched
-from pinn_cli.training.point import Point
 from pinn_cli.training.record_scales import force_and_velocity_scale, newtons
 
 # Standard deviations of a mode's motion, over what a force that acts on all modes alike would make it.

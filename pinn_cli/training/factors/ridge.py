@@ -7,9 +7,9 @@ import torch
 
 from pinn_cli.training.factors.factor import Factor
 from pinn_cli.training.factors.frame import Frame
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_matrix.row_sums import RowSums
-from pinn_cli.training.point import Point
 
 # Relative to the largest diagonal of the first normal matrix: keeps directions that nothing measures from running away.
 # Fourier features on a period longer than the record have such directions: below 1e-15 their Gauss-Newton steps never

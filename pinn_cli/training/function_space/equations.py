@@ -20,9 +20,8 @@ from pinn_cli.training.function_space.feature_system import (
 )
 from pinn_cli.training.function_space.network_frame import NetworkFrame
 from pinn_cli.training.function_space.system import Block, DenseSystem, Linearised, System, dense_operations, pull, push
-from pinn_cli.training.minimise import FIRST_DAMPING
+from pinn_cli.training.minimise import FIRST_DAMPING, Point
 from pinn_cli.training.noise_model import NoiseLevels
-from pinn_cli.training.point import Point
 
 # Share of the unknowns that the linear model of the units may miss for its bands to be taken.
 MISSED_UNKNOWNS = 0.03

@@ -14,15 +14,15 @@ from pinn_cli.network.network import States
 from pinn_cli.physics import Targets, observation_masks
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.factors.constant_channels import ResponseChannels
-from pinn_cli.training.factors.equations_of_motion import EquationsOfMotion
+from pinn_cli.training.factors.equation_rows import EquationsOfMotion
 from pinn_cli.training.factors.factor import Residuals
 from pinn_cli.training.factors.frame import EVERY, Frame
 from pinn_cli.training.function_space.system import Block, block_of, forward
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import Continuity, Observer
 from pinn_cli.training.normal_matrix.row_pattern import RowPattern
 from pinn_cli.training.normal_matrix.row_sums import RowSums
-from pinn_cli.training.point import Point
 
 Residual = Callable[[Point], Tensor]
 """(P, R), of one point of weights and parameters."""

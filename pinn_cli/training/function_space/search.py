@@ -10,13 +10,10 @@ import numpy as np
 import torch
 
 from pinn_cli.training.function_space.equations import NetworkEquations, SolvedStep
-from pinn_cli.training.history import History, noise_weights
-from pinn_cli.training.minimise import FIRST_DAMPING, Descent
-from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
-from pinn_cli.training.parameter_spread import updated_spread
-from pinn_cli.training.point import Point
+from pinn_cli.training.history import History, Stepwise, noise_weights
+from pinn_cli.training.minimise import FIRST_DAMPING, Descent, Point
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel, updated_spread
 from pinn_cli.training.steps.discrepancy_search import SUSPICIOUS_DISCREPANCY
-from pinn_cli.training.stepwise import Stepwise
 
 # Noise levels follow the residuals once a loss is what the linearised residuals promised, up to a factor, or falls no
 # further than by a part in one iteration.

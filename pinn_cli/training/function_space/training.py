@@ -7,8 +7,9 @@ linearisation at the solution says how far parameters and motion are known.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,29 +17,37 @@ import torch
 from torch import Tensor
 
 from pinn_cli.model.truncated_gaussian import TruncatedGaussian
-from pinn_cli.network.linear_readout import Segments
+from pinn_cli.network.linear_readout import LinearReadout, Segments
 from pinn_cli.network.mlp import BAND_MARGIN, Mlp
 from pinn_cli.network.network import NetworkDesign
+from pinn_cli.network.spline import Spline
 from pinn_cli.physics import Targets, estimated_response, targets
 from pinn_cli.record.between_samples import evenly_spaced
-from pinn_cli.record.response import QUANTITIES, Response
+from pinn_cli.record.channels import record_band
+from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.record.spectrum import occupied_band
 from pinn_cli.scheme.joint_problem import JointProblem
+from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
-from pinn_cli.training.acting_force import acting_force
-from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
-from pinn_cli.training.found_noise import FoundNoise
-from pinn_cli.training.function_space.collocation import collocate
 from pinn_cli.training.function_space.equations import NetworkEquations
 from pinn_cli.training.function_space.feature_system import follows_features
 from pinn_cli.training.function_space.network_frame import NetworkFrame, each_of
 from pinn_cli.training.function_space.search import FunctionSpaceSearch
-from pinn_cli.training.history import History
-from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
-from pinn_cli.training.point import Point
+from pinn_cli.training.history import History, train
+from pinn_cli.training.minimise import Point
+from pinn_cli.training.noise_model import (
+    FeatureProjection,
+    FoundNoise,
+    NoiseLevels,
+    NoiseModel,
+    first_output,
+    output_features,
+)
 from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE, force_and_velocity_scale
-from pinn_cli.training.stepwise import train
+from pinn_cli.training.reported.parameter_posterior import bounded_estimates
+from pinn_cli.training.reported.posterior_estimate import acting_force
+from pinn_cli.training.steps.first_solution import inferred_sensor_noise
 
 # Times at which standard deviations are computed; between them they change slowly.
 TIMES = 96
@@ -215,3 +224,84 @@ def _summary(search: FunctionSpaceSearch) -> dict[str, Any]:
         "parameter_spread": search.noise.spread,
         "weight_precision": equations.precision,
     }
+
+
+# Points per period of the record's band; below that a motion between the points is seen by nothing.
+FEWEST_PER_PERIOD = 2.5
+
+
+@dataclass(frozen=True, eq=False)
+class Collocation:
+    """Targets at P points and the noise that they carry.
+
+    Attributes:
+        target: Its histories are (P, n).
+        response: Quantity to the standard deviation of its noise at the points, (n,), NaN where there is no sensor.
+        force: The same of the force sensors.
+        filtered_force: (N, n), the measured forces at every sample, low-passed.
+    """
+
+    target: Targets
+    response: dict[str, np.ndarray]
+    force: np.ndarray
+    filtered_force: np.ndarray
+
+    def noise_model(self, discrepancy: float, continuity: float) -> NoiseModel:
+        """Of the residuals at the points."""
+        return NoiseModel(self.response, self.force, discrepancy, continuity)
+
+
+def collocate(problem: Problem, all_targets: Targets, points: int | None, most_rows: int | None) -> Collocation:
+    """The record at ``points`` uniform samples, low-passed to what a spline of its band can follow.
+
+    Args:
+        problem: Structure and record.
+        all_targets: The record's targets at all its samples.
+        points: P; None: as many as the spline has features, but no more than ``most_rows`` residuals in all.
+        most_rows: See ``points``; None: any number.
+
+    Raises:
+        InputError: Too few points for the record's band, or the most rows allow no more.
+    """
+    record, target = problem.record, all_targets
+    network = Spline().build(record)
+    response, force = inferred_sensor_noise(problem)
+    count = _points(problem, points, most_rows, network.count)
+    samples = torch.as_tensor(evenly_spaced(len(record.time), count), device=all_targets.force.device)
+    if network.count < len(record.time):
+        target = _low_passed(target, network)
+        kept = math.sqrt(network.count / len(record.time))
+        response, force = {q: kept * sigma for q, sigma in response.items()}, kept * force
+    return Collocation(target.at(samples), response, force, target.force.cpu().numpy())
+
+
+def _points(problem: Problem, points: int | None, most_rows: int | None, features: int) -> int:
+    record = problem.record
+    available, band = len(record.time), record_band(record)
+    least = min(available, math.ceil(FEWEST_PER_PERIOD * band * record.duration))
+    channels = sum(int(record.sensors(quantity).sum()) for quantity in RESPONSE_QUANTITIES) + record.ndof
+    if points is None:
+        points = min(features, available)
+        points = points if most_rows is None else min(points, max(least, most_rows // channels))
+    points = min(points, available)
+    if points < least:
+        hint = f"the record goes up to {band:.3g} Hz and lasts {record.duration:.4g} s"
+        raise InputError("training.collocation_points", points, f"a whole number >= {least}, or null", hint)
+    return points
+
+
+def _low_passed(target: Targets, network: LinearReadout) -> Targets:
+    segments = network.segments(target.observation_time.cpu())
+    output = first_output(network, segments)
+    features = output_features(network, segments)
+
+    def smooth(values: Tensor, order: int) -> Tensor:
+        rest = FeatureProjection(output, features[order]).residual(values.cpu())
+        return values - torch.as_tensor(rest).to(values)
+
+    response = {
+        quantity: smooth(target.response[quantity], order) for order, quantity in enumerate(RESPONSE_QUANTITIES)
+    }
+    return replace(
+        target, response=response, force=smooth(target.force, 0), observer_force=smooth(target.observer_force, 0)
+    )

@@ -16,11 +16,11 @@ from pinn_cli.training.gradient.losses import (
     EQUALISED,
     PAPER_WEIGHTS,
     PHYSICS,
+    LearnedParameters,
     Losses,
     equalised_weights,
     fixed_weights,
 )
-from pinn_cli.training.learned_parameters import LearnedParameters
 
 # Residuals are over the largest measured value, so this loss is some million times what any start gives.
 DIVERGED = 1e12

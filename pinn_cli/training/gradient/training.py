@@ -26,11 +26,9 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, positive_number, whole_number
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.estimator import Training
-from pinn_cli.training.gradient.losses import Losses, checked_weights
+from pinn_cli.training.gradient.losses import LearnedParameters, Losses, checked_weights
 from pinn_cli.training.gradient.objective import Evaluation, Objective, check_finite
-from pinn_cli.training.history import History
-from pinn_cli.training.learned_parameters import LearnedParameters
-from pinn_cli.training.stepwise import Stepwise, train
+from pinn_cli.training.history import History, Stepwise, train
 
 # The features that reach least, of which some lie at the ends of the record and are hardly seen, count as slow.
 SLOW_FEATURES = 0.1

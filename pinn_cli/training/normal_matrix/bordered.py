@@ -16,9 +16,8 @@ from scipy.optimize import nnls
 from scipy.sparse import csr_matrix
 
 from pinn_cli.runs.side_by_side import Items
-from pinn_cli.training.normal_matrix.diagonals import Diagonals
 from pinn_cli.training.normal_matrix.dissection import FrontTree
-from pinn_cli.training.normal_matrix.elimination import Elimination
+from pinn_cli.training.normal_matrix.elimination import Diagonals, Elimination
 
 # Steps that a bounded solution may take per parameter; one or two is the rule.
 NNLS_STEPS = 100

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pinn_cli.runs.machine import of_this_machine
+from pinn_cli.runs.process import of_this_machine
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.normal_matrix.dissection import Dissection, Grid
 from pinn_cli.training.normal_matrix.row_pattern import RowPattern

@@ -15,8 +15,8 @@ from pinn_cli.network.linear_readout import Segments
 from pinn_cli.system.connection_groups import Linearisation, slopes
 from pinn_cli.system.energy import dissipated_power, stored_by_memory, trapezoids
 from pinn_cli.training.covariance import ReadoutPosterior
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.point import Point
 
 
 def connection_forces(posterior: ReadoutPosterior) -> tuple[np.ndarray, np.ndarray]:

@@ -20,7 +20,7 @@ from pinn_cli.model.knowledge import EndState, HandOver
 from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import DivergenceError
-from pinn_cli.training.point import Point
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.reported.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
 from pinn_cli.training.solver import Inference

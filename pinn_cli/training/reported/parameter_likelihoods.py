@@ -6,6 +6,7 @@ well the states are known is part of it.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,115 +18,12 @@ from pinn_cli.training.covariance import ReadoutPosterior
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.least_squares import LeastSquares
 from pinn_cli.training.levels import force_noise_statistics
-from pinn_cli.training.likelihood import ParameterLikelihood
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 
 # Half-width of the tabulated range of s, in its standard deviations and at most, and the number of points in it:
 # parameters follow s smoothly, and little.
 S_RANGE, S_REACH, S_POINTS = 6.0, 0.6, 5
-
-
-class MarginalLikelihood(ParameterLikelihood):
-    """log p(record | theta, s) = level(s) - away^T precision(s) away / 2 + log N(s), with away = theta - peak(s).
-
-    The readout weights are integrated out by Laplace's method about the most probable motion: the precision is the
-    Schur complement of the joint Gauss-Newton Hessian. Level, peak and the precision's Cholesky factor are polynomials
-    through their values at a few s, and beyond those what they are at the nearest: of a precision that hardly holds
-    some direction, polynomials through the entries themselves are indefinite between two s. N is what the residuals
-    say of the noise by themselves.
-
-    Args:
-        names: See :class:`ParameterLikelihood`.
-        sigma_force: Likewise.
-        s: (G,), about 0; a single one where no force is measured, and nothing depends on s.
-        level: (G,).
-        peak: (G, p).
-        precision: (G, p, p), symmetric, positive.
-        s_told: Mean and standard deviation of N, a Gaussian.
-    """
-
-    def __init__(
-        self,
-        names: tuple[str, ...],
-        sigma_force: np.ndarray,
-        s: np.ndarray,
-        level: np.ndarray,
-        peak: np.ndarray,
-        precision: np.ndarray,
-        s_told: tuple[float, float],
-    ) -> None:
-        self.names, self.sigma_force = names, sigma_force
-        self.s_mean, self.s_std = s_told
-        self.reach = float(np.max(np.abs(s))) or 1.0
-        powers = np.vander(s / self.reach, increasing=True)
-        solve = np.linalg.inv(powers)
-        self._level, self._peak = solve @ level, solve @ peak
-        self._root = np.tensordot(solve, np.linalg.cholesky(precision).swapaxes(1, 2), 1)
-        self.peak, self.curvature = self._peak[0], self._root[0].T @ self._root[0]
-
-    def evaluate(self, theta: np.ndarray, s: float) -> tuple[float, np.ndarray, float]:
-        """See :meth:`ParameterLikelihood.evaluate`."""
-        within = min(max(s, -self.reach), self.reach)
-        inside = within / self.reach
-        order = np.arange(len(self._level))
-        powers = inside**order
-        slopes = order * inside ** np.maximum(order - 1, 0) / self.reach
-        away = theta - powers @ self._peak
-        root = np.tensordot(powers, self._root, 1)
-        deviations = root @ away
-        pull = root.T @ deviations
-        value = float(powers @ self._level - 0.5 * deviations @ deviations)
-        turn = np.tensordot(slopes, self._root, 1) @ away
-        by_s = float(slopes @ self._level + pull @ (slopes @ self._peak) - deviations @ turn)
-        if s != within:
-            by_s = 0.0
-        if len(order) > 1:
-            off = (s - self.s_mean) / self.s_std
-            value, by_s = value - 0.5 * off**2, by_s - off / self.s_std
-        return value, -pull, by_s
-
-
-class ConditionalLikelihood(ParameterLikelihood):
-    """The paper's eq. for p(f* | theta_s, theta_n): independent Gaussian residuals of one standard deviation.
-
-    The residual is linear in the parameters, so its sum of squares is a quadratic of precomputed matrices,
-    square(theta) = least + (theta - peak)^T gram (theta - peak).
-
-    The states' own uncertainty is left out. Over 40 records the 90 % intervals of such posteriors covered the truth in
-    36 to 50 % of all cases.
-
-    Args:
-        names: See :class:`ParameterLikelihood`.
-        forced: (n,) bool, DOFs whose force is measured.
-        gram: (p, p), sum over samples and DOFs of products of the residual's derivatives.
-        peak: (p,), least squares.
-        least: Sum of squares there, scatter of repeats included, N^2.
-        count: Number of residuals, repeats included.
-    """
-
-    def __init__(
-        self,
-        names: tuple[str, ...],
-        forced: np.ndarray,
-        gram: np.ndarray,
-        peak: np.ndarray,
-        least: float,
-        count: int,
-    ) -> None:
-        self.names, self.peak, self.count = names, peak, count
-        self.variance = least / count
-        self.sigma_force = np.where(forced, np.sqrt(self.variance), np.nan)
-        self.curvature = gram / self.variance
-        self.s_std = float(1.0 / np.sqrt(2.0 * count))
-
-    def evaluate(self, theta: np.ndarray, s: float) -> tuple[float, np.ndarray, float]:
-        """See :meth:`ParameterLikelihood.evaluate`."""
-        away = theta - self.peak
-        shrink = float(np.exp(-2.0 * s))
-        pull = shrink * (self.curvature @ away)
-        square = self.count * shrink + float(away @ pull)
-        return -0.5 * square - self.count * s, -pull, square - self.count
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,3 +174,130 @@ def force_regression(evidence: RecordEvidence, solution: RecordSolution) -> Forc
     scatter = 0.0 if record.repeats is None else float(record.repeats.square["force"][record.sensors("force")].sum())
     count = repeats * len(record.time) * int(equations.target.equation.sum())
     return ForceRegression(repeats * gram, repeats * moment, repeats * float(residual.square().sum()), scatter, count)
+
+
+class ParameterLikelihood(ABC):
+    """log p(record | theta, s), of the unknown parameters theta (p,) and the logarithm s of the force noise's scale.
+
+    The standard deviation of the force that is measured on DOF i is ``sigma_force[i] * exp(s)``. A call costs O(p^2),
+    whatever the length of the record.
+
+    Attributes:
+        names: The p parameters, ``c_1``, ``k_2``, ..., in the order of theta; SI units.
+        sigma_force: (n,) N, at s = 0; NaN where there is no force sensor.
+        peak: (p,), the theta of highest likelihood at s = 0.
+        curvature: (p, p), minus the Hessian there.
+        s_std: Standard deviation of s, order of magnitude.
+    """
+
+    names: tuple[str, ...]
+    sigma_force: np.ndarray
+    peak: np.ndarray
+    curvature: np.ndarray
+    s_std: float
+
+    @abstractmethod
+    def evaluate(self, theta: np.ndarray, s: float) -> tuple[float, np.ndarray, float]:
+        """Logarithm of the likelihood up to a constant, its gradient by theta (p,) and its derivative by s."""
+
+
+class MarginalLikelihood(ParameterLikelihood):
+    """log p(record | theta, s) = level(s) - away^T precision(s) away / 2 + log N(s), with away = theta - peak(s).
+
+    The readout weights are integrated out by Laplace's method about the most probable motion: the precision is the
+    Schur complement of the joint Gauss-Newton Hessian. Level, peak and the precision's Cholesky factor are polynomials
+    through their values at a few s, and beyond those what they are at the nearest: of a precision that hardly holds
+    some direction, polynomials through the entries themselves are indefinite between two s. N is what the residuals
+    say of the noise by themselves.
+
+    Args:
+        names: See :class:`ParameterLikelihood`.
+        sigma_force: Likewise.
+        s: (G,), about 0; a single one where no force is measured, and nothing depends on s.
+        level: (G,).
+        peak: (G, p).
+        precision: (G, p, p), symmetric, positive.
+        s_told: Mean and standard deviation of N, a Gaussian.
+    """
+
+    def __init__(
+        self,
+        names: tuple[str, ...],
+        sigma_force: np.ndarray,
+        s: np.ndarray,
+        level: np.ndarray,
+        peak: np.ndarray,
+        precision: np.ndarray,
+        s_told: tuple[float, float],
+    ) -> None:
+        self.names, self.sigma_force = names, sigma_force
+        self.s_mean, self.s_std = s_told
+        self.reach = float(np.max(np.abs(s))) or 1.0
+        powers = np.vander(s / self.reach, increasing=True)
+        solve = np.linalg.inv(powers)
+        self._level, self._peak = solve @ level, solve @ peak
+        self._root = np.tensordot(solve, np.linalg.cholesky(precision).swapaxes(1, 2), 1)
+        self.peak, self.curvature = self._peak[0], self._root[0].T @ self._root[0]
+
+    def evaluate(self, theta: np.ndarray, s: float) -> tuple[float, np.ndarray, float]:
+        """See :meth:`ParameterLikelihood.evaluate`."""
+        within = min(max(s, -self.reach), self.reach)
+        inside = within / self.reach
+        order = np.arange(len(self._level))
+        powers = inside**order
+        slopes = order * inside ** np.maximum(order - 1, 0) / self.reach
+        away = theta - powers @ self._peak
+        root = np.tensordot(powers, self._root, 1)
+        deviations = root @ away
+        pull = root.T @ deviations
+        value = float(powers @ self._level - 0.5 * deviations @ deviations)
+        turn = np.tensordot(slopes, self._root, 1) @ away
+        by_s = float(slopes @ self._level + pull @ (slopes @ self._peak) - deviations @ turn)
+        if s != within:
+            by_s = 0.0
+        if len(order) > 1:
+            off = (s - self.s_mean) / self.s_std
+            value, by_s = value - 0.5 * off**2, by_s - off / self.s_std
+        return value, -pull, by_s
+
+
+class ConditionalLikelihood(ParameterLikelihood):
+    """The paper's eq. for p(f* | theta_s, theta_n): independent Gaussian residuals of one standard deviation.
+
+    The residual is linear in the parameters, so its sum of squares is a quadratic of precomputed matrices,
+    square(theta) = least + (theta - peak)^T gram (theta - peak).
+
+    The states' own uncertainty is left out. Over 40 records the 90 % intervals of such posteriors covered the truth in
+    36 to 50 % of all cases.
+
+    Args:
+        names: See :class:`ParameterLikelihood`.
+        forced: (n,) bool, DOFs whose force is measured.
+        gram: (p, p), sum over samples and DOFs of products of the residual's derivatives.
+        peak: (p,), least squares.
+        least: Sum of squares there, scatter of repeats included, N^2.
+        count: Number of residuals, repeats included.
+    """
+
+    def __init__(
+        self,
+        names: tuple[str, ...],
+        forced: np.ndarray,
+        gram: np.ndarray,
+        peak: np.ndarray,
+        least: float,
+        count: int,
+    ) -> None:
+        self.names, self.peak, self.count = names, peak, count
+        self.variance = least / count
+        self.sigma_force = np.where(forced, np.sqrt(self.variance), np.nan)
+        self.curvature = gram / self.variance
+        self.s_std = float(1.0 / np.sqrt(2.0 * count))
+
+    def evaluate(self, theta: np.ndarray, s: float) -> tuple[float, np.ndarray, float]:
+        """See :meth:`ParameterLikelihood.evaluate`."""
+        away = theta - self.peak
+        shrink = float(np.exp(-2.0 * s))
+        pull = shrink * (self.curvature @ away)
+        square = self.count * shrink + float(away @ pull)
+        return -0.5 * square - self.count * s, -pull, square - self.count

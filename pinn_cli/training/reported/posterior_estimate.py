@@ -1,38 +1,42 @@
-"""From a trained linear readout to what is reported: posterior means and standard deviations.
+"""From a trained linear readout to what is reported: posterior means and standard deviations, and what is left out.
 
 Whether records that were solved together say the same of their parameters.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import torch
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.sparse import csr_matrix
 
-from pinn_cli.model.knowledge import ParameterKnowledge
+from pinn_cli.model.knowledge import Misfit, ParameterKnowledge
 from pinn_cli.physics import estimated_response
 from pinn_cli.record.channel import CALIBRATED
+from pinn_cli.record.inputs import input_force
 from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
+from pinn_cli.record.spectrum import visible_floor
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.functions import Jet
+from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE, GROUND
-from pinn_cli.training.acting_force import acting_force, sensor_share
 from pinn_cli.training.covariance import ReadoutPosterior
+from pinn_cli.training.doubts.left_spectra import MOVING
 from pinn_cli.training.estimate import ConnectionHistories, Disagreement, Estimate, ParameterEstimate
-from pinn_cli.training.evidence import Evidence, Trained
-from pinn_cli.training.found_noise import FoundNoise
+from pinn_cli.training.evidence import Evidence, Trained, model_log_evidence
 from pinn_cli.training.history import History
 from pinn_cli.training.levels import values_taken
+from pinn_cli.training.noise_model import FoundNoise, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.reported.connection_forces import connection_forces, dissipated_energy
 from pinn_cli.training.reported.hand_over import end_state
-from pinn_cli.training.reported.misfit_history import misfit_history
-from pinn_cli.training.reported.model_evidence import model_log_evidence
 from pinn_cli.training.reported.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
 from pinn_cli.training.steps.force_spectrum import std_and_misfit
 
@@ -269,3 +273,98 @@ def _against_chance(information: np.ndarray, pull: np.ndarray, covariance: np.nd
     kept = values > COMPARED
     along = vectors.T[kept] @ (pull / unit)
     return float(np.sum(along**2 / values[kept])), int(kept.sum())
+
+
+def sensor_share(noise: NoiseModel) -> np.ndarray:
+    """(functions,) weight of the measured force in the posterior mean, from 0 to 1; NaN where there is no load cell.
+
+    The residual between the motion's force and the measured one is discrepancy plus sensor noise, so each is weighted
+    by the other's variance.
+    """
+    model = noise.discrepancy**2
+    return model / (model + noise.points_per_sample * noise.force**2)
+
+
+def acting_force(response: Response, filtered: np.ndarray, noise: NoiseModel) -> Response:
+    """The response with the posterior mean of the force on every DOF that has a load cell.
+
+    Without model error that is the motion's force; with a model that is far off it is the filtered measurement.
+    Elsewhere the force stays what the motion takes: on an unforced DOF it shows where the model is wrong.
+
+    Args:
+        response: Its force is the one that the motion takes.
+        filtered: (N, n), the measured force as far as the features follow it.
+        noise: Of sensors and model, in the same sampling.
+    """
+    forced = np.isfinite(noise.force[: response.force.shape[1]])
+    share, force = sensor_share(noise)[: len(forced)][forced], response.force.copy()
+    force[:, forced] += share * (filtered[:, forced] - force[:, forced])
+    return replace(response, force=force)
+
+
+# Parts of a record whose spectra are averaged.
+PARTS = 16
+
+
+def misfit_history(evidence: RecordEvidence, solution: RecordSolution) -> Misfit:
+    """Of one record."""
+    equations, noise, record = evidence.equations, solution.noise, evidence.problem.record
+    n, point = equations.dynamics.ndof, solution.point
+    jet = Jet(*equations.flat_states(equations.forces, point)[:3])
+    measured_force = equations.target.force[:: equations.refinement]
+    enforced = equations.target.equation[:n]
+    lacking = equations.dynamics.residual(jet, equations.parameters(point))[..., :n] - measured_force[..., :n]
+    missing = (lacking * enforced).detach().numpy()
+    discrepancy = noise.discrepancy / equations.refinement**0.5
+    columns, shares = [], []
+    for column, sigma, measured, function in _inputs(evidence, solution):
+        if function is not None:  # the equations hold the input as it was estimated
+            estimated = jet.value[..., function].detach().numpy()
+            missing += np.outer(np.nan_to_num(estimated - measured), column)
+        floor = visible_floor(measured, record.step) if np.isfinite(measured).all() else None
+        columns.append(column * sigma)
+        shares.append(1.0 if floor is None else min(1.0, (floor / sigma) ** 2))
+    if columns:
+        pushed = np.array(columns).T
+        inverse = np.linalg.pinv(discrepancy**2 * np.eye(len(columns)) + pushed.T @ pushed, hermitian=True)
+        missing -= missing @ pushed @ inverse @ (np.array(shares)[:, None] * pushed.T)
+    size = noise.misfit(equations.network.count, len(record.time)) ** 2
+    seen = float(np.mean(missing**2))
+    rest = discrepancy * math.sqrt(max(0.0, 1.0 - seen / size)) if size > 0.0 else 0.0
+    inputs = input_force(equations.dynamics.structure, record)
+    velocity = jet.rate[..., :n].detach().numpy()
+    return Misfit.of(record.step, missing, float(np.sqrt(np.mean(inputs**2))), rest, _at_motion(missing, velocity))
+
+
+def _at_motion(missing: np.ndarray, velocity: np.ndarray) -> float:
+    """Share, root mean square, of a force (N, n) at the frequencies at which its coordinates move, (N, n)."""
+    length = max(2, len(missing) // PARTS)
+    parts = (
+        sliding_window_view(x, length, axis=0)[:: length // 2] * np.hanning(length + 1)[:-1]
+        for x in (missing, velocity)
+    )
+    force, moved = (np.mean(np.abs(np.fft.rfft(part)) ** 2, axis=0) for part in parts)  # (n, frequencies)
+    order = np.argsort(-moved, axis=1)
+    force, moved = (np.take_along_axis(power, order, axis=1) for power in (force, moved))
+    inside = np.cumsum(moved, axis=1) - moved < MOVING * moved.sum(axis=1, keepdims=True)
+    return math.sqrt(float((force * inside).sum() / force.sum())) if force.any() else 0.0
+
+
+def _inputs(
+    evidence: RecordEvidence, solution: RecordSolution
+) -> Iterator[tuple[np.ndarray, float, np.ndarray, int | None]]:
+    """Of every measured input: what one unit puts into the equations (n,), its noise, its samples, its function."""
+    equations, noise, record = evidence.equations, solution.noise, evidence.problem.record
+    dynamics = equations.dynamics
+    structure, loads = dynamics.structure, dynamics.inputs.loads
+    shapes = structure.shapes.matrix
+    for dof in np.flatnonzero(record.sensors(FORCE)):
+        function = dynamics.loads.start + loads.index(dof) if loads else None
+        sigma = (noise.response[FORCE] if loads else noise.force)[dof]
+        if np.isfinite(sigma) and sigma > 0.0:
+            yield shapes[dof], float(sigma), record.force[:, dof], function
+    if dynamics.inputs.ground and record.measured_ground is not None:
+        sigma = noise.response[GROUND][0]
+        if np.isfinite(sigma) and sigma > 0.0:
+            mass = equations.parameters(solution.point)[MASS].detach().numpy()
+            yield -mass * structure.with_ground, float(sigma), record.measured_ground, dynamics.ground.start

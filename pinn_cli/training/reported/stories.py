@@ -21,13 +21,11 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.left_out import PLACE
 from pinn_cli.training.calibrated_record import as_run
 from pinn_cli.training.doubts.doubts import doubts
-from pinn_cli.training.estimate import Doubt, Estimate, ParameterEstimate, Story
-from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.estimate import Doubt, Estimate, ParameterEstimate, Story, estimated_structure
 from pinn_cli.training.evidence import Trained
-from pinn_cli.training.point import Point
-from pinn_cli.training.reported.misfit_history import misfit_history
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.reported.parameter_posterior import parameter_posterior
-from pinn_cli.training.reported.posterior_estimate import posterior_estimate, with_parameters
+from pinn_cli.training.reported.posterior_estimate import misfit_history, posterior_estimate, with_parameters
 from pinn_cli.training.solver import FreeRunning, Inference
 from pinn_cli.training.steps.smooth_force import of_smooth_motion, place_of
 

@@ -10,9 +10,9 @@ import numpy as np
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.least_squares import LeastSquares
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.point import Point
 from pinn_cli.training.record_scales import newtons
 
 # The scan over the discrepancy goes down by this factor, half a decade; all levels settle together afterwards.

@@ -19,9 +19,9 @@ from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.history import History
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import FeatureProjection, NoiseLevels, NoiseModel, first_output, output_features
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.point import Point
 from pinn_cli.training.solver import Inference, Solver
 from pinn_cli.training.steps.discrepancy_search import NothingNew, Path, holds, searched
 from pinn_cli.training.steps.known_levels import solve_under_known_levels

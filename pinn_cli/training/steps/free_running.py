@@ -21,8 +21,8 @@ import torch
 
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.levels import SETTLED, floor
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
-from pinn_cli.training.point import Point
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.solver import FreeRunning, Inference
 from pinn_cli.training.steps.discrepancy_search import DECISIVE_DROP, SCAN_FACTOR

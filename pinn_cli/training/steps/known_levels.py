@@ -14,8 +14,8 @@ from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.levels import floor, updated
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
-from pinn_cli.training.point import Point
 from pinn_cli.training.record_scales import force_and_velocity_scale
 from pinn_cli.training.steps.discrepancy_search import SUSPICIOUS_DISCREPANCY
 from pinn_cli.training.steps.windows_discrepancy import discrepancy_unit

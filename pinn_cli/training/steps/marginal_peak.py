@@ -15,14 +15,13 @@ import numpy as np
 from torch import Tensor
 
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
-from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.evidence import Evidence, Trained, model_log_evidence, of_motion
 from pinn_cli.training.factors.factor import Factor
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.normal_matrix.diagonals import Diagonals
-from pinn_cli.training.point import Point
+from pinn_cli.training.normal_matrix.elimination import Diagonals
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
-from pinn_cli.training.reported.model_evidence import model_log_evidence, of_motion
 from pinn_cli.training.solver import Inference
 from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN
 from pinn_cli.training.steps.unknown_forces import set_force_level

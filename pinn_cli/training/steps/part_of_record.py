@@ -17,8 +17,8 @@ from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.factors.frame import collocation_refinement
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseLevels
-from pinn_cli.training.point import Point
 from pinn_cli.training.steps.discrepancy_search import SCAN_FACTOR, negligible, scanned
 
 # Samples of a part, at least; a share of the record, at least. Levels of 20 000 samples are right to half a percent.

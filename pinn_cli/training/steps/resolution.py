@@ -9,9 +9,9 @@ from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.spectrum import periodogram
 from pinn_cli.system.parameters import FACTOR
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.point import Point
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 
 # The error of a spline's accelerations falls with this power of the knots.

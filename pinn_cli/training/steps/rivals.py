@@ -20,7 +20,7 @@ from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Rival
-from pinn_cli.training.point import Point
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.solver import Inference
 from pinn_cli.training.steps.updated_problem import problem_in_own_modes
 

@@ -18,10 +18,10 @@ from torch import Tensor
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import with_every_force
 from pinn_cli.settings.errors import InputError
+from pinn_cli.training.evidence import model_log_evidence
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.point import Point
-from pinn_cli.training.reported.model_evidence import model_log_evidence
 from pinn_cli.training.solver import Inference
 from pinn_cli.training.steps.force_spectrum import spectrum_of_discrepancy
 from pinn_cli.training.steps.unknown_forces import CORRELATION_ROUNDS, fit_force_spectrum, of_spectrum, set_force_level

@@ -18,9 +18,9 @@ from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem, TurningPoints
 from pinn_cli.system.parameters import FACTOR
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.point import Point
 from pinn_cli.training.solver import Inference, Solver
 from pinn_cli.training.steps.known_levels import WORTHWHILE, softer_point
 from pinn_cli.training.steps.resolution import carried_over, knots_wanted

@@ -24,7 +24,7 @@ from pinn_cli.scheme.modal_fit import IMPROBABLE_PART
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.doubts.other_damping import DampingDoubt, damping_doubt, with_other_damping
-from pinn_cli.training.parameter_spread import updated_spread
+from pinn_cli.training.noise_model import updated_spread
 from pinn_cli.training.whittle.spectral_model import ExpectedSpectra, SpectralModel, is_spectral, spectra_in_band
 
 # Steps of Fisher scoring at most, and the decrease of -log p below which nothing is gained.

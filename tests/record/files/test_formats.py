@@ -206,6 +206,6 @@ def test_a_file_that_unpacks_to_more_than_memory_holds(tmp_path, monkeypatch):
     with h5py.File(tmp_path / "rig.h5", "w") as file:
         for name in ("t", "f", "a1", "a2"):
             file.create_dataset(name, shape=(10**6,), dtype="f8", compression="gzip", chunks=(10**5,))
-    monkeypatch.setattr("pinn_cli.record.files.on_disk.of_this_machine", lambda: 2**20 * 16)
+    monkeypatch.setattr("pinn_cli.record.files.file_format.of_this_machine", lambda: 2**20 * 16)
     assert "must be a file of at most 0.000977 GiB" in message(tmp_path, "rig.csv.gz", "csv")
     assert "must be a file of at most 0.000977 GiB" in message(tmp_path, "rig.h5", "hdf5")

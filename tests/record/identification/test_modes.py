@@ -20,8 +20,7 @@ from vibrating_records import (
 )
 
 from pinn_cli.record.identification.lines import Lines, Pole, deviations, scatter
-from pinn_cli.record.identification.modes import Identified, identify
-from pinn_cli.record.identification.subspace import assurance, stabilisation
+from pinn_cli.record.identification.modes import Identified, assurance, identify, stabilisation
 
 
 def look(record: Measured) -> Identified:

@@ -17,10 +17,10 @@ from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.training.estimator import built
 from pinn_cli.training.factors.input_channels import InputChannels
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.point import Point
-from pinn_cli.training.starting_noise import starting_noise
+from pinn_cli.training.solver import starting_noise
 
 TIME = 2.0 + 0.3 * np.arange(21)
 OWN = np.sort(np.random.default_rng(3).uniform(TIME[0], TIME[-1], 34))

@@ -24,12 +24,11 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.factors.factor import Factor
 from pinn_cli.training.function_space.training import FunctionSpaceGaussNewton
-from pinn_cli.training.gradient.losses import Losses
-from pinn_cli.training.learned_parameters import LearnedParameters
+from pinn_cli.training.gradient.losses import LearnedParameters, Losses
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.normal_matrix.row_sums import RowSums
-from pinn_cli.training.point import Point
 
 SENSORS = (1, 2, 3, 4)
 

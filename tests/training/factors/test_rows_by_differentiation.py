@@ -25,16 +25,16 @@ from pinn_cli.system.quantities import GROUND, HIGH_PASS
 from pinn_cli.training.covariance import ReadoutPosterior
 from pinn_cli.training.factors import equation_rows, frame
 from pinn_cli.training.factors.calibrated_channels import CalibratedChannels, Gains, SensorFilter
-from pinn_cli.training.factors.equations_of_motion import EquationsOfMotion
+from pinn_cli.training.factors.equation_rows import EquationsOfMotion
 from pinn_cli.training.factors.factor import Channels, Factor, Residuals
 from pinn_cli.training.factors.known_state import KnownState
 from pinn_cli.training.factors.ridge import Ridge
 from pinn_cli.training.least_squares import LeastSquares
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.normal_matrix.bordered import BorderedFactor, BorderedSystem
 from pinn_cli.training.normal_matrix.dissection import Dissection
-from pinn_cli.training.point import Point
 from pinn_cli.training.record_evidence import RecordEvidence
 from pinn_cli.training.reported.connection_forces import connection_forces, dissipated_energy
 

@@ -16,7 +16,6 @@ from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.function_space import equations
 from pinn_cli.training.function_space.block_cholesky import BlockCholesky, BlockPattern, Blocks, entry
-from pinn_cli.training.function_space.collocation import collocate
 from pinn_cli.training.function_space.equations import NetworkEquations
 from pinn_cli.training.function_space.feature_system import (
     FeatureSystem,
@@ -27,9 +26,10 @@ from pinn_cli.training.function_space.feature_system import (
 )
 from pinn_cli.training.function_space.network_frame import NetworkFrame
 from pinn_cli.training.function_space.system import Block, DenseSystem
+from pinn_cli.training.function_space.training import collocate
 from pinn_cli.training.gauss_newton import GaussNewton
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseLevels
-from pinn_cli.training.point import Point
 
 DESIGNS = {
     "sine": Mlp(1, 12, "sine", "exact", "fourier"),

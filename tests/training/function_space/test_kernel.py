@@ -12,13 +12,12 @@ from pinn_cli.physics import observation_residuals, physics_residual, targets
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.function_space.collocation import collocate
 from pinn_cli.training.function_space.equations import NetworkEquations
 from pinn_cli.training.function_space.network_frame import NetworkFrame
 from pinn_cli.training.function_space.system import DenseSystem, pull, push
-from pinn_cli.training.minimise import FIRST_DAMPING
+from pinn_cli.training.function_space.training import collocate
+from pinn_cli.training.minimise import FIRST_DAMPING, Point
 from pinn_cli.training.noise_model import NoiseLevels
-from pinn_cli.training.point import Point
 
 PRECISION = 3.0
 DESIGNS = {

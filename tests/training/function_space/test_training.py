@@ -18,11 +18,11 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training import stepwise
 from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.function_space.collocation import Collocation, collocate
 from pinn_cli.training.function_space.search import FunctionSpaceSearch
+from pinn_cli.training.function_space.training import Collocation, collocate
 from pinn_cli.training.gauss_newton import GaussNewton
+from pinn_cli.training.history import train
 
 SMALL = Mlp(1, 12, "sine", "exact", "fourier")
 
@@ -127,7 +127,7 @@ def test_a_training_that_was_stopped_goes_on_with_the_same_numbers(monkeypatch):
 
     def go_on(training: FunctionSpaceSearch, run: RunContext) -> None:
         training.load_state_dict(states[0])
-        stepwise.train(training, run)
+        train(training, run)
 
     for replacement in (stop_after_two, go_on):
         monkeypatch.setattr("pinn_cli.training.function_space.training.train", replacement)

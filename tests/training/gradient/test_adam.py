@@ -18,9 +18,8 @@ from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
-from pinn_cli.training.gradient.losses import Losses
+from pinn_cli.training.gradient.losses import LearnedParameters, Losses
 from pinn_cli.training.gradient.objective import Objective
-from pinn_cli.training.learned_parameters import LearnedParameters
 
 DESIGNS = {
     "mlp": Mlp(2, 32, "sine"),

@@ -19,8 +19,7 @@ from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
 from pinn_cli.training.gradient.lbfgs import GRADIENT_VANISHED, NOTHING_LOWER, Lbfgs
-from pinn_cli.training.gradient.losses import Losses
-from pinn_cli.training.learned_parameters import LearnedParameters
+from pinn_cli.training.gradient.losses import LearnedParameters, Losses
 
 SHORT = Adam(20, collocation_points=128, history_every=10)
 LONG = Adam(400, stages=1, learning_rate=1e-2, parameter_learning_rate=5e-3, collocation_points=None)

@@ -9,8 +9,8 @@ from one_record import factored, shared
 from scipy.sparse import csr_matrix
 
 from pinn_cli.training.normal_matrix.bordered import BorderedSystem
-from pinn_cli.training.normal_matrix.diagonals import Diagonals
 from pinn_cli.training.normal_matrix.dissection import Dissection, FrontTree, Grid
+from pinn_cli.training.normal_matrix.elimination import Diagonals
 
 # Half-width, size, border: diagonal, narrow, size no multiple of the width, band as wide as the matrix.
 SHAPES = [(0, 7, 0), (0, 7, 2), (1, 9, 3), (2, 23, 0), (3, 24, 1), (5, 31, 4), (7, 8, 2), (4, 4, 0), (1, 1, 1)]

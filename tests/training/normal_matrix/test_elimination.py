@@ -10,9 +10,8 @@ from scipy.sparse import csr_matrix
 
 from pinn_cli.training.covariance import ENOUGH, is_alike, row_variance
 from pinn_cli.training.normal_matrix.bordered import BorderedSystem
-from pinn_cli.training.normal_matrix.diagonals import Diagonals
 from pinn_cli.training.normal_matrix.dissection import Dissection, FrontTree, Grid
-from pinn_cli.training.normal_matrix.elimination import Elimination
+from pinn_cli.training.normal_matrix.elimination import Diagonals, Elimination
 
 # Parameters of a function, and the grids: cut across the functions first, across the features first, in slabs along
 # either; functions that are coupled further, no parameters, one function, all in one front.

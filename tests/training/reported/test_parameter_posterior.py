@@ -15,13 +15,17 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import ParameterEstimate
 from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.minimise import Point
+from pinn_cli.training.noise_model import updated_spread
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.parameter_spread import updated_spread
-from pinn_cli.training.point import Point
-from pinn_cli.training.reported.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
+from pinn_cli.training.reported.parameter_posterior import (
+    bounded_estimates,
+    coherent_misfit,
+    parameter_force,
+    parameter_posterior,
+)
 from pinn_cli.training.steps.discrepancy_search import scanned
 from pinn_cli.training.steps.windows_discrepancy import widened
 

@@ -15,8 +15,7 @@ from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
-from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.estimate import Estimate, RunContext, estimated_structure
 from pinn_cli.training.estimator import TrainedNetwork
 from pinn_cli.training.gauss_newton import GaussNewton
 

@@ -18,9 +18,9 @@ from pinn_cli.system.connection import BoucWen, Linear
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training import inference
 from pinn_cli.training.estimate import Estimate
+from pinn_cli.training.evidence import of_motion
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.reported.model_evidence import of_motion
-from pinn_cli.training.starting_noise import starting_noise
+from pinn_cli.training.solver import starting_noise
 from pinn_cli.training.steps.marginal_peak import move_to_marginal_peak, pull_on
 
 M, C, K = 50.0, 120.0, 2e4

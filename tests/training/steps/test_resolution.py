@@ -14,10 +14,10 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.point import Point
-from pinn_cli.training.starting_noise import starting_noise
+from pinn_cli.training.solver import starting_noise
 from pinn_cli.training.steps.discrepancy_search import searched
 from pinn_cli.training.steps.resolution import LARGEST_FACTOR, acceleration_error, carried_over, knots_wanted
 
