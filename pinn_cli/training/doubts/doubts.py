@@ -57,6 +57,8 @@ MOST_CHOSEN = 3
 HALVES, HELD_TRUE = ((0.0, 0.5), (0.5, 1.0)), 0.25
 # How far the shapes of a term that is told are from each other, over those that are tried at first; in turn.
 SPANS = (0.75, 0.25, 0.08)
+# Columns for which the readout weights are solved at once: their copies are little beside the columns themselves.
+SOLVED_AT_ONCE = 16
 # Products of columns, at every readout weight, that are added up: some seconds, and a gigabyte. A larger record is not
 # asked.
 MOST_DOUBT_PRODUCTS = 2e10
@@ -204,18 +206,21 @@ class _Solution:
         of_forces = force_border(self.equations, self.point, self.noise, forces)
         border = np.hstack((of_forces, sensor_border(self.equations, self.channels, sensors)))
         asked: list[ForceTerm | SensorTerm] = [*forces, *sensors]
-        for term, by in zip(asked, -self._solved(border).T, strict=True):
+        for term, by in zip(asked, self._adapted(border).T, strict=True):
             self.moved_by[id(term)] = term, by
 
     @cached_property
     def _moved_anyhow(self) -> tuple[np.ndarray, np.ndarray]:
         """(size, 1) and (size, p), how the motion adapts to the residual and to the parameters."""
-        return -self._solved(self.gradient), -self.readout.solved_border
+        return self._adapted(self.gradient.copy()), -self.readout.solved_border
 
-    def _solved(self, border: np.ndarray) -> np.ndarray:
-        return self.readout.solved(
-            self.readout.half_solved(border)[0], np.zeros((len(self.point.parameters), border.shape[1]))
-        )
+    def _adapted(self, border: np.ndarray) -> np.ndarray:
+        """How the motion adapts to what pulls at the readout weights, (size, count), in the place of these."""
+        for first in range(0, border.shape[1], SOLVED_AT_ONCE):
+            part = border[:, first : first + SOLVED_AT_ONCE]
+            still = np.zeros((len(self.point.parameters), part.shape[1]))
+            part[:] = -self.readout.solved(self.readout.half_solved(part)[0], still)
+        return border
 
     @cached_property
     def half_gains(self) -> dict[int, float]:

@@ -337,12 +337,16 @@ def force_border(equations: NormalEquations, point: Point, noise: NoiseModel, te
 
 def force_histories(equations: NormalEquations, terms: Sequence[ForceTerm]) -> tuple[Tensor, np.ndarray]:
     """Forces as the equations are enforced, (I, S or 1, D), and how much of them every equation has, (functions, D)."""
-    time, like = equations.target.physics_time, equations.target.force
-    histories, distribution = np.empty((len(time), len(terms))), np.empty((equations.dynamics.size, len(terms)))
+    like, averages = equations.target.force, equations.averages
+    groups, samples = equations.physics.mask.shape
+    distribution = np.empty((equations.dynamics.size, len(terms)))
+    # One by one: before they are averaged they take several times the room.
+    histories = like.new_empty((groups, samples if averages is None else 1, len(terms)))
     for d, term in enumerate(terms):
-        histories[:, d], distribution[:, d] = term.history, term.distribution
-    gathered = equations.physics.gather(torch.as_tensor(histories).to(like))
-    return gathered if equations.averages is None else equations.averages(gathered), distribution
+        gathered = equations.physics.gather(torch.as_tensor(term.history).to(like)[:, None])
+        histories[..., d : d + 1] = gathered if averages is None else averages(gathered)
+        distribution[:, d] = term.distribution
+    return histories, distribution
 
 
 def equation_columns(equations: NormalEquations, point: Point) -> Iterator[tuple[slice, int, csr_matrix, Tensor]]:

@@ -228,7 +228,7 @@ def _of_equations(
         columns *= (root if root.ndim == 1 else root[part])[..., function, None]
         by_function[function].append(columns)
     even = equations.physics.scatter if equations.averages is None else equations.averages.by_interval
-    return {function: even(torch.cat(columns)).numpy() for function, columns in by_function.items()}
+    return {function: even(torch.cat(by_function.pop(function))).numpy() for function in list(by_function)}
 
 
 def _of_channels(

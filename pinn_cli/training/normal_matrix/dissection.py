@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -42,9 +43,8 @@ class Front:
         start, stop: Which weights are eliminated, as places in the order of elimination.
         boundary: (m,), the weights that are left, likewise, ascending.
         parameters: (q,), ascending.
-        band_column, band_row, band_source: Which entries of the front are in the band, and which of the band's values
-            each is.
-        border_column, border_row, border_source: The same of the border's.
+        at: The first of its numbers in the factor.
+        band: Which of the tree's entries of the band are its own.
         children: Fronts that are added to this one.
         runs: Of its own rows that are left, where they stand in the front that it is added to; none holds both rows
             that are eliminated there and others.
@@ -54,12 +54,8 @@ class Front:
     stop: int
     boundary: np.ndarray
     parameters: np.ndarray
-    band_column: np.ndarray
-    band_row: np.ndarray
-    band_source: np.ndarray
-    border_column: np.ndarray
-    border_row: np.ndarray
-    border_source: np.ndarray
+    at: int
+    band: slice
     children: list[int]
     runs: Runs = field(default_factory=list)
 
@@ -79,9 +75,20 @@ class Front:
         return self.eliminated * (self.eliminated + self.remaining)
 
     def places(self, column: np.ndarray, row: np.ndarray) -> np.ndarray:
-        """Of entries in the k columns that are eliminated, where they stand in those, each part in Fortran's order."""
+        """Of entries in the k columns that are eliminated, where they stand in the factor.
+
+        Its part among the k weights comes first, then the part below, each in Fortran's order.
+        """
         k = self.eliminated
-        return np.where(row < k, column * k + row, k * k + column * self.remaining + row - k)
+        return self.at + np.where(row < k, column * k + row, k * k + column * self.remaining + row - k)
+
+    def cells(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Column and row of entries that stand at some places in the factor."""
+        k, place = self.eliminated, places - self.at
+        below = place >= k * k
+        height = np.where(below, max(self.remaining, 1), k)
+        column, row = np.divmod(place - below * k * k, height)
+        return column, row + below * k
 
 
 class FrontTree:
@@ -96,12 +103,12 @@ class FrontTree:
         order: (size,), the weights' places in the band in the order of elimination.
         offsets: (K,), ascending, the diagonals of the band that hold something.
         fronts: All of them.
-        band_target, band_source, border_target, border_source: Which of a factor's numbers come from which values of
-            the band and of the border.
+        band_target, band_source: Which of a factor's numbers come from which values of the band.
+        border_target, border_source: The same of the border's.
     """
 
     def __init__(self, grid: Grid, root: Separated, border: csr_matrix) -> None:
-        self.grid, self.border, self._root = grid, border, root
+        self.grid, self.border = grid, border
         nodes = _after_their_children(root)
         self.order = np.concatenate([node.weights for node, _ in nodes])
         self.rank = np.argsort(self.order)
@@ -113,17 +120,20 @@ class FrontTree:
         self.offsets = np.unique(distances)
         self._line = np.searchsorted(self.offsets, distances)
         self.fronts: list[Front] = []
-        stop = 0
+        of_band, of_border = [[np.zeros((2, 0), dtype=np.int32)] for _ in range(2)]
+        at = first = stop = 0
         for node, children in nodes:
             start, stop = stop, stop + len(node.weights)
-            self.fronts.append(self._front(start, stop, children))
+            front, *found = self._front(start, stop, children, at, first)
+            self.fronts.append(front)
+            at, first = at + front.entries, front.band.stop
+            # In as few bytes as they fit into: of a long record places take as much room as the numbers themselves.
+            furthest = max(at, self.size * len(self.offsets), border.nnz)
+            for all_entries, entries in zip((of_band, of_border), found, strict=True):
+                all_entries.append(np.array(entries, np.int32 if furthest < np.iinfo(np.int32).max else np.int64))
         self._place_children()
-        starts = np.cumsum([0] + [front.entries for front in self.fronts])[:-1]
-        pairs = list(zip(self.fronts, starts, strict=True))
-        self.band_target = np.concatenate([at + f.places(f.band_column, f.band_row) for f, at in pairs])
-        self.band_source = np.concatenate([front.band_source for front in self.fronts])
-        self.border_target = np.concatenate([at + f.places(f.border_column, f.border_row) for f, at in pairs])
-        self.border_source = np.concatenate([front.border_source for front in self.fronts])
+        self.band_target, self.band_source = np.concatenate(of_band, axis=1)
+        self.border_target, self.border_source = np.concatenate(of_border, axis=1)
 
     @property
     def size(self) -> int:
@@ -133,7 +143,17 @@ class FrontTree:
     @cached_property
     def alone(self) -> FrontTree:
         """The same elimination without a border."""
-        return FrontTree(self.grid, self._root, csr_matrix((self.size, 0)))
+        out, at, nothing = copy(self), 0, np.zeros(0, dtype=np.int64)
+        out.border, out.fronts = csr_matrix((self.size, 0)), []
+        out.border_target = out.border_source = nothing
+        out.band_target = np.empty_like(self.band_target)
+        for front in self.fronts:
+            own = Front(front.start, front.stop, front.boundary, nothing, at, front.band, front.children)
+            out.band_target[own.band] = own.places(*front.cells(self.band_target[front.band]))
+            out.fronts.append(own)
+            at += own.entries
+        out._place_children()
+        return out
 
     @property
     def entries(self) -> int:
@@ -145,7 +165,10 @@ class FrontTree:
         expected = self.border
         return np.array_equal(expected.indptr, border.indptr) and np.array_equal(expected.indices, border.indices)
 
-    def _front(self, start: int, stop: int, children: list[int]) -> Front:
+    def _front(
+        self, start: int, stop: int, children: list[int], at: int, first_entry: int
+    ) -> tuple[Front, tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+        """A front, and of its entries of the band and of the border the places and which of the values each is."""
         weights = self.order[start:stop]
         column, row, source = self._neighbours(weights, start)
         first, last = self.border.indptr[weights], self.border.indptr[weights + 1]
@@ -156,12 +179,11 @@ class FrontTree:
         boundary = boundary[boundary >= stop]
         touched = self.border.indices[entries]
         parameters = np.unique(np.concatenate([touched, *(child.parameters for child in inherited)]))
-        k = stop - start
-        at = np.where(row < stop, row - start, k + np.searchsorted(boundary, row))
-        of_border = np.repeat(np.arange(k), counts), k + len(boundary) + np.searchsorted(parameters, touched)
-        return Front(
-            start, stop, boundary, parameters, column, at, source, *of_border, entries.astype(np.int64), children
-        )
+        k, m, own = stop - start, len(boundary), slice(first_entry, first_entry + len(row))
+        front = Front(start, stop, boundary, parameters, at, own, children)
+        of_band = front.places(column, np.where(row < stop, row - start, k + np.searchsorted(boundary, row)))
+        of_border = front.places(np.repeat(np.arange(k), counts), k + m + np.searchsorted(parameters, touched))
+        return front, (of_band, source), (of_border, entries)
 
     def _neighbours(self, weights: np.ndarray, start: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Entries of the band in the columns of weights that are eliminated: column, row, and which of its values.

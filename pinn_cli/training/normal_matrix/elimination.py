@@ -15,6 +15,8 @@ from pinn_cli.training.normal_matrix.dissection import Front, FrontTree, Runs
 # Added to the diagonal of the scaled matrix (all ones) in every factorisation: a few times the rounding error of its
 # largest entry.
 ROUNDING_JITTER = 1e-14
+# Entries that are placed at once: little enough for the caches, and for no copy of the whole.
+ENTRIES_AT_ONCE = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +52,9 @@ class Elimination:
         of_border = border.data * np.repeat(unit, np.diff(border.indptr))
         # One piece of memory, which the system takes back whole, and in which the columns are eliminated.
         kept = np.zeros(tree.entries)
-        kept[tree.band_target] = values[tree.band_source]
+        for first in range(0, len(tree.band_target), ENTRIES_AT_ONCE):
+            part = slice(first, first + ENTRIES_AT_ONCE)
+            kept[tree.band_target[part]] = values[tree.band_source[part]]
         kept[tree.border_target] = of_border[tree.border_source]
         pivots: list[np.ndarray] = []
         below: list[np.ndarray] = []
@@ -161,7 +165,8 @@ class Elimination:
                 through = self.below[number][:m].T @ boundary_root
                 root[:k, k:], root[k:, k:] = -dtrsm(1.0, pivot, through, lower=1, trans_a=1), boundary_root
             whole = root @ root.T
-            flat[front.band_source] = whole[front.band_row, front.band_column]
+            column, row = front.cells(self.tree.band_target[front.band])
+            flat[self.tree.band_source[front.band]] = whole[row, column]
             for child in (child for child in front.children if len(self.tree.fronts[child].boundary)):
                 roots[child] = _taken(root, self.tree.fronts[child])
         for line, offset in zip(out, self.tree.offsets.tolist(), strict=True):

@@ -41,8 +41,7 @@ class LocalFeatures:
         self._stride = int(min(steps[steps > 0], default=1))
         self._runs = runs(first, self._stride)
 
-    @cached_property
-    def _products(self) -> np.ndarray:
+    def _gram(self) -> np.ndarray:
         """(B, B, orders, orders, I), summed over the times of a group."""
         groups, times, orders, features = self.values.shape
         flat = self.values.reshape(groups, times, -1)
@@ -50,8 +49,13 @@ class LocalFeatures:
         return np.ascontiguousarray(gram.transpose(2, 4, 1, 3, 0))
 
     @cached_property
+    def _products(self) -> np.ndarray:
+        """The same, kept where the groups' weights change from step to step."""
+        return self._gram()
+
+    @cached_property
     def _constant(self) -> list[tuple[int, list[np.ndarray]]]:
-        return list(self._summed(self._products))
+        return list(self._summed(self._gram()))
 
     def products(self, weight: np.ndarray | None) -> list[tuple[int, list[np.ndarray]]]:
         """Products of features summed over groups that follow one another, for every such run.

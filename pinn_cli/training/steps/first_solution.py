@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 
 import numpy as np
 import torch
@@ -120,39 +121,40 @@ def _from_every_start(
         DivergenceError: None could be solved.
     """
     paths: list[Path] = []
-    solutions, failure = _solutions(problem.starts, solver, networks, paths)
-    if not solutions:
-        raise failure or DivergenceError("there is no start")
-    best = max(solutions, key=_log_evidence)
+    failures: list[DivergenceError] = []
+    solve = partial(_solution, solver, networks, paths, failures)
+    best = max(filter(None, map(solve, problem.starts)), key=_log_evidence, default=None)
+    if best is None:
+        raise failures[-1] if failures else DivergenceError("there is no start")
     if not _holds(best):
         # Of models that do not hold the one that follows the sensors most would be taken.
-        elsewhere, _ = _solutions(problem.elsewhere(), solver, networks, paths)
-        best = max([best, *filter(_holds, elsewhere)], key=_log_evidence)
+        elsewhere = filter(None, map(solve, problem.elsewhere()))
+        best = max(chain([best], filter(_holds, elsewhere)), key=_log_evidence)
     return best
 
 
-def _solutions(
-    starts: Sequence[JointProblem], solver: Solver, networks: Sequence[LinearReadout] | None, paths: list[Path]
-) -> tuple[list[tuple[Inference, float]], DivergenceError | None]:
-    """Those that there are, each with the force that acts, N; and why the last one failed that did.
+def _solution(
+    solver: Solver,
+    networks: Sequence[LinearReadout] | None,
+    paths: list[Path],
+    failures: list[DivergenceError],
+    start: JointProblem,
+) -> tuple[Inference, float] | None:
+    """That from one start, and the force that acts, N; None where it leads to nothing new beside earlier ones' paths.
 
-    Starts that lead to nothing new beside the paths of earlier ones are not followed to the end.
+    Or where nothing could be solved; then it is one failure more.
     """
-    solutions: list[tuple[Inference, float]] = []
-    failure: DivergenceError | None = None
-    for start in starts:
-        evidence, path = solver.evidence(start, networks), Path(paths)
-        noise = solver.starting_noise(evidence)
-        try:
-            trained = solve_under_known_levels(evidence, noise) or soft_to_stiff(evidence, noise, path)
-        except NothingNew:
-            continue
-        except DivergenceError as error:
-            failure = error
-            continue
-        paths.append(path)
-        solutions.append((Inference(evidence, trained, solver), noise.discrepancy))
-    return solutions, failure
+    evidence, path = solver.evidence(start, networks), Path(paths)
+    noise = solver.starting_noise(evidence)
+    try:
+        trained = solve_under_known_levels(evidence, noise) or soft_to_stiff(evidence, noise, path)
+    except NothingNew:
+        return None
+    except DivergenceError as error:
+        failures.append(error)
+        return None
+    paths.append(path)
+    return Inference(evidence, trained, solver), noise.discrepancy
 
 
 def _holds(solution: tuple[Inference, float]) -> bool:
