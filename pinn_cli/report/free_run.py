@@ -30,6 +30,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
 from pinn_cli.record.validation_data import ValidationRecord
 from pinn_cli.report.fitness import fitness_percent, fitness_table, nmse_percent
+from pinn_cli.system.coupling import holding, loose_dofs
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.priors import HALF_WIDTH_95
 from pinn_cli.system.quantities import FORCE, GROUND, UNITS
@@ -88,7 +89,7 @@ def free_run(prescribed: Structure, estimate: Estimate, record: Record) -> FreeR
         response = free_run_of(structure, record, estimate.response, 0)
     except NoFreeRunError as error:
         return FreeRun(None, str(error))
-    agreement = _agreement(response, estimate.response)
+    agreement = _agreement(structure, response, estimate.response)
     if not agreement < CONTRADICTED_BELOW:
         return FreeRun(response)
     extent = f"to {agreement:.1f} % only" if agreement > 0.0 else "not at all"
@@ -144,21 +145,29 @@ def _excused_agreement(structure: Structure, estimate: Estimate, record: Record,
         if response.supports is not None:
             acting = acting.carried_by(response.supports, first)
         run = free_run_of(structure, acting, response, first, first)
-        excused = _agreement(run, response)
+        excused = _agreement(structure, run, response)
         if excused >= CONTRADICTED_BELOW or is_linear(structure):
             return excused, math.nan
         u, v = (np.nan_to_num(std) for std in (estimate.std.displacement, estimate.std.velocity))
         moved = replace(response, displacement=response.displacement + u, velocity=response.velocity + v)
         again = free_run_of(structure, acting, moved, first, first)
         half = len(again.time) // 2
-        return excused, _agreement(again.part(half, len(again.time)), run)
+        return excused, _agreement(structure, again.part(half, len(again.time)), run)
     except NoFreeRunError:
         return math.nan, math.nan
 
 
-def _agreement(response: Response, reference: Response) -> float:
-    """Printed fitness of the displacements against the last of others, mean over DOFs, %; NaN if none moves."""
-    scores = fitness_percent(response.displacement, reference.displacement[-len(response.time) :])
+def _agreement(structure: Structure, response: Response, reference: Response) -> float:
+    """Printed fitness of the displacements against the last of others, mean over DOFs, %; NaN if none moves.
+
+    Where nothing holds the structure, of its springs' elongations: nothing tells how far it goes as a whole.
+    """
+    last = reference.part(len(reference.time) - len(response.time), len(reference.time))
+    if loose_dofs(structure):
+        springs = holding(structure)
+        scores = fitness_percent(*(structure.elongation(of.stretching[0])[:, springs] for of in (response, last)))
+    else:
+        scores = fitness_percent(response.displacement, last.displacement)
     return float(np.mean(scores[np.isfinite(scores)])) if np.isfinite(scores).any() else math.nan
 
 

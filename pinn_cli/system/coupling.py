@@ -111,17 +111,19 @@ class Coupling:
         return int((last - first).max())
 
 
-def loose_dofs(structure: Structure) -> list[int]:
-    """Coordinates, counted from 0, that can move together without stretching any spring; none where all are held.
-
-    A connection holds if it has a force where it is stretched, or may have: where a value is unknown.
-    """
+def holding(structure: Structure) -> np.ndarray:
+    """(C,) bool, connections that have a force where they are stretched, or may have: where a value is unknown."""
     p = structure.parameters_like(np.empty(0))
     count, _ = structure.incidence.shape
     force = structure.connection_force(np.ones(count), np.zeros(count), p)
-    holds = np.isnan(force) | (force != 0)
+    holds: np.ndarray = np.isnan(force) | (force != 0)
     holds[structure.memory] = True  # a hidden force holds as well
-    springs, coupling = structure.incidence.matrix[holds], Coupling(*[structure.incidence.matrix] * 2)
+    return holds
+
+
+def loose_dofs(structure: Structure) -> list[int]:
+    """Coordinates, counted from 0, that can move together without stretching any spring; none where all are held."""
+    springs, coupling = structure.incidence.matrix[holding(structure)], Coupling(*[structure.incidence.matrix] * 2)
     # Directions alone: parts of a finite-element model have rows as long as their modes are fast.
     largest = np.maximum(abs(springs).max(axis=1).toarray(), np.finfo(float).tiny)
     springs = csr_matrix(springs.multiply(1.0 / largest))

@@ -26,8 +26,9 @@ def newtons(problem: Problem) -> np.ndarray:
 def force_and_velocity_scale(problem: Problem) -> tuple[float, float]:
     """Force (N) and velocity (m/s) that the record is about.
 
-    Rms of the measured force, or of mass times measured motion. A velocity is worth its acceleration at the band's
-    middle, and so on; only orders of magnitude matter here. Where the coordinates are modes, both are theirs.
+    Rms of the measured force about its mean, or of mass times measured motion about its own: a steady load, the speed
+    at which a shaft turns, vibrate nothing. A velocity is worth its acceleration at the band's middle, and so on; only
+    orders of magnitude matter here. Where the coordinates are modes, both are theirs.
     """
     record = problem.record
     mass, per_force = problem.structure.parameters["m"].detach().cpu().numpy(), 1.0
@@ -36,11 +37,17 @@ def force_and_velocity_scale(problem: Problem) -> tuple[float, float]:
         mass = np.full(record.ndof, 1.0 / per_force)
     omega = np.pi * record_band(record)
     motion = [
-        omega ** (2 - order) * mass * np.sqrt(np.mean(getattr(record, quantity) ** 2, axis=0))
+        omega ** (2 - order) * mass * _varying(getattr(record, quantity))
         for order, quantity in enumerate(RESPONSE_QUANTITIES)
     ]
     inertia = float(np.nanmax(motion))
     measured = record.force[:, record.sensors("force")]
-    force = per_force * float(np.sqrt(np.mean(measured**2))) if measured.size else inertia
+    force = per_force * float(np.sqrt(np.mean(_varying(measured) ** 2))) if measured.size else inertia
     force = force if force > 0 else inertia
     return force, force / float(mass.max()) / omega
+
+
+def _varying(values: np.ndarray) -> np.ndarray:
+    """(n,), rms of histories (N, n) about their means; of those that never change, of themselves."""
+    about: np.ndarray = np.std(values, axis=0)
+    return np.where(about > 0.0, about, np.sqrt(np.mean(values**2, axis=0)))

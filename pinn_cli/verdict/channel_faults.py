@@ -242,14 +242,19 @@ def unit_of(factor: float, std: float = 0.0) -> str:
     return ""
 
 
-def record_faults(record: Record) -> list[Finding]:
-    """The faults of all channels, at most one of each."""
+def record_faults(record: Record, carried: Sequence[int] = ()) -> list[Finding]:
+    """The faults of all channels, at most one of each.
+
+    Args:
+        record: Whose channels they are.
+        carried: DOFs that nothing holds: they may move on and on.
+    """
     every = channels(record, (*RESPONSE_QUANTITIES, GROUND, *SUPPORT))
-    first = (next(_by_itself(every[: i + 1], record), None) for i in range(len(every)))
+    first = (next(_by_itself(every[: i + 1], record, carried), None) for i in range(len(every)))
     return [fault for fault in first if fault is not None]
 
 
-def _by_itself(seen: Sequence[Channel], record: Record) -> Iterator[Finding]:
+def _by_itself(seen: Sequence[Channel], record: Record, carried: Sequence[int]) -> Iterator[Finding]:
     """What is wrong with the last of some channels, the gravest first."""
     *others, channel = seen
     name, x = channel.name, channel.measured
@@ -277,7 +282,8 @@ def _by_itself(seen: Sequence[Channel], record: Record) -> Iterator[Finding]:
     # A mean that no motion has: an acceleration's is the velocity won over the duration, a velocity's the way gone. A
     # displacement may have one, under a force that has.
     mean, rms = float(np.mean(x)), float(np.std(x))
-    if channel.order > 0 and abs(mean) >= LEAST_OFFSET * rms and abs(mean) >= DEVIATIONS * mean_deviation(x):
+    is_held = channel.order > 0 and channel.dof not in carried
+    if is_held and abs(mean) >= LEAST_OFFSET * rms and abs(mean) >= DEVIATIONS * mean_deviation(x):
         yield _offset_finding(channel, mean, rms)
     acting = channels(record, (FORCE, GROUND, *SUPPORT), excused=[name])
     if steady := hum(x, record.step, [input_channel.measured for input_channel in acting]):

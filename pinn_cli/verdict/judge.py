@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from pinn_cli.record.channels import channels
 from pinn_cli.scheme.joint_problem import unreached_dofs
+from pinn_cli.system.coupling import loose_dofs
 from pinn_cli.system.parameters import MASS
 from pinn_cli.training.calibrated_record import as_run
 from pinn_cli.training.estimate import estimated_structure
@@ -142,7 +143,7 @@ def judge(
         for channel in channels(record)
         if channel.dof in dofs
     ]
-    faults = record_faults(record) + unreached + first_sample_findings(record, estimate)
+    faults = record_faults(record, loose_dofs(structure)) + unreached + first_sample_findings(record, estimate)
     excused = [finding.suspect for finding in faults]
     run = as_run(record, estimate)
     if free_run is None:

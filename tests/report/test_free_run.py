@@ -20,7 +20,7 @@ from pinn_cli.report.fitness import FORMULAS, fitness_percent
 from pinn_cli.report.free_run import REFERENCES, ValidationRun, free_run, free_run_table, validation_table
 from pinn_cli.report.text import free_run_text, validation_text
 from pinn_cli.system.building import build_chain
-from pinn_cli.system.connection import Duffing, Gap
+from pinn_cli.system.connection import Duffing, Gap, Linear
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
@@ -127,6 +127,16 @@ def test_noise_of_the_force_and_a_poor_start_are_no_faults_of_the_parameters():
     finding = free_run(structure, estimated(replace(truth, velocity=velocity)), measurements.record).finding
     assert "the estimated start explains it" in " ".join(finding.split())
     assert "warning" not in finding
+
+
+@pytest.mark.parametrize(("wrong", "told"), [({}, ""), ({"k_3": 8.0}, "warning")])
+def test_how_far_a_free_body_goes_as_a_whole_is_no_contradiction(wrong, told):
+    structure = build_chain(3, Linear(), m=10.0, c=[0.0, 1.0, 1.0], k=[0.0, 15.0, 15.0])
+    measurements = measured(structure, duration=24.0, samples=513)
+    truth = measurements.truth.response
+    drift = 3.0 * truth.velocity.std() * truth.time[:, None]
+    drifting = replace(truth, displacement=truth.displacement + drift)
+    assert free_run(structure, estimated(drifting, **wrong), measurements.record).finding.partition(":")[0] == told
 
 
 @pytest.mark.parametrize(

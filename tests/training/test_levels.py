@@ -201,6 +201,14 @@ def test_a_force_that_is_measured_as_zero_is_no_scale():
     assert force_and_velocity_scale(Problem(CHAIN, silent))[0] > 0
 
 
+@pytest.mark.parametrize("quantity", ["force", "acceleration"])
+def test_a_steady_load_is_no_scale(quantity):
+    record = accelerations(RECORD) if quantity == "force" else replace(accelerations(RECORD), force=0.0 * RECORD.force)
+    expected = force_and_velocity_scale(Problem(CHAIN, record))
+    loaded = replace(record, **{quantity: getattr(record, quantity) + 100.0 * getattr(record, quantity).std(axis=0)})
+    assert force_and_velocity_scale(Problem(CHAIN, loaded)) == pytest.approx(expected, rel=1e-9)
+
+
 def test_a_velocity_goes_with_the_time_scale():
     force, velocity = force_and_velocity_scale(Problem(small_chain(speed=30.0), accelerations(sped_up(RECORD, 30.0))))
     assert (force, velocity) == pytest.approx(

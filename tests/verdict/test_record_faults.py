@@ -69,6 +69,12 @@ def test_what_is_no_fault(frame, frame_record):
     assert record_faults(altered(record, 2, lambda x: x + x.std(), "displacement")) == []
 
 
+def test_what_nothing_holds_may_go_on_and_on(frame_record):
+    carried = altered(frame_record, 2, lambda x: x + 0.3 * x.std())
+    assert [fault.kind for fault in record_faults(carried, carried=[2])] == ["offset"]
+    assert record_faults(carried, carried=[1]) == []
+
+
 @pytest.mark.parametrize("quantity", ["acceleration", "force"])
 def test_the_sensor_and_the_samples_are_named(problem, estimate, quantity):
     assert first_sample_findings(problem.record, estimate) == []
