@@ -14,6 +14,7 @@ CUBIC, QUADRATIC, FRICTION = "cubic term", "quadratic damping", "friction"
 # Those of its own parameters that are held.
 SPRING, DAMPER = "k", "c"
 ONE_SIDED, BACKLASH, HYSTERESIS, DRIFT = "one-sided spring", "backlash", "hysteresis", "drift"
+ONE_SIDED_DAMPER = "one-sided damper"
 STRIBECK = "Stribeck"
 # What a DOF may carry: an oscillator that is attached to it, and a mass that lies on it.
 MODE, SLIDING = "mode", "sliding mass"
@@ -58,6 +59,7 @@ LEFT_OUT = (
     LeftOut(FRICTION, "N", lambda e, de, _: _rubbing(de), parameter="F_c", least=0.0),
     LeftOut(STRIBECK, "N", lambda e, de, at: _rubbing(de) * np.exp(-((rms(e) / rms(de) * de / at) ** 2)), (0.1, 0.4)),
     LeftOut(ONE_SIDED, "N/m", lambda e, de, _: np.maximum(e, 0.0)),
+    LeftOut(ONE_SIDED_DAMPER, "N s/m", lambda e, de, _: np.maximum(de, 0.0)),
     LeftOut(BACKLASH, "N", lambda e, de, gap: -np.clip(e / gap, -1.0, 1.0), (0.03, 0.2), least=0.0),
     LeftOut(HYSTERESIS, "N", lambda e, de, at: _slipping(e / at), (0.3, 1.0), least=0.0),
     LeftOut(DRIFT, "N/m", lambda e, de, _: e * np.linspace(-0.5, 0.5, len(e))),

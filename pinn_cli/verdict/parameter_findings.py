@@ -17,6 +17,7 @@ from pinn_cli.system.coupling import loose_dofs
 from pinn_cli.system.modes import modes_of
 from pinn_cli.training.doubts.other_damping import DECISIVE_DAMPING
 from pinn_cli.training.estimate import sought_laws
+from pinn_cli.training.reported.stories import EXPLAINED
 from pinn_cli.verdict.finding import Finding, Word, failed_if
 
 if TYPE_CHECKING:
@@ -65,6 +66,7 @@ LACKS = {
         "a friction that differs by {number} where it turns round (Stribeck: larger at rest than in motion)"
     ),
     lacking.ONE_SIDED: "a one-sided spring of {number} (it is stiffer one way)",
+    lacking.ONE_SIDED_DAMPER: "a one-sided damper of {number} (it is stronger one way)",
     lacking.BACKLASH: "a backlash: {number} are missing beyond a gap of about +-{shape:.2g} m",
     lacking.HYSTERESIS: "a hysteresis: {number} that slip at about {shape:.2g} m",
     lacking.DRIFT: "a drift: its stiffness changes by {number} from the first to the last sample",
@@ -79,6 +81,7 @@ LAWS = {
     lacking.FRICTION: _GIVE.format(law="friction", parameters="F_c"),
     lacking.STRIBECK: "give {of} law: spline over its speed, of which no form is asked",
     lacking.ONE_SIDED: _GIVE.format(law="polynomial", parameters="k_2 and k_3"),
+    lacking.ONE_SIDED_DAMPER: "give {of} law: spline over its speed, of which no form is asked",
     lacking.BACKLASH: _GIVE.format(law="gap", parameters="k, k_g and gap") + ", or take the play out of it",
     lacking.HYSTERESIS: _GIVE.format(law="jenkins", parameters="k_t and F_c") + ", or bouc_wen",
     lacking.DRIFT: "solve the record in parts (data.start, data.stop), or look at what changes: temperature, loosening",
@@ -278,6 +281,7 @@ def posterior_findings(posterior: PosteriorResult | None) -> list[Finding]:
 def doubt_findings(estimate: Estimate) -> list[Finding]:
     """One of each doubt that makes the record far more probable; those that move nothing are told of a sound run."""
     held, findings = {p.name.partition("_")[2]: p.name for p in estimate.parameters if p.held}, []
+    explained = math.fsum(doubt.share for doubt in estimate.doubts)
     for doubt in estimate.doubts:
         what, remedy = _said(doubt)
         # What a connection lacks may be what its own bound forbids, whatever term of another law resembles it most.
@@ -285,6 +289,7 @@ def doubt_findings(estimate: Estimate) -> list[Finding]:
         if parameter is not None:
             remedy = f"{parameter} is held at its bound, 0: check the channels, or let it be negative (scheme.positive)"
         share = f", {100.0 * doubt.share:.0f} % of what it leaves out" if doubt.share > LEAST_SHARE else ""
+        share += ", most of which has another cause" if share and explained < EXPLAINED else ""
         odds = f"the record is exp({doubt.log_odds:.0f}) times as probable with it"
         odds += " as with one on every DOF" if doubt.kind == lacking.PLACE else ""
         moved = f"{doubt.moved} moves by {doubt.moves:.1f} standard deviations"
