@@ -15,7 +15,10 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import LOWEST_BINS
 from pinn_cli.scheme.calibration import ChannelDoubts, Doubt
 from pinn_cli.system.frequency_response import Acting, FrequencyResponse, real_rows
+from pinn_cli.system.parameters import FACTOR
 from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
+from pinn_cli.system.shapes import OfMasses, Shapes
+from pinn_cli.system.structure import Structure
 
 # Frequencies at most: a dense matrix is inverted at each.
 MOST_FREQUENCIES = 300
@@ -60,6 +63,9 @@ class LinearStructure:
     Args:
         stretch, known, influence: See :class:`pinn_cli.scheme.screening.Screening`.
         typical: (C,), stiffnesses, of which the median stands for that of a connection without a spring.
+        shapes: How DOFs move with the coordinates; None: they are the DOFs.
+        springs: (C,), the number k that is the stiffness of every connection, and what it is less than that number;
+            None: each has its own.
     """
 
     def __init__(
@@ -68,14 +74,29 @@ class LinearStructure:
         known: Mapping[str, np.ndarray],
         typical: np.ndarray,
         influence: np.ndarray | None = None,
+        shapes: Shapes | None = None,
+        springs: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:
         n = len(known["m"])
         self.known, self.influence = {"loss": np.zeros(1)} | dict(known), np.ones(n) if influence is None else influence
+        self.shapes = OfMasses(self.influence) if shapes is None else shapes
+        self.spring: np.ndarray
+        self.less: np.ndarray
+        self.spring, self.less = (np.arange(len(stretch)), np.zeros(len(stretch))) if springs is None else springs
         self.stretch, self.by_supports = stretch[:, :n], stretch[:, n:]
         self.end, self.typical = last_ends(self.stretch), float(np.median(typical))
         self.free = {kind: np.flatnonzero(np.isnan(self.known[kind])) for kind in ("m", "k", "c", "loss")}
         self.damped, self.lossy = len(self.free["c"]) > 0, len(self.free["loss"]) > 0
         self.count = len(self.free["m"]) + len(self.free["k"]) + self.damped + self.lossy
+
+    @classmethod
+    def of(cls, structure: Structure, known: Mapping[str, np.ndarray], typical: np.ndarray) -> LinearStructure:
+        """The connections that hold a structure, of which :func:`pinn_cli.scheme.starts.linear_parts` is known."""
+        own = np.arange(len(structure.parameters["k"]))
+        parts, factors = structure.carriers.get(FACTOR, (own[:0], own[:0]))
+        stretch, spring = structure.stretch.matrix[np.append(own, parts)].toarray(), np.append(own, len(own) + factors)
+        less = (spring >= len(own)).astype(float)
+        return cls(stretch, known, typical, structure.with_ground, structure.shapes, (spring, less))
 
     def start(self, mass: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
         """The vector of unknowns at given masses (n,) and stiffnesses (C,)."""
@@ -91,17 +112,24 @@ class LinearStructure:
         m[self.free["m"]] = np.exp(x[:split])
         k[self.free["k"]] = np.exp(x[split : split + len(self.free["k"])])
         if self.damped:
-            critical = 2.0 * np.sqrt(np.where(k == 0, self.typical, np.maximum(k, 1e-300)) * m[self.end])
+            stiffness = self.stiffness(k)
+            critical = 2.0 * np.sqrt(
+                np.where(stiffness == 0, self.typical, np.maximum(stiffness, 1e-300)) * m[self.end]
+            )
             c[self.free["c"]] = np.exp(x[split + len(self.free["k"])]) * critical[self.free["c"]]
         loss[self.free["loss"]] = np.exp(x[self.count - self.lossy : self.count])
         return {"m": m, "c": c, "k": k, "loss": loss}
 
+    def stiffness(self, k: np.ndarray) -> np.ndarray:
+        """(C,), of the connections, of the numbers k."""
+        return np.asarray(k[self.spring] - self.less)
+
     def slopes(self, omega: np.ndarray, p: Mapping[str, np.ndarray]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """What every unknown adds to masses (n,) and dynamic stiffnesses (B, C), where the parameters are p."""
-        lossy = p["k"] * (1.0 + (LEAST_LOSS + p["loss"]) * 1j)
+        lossy = p["k"][self.spring] * (1.0 + (LEAST_LOSS + p["loss"]) * 1j)
         # Critical damping grows with the roots of mass and stiffness.
         damper = 1j * omega[:, None] * np.where(np.isnan(self.known["c"]), p["c"], 0.0)
-        masses, connections, nothing = np.arange(len(p["m"])), np.arange(len(p["k"])), np.zeros(len(p["m"]))
+        masses, connections, nothing = np.arange(len(p["m"])), self.spring, np.zeros(len(p["m"]))
         for dof in self.free["m"]:
             yield p["m"] * (masses == dof), 0.5 * damper * (self.end == dof)
         for i in self.free["k"]:
@@ -109,7 +137,7 @@ class LinearStructure:
         if self.damped:
             yield nothing, damper
         if self.lossy:
-            yield nothing, 1j * p["loss"] * p["k"] * np.ones((len(omega), 1))
+            yield nothing, 1j * p["loss"] * self.stiffness(p["k"]) * np.ones((len(omega), 1))
 
 
 class LinearFit:
@@ -119,29 +147,31 @@ class LinearFit:
     """
 
     def __init__(self, record: Record, structure: LinearStructure, doubts: Sequence[Doubt] = ()) -> None:
-        self.structure, n = structure, len(structure.influence)
+        self.structure, self.duration, n = structure, record.duration, len(structure.influence)
         self.spectra = s = spectra_under(record, what_acts(record) or [])
         self.doubts, self.of_acting = ChannelDoubts(record, s, doubts), s.of_acting
         self.sensed = np.array([sensor.dof for sensor in s.sensors], dtype=int)
-        self.sensing = s.differentiation[:, :, None] * np.eye(n)[self.sensed]
+        self.sensing = s.differentiation[:, :, None] * structure.shapes.matrix[self.sensed]
         pushed, shaken = np.zeros((2, n, len(s.acting)))
         carried = np.zeros((len(s.omega), len(structure.stretch), len(s.acting)), complex)
         for i, channel in enumerate(s.acting):
             if channel.quantity == FORCE:
-                pushed[channel.dof, i] = 1.0
+                pushed[:, i] = structure.shapes.matrix[channel.dof]
             elif channel.quantity == GROUND:
                 shaken[:, i] = structure.influence
             else:
                 back = (1j * s.omega[:, None]) ** -channel.order
                 carried[:, :, i] = back * structure.by_supports[:, channel.dof]
         self.acting = Acting(pushed, shaken, carried)
-        self.absolute = np.array([c.quantity == "acceleration" and record.frame == "absolute" for c in s.sensors])
+        absolute = np.array([c.quantity == "acceleration" and record.frame == "absolute" for c in s.sensors])
+        ground = structure.shapes.with_ground
+        self.felt = np.zeros(len(absolute)) if ground is None else ground[self.sensed] * absolute
         self.smooth(WIDTHS[0])
 
     @property
     def ground_shown(self) -> np.ndarray:
         """(S, A), how far sensors feel what acts at once."""
-        return self.acting.shaken[self.sensed] * self.absolute[:, None]
+        return np.outer(self.felt, (self.acting.shaken != 0.0).any(axis=0))
 
     def smooth(self, width: float) -> None:
         """Choose how widely the misfit is smoothed."""
@@ -217,7 +247,8 @@ class LinearFit:
     def _response(self, x: np.ndarray) -> FrequencyResponse:
         """Of the structure, but for what accelerometers feel of the ground itself."""
         p, omega = self.structure.parameters(x), self.spectra.omega
-        connection = p["k"] * (1.0 + (LEAST_LOSS + p["loss"]) * 1j) + 1j * omega[:, None] * p["c"]
+        stiffness = self.structure.stiffness(p["k"])
+        connection = stiffness * (1.0 + (LEAST_LOSS + p["loss"]) * 1j) + 1j * omega[:, None] * p["c"]
         return FrequencyResponse(omega, self.structure.stretch, self.sensing, self.acting, p["m"], connection)
 
     def _response_slopes(self, x: np.ndarray) -> Iterator[np.ndarray]:

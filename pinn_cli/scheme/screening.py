@@ -176,7 +176,8 @@ def grid_of_starts(model: JointFit, records: Sequence[Record], guess: Mapping[st
     mass, stiffness = (np.where(np.isnan(known[kind]), guess[kind], known[kind]) for kind in ("m", "k"))
     if not len(free["m"]) and not len(free["k"]):
         return [model.start(mass, stiffness)]
-    factors = common_factors(model.structure.stretch, mass, stiffness, records, PER_DECADE)
+    connections = model.structure.stiffness(stiffness)
+    factors = common_factors(model.structure.stretch, mass, connections, records, PER_DECADE)
     if not len(factors):
         return [model.start(mass, stiffness)]
     # Frequencies go with the root of either; where no stiffness is free it is the masses that are too large or small.

@@ -297,11 +297,20 @@ def _of_sensors(calibration: Mapping[str, Mapping[str, float]]) -> dict[Paramete
 
 
 def linear_parts(prescribed: Structure, unknown: Collection[Parameter]) -> dict[str, np.ndarray]:
-    """What is known: ``m`` to (n,), ``c`` and ``k`` to (C,), ``loss`` to (1,), NaN where unknown."""
-    known = {kind: prescribed.parameters[kind].detach().cpu().double().numpy().copy() for kind in LINEAR_UNITS}
+    """What is known: ``m`` to (n,), ``c`` and ``k`` to (C,), ``loss`` to (1,), NaN where unknown.
+
+    Behind the ``k`` are the factors of parts of a finite-element model, which have no damper.
+    """
+    given = prescribed.parameters_like(np.empty(0))
     for parameter in unknown:
-        if parameter.kind in known:
-            known[parameter.kind][parameter.index] = np.nan
+        if parameter.kind in (*LINEAR_UNITS, FACTOR):
+            given[parameter.kind][parameter.index] = np.nan
+    parts, _ = prescribed.carriers.get(FACTOR, (np.empty(0), None))
+    known = {
+        MASS: given[MASS],
+        "c": np.append(given["c"], np.zeros(len(parts))),
+        "k": np.append(given["k"], given.get(FACTOR, np.empty(0))),
+    }
     return known | {"loss": np.array([np.nan if prescribed.is_damped_as_whole else 0.0])}
 
 

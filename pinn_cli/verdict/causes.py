@@ -22,8 +22,9 @@ from pinn_cli.scheme.calibration import doubts_about
 from pinn_cli.scheme.linear_fit import WIDTHS, JointFit, LinearFit, LinearStructure, what_acts
 from pinn_cli.scheme.screening import Candidate, grid_of_starts, nearest
 from pinn_cli.scheme.starts import linear_parts
+from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.frequency_response import real_rows
-from pinn_cli.system.parameters import MASS, Parameter
+from pinn_cli.system.parameters import FACTOR, MASS, Parameter
 from pinn_cli.system.quantities import FORCE, GROUND
 from pinn_cli.verdict.channel_faults import factor_finding, late_finding, misplaced_finding, swap_finding
 from pinn_cli.verdict.finding import Finding
@@ -49,7 +50,7 @@ LEAST_FACTOR, LEAST_DELAY_CAUSE = 1.1, 0.5
 # Part of itself to which a fit to spectra tells a factor.
 TOLD_WITHIN = 0.01
 # A dense matrix is inverted at every frequency, for every cause.
-MOST_INVERTED = 12
+MOST_INVERTED = 24
 # Starts of each cause that go on to each width of the smoothing; at first one, which tells which causes are followed.
 AT_FIRST, CAUSE_SURVIVORS, FOLLOWED = (1,), (2, 1, 1), 8
 MOVES, ACTS = "what the structure does", "what acts"
@@ -89,16 +90,22 @@ def causes(problem: Problem, believed: Structure, estimated: Structure, excused:
         excused: Names of channels whose fault is known already.
     """
     record = _in_columns(problem.record, excused)
-    if record is None or believed.is_modal or believed.coordinates > MOST_INVERTED:
+    if record is None or believed.coordinates > MOST_INVERTED:
         return []
     unknown = [p for p in problem.uncertain if p.unknown]
-    searched = any(p.kind in (MASS, "k") for p in unknown)
+    searched = any(p.kind in (MASS, "k", FACTOR) for p in unknown)
     begun = (estimated, problem.structure) if searched else (estimated,)
-    fits = _Fits(believed, linear_parts(believed, unknown), begun)
+    known = linear_parts(believed, unknown)
+    # What comes nearest to a connection that is not linear is nobody's number.
+    bent = [i for i, law in enumerate(believed.laws) if not isinstance(law, Linear)]
+    for kind in ("c", "k"):
+        known[kind][bent] = np.nan
+    fits = _Fits(believed, known, begun, bool(bent))
     without, _ = fits.fitted(Cause(record, lambda _: None))
     if without.misfit < NEEDS_NO_CAUSE:
         return []
-    dampers = np.flatnonzero(~np.isnan(fits.known["c"])).tolist()
+    # What a law takes out of the motion is no damper's.
+    dampers = [] if bent else np.flatnonzero(~np.isnan(fits.known["c"])).tolist()
     asked = list(every_cause(believed, record, *fits.suspects(record, without), dampers))
     roughly = np.array([fits.fitted(cause, AT_FIRST)[1] for cause in asked])
     most, explained = min(LEFT, EXPLAINED * without.misfit), []
@@ -150,17 +157,22 @@ class _Fits:
         structure: As it was told.
         known: ``m``, ``c``, ``k``, ``loss``, NaN where unknown.
         begun: Where the unknown ones start; a fault may have led each of them astray.
+        bends: Whether it is not linear.
     """
 
     structure: Structure
     known: dict[str, np.ndarray]
     begun: Sequence[Structure]
+    bends: bool
 
     @cached_property
     def guesses(self) -> list[dict[str, np.ndarray]]:
         """``m`` and ``k`` where the fits start: as given, and, of several, all alike, which no fault has put askew."""
         given = [{kind: _sizes(linear_parts(structure, ())[kind]) for kind in (MASS, "k")} for structure in self.begun]
-        alike = {kind: np.full_like(sizes, np.exp(np.log(sizes).mean())) for kind, sizes in given[0].items()}
+        alike = {}
+        for kind, sizes in given[0].items():
+            free = np.isnan(self.known[kind])
+            alike[kind] = np.where(free, np.exp(np.log(sizes[free]).mean()) if free.any() else 1.0, sizes)
         return [*given, alike] if len(given) > 1 else given
 
     def fitted(self, cause: Cause, survivors: Sequence[int] = CAUSE_SURVIVORS) -> tuple[Candidate, float]:
@@ -168,28 +180,51 @@ class _Fits:
         known, (kind, places) = {kind: values.copy() for kind, values in self.known.items()}, cause.free
         known[kind][list(places)] = np.nan
         fit = self._fit(cause.record, known, cause.doubted)
-        model = JointFit([fit])
-        starts = [x for guess in self.guesses for x in grid_of_starts(model, [cause.record], guess)]
-        candidate = nearest(model, starts, survivors)[0]
+        model, widths = JointFit([fit]), self.widths(fit)
+        starts = [x for guess in self.guesses for x in self._starts(model, cause.record, guess)]
+        candidate = nearest(model, starts, survivors, widths)[0]
         values, off = fit.common.size, np.log(abs(cause.factor(candidate))) / WRONG
         minus_log = values * np.log(max(candidate.misfit, 1e-12)) + cause.numbers * np.log(values) + off**2
         return candidate, 0.5 * float(minus_log)
 
+    def widths(self, fit: LinearFit) -> list[float]:
+        """Those of the smoothing at which spectra are those of a structure that is linear, one after the other.
+
+        Smoothed over a relative width w a product of spectra holds what a motion does within 1 / (2 pi w) of its
+        periods. Of a record of P periods as large a part is cut off. Resonances that move are as wide as they move.
+        """
+        kept = list(WIDTHS[:1])
+        for width in () if self.bends else WIDTHS[1:]:
+            fit.smooth(width)
+            periods = fit.kernel @ fit.spectra.frequency * fit.duration
+            size = np.sum(np.abs(fit.common) ** 2, axis=(1, 2))
+            if float(size @ np.minimum(1.0, (2.0 * np.pi * width * periods) ** -2.0)) < NEEDS_NO_CAUSE * fit.size:
+                kept.append(width)
+        fit.smooth(WIDTHS[0])
+        return kept
+
+    def _starts(self, model: JointFit, record: Record, guess: dict[str, np.ndarray]) -> list[np.ndarray]:
+        """Of a model of finite elements the guess: nobody updates one that is wrong by orders of magnitude."""
+        if self.structure.is_modal:
+            return [model.start(guess[MASS], guess["k"])]
+        return grid_of_starts(model, [record], guess)
+
     def suspects(self, record: Record, candidate: Candidate) -> tuple[list[Channel], list[Parameter]]:
         """Sensors of which a structure misses most; held masses and springs that explain most, by their scores."""
-        given = [p for p in self.structure.every_parameter() if p.kind in (MASS, "k") and p.prescribed > 0]
+        given = [p for p in self.structure.every_parameter() if p.prescribed > 0 and _is_prescribed(self.structure, p)]
+        places = [_place(self.structure, p) for p in given]
         known = {kind: candidate.parameters[kind].copy() for kind in self.known}
-        for p in given:
-            known[p.kind][p.index] = np.nan
+        for kind, index in places:
+            known[kind][index] = np.nan
         fit = self._fit(record, known)
-        fit.smooth(WIDTHS[-1])
+        fit.smooth(self.widths(fit)[-1])
         x = fit.structure.start(candidate.parameters[MASS], candidate.parameters["k"])
-        residual, slopes = fit.residual(x), fit.slopes(x)
+        residual, slopes = fit.residual(x), fit.slopes(x) if len(x) else np.empty(0)
         missed = (np.abs(residual) ** 2).sum((0, 2))
         sensors = list(fit.spectra.sensors)
         worst = [sensors[i] for i in np.argsort(-missed, kind="stable")[:SUSPECTED]]
         columns, rest = real_rows(slopes.reshape(residual.size, -1)), real_rows(residual.reshape(-1))
-        held = np.array([not np.isnan(self.known[p.kind][p.index]) for p in given], dtype=bool)
+        held = np.array([not np.isnan(self.known[kind][index]) for kind, index in places], dtype=bool)
         basis, _ = np.linalg.qr(columns[:, ~held])
         independent = columns[:, held] - basis @ (basis.T @ columns[:, held])
         explained = (independent.T @ rest) ** 2 / np.maximum((independent**2).sum(axis=0), 1e-300)
@@ -199,9 +234,22 @@ class _Fits:
 
     def _fit(self, record: Record, known: dict[str, np.ndarray], doubted: Channel | None = None) -> LinearFit:
         """Of the record's spectra."""
-        stretch = self.structure.stretch.matrix[self.structure.added].toarray()
-        structure = LinearStructure(stretch, known, self.guesses[0]["k"], self.structure.with_ground)
+        structure = LinearStructure.of(self.structure, known, self.guesses[0]["k"])
         return LinearFit(record, structure, [] if doubted is None else doubts_about(doubted, record.step))
+
+
+def _is_prescribed(structure: Structure, parameter: Parameter) -> bool:
+    """Whether it is a mass or a stiffness that somebody wrote down: those of modes are the model's."""
+    if parameter.kind == FACTOR or not structure.is_modal:
+        return parameter.kind in (MASS, "k", FACTOR)
+    return parameter.kind == "k" and parameter.index in structure.added
+
+
+def _place(structure: Structure, parameter: Parameter) -> tuple[str, int]:
+    """Kind and place in the fits, see :func:`linear_parts`."""
+    if parameter.kind == FACTOR:
+        return "k", len(structure.parameters["k"]) + parameter.index
+    return parameter.kind, parameter.index
 
 
 def _sizes(values: np.ndarray) -> np.ndarray:
@@ -273,9 +321,10 @@ def _calibrated(record: Record, channel: Channel, sign: float) -> Cause:
 
 def _other(record: Record, structure: Structure, given: Parameter) -> Cause:
     """A mass or a spring is another one."""
+    kind, index = _place(structure, given)
 
     def factor(candidate: Candidate) -> float:
-        return float(candidate.parameters[given.kind][given.index]) / given.prescribed
+        return float(candidate.parameters[kind][index]) / given.prescribed
 
     def finding(candidate: Candidate) -> Finding | None:
         times = factor(candidate)
@@ -283,10 +332,10 @@ def _other(record: Record, structure: Structure, given: Parameter) -> Cause:
             return None
         value = f"{given.name} = {times * given.prescribed:.4g} {given.unit}"
         reason = f"with {value}, {times:.3g} times what is prescribed, the structure does what was measured"
-        kind = "mass" if given.kind == MASS else "stiffness"
-        return Finding(kind, given.name, f"{reason}; check {structure.labels.setting(given)}")
+        of = "mass" if kind == MASS else "stiffness"
+        return Finding(of, given.name, f"{reason}; check {structure.labels.setting(given)}")
 
-    return Cause(record, finding, factor, free=(given.kind, [given.index]))
+    return Cause(record, finding, factor, free=(kind, [index]))
 
 
 def _damping(record: Record, structure: Structure, dampers: Sequence[int]) -> Cause:
