@@ -12,7 +12,6 @@ What separate outputs of displacement and velocity leave between them, d(displac
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -22,6 +21,7 @@ from torch import Tensor
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.physics import observation_masks
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.coupling import Coupling
 from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 from pinn_cli.training.factors.calibrated_channels import CalibratedChannels, Gains, SensorFilter
 from pinn_cli.training.factors.constant_channels import ConstantRows, ResponseChannels
@@ -35,8 +35,8 @@ from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_matrix.bordered import BorderedSystem
 from pinn_cli.training.normal_matrix.dissection import FrontTree, order_of_elimination
-from pinn_cli.training.normal_matrix.elimination import Diagonals
 from pinn_cli.training.normal_matrix.row_sums import RowSums
+from pinn_cli.training.normal_matrix.traced_sums import Met, TracedSums
 from pinn_cli.training.whittle.whittle_estimate import KnownParameters
 
 
@@ -196,7 +196,9 @@ class NormalEquations(Frame):
 
     def assemble(self, point: Point, noise: NoiseModel, prior: np.ndarray | None = None) -> BorderedSystem:
         """Normal matrix and gradient at a point; arguments as of :meth:`losses`."""
-        sums, pick = self._sums(self.factors, point, noise), self.vector.column
+        sums, pick = RowSums(*self._shape), self.vector.column
+        for factor in self.factors:
+            factor.add_to(sums, point, noise)
         border, corner, slope = sums.border(pick), sums.corner[np.ix_(pick, pick)], sums.slope[pick]
         if prior is not None:
             corner = corner + prior
@@ -204,16 +206,17 @@ class NormalEquations(Frame):
         slope = slope if self.pull is None else slope - self.pull
         return BorderedSystem(sums.band, border, corner, sums.gradient, slope, self._order_of_elimination(border))
 
-    def readout_matrix(self, factor: Factor, point: Point, noise: NoiseModel) -> Diagonals:
-        """What a factor adds to the normal matrix of the readout weights."""
-        return self._sums([factor], point, noise).band
-
-    def _sums(self, factors: Sequence[Factor], point: Point, noise: NoiseModel) -> RowSums:
-        alive = self.physics.feature.shape[1]
-        sums = RowSums(self.network.channels, alive, self.physics.count, self.dynamics.coupling, self.pattern.count)
-        for factor in factors:
-            factor.add_to(sums, point, noise)
+    def traced(self, factor: Factor, point: Point, noise: NoiseModel, met: Met) -> TracedSums:
+        """What a factor adds to the normal matrix of the readout weights, for traces with a matrix."""
+        sums = TracedSums(met, *self._shape)
+        factor.add_to(sums, point, noise)
         return sums
+
+    @property
+    def _shape(self) -> tuple[int, int, int, Coupling, int]:
+        """Of sums over rows."""
+        alive = self.physics.feature.shape[1]
+        return self.network.channels, alive, self.physics.count, self.dynamics.coupling, self.pattern.count
 
     def _order_of_elimination(self, border: csr_matrix) -> FrontTree:
         """See :class:`BorderedSystem`; worked out once for all systems whose parameters touch the same weights."""

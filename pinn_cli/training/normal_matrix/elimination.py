@@ -293,9 +293,12 @@ class Diagonals:
         return float(2.0 * by_line.sum() - by_line[0])
 
     def __sub__(self, other: Diagonals) -> Diagonals:
-        """The difference of two that keep the same diagonals."""
-        assert np.array_equal(self.offsets, other.offsets), "two matrices of the same rows"
-        return Diagonals(self.offsets, self.values - other.values)
+        """The difference, with the diagonals of either."""
+        offsets = np.union1d(self.offsets, other.offsets)
+        values = np.zeros((len(offsets), self.size))
+        values[np.searchsorted(offsets, self.offsets)] += self.values
+        values[np.searchsorted(offsets, other.offsets)] -= other.values
+        return Diagonals(offsets, values)
 
     def dense(self) -> np.ndarray:
         """(size, size), for few unknowns."""

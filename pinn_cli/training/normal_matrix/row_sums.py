@@ -221,16 +221,17 @@ class RowSums:
         """
         earlier, later = np.nonzero(rows.pairs)
         is_full, distances = 2 * len(earlier) > self.n**2, np.unique(self.rank[later] - self.rank[earlier])
-        for first, by_shift, coupling in rows.products():
+        for over_groups, coupling in rows.terms():
             placed = np.empty_like(coupling)
             placed[:, self.rank[:, None], self.rank] = coupling
             lines = [] if is_full else [(d, np.diagonal(placed, d, 1, 2)) for d in distances.tolist()]
-            for shift, products in enumerate(by_shift):
-                if is_full:
-                    block = (products @ placed.reshape(len(placed), -1)).reshape(-1, self.n, self.n)
-                    self._of_all.add_products(first, shift, block)
-                for distance, line in lines:
-                    self._add_line(products @ line, distance, shift, first)
+            for first, by_shift in rows.features.products(over_groups):
+                for shift, products in enumerate(by_shift):
+                    if is_full:
+                        block = (products @ placed.reshape(len(placed), -1)).reshape(-1, self.n, self.n)
+                        self._of_all.add_products(first, shift, block)
+                    for distance, line in lines:
+                        self._add_line(products @ line, distance, shift, first)
         self._waiting.append(rows)
         if len(self._waiting) > WINDOWS_KEPT:
             self._add_waiting()

@@ -32,12 +32,15 @@ class LocalFeatures:
     Args:
         feature: (I, B) long, the features alive in each group.
         values: (I, S, orders, B).
+
+    Attributes:
+        first: Of the first group.
     """
 
     def __init__(self, feature: Tensor, values: Tensor) -> None:
         self.values, first = values.cpu().numpy(), feature[:, 0].cpu().numpy()
         # Runs of groups each of which begins as many features on, those of one output of a function.
-        steps = np.diff(first)
+        self.first, steps = int(first[0]), np.diff(first)
         self._stride = int(min(steps[steps > 0], default=1))
         self._runs = runs(first, self._stride)
 
@@ -148,8 +151,8 @@ class SeparableRows:
         meet: np.ndarray = self.touching.T.astype(float) @ self.touching > 0.0
         return meet
 
-    def products(self) -> Iterator[tuple[int, list[np.ndarray], np.ndarray]]:
-        """Features' products, as :meth:`LocalFeatures.products` has them, and what they are multiplied by.
+    def terms(self) -> Iterator[tuple[np.ndarray | None, np.ndarray]]:
+        """Weights of :meth:`LocalFeatures.products`, and what these products are multiplied by.
 
         The latter are (orders squared, functions, functions), of the earlier feature's function and the later one's.
         Rows whose weight does not change are summed together, and each of the others alone.
@@ -160,8 +163,7 @@ class SeparableRows:
         terms += [(weight[:, row], np.arange(len(changes)) == row) for row in np.flatnonzero(changes)]
         for over_groups, over_rows in terms[int(changes.all()) :]:
             coupling = self.by_motion.swapaxes(1, 2)[:, None] @ (over_rows[:, None] * self.by_motion)
-            for first, by_shift in self.features.products(over_groups):
-                yield first, by_shift, coupling.reshape(-1, *coupling.shape[2:])
+            yield over_groups, coupling.reshape(-1, *coupling.shape[2:])
 
     @property
     def meetings(self) -> tuple[np.ndarray, np.ndarray]:

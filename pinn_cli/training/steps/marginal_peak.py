@@ -20,7 +20,7 @@ from pinn_cli.training.factors.factor import Factor
 from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.normal_matrix.elimination import Diagonals
+from pinn_cli.training.normal_matrix.traced_sums import Met
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.solver import Inference
 from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN
@@ -101,11 +101,15 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
         of_equations, of_all = (equations.assemble(point, levels).readout_inverse() for levels in (alone, noise))
         if of_equations is None or of_all is None:
             return equations.pull, pull, np.nan
-        through: list[tuple[Factor, NoiseModel, Diagonals, float]] = [
-            (equations.motion, noise, of_equations - of_all, 0.5)
+        coupling = equations.dynamics.coupling
+        through: list[tuple[Factor, NoiseModel, Met, float]] = [
+            (equations.motion, noise, Met(of_equations - of_all, coupling), 0.5)
         ]
         if equations.observer is not None:  # accelerometers through the equations
-            through += [(equations.observer, alone, of_equations, 0.5), (equations.observer, noise, of_all, -0.5)]
+            through += [
+                (equations.observer, alone, Met(of_equations, coupling), 0.5),
+                (equations.observer, noise, Met(of_all, coupling), -0.5),
+            ]
     residual = equations.motion.residual(point)
     for i in np.flatnonzero(wanted).tolist():
         # Wide beside rounding: where a parameter is known well, a part of its value.
@@ -113,9 +117,9 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
         straight = _is_straight(equations, residual, _ends(point, i, wide))
         slope = 0.0
         for width, weight in ((wide, 0.5 / wide),) if straight else ((w * std[i], s / std[i]) for w, s in OF_BENT):
-            for factor, levels, inverse, share in through:
-                above, below = (equations.readout_matrix(factor, end, levels) for end in _ends(point, i, width))
-                slope += weight * share * inverse.trace_of_product(above - below)
+            for factor, levels, met, share in through:
+                above, below = (equations.traced(factor, end, levels, met) for end in _ends(point, i, width))
+                slope += weight * share * met.trace(above, below)
         # A discrepancy in a part of the band has as much fewer values: it was widened for these. What drives an unknown
         # force was not, and leaves far more of the motion open.
         pull[i] = slope if anyhow else noise.occupied * slope
