@@ -295,15 +295,10 @@ class LocalRows:
         self.equations, self.segments = equations, segments.part(part)
         self.rows = equations.motion.rows(segments, point, part=part)
         self.local = torch.as_tensor(equations.layout.columns(self.segments.feature))
-        self.uncoupled = torch.as_tensor(equations.layout.columns(self.segments.feature, coupled=False))
 
     def of_dof(self, dof: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Positions (I, D B), rows by the weights there (I, S, D B), and by parameter.
-
-        Unused slots hold 0 for the weights of the row's own DOF.
-        """
-        inside = self.local[:, dof] >= 0
-        unused = self.uncoupled[:, dof].tile(1, len(self.equations.pattern.offsets))
-        jacobian = self.rows.jacobian(self.segments, slice(dof, dof + 1))[:, 0] * inside.to(torch.float64)[:, None]
+        """Positions (I, C) of the weights that the row feels, rows by these (I, S, C), and by parameter."""
+        felt = self.local[0, dof] >= 0  # in every group the same slots
+        jacobian = self.rows.jacobian(self.segments, slice(dof, dof + 1))[:, 0][..., felt]
         held = self.equations.pattern.uncertain_columns(self.rows.parameter[:, :, dof], dof)
-        return torch.where(inside, self.local[:, dof], unused), jacobian, held
+        return self.local[:, dof][:, felt], jacobian, held
