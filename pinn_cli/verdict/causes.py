@@ -80,7 +80,13 @@ class Cause:
         return 2 * (self.doubted is not None) + len(self.free[1][:1])
 
 
-def causes(problem: Problem, believed: Structure, estimated: Structure, excused: Sequence[str] = ()) -> list[Finding]:
+def causes(
+    problem: Problem,
+    believed: Structure,
+    estimated: Structure,
+    excused: Sequence[str] = (),
+    needs_no_cause: float = NEEDS_NO_CAUSE,
+) -> list[Finding]:
     """The most probable cause; none where the structure misses little, or where none explains most of that.
 
     Args:
@@ -88,6 +94,7 @@ def causes(problem: Problem, believed: Structure, estimated: Structure, excused:
         believed: What was said of it. Of a nonlinear one the linear part is looked at.
         estimated: Where what is unknown of it is looked for first; then, where the estimate's own search began.
         excused: Names of channels whose fault is known already.
+        needs_no_cause: Part of the cross spectra that the structure may miss.
     """
     record = _in_columns(problem.record, excused)
     if record is None or believed.coordinates > MOST_INVERTED:
@@ -102,7 +109,7 @@ def causes(problem: Problem, believed: Structure, estimated: Structure, excused:
         known[kind][bent] = np.nan
     fits = _Fits(believed, known, begun, bool(bent))
     without, _ = fits.fitted(Cause(record, lambda _: None))
-    if without.misfit < NEEDS_NO_CAUSE:
+    if without.misfit < needs_no_cause:
         return []
     # What a law takes out of the motion is no damper's.
     dampers = [] if bent else np.flatnonzero(~np.isnan(fits.known["c"])).tolist()

@@ -18,6 +18,8 @@ from pinn_cli.system.coupling import loose_dofs
 from pinn_cli.system.parameters import MASS
 from pinn_cli.training.calibrated_record import as_run
 from pinn_cli.training.estimate import estimated_structure
+from pinn_cli.training.reported.stories import explain_most
+from pinn_cli.verdict.causes import NEEDS_NO_CAUSE
 from pinn_cli.verdict.causes import causes as fitted_causes
 from pinn_cli.verdict.channel_faults import LEAST_GAIN_FAULT, channel_faults, first_sample_findings, record_faults
 from pinn_cli.verdict.finding import Finding, Verdict
@@ -171,8 +173,12 @@ def judge(
     # deviations of the parameters may excuse whatever it misses: then a cause of this folder goes before, if any.
     follows = all(finding.kind != "free_run" and finding.word != "failed" for finding in findings)
     causes = lacks if lacks_something and follows and (prediction is None or misfit <= NOT_AT_ALL) else []
-    if not causes and not is_sound and not follows_well:
-        causes = fitted_causes(problem, _believed(problem, estimate), structure, excused)
+    # What explains little of what is left out may stand in for a mass or a sensor of which spectra tell.
+    is_little = any(finding.word != "sound" for finding in lacks) and not explain_most(estimate.doubts)
+    if is_little or (not causes and not is_sound and not follows_well):
+        needs_no_cause = 0.0 if is_little else NEEDS_NO_CAUSE
+        fitted = fitted_causes(problem, _believed(problem, estimate), structure, excused, needs_no_cause)
+        causes = [*fitted, *(lacks if is_little else [])] if fitted else causes
     # Elsewhere it is what explains most of what the model leaves out, or wrong damping; and whatever is small, of which
     # the estimated structure, held fixed, says less than one whose parameters are free.
     explains = lacks_something and (lacks[0].kind == "damping" or estimate.doubts[0].share > MOST_EXPLAINED)

@@ -17,7 +17,7 @@ from pinn_cli.system.coupling import loose_dofs
 from pinn_cli.system.modes import modes_of
 from pinn_cli.training.doubts.other_damping import DECISIVE_DAMPING
 from pinn_cli.training.estimate import sought_laws
-from pinn_cli.training.reported.stories import EXPLAINED
+from pinn_cli.training.reported.stories import explain_most
 from pinn_cli.verdict.finding import Finding, Word, failed_if
 
 if TYPE_CHECKING:
@@ -281,7 +281,6 @@ def posterior_findings(posterior: PosteriorResult | None) -> list[Finding]:
 def doubt_findings(estimate: Estimate) -> list[Finding]:
     """One of each doubt that makes the record far more probable; those that move nothing are told of a sound run."""
     held, findings = {p.name.partition("_")[2]: p.name for p in estimate.parameters if p.held}, []
-    explained = math.fsum(doubt.share for doubt in estimate.doubts)
     for doubt in estimate.doubts:
         what, remedy = _said(doubt)
         # What a connection lacks may be what its own bound forbids, whatever term of another law resembles it most.
@@ -289,7 +288,7 @@ def doubt_findings(estimate: Estimate) -> list[Finding]:
         if parameter is not None:
             remedy = f"{parameter} is held at its bound, 0: check the channels, or let it be negative (scheme.positive)"
         share = f", {100.0 * doubt.share:.0f} % of what it leaves out" if doubt.share > LEAST_SHARE else ""
-        share += ", most of which has another cause" if share and explained < EXPLAINED else ""
+        share += ", most of which has another cause" if share and not explain_most(estimate.doubts) else ""
         odds = f"the record is exp({doubt.log_odds:.0f}) times as probable with it"
         odds += " as with one on every DOF" if doubt.kind == lacking.PLACE else ""
         moved = f"{doubt.moved} moves by {doubt.moves:.1f} standard deviations"

@@ -125,6 +125,18 @@ def test_what_moves_nothing_is_told_of_a_sound_run_and_what_is_small_by_the_stru
     assert judge(problem, replace(estimate, doubts=(doubt,))).reasons[0].suspect == "force on DOF 3"
 
 
+@pytest.mark.parametrize(("share", "first"), [(0.1, ("mass", "m_2")), (0.9, ("m", "DOF 3"))])
+def test_where_a_doubt_explains_little_the_spectra_are_asked(problem, estimate, share, first):
+    """Spectra miss too little for a cause of their own, and another mass explains nearly all of it."""
+    m = problem.structure.parameters["m"].clone()
+    m[1] *= 0.85
+    doubt = Doubt("m", "DOF 3", -0.1, 0.01, "kg", 40.0, 5.0, "k_1", share=share)
+    other = replace(problem, structure=problem.structure.with_parameters(m=m))
+    verdict = judge(other, replace(estimate, doubts=(doubt,)))
+    assert (verdict.reasons[0].kind, verdict.reasons[0].suspect) == first
+    assert "DOF 3" in [reason.suspect for reason in verdict.reasons]
+
+
 def test_a_fault_goes_before_what_a_model_lacks_that_is_excused_from_following_the_sensors(problem, estimate):
     wide = [replace(p, std=0.5 * p.estimate) for p in estimate.parameters]
     uncertain = replace(estimate, parameters=wide, doubts=(Doubt("mode", "DOF 1", 0.7, 0.1, "kg", 40.0, 5.0, "k_1"),))

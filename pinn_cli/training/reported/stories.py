@@ -70,14 +70,14 @@ def with_stories(inference: Inference, estimate: Estimate) -> Estimate:
     std = [record_estimate.std for record_estimate in reported.by_record]
     lacking = inference.evidence.each_record(doubts, asked, std)
     place = () if found is None or smooth is None else _of_place(smooth, found, reported)
-    lacking = [of_record if _explain(of_record) else (*of_record, *place) for of_record in lacking]
+    lacking = [of_record if explain_most(of_record) else (*of_record, *place) for of_record in lacking]
     records = zip(reported.records, lacking, strict=False)
     of_records = tuple(replace(record_estimate, doubts=record_doubts) for record_estimate, record_doubts in records)
     stories = tuple(one.story for one in (best, *others)) if others else ()
     return replace(reported, stories=stories, doubts=lacking[0], records=of_records)
 
 
-def _explain(found: Sequence[Doubt]) -> bool:
+def explain_most(found: Sequence[Doubt]) -> bool:
     """Whether these are most of what the model leaves out."""
     return math.fsum(doubt.share for doubt in found) > EXPLAINED
 

@@ -31,8 +31,8 @@ from pinn_cli.training.steps.discrepancy_search import DECISIVE_DROP, SCAN_FACTO
 FORCE_LEFT = 0.03
 # Parts of the first discrepancy: the last one moves a structure by nothing beside what the sensors are off by then.
 PARTS_LEFT = (1e-2, 1e-3, 1e-4)
-# Rounds at most to each.
-FREE_ROUNDS = 15
+# Rounds at most to each, and those in a row whose solution is not reached: then there is none that could be.
+FREE_ROUNDS, UNREACHED = 15, 2
 # Parts of a record that a score is summed over, and how many of them in a row are as good as independent of others.
 CELLS, CELLS_IN_A_ROW = 200, 20
 # Parts that overlap count for one and a half times as many that do not.
@@ -67,10 +67,14 @@ def fit_free_run(inference: Inference) -> Inference | None:
 
 def _followed(evidence: Evidence, trained: Trained, ends: list[float], first: tuple[NoiseModel, ...]) -> Trained | None:
     """The solution with a discrepancy that has come down to its end, step by step; None where it cannot be solved."""
+    unreached = 0
     for _ in range(FREE_ROUNDS):
         levels = tuple(evidence.each_record(_stiffer, trained, ends, first))
         again = evidence.train(replace(trained.noise, records=levels), trained.solution.point)
         if again is None or not np.isfinite(again.log_evidence):
+            return None
+        unreached = 0 if again.solution.converged else unreached + 1
+        if unreached == UNREACHED:
             return None
         pairs = zip(again.noise.records, trained.noise.records, strict=True)
         moved = [np.abs(_log_response(new) - _log_response(old)) for new, old in pairs]
