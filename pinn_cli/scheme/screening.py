@@ -23,8 +23,10 @@ from pinn_cli.scheme.linear_fit import ABOVE_FLOOR, WIDTHS, JointFit, LinearFit,
 from pinn_cli.system.frequency_response import Acting
 from pinn_cli.system.modes import RIGID
 
-# Misfits of linear structures that explain much, and next to nothing.
-MUCH, NEARLY_NOTHING = 0.5, 0.98
+# Misfits of linear structures that explain much, so little that nothing can be said, and next to nothing.
+MUCH, HOPELESS, NEARLY_NOTHING = 0.5, 0.9, 0.98
+# Times as soft as the others may be what carries a structure: isolators, a foundation.
+SOFTER_BELOW = 30.0
 # Starts that go on to each width of the smoothing.
 SURVIVORS = (6, 4, 3)
 # The same of starts that are scattered about a structure, which are smoothed less: each mass and spring by a factor
@@ -128,6 +130,7 @@ class Screening:
         records = [each for each in observed if what_acts(each)]
         doubts = doubts_of(records)
         self.guess, self.records, self.model = guess, records or observed, None
+        self.is_driven = bool(records)  # by what was measured
         if observed and (doubts or any(np.isnan(known[kind]).any() for kind in ("m", "k"))):
             structure = LinearStructure(stretch, known, guess["k"], influence)
             fits = [LinearFit(each, structure, doubts) for each in records]
@@ -135,8 +138,20 @@ class Screening:
             self.model = JointFit(fits or [PowerFit(each, structure) for each in observed])
 
     def candidates(self) -> list[Candidate]:
-        """The best first; none where nothing is unknown."""
-        return [] if self.model is None else nearest(self.model, grid_of_starts(self.model, self.records, self.guess))
+        """The best first; none where nothing is unknown.
+
+        Where those in the ratios of the guess lead to none that explains much, what stands on the ground may be softer.
+        """
+        if self.model is None:
+            return []
+        found = nearest(self.model, grid_of_starts(self.model, self.records, self.guess))
+        if found[0].misfit < MUCH or not self.is_driven:
+            return found
+        self.model.smooth(WIDTHS[0])
+        on_the_ground = self.model.structure.stretch.sum(axis=1) != 0.0
+        softer = np.where(on_the_ground[: len(self.guess["k"])], SOFTER_BELOW, 1.0)
+        starts = grid_of_starts(self.model, self.records, {**self.guess, "k": self.guess["k"] / softer})
+        return sorted([*found, *nearest(self.model, starts)], key=lambda candidate: candidate.misfit)
 
     def others(self, best: Candidate) -> list[Candidate]:
         """What else the record may come from: of few sensors many structures make what these saw.

@@ -21,7 +21,7 @@ from pinn_cli.record.free_run import NoFreeRunError, affordable, free_run, is_li
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.scheme.linear_fit import ABOVE_FLOOR, STARTING_RATIO, WIDTHS, last_ends, lines_in_band
-from pinn_cli.scheme.screening import NEARLY_NOTHING, SAME_START, Candidate, Screening, common_factors
+from pinn_cli.scheme.screening import HOPELESS, NEARLY_NOTHING, SAME_START, Candidate, Screening, common_factors
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.system.damping import of_ratio
@@ -34,9 +34,8 @@ RATIOS = 1e-3, 0.3
 # Where no linear chain comes near, free runs take so many common factors on the springs in a decade, in so many decades
 # either way.
 FREE_RUNS, DECADES_OFF = 4, 2.0
-# With a misfit above the first of these nothing can be said, but where missing samples scatter everything: there the
-# right one explains a little only. Those with so many times the least misfit are worth a start, so many at most.
-HOPELESS, RIVAL, MOST_RIVALS = 0.9, 2.0, 3
+# Candidates with so many times the least misfit are worth a start, so many at most.
+RIVAL, MOST_RIVALS = 2.0, 3
 
 
 def parameter_scales(structure: Structure, records: Sequence[Record]) -> dict[str, float]:
@@ -194,6 +193,7 @@ class Starts:
         """Linear structures that come near to the record."""
         scattered = any(misses_samples(channel, record) for record in self.records for channel in record.calibrated)
         candidates = [] if self.most == 0 else self._screening.candidates()
+        # Where missing samples scatter everything the right one explains a little only.
         return [c for c in candidates if c.misfit < (NEARLY_NOTHING if scattered else HOPELESS)]
 
     @cached_property

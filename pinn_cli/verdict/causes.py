@@ -199,7 +199,10 @@ class _Fits:
 
         Smoothed over a relative width w a product of spectra holds what a motion does within 1 / (2 pi w) of its
         periods. Of a record of P periods as large a part is cut off. Resonances that move are as wide as they move.
+        Of masses and springs all widths are asked: which of them is wrong only narrow ones tell.
         """
+        if not self.structure.is_modal and not self.bends:
+            return list(WIDTHS)
         kept = list(WIDTHS[:1])
         for width in () if self.bends else WIDTHS[1:]:
             fit.smooth(width)

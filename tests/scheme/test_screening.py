@@ -18,7 +18,7 @@ from pinn_cli.record.simulated import Noise
 from pinn_cli.record.simulation import simulate
 from pinn_cli.scheme.calibration import doubts_about
 from pinn_cli.scheme.linear_fit import JointFit, LinearFit, LinearStructure, spectra_under, what_acts
-from pinn_cli.scheme.screening import Candidate, Screening
+from pinn_cli.scheme.screening import HOPELESS, Candidate, Screening
 from pinn_cli.system.building import chain_of
 from pinn_cli.system.connection import Linear
 
@@ -199,3 +199,62 @@ def test_a_load_cell_that_misses_samples_tells_stiffnesses_too():
     force = record.force.copy()
     force[:, 2] = cell.history(record.time)
     assert np.abs(stiffnesses(replace(record, force=force, calibrated=(cell,))) - 1.0).max() < 0.05
+
+
+def on_isolators(seed: int) -> tuple[Record, np.ndarray]:
+    """Storeys and a slab on bilinear isolators under an earthquake (numpy, Runge-Kutta), and the storeys' springs.
+
+    Hysteresis is that of Bouc and Wen with n = 1; accelerometers on the slab, the first floor and the roof, 40 dB.
+    """
+    rng, fine, step = np.random.default_rng(seed), 8, 0.01
+    m, k, c = (
+        np.array([95e3, 80e3, 80e3, 70e3]),
+        np.array([3.2e6, 9.5e7, 8.2e7, 6.9e7]),
+        np.array([4e4, 2.6e5, 2.2e5, 1.9e5]),
+    )
+    a, bend, rows = 1.9e7, 110.0, np.eye(4) - np.eye(4, k=-1)
+    time = np.arange(0.0, 30.0, step / fine)
+    frequency = np.linspace(0.3, 12.0, 300)
+    shaken = np.cos(2.0 * np.pi * np.outer(time, frequency) + rng.uniform(0.0, 2.0 * np.pi, 300)).sum(1) / 300**0.5
+    shaken *= 2.5 * np.minimum(1.0, time / 3.0) * np.exp(-np.maximum(0.0, time - 15.0) / 5.0)
+
+    def rate(state: np.ndarray, ground: float) -> np.ndarray:
+        u, v, z = state[:4], state[4:8], state[8]
+        e, de = rows @ u, rows @ v
+        force = k * e + c * de
+        force[0] += z
+        turned = a * de[0] - bend * (0.6 * abs(de[0]) * z + 0.4 * de[0] * abs(z))
+        return np.concatenate((v, -(force @ rows) / m - ground, [turned]))
+
+    state, found = np.zeros(9), []
+    for i in range(0, len(time) - 2 * fine, 2):
+        if i % fine == 0:
+            found.append(rate(state, shaken[i])[4:8] + shaken[i])
+        h = 2.0 * step / fine
+        k1 = rate(state, shaken[i])
+        k2 = rate(state + 0.5 * h * k1, shaken[i + 1])
+        k3 = rate(state + 0.5 * h * k2, shaken[i + 1])
+        k4 = rate(state + h * k3, shaken[i + 2])
+        state = state + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    seen = np.array(found)
+    seen += 0.01 * seen.std(axis=0) * rng.standard_normal(seen.shape)
+    seen[:, 2] = np.nan
+    count = len(seen)
+    nothing = np.full_like(seen, np.nan)
+    record = Record(
+        time[::fine][:count], nothing, nothing, seen, np.zeros_like(seen), ground_acceleration=shaken[::fine][:count],
+        frame="absolute", unforced=np.ones(4, dtype=bool),
+    )  # fmt: skip
+    return record, k[1:]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_what_stands_on_isolators_that_slip_is_found(seed: int):
+    """No linear structure with springs of one size comes near: isolators are far softer, and no spring at all."""
+    record, storeys = on_isolators(seed)
+    known = {"m": np.array([95e3, 80e3, 80e3, 70e3]), "c": np.full(4, np.nan), "k": np.full(4, np.nan)}
+    guess = {"m": known["m"], "k": np.full(4, 6e5)}
+    best = Screening(record, np.eye(4) - np.eye(4, k=-1), known, guess).candidates()[0]
+    assert best.misfit < HOPELESS
+    assert abs(np.log(best.parameters["k"][1:] / storeys)).max() < np.log(2.0)
+    assert best.parameters["k"][0] < 0.3 * storeys.min()

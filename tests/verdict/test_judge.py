@@ -125,16 +125,16 @@ def test_what_moves_nothing_is_told_of_a_sound_run_and_what_is_small_by_the_stru
     assert judge(problem, replace(estimate, doubts=(doubt,))).reasons[0].suspect == "force on DOF 3"
 
 
-@pytest.mark.parametrize(("share", "first"), [(0.1, ("mass", "m_2")), (0.9, ("m", "DOF 3"))])
-def test_where_a_doubt_explains_little_the_spectra_are_asked(problem, estimate, share, first):
-    """Spectra miss too little for a cause of their own, and another mass explains nearly all of it."""
-    m = problem.structure.parameters["m"].clone()
-    m[1] *= 0.85
+@pytest.mark.parametrize(("share", "suspects"), [(0.1, ["m_2", "DOF 3"]), (0.9, ["DOF 3"])])
+def test_where_a_doubt_explains_little_the_spectra_are_asked(problem, estimate, monkeypatch, share, suspects):
+    """However little they miss."""
+    told = [Finding("mass", "m_2", "with m_2 = 12 kg the structure does what was measured")]
+    monkeypatch.setattr(
+        "pinn_cli.verdict.judge.fitted_causes", lambda *_: told if _[-1] == 0.0 else pytest.fail("nothing is missed")
+    )
     doubt = Doubt("m", "DOF 3", -0.1, 0.01, "kg", 40.0, 5.0, "k_1", share=share)
-    other = replace(problem, structure=problem.structure.with_parameters(m=m))
-    verdict = judge(other, replace(estimate, doubts=(doubt,)))
-    assert (verdict.reasons[0].kind, verdict.reasons[0].suspect) == first
-    assert "DOF 3" in [reason.suspect for reason in verdict.reasons]
+    verdict = judge(problem, replace(estimate, doubts=(doubt,)))
+    assert [reason.suspect for reason in verdict.reasons] == suspects
 
 
 def test_a_fault_goes_before_what_a_model_lacks_that_is_excused_from_following_the_sensors(problem, estimate):

@@ -96,7 +96,7 @@ class Frame:
         self._place_parameters()
         self.pattern = RowPattern(self.dynamics, self.vector, self.target.force)
         self.layout = BandLayout(self.physics.feature, self.physics.count, self.pattern)
-        self._kept_weights: Tensor | None = None
+        self._kept_point: Point | None = None
         self._kept_states: dict[tuple[int, int | None, int | None], States] = {}
 
     @cached_property
@@ -140,9 +140,9 @@ class Frame:
         return [slice(start, min(start + size, groups)) for start in range(0, groups, size)]
 
     def states(self, segments: Segments, point: Point, part: slice = EVERY) -> States:
-        """Motion at a point, of some groups; residuals, rows and losses all ask for it, whatever the parameters."""
-        if point.unknowns is not self._kept_weights:
-            self._kept_weights, self._kept_states = point.unknowns, {}
+        """Motion at a point, of some groups; residuals, rows and losses all ask for it."""
+        if point is not self._kept_point:
+            self._kept_point, self._kept_states = point, {}
         key = id(segments), part.start, part.stop
         if key not in self._kept_states:
             if segments.mask.numel() * self.dynamics.size > KEPT_NUMBERS:
