@@ -6,12 +6,10 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
-from weakref import ref
 
 import numpy as np
 
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.least_squares import LeastSquares
 from pinn_cli.training.minimise import Point, Solution, minimise
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel, updated_spread
@@ -21,36 +19,22 @@ from pinn_cli.training.record_evidence import OF_PARAMETERS, RecordEvidence, Rec
 
 R = TypeVar("R")
 
-# Numbers of the factors that solutions keep, in all. Of a longer record the last solution alone has its own, and that
-# of another one is made again where it is asked for.
-NUMBERS_KEPT = 2e7
 
-
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Trained:
     """A solution together with the noise levels that it was found under.
 
     Attributes:
         solution: The most probable readout and parameters.
         noise: Its weights.
-        kept: Undamped factors of the Hessian there; None: others took their place in memory.
+        factor: Undamped factors of the Hessian there.
         log_evidence: Logarithm of the probability density of the records, up to a constant of networks and records.
-        again: Makes the factors once more.
     """
 
     solution: Solution
     noise: NoiseLevels
-    kept: SharedFactor | None
+    factor: SharedFactor
     log_evidence: float
-    again: Callable[[Trained], SharedFactor] | None = None
-
-    @property
-    def factor(self) -> SharedFactor:
-        """Undamped factors of the Hessian there."""
-        if self.kept is None:
-            assert self.again is not None
-            self.kept = self.again(self)
-        return self.kept
 
 
 class Evidence:
@@ -88,7 +72,6 @@ class Evidence:
         self.watch, self.learn_spread, self.count = watch, learn_spread, count
         self._is_cautious = False  # whether the last solution refused its undamped step: the next may as well
         self._chord: SharedFactor | None = None  # that the last step of the last solution was made with
-        self._keeping: list[ref[Trained]] = []  # solutions that have their factors
 
     def train(
         self, noise: NoiseLevels, start: Point, tolerance: float | None = None, goes_on: bool = False
@@ -109,32 +92,12 @@ class Evidence:
         self._is_cautious = solution.cautious
         # One is kept, and not with the solution: factors are large.
         self._chord = solution.chord if len(self.records) == 1 else None
+        solution = replace(solution, chord=None)
         factor = solution.factor or self.equations.assemble(solution.point, noise).factor()
         self.count(solution.factorisations + (solution.factor is None))
         if factor is None:
             return None
-        solution = replace(solution, chord=None, factor=None)
-        log_evidence = self.log_evidence(solution.point, noise, factor)
-        trained = Trained(solution, noise, factor, log_evidence, self._factored_again)
-        self._keep(trained)
-        return trained
-
-    def _factored_again(self, trained: Trained) -> SharedFactor:
-        self._keep(trained)
-        factor = self.equations.assemble(trained.solution.point, trained.noise).factor()
-        self.count(1)
-        if factor is None:
-            raise DivergenceError("the normal matrix of a solution that was found is singular to rounding")
-        return factor
-
-    def _keep(self, trained: Trained) -> None:
-        """Note that a solution has its factors; those of earlier ones may have to go."""
-        earlier = [solution for solution in (kept() for kept in self._keeping) if solution not in (None, trained)]
-        numbers = sum(equations.numbers_of_a_factor for equations in self.equations.by_record)
-        stay = int(NUMBERS_KEPT / max(numbers, 1))
-        for solution in earlier[: max(len(earlier) - stay, 0)]:
-            solution.kept = None
-        self._keeping = [ref(solution) for solution in (*earlier[-stay:], trained)] if stay else [ref(trained)]
+        return Trained(solution, noise, factor, self.log_evidence(solution.point, noise, factor))
 
     def log_evidence(self, point: Point, noise: NoiseLevels, factor: SharedFactor) -> float:
         """-1/2 [chi^2 + sum of log variances + log det Hessian - log det prior] at the most probable point."""

@@ -225,11 +225,6 @@ class NormalEquations(Frame):
         return self._tree
 
     @property
-    def numbers_of_a_factor(self) -> int:
-        """Of the last normal matrix."""
-        return 0 if self._tree is None else self._tree.entries
-
-    @property
     def joint_precision(self) -> np.ndarray | None:
         """(p, p), of what earlier records say of the parameters together, in their units; None where there are none."""
         if self.beginning is not None:

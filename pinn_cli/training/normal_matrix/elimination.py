@@ -58,13 +58,12 @@ class Elimination:
         kept[tree.border_target] = of_border[tree.border_source]
         pivots: list[np.ndarray] = []
         below: list[np.ndarray] = []
-        gram, place = np.zeros((border.shape[1],) * 2), 0
+        gram = np.zeros((border.shape[1],) * 2)
         waiting: dict[int, np.ndarray] = {}
         for number, front in enumerate(tree.fronts):
-            k, m = front.eliminated, front.remaining
-            pivot = kept[place : place + k * k].reshape((k, k), order="F")
-            under = kept[place + k * k : place + front.entries].reshape((m, k), order="F")
-            place += front.entries
+            k, m, at = front.eliminated, front.remaining, front.at
+            pivot = kept[at : at + k * k].reshape((k, k), order="F")
+            under = kept[at + k * k : at + front.entries].reshape((m, k), order="F")
             update = np.zeros((m, m), order="F")
             for child in (child for child in front.children if child in waiting):
                 _add(pivot, under, update, waiting.pop(child), tree.fronts[child].runs)
