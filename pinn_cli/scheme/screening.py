@@ -11,7 +11,7 @@ shapes and damping.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -148,10 +148,9 @@ class Screening:
         if found[0].misfit < MUCH or not self.is_driven:
             return found
         self.model.smooth(WIDTHS[0])
-        on_the_ground = self.model.structure.stretch.sum(axis=1) != 0.0
-        softer = np.where(on_the_ground[: len(self.guess["k"])], SOFTER_BELOW, 1.0)
+        softer = np.where(self.model.structure.stretch.sum(axis=1) != 0.0, SOFTER_BELOW, 1.0)
         starts = grid_of_starts(self.model, self.records, {**self.guess, "k": self.guess["k"] / softer})
-        return sorted([*found, *nearest(self.model, starts)], key=lambda candidate: candidate.misfit)
+        return _candidates(self.model, [(one.misfit, one.unknowns) for one in (*found, *nearest(self.model, starts))])
 
     def others(self, best: Candidate) -> list[Candidate]:
         """What else the record may come from: of few sensors many structures make what these saw.
@@ -178,11 +177,11 @@ def nearest(
         starts = [model.aligned(x) for x in starts] if width == WIDTHS[0] else starts
         ranked = sorted((model.misfit(x), i) for i, x in enumerate(starts))
         starts = [starts[i] for _, i in ranked[:most]]
-        nearer = _distinct(sorted((model.fitted(x) for x in starts), key=lambda pair: pair[0]))
+        nearer = _distinct(model.fitted(x) for x in starts)
         if ends and ends[0][0] < MUCH and nearer[0][0] > NEARLY_NOTHING:
             break  # resonances that move with the amplitude have no such sharp picture
         ends, starts = nearer, [x for _, x in nearer]
-    return [Candidate(model.structure.parameters(x), misfit, model.calibration(x), x) for misfit, x in ends]
+    return _candidates(model, ends)
 
 
 def grid_of_starts(model: JointFit, records: Sequence[Record], guess: Mapping[str, np.ndarray]) -> list[np.ndarray]:
@@ -226,10 +225,15 @@ def common_factors(
     return np.asarray(10.0 ** np.linspace(least, most, max(2, int(per_decade * (most - least)))))
 
 
-def _distinct(ends: list[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:
-    """Without those that ended where a better one did."""
+def _candidates(model: JointFit, ends: Iterable[tuple[float, np.ndarray]]) -> list[Candidate]:
+    """Where fits ended, by their misfits, as structures."""
+    return [Candidate(model.structure.parameters(x), misfit, model.calibration(x), x) for misfit, x in _distinct(ends)]
+
+
+def _distinct(ends: Iterable[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:
+    """The best first, without those that ended where a better one did."""
     kept: list[tuple[float, np.ndarray]] = []
-    for misfit, x in ends:
+    for misfit, x in sorted(ends, key=lambda pair: pair[0]):
         if all(np.abs(x - other).max() > SAME_START for _, other in kept):
             kept.append((misfit, x))
     return kept

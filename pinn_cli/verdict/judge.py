@@ -12,6 +12,8 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pinn_cli.record.channels import channels
 from pinn_cli.scheme.joint_problem import unreached_dofs
 from pinn_cli.system.coupling import loose_dofs
@@ -145,7 +147,7 @@ def judge(
         for channel in channels(record)
         if channel.dof in dofs
     ]
-    faults = record_faults(record, loose_dofs(structure)) + unreached + first_sample_findings(record, estimate)
+    faults = record_faults(record, _carried(structure)) + unreached + first_sample_findings(record, estimate)
     excused = [finding.suspect for finding in faults]
     run = as_run(record, estimate)
     if free_run is None:
@@ -193,6 +195,12 @@ def judge(
         causes = [] if prescribed is None else channel_faults(prescribed, excused)
     # A fault that is named draws everything along.
     return Verdict.of(faults + (causes or ([] if faults else lacks)) + findings + missed)
+
+
+def _carried(structure: Structure) -> list[int]:
+    """DOFs that move where nothing holds the structure."""
+    carried: list[int] = np.flatnonzero(structure.shapes.matrix[:, loose_dofs(structure)].any(axis=1)).tolist()
+    return carried
 
 
 def _believed(problem: Problem, estimate: Estimate) -> Structure:
