@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.random import Generator
@@ -181,10 +182,14 @@ def simulated(
         y0[: 2 * n] = start
     scale = float(np.abs(force(times[len(times) // 3])).max() + np.abs(K @ y0[:n]).max())
     small = ABSOLUTE * max(scale, 1e-300) / max(float(np.abs(np.diag(K)).max()), 1e-300)
-    found = solve_ivp(
-        motion, (times[0], times[-1]), y0, method=method, t_eval=times, rtol=RELATIVE, atol=max(small, 1e-30),
+    solve = partial(
+        solve_ivp, motion, (times[0], times[-1]), y0, t_eval=times, rtol=RELATIVE, atol=max(small, 1e-30),
         max_step=0.1 / highest, first_step=0.01 / highest,
-    ).y.T  # fmt: skip
+    )  # fmt: skip
+    solution = solve(method=method)
+    if not solution.success:  # a joint that pinches may be too sharp for the corrector of LSODA
+        solution = solve(method="DOP853")
+    found = solution.y.T
     acceleration = np.array([motion(t, y)[n : 2 * n] for t, y in zip(times, found, strict=True)])
     return Motion(found[:, :n], found[:, n : 2 * n], acceleration, found[:, 2 * n :])
 
