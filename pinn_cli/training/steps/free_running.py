@@ -113,8 +113,14 @@ def _stiffer(evidence: RecordEvidence, solution: RecordSolution, end: float, fir
         first: Noise of the sensors, and of the inputs, which keep theirs.
     """
     residual, size = _mean_squares(evidence, solution.point)
-    beyond = [np.maximum(residual[q] - first.response[q] ** 2, 0.0) / size[q] for q in residual]
-    part = np.nanmean(np.concatenate(beyond)) if beyond else 0.0
+    # Of a part p, with r the residuals, a sensor's own noise s and its size z, r^2 = s^2 + p z^2: maximum likelihood
+    # weighs each sensor by how well it tells as it is now (Fisher scoring).
+    told = known = 0.0
+    for q, z_squared in size.items():
+        precision = solution.noise.response[q] ** -4
+        told += float(np.nansum(precision * z_squared * (residual[q] - first.response[q] ** 2)))
+        known += float(np.nansum(precision * z_squared**2))
+    part = max(told, 0.0) / known if known > 0.0 else 0.0
     response = {q: np.sqrt(level**2 + part * size.get(q, 0.0)) for q, level in first.response.items()}
     discrepancy = max(solution.noise.discrepancy / SCAN_FACTOR, end)
     of_force = np.clip(discrepancy / (PARTS_LEFT[0] * first.discrepancy), FORCE_LEFT, 1.0)
