@@ -107,9 +107,10 @@ class Evidence:
 
     def parameter_term(self, point: Point, noise: NoiseLevels, factor: SharedFactor) -> float:
         """The parameters' part: their prior, and their Hessian with the readout eliminated."""
-        believed, x = int((~self.equations.unknown).sum()), point.parameters
+        x = point.parameters
         loss = float(np.sum((self.equations.prior_precision(noise) @ x).numpy() * x.numpy()))
-        return -0.5 * (loss + factor.parameter_log_determinant + 2.0 * believed * np.log(noise.spread))
+        alone = float(np.sum(np.log(self.equations.precision(noise).numpy())))
+        return -0.5 * (loss + factor.parameter_log_determinant - alone)
 
     def each_record(self, function: Callable[..., R], trained: Trained, *arguments: Sequence[Any]) -> list[R]:
         """What a function makes of every record's own part of a solution, in the order of the records.

@@ -148,7 +148,7 @@ class LeastSquares:
 
     def precision(self, noise: NoiseLevels) -> Tensor:
         """(p,), prior precision of every parameter by itself: believed ones share one spread."""
-        return torch.as_tensor(np.where(self.unknown, 1.0, noise.spread**-2))
+        return torch.as_tensor(np.where(self.unknown, 1.0 + noise.firmness**2, noise.spread**-2))
 
     def prior_precision(self, noise: NoiseLevels) -> Tensor:
         """(p, p), of all parameters together; earlier records may have told of them."""

@@ -88,6 +88,11 @@ class Solution:
     cautious: bool = False
     chord: SharedFactor | None = None
 
+    @property
+    def refused(self) -> int:
+        """Factorisations that led to no step of their own, at least."""
+        return self.factorisations - self.iterations
+
 
 def minimise(
     equations: Equations,

@@ -127,10 +127,13 @@ class NoiseLevels:
     Attributes:
         records: Of every record.
         spread: Prior standard deviation of the uncertain parameters, in common, over the one that was prescribed.
+        firmness: Prior standard deviation of the unknown parameters over the one with which they are held at their
+            start besides, on the way to a solution; 0: they are not.
     """
 
     records: tuple[NoiseModel, ...]
     spread: float = 1.0
+    firmness: float = 0.0
 
     def each(self, function: Callable[..., NoiseModel], *arguments: Any) -> NoiseLevels:
         """What a function makes of every record's, with the same arguments."""

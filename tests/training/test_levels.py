@@ -92,7 +92,7 @@ def solved() -> tuple[Evidence, Trained, Trained]:
     made = frame_record(rate=100.0, duration=10.0)
     equations = NormalEquations(Spline().build(made.record), Problem(model(made), made.record))
     evidence, noise = evidence_of(equations), levels_of(starting_noise(equations))
-    trained = searched(evidence, noise, noise.discrepancy, lambda: None)
+    trained = searched(evidence, noise, lambda: None)
     return evidence, trained, settled(evidence, trained)
 
 

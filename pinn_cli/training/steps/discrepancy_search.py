@@ -33,6 +33,12 @@ FINEST_OF_DRIVE = 3e-4
 # A model error above this part of the force is either a model that is far off or a search that went astray: it is worth
 # a second search from another start.
 SUSPICIOUS_DISCREPANCY = 0.01
+# Physics as soft as the force that acts is nearly linear, but says next to nothing of some laws: their most probable
+# parameters there may be anything (a spring gone, a hysteresis turned round), from where no way leads back. Where more
+# than so many steps are refused there, the parameters are held at their start with this part of their prior's deviation
+# instead, the less firmly the stiffer the physics, and let go where a model would be a good one.
+EASY_STEPS_REFUSED = 1
+HELD_AT_START = 0.01
 # Solutions under the same discrepancy are one if no parameter differs by more of its deviation: they are in the same
 # valley, and what they still differ by is what each start believes.
 SAME_SOLUTION = 0.1
@@ -86,7 +92,6 @@ class Path:
 def searched(
     evidence: Evidence,
     noise: NoiseLevels,
-    force: float,
     second_start: Callable[[], Point | None],
     path: Path | None = None,
 ) -> Trained:
@@ -96,8 +101,7 @@ def searched(
 
     Args:
         evidence: Of the problem.
-        noise: Sensor noise; its discrepancy is ignored.
-        force: That acts, N.
+        noise: Sensor noise; its discrepancy is the force that acts.
         second_start: Another motion to begin with; None: there is none.
         path: Of the scan from rest.
 
@@ -105,6 +109,7 @@ def searched(
         NothingNew: See :class:`Path`.
         DivergenceError: Even the softest physics cannot be solved.
     """
+    force = noise.discrepancy
     first = scanned(evidence, noise, force, evidence.equations.start(), path)
     if holds(first, force):
         return first
@@ -132,7 +137,7 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
 
     Args:
         evidence: Of the problem.
-        noise: Sensor noise; its discrepancy is ignored.
+        noise: Sensor noise; its discrepancy is the force that acts.
         largest: Where to begin, N: with a start at rest the force that acts.
         start: The motion to begin with.
         path: Of the solutions, where there are other starts.
@@ -142,10 +147,15 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
         DivergenceError: The first problem cannot be solved.
     """
     point, discrepancy, idle, stride = start, largest, 0, SCAN_FACTOR
+    force, is_held = noise.discrepancy, False
     best: Trained | None = None
     indifferent = min(filter(None, map(negligible, evidence.equations.by_record, noise.records)), default=0.0)
     while discrepancy > FINEST_OF_START * largest and idle < PATIENCE:
-        trained = evidence.train(noise.with_discrepancy(discrepancy), point)
+        levels = noise.with_discrepancy(discrepancy)
+        trained = evidence.train(_held(levels, force) if is_held else levels, point)
+        if best is None and not is_held and (trained is None or trained.solution.refused > EASY_STEPS_REFUSED):
+            is_held = True
+            continue
         followed = best is not None and best.solution.converged
         failed = trained is None or (followed and not trained.solution.converged)
         lower = trained is not None and best is not None and trained.log_evidence < best.log_evidence
@@ -168,7 +178,13 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
         raise DivergenceError(
             "the softest physics already has a singular normal matrix; use fewer knots or more sensors"
         )
-    return best
+    let_go = evidence.train(replace(best.noise, firmness=0.0), best.solution.point) if best.noise.firmness else best
+    return best if let_go is None else let_go
+
+
+def _held(noise: NoiseLevels, force: float) -> NoiseLevels:
+    """Levels on the way from soft physics to stiff, with the parameters held as firmly as they must be there."""
+    return replace(noise, firmness=max(noise.discrepancy / force - SUSPICIOUS_DISCREPANCY, 0.0) / HELD_AT_START)
 
 
 def negligible(equations: NormalEquations, noise: NoiseModel) -> float:

@@ -173,12 +173,12 @@ def soft_to_stiff(evidence: Evidence, noise: NoiseLevels, path: Path) -> Trained
         DivergenceError: Even the softest physics cannot be solved.
     """
     second = partial(_simulated_start, evidence)
-    best = searched(evidence, noise, noise.discrepancy, second, path)
+    best = searched(evidence, noise, second, path)
     for factor in NOISIER:
         if best.solution.converged and best.noise.discrepancy < NOTHING_EXPLAINED * noise.discrepancy:
             break
         try:
-            again = searched(evidence, noise.each(NoiseModel.noisier, factor), noise.discrepancy, second)
+            again = searched(evidence, noise.each(NoiseModel.noisier, factor), second)
         except DivergenceError:
             break
         best = max(best, again, key=lambda trained: (trained.solution.converged, trained.log_evidence))

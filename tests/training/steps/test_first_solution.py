@@ -25,9 +25,10 @@ from pinn_cli.system.connection import Duffing
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Estimate
-from pinn_cli.training.evidence import Evidence
+from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.history import History
 from pinn_cli.training.inference import infer
+from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.solver import Inference, Solver
@@ -251,16 +252,53 @@ def test_a_search_that_finds_a_good_model_asks_for_no_second_start():
     def never() -> None:
         raise AssertionError("a second start was asked for")
 
-    searched(evidence, noise, 1.0, never)
+    searched(evidence, noise, never)
 
 
 def test_without_a_second_start_the_first_one_stands(monkeypatch):
     evidence, noise = searching(measured(small_chain(), snr_db=40.0).record)
     monkeypatch.setattr("pinn_cli.training.steps.discrepancy_search.SUSPICIOUS_DISCREPANCY", 0.0)
     asked = []
-    first = searched(evidence, noise, 1.0, lambda: asked.append(None))
+    first = searched(evidence, noise, lambda: asked.append(None))
     assert len(asked) == 1
     assert first.log_evidence == scanned(evidence, noise, 1.0, evidence.equations.start()).log_evidence
+
+
+def test_parameters_are_held_where_soft_physics_leads_them_astray(problem, monkeypatch):
+    solver = Solver((Spline(),), History(False))
+    evidence = solver.evidence(JointProblem.of(problem))
+    noise, train, asked = solver.starting_noise(evidence), evidence.train, []
+    astray = lambda trained: replace(trained, solution=replace(trained.solution, factorisations=40))  # noqa: E731
+
+    def winding(levels: NoiseLevels, start: Point) -> Trained | None:
+        asked.append(levels)
+        return astray(train(levels, start)) if len(asked) == 1 else train(levels, start)
+
+    monkeypatch.setattr(evidence, "train", winding)
+    found = scanned(evidence, noise, noise.discrepancy, evidence.equations.start())
+    freely, *held = [levels.firmness for levels in asked]
+    assert freely == 0.0
+    assert held == sorted(held, reverse=True)
+    assert held[0] > 50.0
+    assert found.noise.firmness == 0.0
+    monkeypatch.undo()
+    expected = scanned(evidence, noise, noise.discrepancy, evidence.equations.start())
+    assert found.log_evidence == pytest.approx(expected.log_evidence, abs=0.1)
+
+
+@pytest.mark.parametrize("firmness", [0.0, 30.0])
+def test_the_prior_of_what_is_held_is_a_density(problem, firmness):
+    """A parameter that the record says nothing of costs and gains no evidence, however firmly it is held."""
+    nothing = Parameter("c", 0, 1.0, 1e-9, unknown=True)
+    solver = Solver((Spline(),), History(False))
+    terms = []
+    for uncertain in ((UNKNOWN,), (UNKNOWN, nothing)):
+        evidence = solver.evidence(JointProblem.of(replace(problem, uncertain=uncertain)))
+        noise = replace(solver.starting_noise(evidence), firmness=firmness)
+        trained = evidence.train(noise, evidence.equations.start())
+        assert trained is not None
+        terms.append(trained.log_evidence)
+    assert terms[1] == pytest.approx(terms[0], abs=1e-3)
 
 
 @pytest.mark.slow
@@ -272,7 +310,7 @@ def test_of_two_the_more_probable_one_is_taken(monkeypatch):
     monkeypatch.setattr("pinn_cli.training.steps.discrepancy_search.SUSPICIOUS_DISCREPANCY", 1e-9)
     rest = evidence.equations.start()
     wild = replace(rest, unknowns=torch.linspace(-50.0, 50.0, len(rest.unknowns), dtype=torch.float64))
-    found = searched(evidence, noise, 1.0, lambda: wild)
+    found = searched(evidence, noise, lambda: wild)
     assert found.log_evidence >= expected.log_evidence
 
 

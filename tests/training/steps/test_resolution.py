@@ -79,7 +79,7 @@ def wanted(snr_db: float, knots: float, unknown: bool = False) -> float:
     uncertain = (Parameter("k", 0, 15.0, 150.0, unknown=True),) if unknown else ()
     evidence = posed(Problem(structure, record, uncertain), Spline(knots_per_period=knots))
     noise = levels_of(starting_noise(evidence.equations.by_record[0]))
-    return of_record(knots_wanted, evidence, searched(evidence, noise, noise.discrepancy, lambda: None))
+    return of_record(knots_wanted, evidence, searched(evidence, noise, lambda: None))
 
 
 def test_better_sensors_ask_for_more_knots():
