@@ -49,6 +49,8 @@ WRONG = 1.5
 LEAST_FACTOR, LEAST_DELAY_CAUSE = 1.1, 0.5
 # Part of itself to which a fit to spectra tells a factor.
 TOLD_WITHIN = 0.01
+# Part of itself by which an unknown stiffness or mass is another one with a cause.
+OTHER_VALUE = 0.02
 # A dense matrix is inverted at every frequency, for every cause.
 MOST_INVERTED = 24
 # Starts of each cause that go on to each width of the smoothing; at first one, which tells which causes are followed.
@@ -105,6 +107,8 @@ def causes(
     known = linear_parts(believed, unknown)
     # What comes nearest to a connection that is not linear is nobody's number.
     bent = [i for i, law in enumerate(believed.laws) if not isinstance(law, Linear)]
+    # Spectra that are smoothed widely tell causes, and no values.
+    sought = [] if bent or believed.is_modal else [p for p in unknown if p.kind in (MASS, "k")]
     for kind in ("c", "k"):
         known[kind][bent] = np.nan
     fits = _Fits(believed, known, begun, bool(bent))
@@ -120,7 +124,8 @@ def causes(
         fitted, minus_log = fits.fitted(asked[i])
         finding = asked[i].finding(fitted) if fitted.misfit < most else None
         if finding is not None:
-            explained.append((minus_log, finding))
+            would = _would_be(sought, estimated, fitted)
+            explained.append((minus_log, replace(finding, text=finding.text + would)))
     return _most_probable(explained)
 
 
@@ -137,6 +142,16 @@ def _in_columns(record: Record, excused: Sequence[str]) -> Record | None:
         return None
     kept = replace(record.only(stays), calibrated=(), corrected=())
     return kept if what_acts(kept) else None
+
+
+def _would_be(sought: Sequence[Parameter], estimated: Structure, fitted: Candidate) -> str:
+    """What masses and stiffnesses come out as with a cause, where they are others than what is reported."""
+    reported, others = linear_parts(estimated, ()), []
+    for p in sought:
+        value = float(fitted.parameters[p.kind][p.index])
+        if abs(value / reported[p.kind][p.index] - 1.0) > OTHER_VALUE:
+            others.append(f"{p.name} = {value:.3g}")
+    return f"; then {', '.join(others)} instead of what is reported" if others else ""
 
 
 def _most_probable(explained: list[tuple[float, Finding]]) -> list[Finding]:

@@ -1,5 +1,6 @@
 """Faults of finite-element models, nonlinear chains and frames under earthquakes are named beside what is unknown."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -83,6 +84,17 @@ def test_a_fault_of_a_finite_element_model_s_record_is_named(beam_problem, ruin,
 
 def test_a_finite_element_model_whose_record_is_right_has_none(beam_problem):
     assert found(beam_problem, {"factor": torch.tensor([2.0, 0.4], dtype=torch.float64)}) == []
+
+
+def test_a_mass_that_is_wrong_is_told_with_the_stiffnesses_beside_it():
+    structure = small_chain("linear", 3)
+    unknown = tuple(Parameter("k", i, 10.0, 100.0, unknown=True, positive=True) for i in range(3))
+    masses, k = structure.parameters["m"], structure.parameters["k"].numpy()
+    lighter = structure.with_parameters(m=masses * torch.tensor([1.0, 0.5, 1.0], dtype=torch.float64))
+    (cause,) = found(Problem(lighter, measure(structure), unknown), {"k": torch.as_tensor(k * [0.9, 0.93, 1.0])})
+    assert (cause.kind, cause.suspect) == ("mass", "m_2")
+    told = {name: float(value) for name, value in re.findall(r"(k_\d) = ([0-9.e+-]+)", cause.text)}
+    assert told == pytest.approx({"k_1": k[0], "k_2": k[1]}, rel=0.03)
 
 
 @pytest.fixture(scope="module")
