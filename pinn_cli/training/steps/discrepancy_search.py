@@ -36,7 +36,8 @@ SUSPICIOUS_DISCREPANCY = 0.01
 # Physics as soft as the force that acts is nearly linear, but says next to nothing of some laws: their most probable
 # parameters there may be anything (a spring gone, a hysteresis turned round), from where no way leads back. Where more
 # than so many steps are refused there, the parameters are held at their start with this part of their prior's deviation
-# instead, the less firmly the stiffer the physics, and let go where a model would be a good one.
+# instead, the less firmly the stiffer the physics, and let go where a model would be a good one. Of linear structures
+# the starts were chosen by spectra already, and soft physics brings them together.
 EASY_STEPS_REFUSED = 1
 HELD_AT_START = 0.01
 # Solutions under the same discrepancy are one if no parameter differs by more of its deviation: they are in the same
@@ -148,14 +149,17 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
     """
     point, discrepancy, idle, stride = start, largest, 0, SCAN_FACTOR
     force, is_held = noise.discrepancy, False
+    is_soft = largest > SUSPICIOUS_DISCREPANCY * force
+    may_stray = is_soft and evidence.problem.first.structure.nonlinearity_name != "linear"
     best: Trained | None = None
     indifferent = min(filter(None, map(negligible, evidence.equations.by_record, noise.records)), default=0.0)
     while discrepancy > FINEST_OF_START * largest and idle < PATIENCE:
         levels = noise.with_discrepancy(discrepancy)
         trained = evidence.train(_held(levels, force) if is_held else levels, point)
-        if best is None and not is_held and (trained is None or trained.solution.refused > EASY_STEPS_REFUSED):
-            is_held = True
+        if may_stray and (trained is None or trained.solution.refused > EASY_STEPS_REFUSED):
+            is_held, may_stray = True, False
             continue
+        may_stray = False
         followed = best is not None and best.solution.converged
         failed = trained is None or (followed and not trained.solution.converged)
         lower = trained is not None and best is not None and trained.log_evidence < best.log_evidence
