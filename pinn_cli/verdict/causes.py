@@ -148,8 +148,8 @@ def _would_be(sought: Sequence[Parameter], estimated: Structure, fitted: Candida
     """What masses and stiffnesses come out as with a cause, where they are others than what is reported."""
     reported, others = linear_parts(estimated, ()), []
     for p in sought:
-        value = float(fitted.parameters[p.kind][p.index])
-        if abs(value / reported[p.kind][p.index] - 1.0) > OTHER_VALUE:
+        value, now = (float(values[p.kind][p.index]) for values in (fitted.parameters, reported))
+        if abs(value - now) > OTHER_VALUE * abs(now):
             others.append(f"{p.name} = {value:.3g}")
     return f"; then {', '.join(others)} instead of what is reported" if others else ""
 
