@@ -65,5 +65,5 @@ def solved(problem: Problem, intervals: int | None = None) -> Example:
     evidence = evidence_of(NormalEquations(network, problem), 40, PRECISE)
     force, _ = force_and_velocity_scale(problem)
     noise = levels_of(shown_noise(problem.record, force, 1.0))
-    found = settled(evidence, searched(evidence, noise, force, lambda: None))
+    found = settled(evidence, searched(evidence, noise, lambda: None))
     return Example(problem, evidence, widened(evidence, found))
