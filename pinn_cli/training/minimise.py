@@ -89,7 +89,7 @@ class Solution:
     chord: SharedFactor | None = None
 
     @property
-    def refused(self) -> int:
+    def fruitless(self) -> int:
         """Factorisations that led to no step of their own, at least."""
         return self.factorisations - self.iterations
 

@@ -38,7 +38,7 @@ SUSPICIOUS_DISCREPANCY = 0.01
 # than so many steps are refused there, the parameters are held at their start with this part of their prior's deviation
 # instead, the less firmly the stiffer the physics, and let go where a model would be a good one. Of linear structures
 # the starts were chosen by spectra already, and soft physics brings them together.
-EASY_STEPS_REFUSED = 1
+FRUITLESS_IF_EASY = 1
 HELD_AT_START = 0.01
 # Solutions under the same discrepancy are one if no parameter differs by more of its deviation: they are in the same
 # valley, and what they still differ by is what each start believes.
@@ -156,7 +156,7 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
     while discrepancy > FINEST_OF_START * largest and idle < PATIENCE:
         levels = noise.with_discrepancy(discrepancy)
         trained = evidence.train(_held(levels, force) if is_held else levels, point)
-        if may_stray and (trained is None or trained.solution.refused > EASY_STEPS_REFUSED):
+        if may_stray and (trained is None or trained.solution.fruitless > FRUITLESS_IF_EASY):
             is_held, may_stray = True, False
             continue
         may_stray = False
