@@ -23,7 +23,7 @@ from pinn_cli.system.left_out import MODE
 from pinn_cli.system.modes import frequency_with_oscillator
 from pinn_cli.system.priors import HALF_WIDTH_90
 from pinn_cli.training.doubts.force_doubts import ForceTerm, connection_force, force_border, force_terms, structure_at
-from pinn_cli.training.doubts.left_spectra import WHOLE_RECORD, Fit, LeftSpectra, left_spectra
+from pinn_cli.training.doubts.left_spectra import WHOLE_RECORD, Fit, LeftSpectra, highest_seen, left_spectra
 from pinn_cli.training.doubts.sensor_doubts import (
     DELAY,
     GAIN,
@@ -32,7 +32,7 @@ from pinn_cli.training.doubts.sensor_doubts import (
     sensor_border,
     sensor_terms,
 )
-from pinn_cli.training.estimate import Doubt
+from pinn_cli.training.estimate import Doubt, ParameterEstimate
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint
 from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
@@ -64,13 +64,16 @@ SOLVED_AT_ONCE = 16
 MOST_DOUBT_PRODUCTS = 2e10
 
 
-def doubts(evidence: RecordEvidence, solution: RecordSolution, std: Response) -> tuple[Doubt, ...]:
+def doubts(
+    evidence: RecordEvidence, solution: RecordSolution, std: Response, parameters: Sequence[ParameterEstimate]
+) -> tuple[Doubt, ...]:
     """What makes a record far more probable, the most probable one first; nothing where the model holds.
 
     Args:
         evidence: Of one record.
         solution: Its part of a solution.
         std: Standard deviation of the motion.
+        parameters: As they are reported.
     """
     equations, point = evidence.equations, solution.point
     problem = evidence.problem
@@ -78,15 +81,18 @@ def doubts(evidence: RecordEvidence, solution: RecordSolution, std: Response) ->
     if equations.known_parameters is not None or problem.inputs.unmeasured:
         return ()
     reduced = _Solution.of(evidence, solution)
-    forces, sensors = force_terms(equations, point), sensor_terms(reduced.channels) if reduced else []
-    if reduced is None or equations.layout.size * (len(forces) + len(sensors)) ** 2 > MOST_DOUBT_PRODUCTS:
+    if reduced is None:
+        return ()
+    forces = force_terms(equations, point, highest_seen(equations, reduced.channels))
+    sensors = sensor_terms(reduced.channels)
+    if equations.layout.size * (len(forces) + len(sensors)) ** 2 > MOST_DOUBT_PRODUCTS:
         return ()
     chosen, gains = _chosen(reduced, forces, sensors)
     if not chosen:
         return ()
     asked = reduced.asked(chosen)
     fits = asked.fits(len(chosen))
-    moved = reduced.moved_most(asked, fits[-1].step - fits[0].step, fits[0], std)
+    moved = reduced.moved_most(asked, fits[-1].step - fits[0].step, std, parameters)
     chosen_doubts = [asked.doubt(i, gain, fits, moved) for i, gain in enumerate(gains)]
     return tuple(
         reduced.at_its_mode(doubt, term, fits[-1].step) for doubt, term in zip(chosen_doubts, chosen, strict=True)
@@ -252,10 +258,13 @@ class _Solution:
         whole = frequency_with_oscillator(present, term.distribution[: present.coordinates], doubt.value, doubt.shape)
         return replace(doubt, shape=whole)
 
-    def moved_most(self, asked: _Asked, by: np.ndarray, before: Fit, std: Response) -> tuple[float, str]:
+    def moved_most(
+        self, asked: _Asked, by: np.ndarray, std: Response, parameters: Sequence[ParameterEstimate]
+    ) -> tuple[float, str]:
         """Standard deviations by which what is reported moves with a step of the columns, of what moves most."""
-        equations, like = self.equations, self.point.unknowns
-        moved = {equations.uncertain[i].name: abs(by[i]) * before.information[i] ** 0.5 for i in asked.free}
+        equations, like, std_of = self.equations, self.point.unknowns, {p.name: p.std for p in parameters}
+        names, scale = [p.name for p in equations.uncertain], equations.scale.numpy()
+        moved = {names[i]: float(abs(by[i]) * scale[i]) / std_of[names[i]] for i in asked.free}
         along = Point(torch.as_tensor(asked.moved @ by).to(like), self.point.parameters)
         change = equations.flat_states(equations.observation, along)
         displacement = equations.dynamics.sensed("displacement", Jet(*change[:3])).numpy()

@@ -16,7 +16,6 @@ from scipy.sparse.csgraph import shortest_path
 from torch import Tensor
 
 from pinn_cli.record.channel import WIDEST_DELAY
-from pinn_cli.record.channels import record_band
 from pinn_cli.record.spectrum import signal_band
 from pinn_cli.system.damping import RATIO
 from pinn_cli.system.functions import Jet
@@ -87,10 +86,12 @@ class _Forces:
     Attributes:
         equations: Of the record.
         point: Their solution.
+        highest: Frequency, Hz, up to which sensors show it.
     """
 
     equations: NormalEquations
     point: Point
+    highest: float
 
     @cached_property
     def motion(self) -> Jet:
@@ -276,11 +277,6 @@ class _Forces:
         """By the DOFs."""
         return Carried(self.acceleration, self.step)
 
-    @cached_property
-    def highest(self) -> float:
-        """Of the record's content, Hz."""
-        return record_band(self.equations.problem.record)
-
     @property
     def step(self) -> float:
         """Between collocation points, s."""
@@ -288,9 +284,9 @@ class _Forces:
         return float(second - first)
 
 
-def force_terms(equations: NormalEquations, point: Point) -> list[ForceTerm]:
-    """Of connections, masses, what DOFs carry, and load cells."""
-    made = _Forces(equations, point)
+def force_terms(equations: NormalEquations, point: Point, highest: float) -> list[ForceTerm]:
+    """Of connections, masses, what DOFs carry up to a frequency, Hz, and load cells."""
+    made = _Forces(equations, point, highest)
     loads = () if equations.problem.inputs.loads else made.of_loads()  # or they are channels, see `sensor_terms`
     of_modes = (*made.of_modes(), *made.of_base())
     carried = (*of_modes, *made.of_masses(), *made.of_sliding_masses(), *made.of_oscillators())

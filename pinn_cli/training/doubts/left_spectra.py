@@ -172,10 +172,9 @@ def left_spectra(
     """
     p, (forces, sensors) = len(point.parameters), terms
     length = equations.problem.record.duration * (part[1] - part[0])
-    highest = 0.5 * min(equations.network.free_intervals, 1.0 / equations.problem.record.step)
     enforced = torch.nonzero(equations.target.equation).flatten().tolist()
     smooth = range(equations.dynamics.smooth.start, equations.dynamics.smooth.stop)
-    edges = bands_of(length, highest, FEWEST_IN_BAND)
+    edges = _edges(equations, length)
     time = equations.target.physics_time
     of_equations = _of_equations(equations, point, noise, forces, moved)
     step = 1.0 / equations.network.free_intervals if equations.averages is not None else float(time[1] - time[0])
@@ -198,6 +197,18 @@ def left_spectra(
     freedom = max(values, 1) * 2.0 * length * np.diff(edges)
     seen, moving = _seen(channels, edges), _moving(equations, point, edges)
     return LeftSpectra(gram[seen], freedom[seen], prior[1:, 1:], prior[1:, 0], moving[seen])
+
+
+def highest_seen(equations: NormalEquations, channels: Sequence[ChannelAtPoint]) -> float:
+    """Frequency, Hz, up to which some response sensor shows more of the motion than noise."""
+    edges = _edges(equations, equations.problem.record.duration)
+    return float(edges[1:][_seen(channels, edges)][-1])
+
+
+def _edges(equations: NormalEquations, length: float) -> np.ndarray:
+    """Of the bands of a part of the record so long, s."""
+    highest = 0.5 * min(equations.network.free_intervals, 1.0 / equations.problem.record.step)
+    return bands_of(length, highest, FEWEST_IN_BAND)
 
 
 def _part(histories: np.ndarray, part: tuple[float, float]) -> np.ndarray:

@@ -67,8 +67,8 @@ def with_stories(inference: Inference, estimate: Estimate) -> Estimate:
     best, *others = sorted([*forced, *free[:1]], key=lambda one: one.rank) if free else forced
     asked = next(one.trained for one in (best, *others) if one.trained is not None)
     reported = best.estimate if best.said is None else _with_force_left(inference, best, motion)
-    std = [record_estimate.std for record_estimate in reported.by_record]
-    lacking = inference.evidence.each_record(doubts, asked, std)
+    std, parameters = zip(*((of_record.std, of_record.parameters) for of_record in reported.by_record), strict=True)
+    lacking = inference.evidence.each_record(doubts, asked, std, parameters)
     place = () if found is None or smooth is None else _of_place(smooth, found, reported)
     lacking = [of_record if explain_most(of_record) else (*of_record, *place) for of_record in lacking]
     records = zip(reported.records, lacking, strict=False)
