@@ -191,6 +191,12 @@ def test_a_force_up_to_the_nyquist_frequency_is_asked_about():
     # But not of a poor load cell, or where it was said.
     assert asked(forced(10.0, low_pass=6)) == []
     assert asked(forced(40.0, low_pass=1, assumed=False)) == []
+    # Nor of a hammer whose blow comes early: the noise after it is none of its content.
+    record, rng = forced(40.0, low_pass=1), np.random.default_rng(2)
+    blow = 1e3 * np.exp(-0.5 * (np.arange(len(record.time)) / 2.0 - 5.0) ** 2)
+    blows = np.zeros_like(record.force)
+    blows[:, 2] = blow + 0.1 * blow.std() * rng.standard_normal(len(blow))
+    assert asked(replace(record, force=blows)) == []
 
 
 @pytest.fixture(scope="module", params=[(4.0, None, 0), (1.5, 1.0, 2)], ids=["flat", "wind"])
