@@ -22,11 +22,11 @@ from pinn_cli.system.functions import Jet
 from pinn_cli.system.left_out import MODE
 from pinn_cli.system.modes import frequency_with_oscillator
 from pinn_cli.system.priors import HALF_WIDTH_90
+from pinn_cli.system.quantities import MOTION
 from pinn_cli.training.doubts.force_doubts import ForceTerm, connection_force, force_border, force_terms, structure_at
 from pinn_cli.training.doubts.left_spectra import WHOLE_RECORD, Fit, LeftSpectra, highest_seen, left_spectra
 from pinn_cli.training.doubts.sensor_doubts import (
     DELAY,
-    GAIN,
     SensorTerm,
     Term,
     sensor_border,
@@ -44,6 +44,8 @@ from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 # of its kind. Stiffer equations take all but the last digits of a column's information; at a resonance of 1 % damping
 # this much is half a per cent of the motion. What is smaller, far from where anything acts, is not asked.
 LEAST_LEVEL = 1e-4
+# Part of the motion that no doubt takes away.
+HALF = 0.5
 # Logarithm of how many times as probable a record must be with a doubt: among some hundred doubts, by chance once in a
 # hundred records.
 DECISIVE_DOUBT = 10.0
@@ -198,7 +200,8 @@ class _Solution:
         free = np.flatnonzero(self.point.parameters.numpy() > equations.lower).tolist()
         number = {id(term): i for i, term in enumerate([*forces, *sensors], start=p)}
         places = [number[id(term)] for term in terms]
-        return [_Asked(terms, places, of_part, moved[:, 1:], free, self.half_gains) for of_part in spectra]
+        grown = self.grown_by(moved[:, 1:])
+        return [_Asked(terms, places, of_part, moved[:, 1:], free, grown) for of_part in spectra]
 
     @cached_property
     def moved_by(self) -> dict[int, tuple[ForceTerm | SensorTerm, np.ndarray]]:
@@ -228,14 +231,13 @@ class _Solution:
             part[:] = -self.readout.solved(self.readout.half_solved(part)[0], still)
         return border
 
-    @cached_property
-    def half_gains(self) -> dict[int, float]:
-        """Place of every gain that is a parameter, among the columns, to the step that is half of it."""
-        distances, scale = self.point.parameters.tolist(), self.equations.scale.tolist()
-        gains = [
-            (i, p.value(scale[i] * distances[i])) for i, p in enumerate(self.equations.uncertain) if p.kind == GAIN
-        ]
-        return {i: 0.5 * abs(value) / scale[i] for i, value in gains}
+    def grown_by(self, moved: np.ndarray) -> np.ndarray:
+        """(W,), by how much of itself the motion grows with every column (size, W), on average over the sensors."""
+        grown = np.zeros((0, moved.shape[1]))
+        for channel in (channel for channel in self.channels if channel.quantity in MOTION):
+            shown, by = channel.gain * channel.measurand, channel.moved(self.equations.layout, moved)
+            grown = np.vstack((grown, shown @ by / max(float(shown @ shown), 1e-300)))
+        return grown.mean(axis=0)
 
     def gain_in_other_half(self, terms: Sequence[ForceTerm | SensorTerm]) -> float:
         """Logarithm of how many times as probable each half is with the last term, as the other half tells all of them.
@@ -285,7 +287,7 @@ class _Asked:
         spectra: Of the parameters of the model, and of the terms.
         moved: (size, columns), how the motion adapts to each.
         free: Places of the parameters that no bound holds.
-        half_gains: See :class:`_Solution`.
+        grown: (columns,), by how much of itself the motion grows with each.
     """
 
     terms: Sequence[ForceTerm | SensorTerm]
@@ -293,7 +295,7 @@ class _Asked:
     spectra: LeftSpectra
     moved: np.ndarray
     free: list[int]
-    half_gains: dict[int, float]
+    grown: np.ndarray
 
     def fits(self, chosen: int) -> list[Fit]:
         """Without any term, and with one more of the first ones at a time."""
@@ -348,8 +350,9 @@ class _Asked:
         # What explains something else at the price of where the structure moves stands in for what is not asked.
         moving = self.spectra.moving
         wrong |= fit.energy[moving].sum() > before.energy[moving].sum()
-        # Where what acts is smaller by an unknown gain, so is the motion, and less is left of whatever is wrong.
-        wrong |= any(abs(fit.step[i]) > half for i, half in self.half_gains.items())
+        # Where all of the motion is smaller, as where what acts is of an unknown gain, or nothing acts, less is left of
+        # whatever is wrong.
+        wrong |= float(self.grown @ fit.step) < -HALF
         # What comes late is more usual than what comes early: where all sensors are early, the load cell is late.
         early = EARLY * gain if term.kind == DELAY and x < 0.0 else 0.0
         return -np.inf if wrong else float(gain - early)
