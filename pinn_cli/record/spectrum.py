@@ -19,6 +19,12 @@ USABLE_NYQUIST_FRACTION = 0.8
 # Content 70 dB below a channel's mean square does not count as signal: a noise-free record has no band otherwise.
 FINEST_FLOOR = 1e-7
 AVERAGED_PIECES = 8
+# Pieces of a record, side by side, each of which may hold what its whole spectrum does not show, and how many more of
+# them lie across; their least length.
+PIECES, OVERLAPPING, SHORTEST_PIECE = 8, 4, 64
+# Power of the Hann window for a piece, so that a line of it is nothing, 60 dB down, beyond so many beside it; and how
+# many times its noise that must be which only a piece shows, since there are many of them.
+SHARPER, LINE_WIDTH, LOUD = 3, 6, 10.0
 # Parts of a spectrum among which its emptiest is looked for; the Hann window spreads a mean over the lowest bins.
 SPECTRUM_PARTS, LOWEST_BINS = 16, 2
 # Lines next to zero frequency whose power says how far a mean may be off.
@@ -43,16 +49,19 @@ NYQUIST_OVER_BAND = 1.25
 HALF_LENGTH = 10
 
 
-def periodogram(x: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (Hz) and Hann periodogram of one channel (N,); white noise of variance s^2 reads s^2."""
-    window = np.hanning(len(x))
+def periodogram(x: np.ndarray, step: float, sharper: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (Hz) and periodogram of one channel (N,); white noise of variance s^2 reads s^2.
+
+    The window is Hann's, or a power of it, whose lines are wider and leak less.
+    """
+    window = np.hanning(len(x)) ** sharper
     spectrum = np.fft.rfft((x - x.mean()) * window)
     return np.fft.rfftfreq(len(x), step), np.abs(spectrum) ** 2 / np.sum(window**2)
 
 
-def usable_periodogram(x: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+def usable_periodogram(x: np.ndarray, step: float, sharper: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """The same up to where anti-alias filters may begin."""
-    frequency, power = periodogram(x, step)
+    frequency, power = periodogram(x, step, sharper)
     usable = frequency <= USABLE_NYQUIST_FRACTION * frequency[-1]
     return frequency[usable], power[usable]
 
@@ -65,15 +74,33 @@ def signal_band(x: np.ndarray, step: float) -> float:
     median of the upper half of the usable spectrum, which a signal that is oversampled twice leaves to the noise. Of a
     few hundred samples it comes out at half its value once in a while (257: in one channel of 300), and then all of
     that noise would pass for signal: what reaches into the half that the floor is read from must be three floors high.
+
+    What decays soon after a record begins, or acts for a short while, is little beside the noise of the whole record,
+    and nothing under the end of a window: any piece of the record may reach further than the whole, by more than the
+    width of its lines.
     """
     frequency, power = usable_periodogram(x, step)
     floor = _noise_floor(power)
+    last = _last_above(power, 2.0 * floor)
+    band = frequency[last if last < len(power) // 2 else _last_above(power, 3.0 * floor)]
+    for piece in pieces(x):
+        frequency, power = usable_periodogram(piece, step, SHARPER)
+        last = _last_above(power, LOUD * max(floor, _noise_floor(power)))
+        band = max(band, frequency[max(last - LINE_WIDTH, 0)])
+    return float(band)
 
-    def least(floors: float) -> int:
-        return int(np.argmin(np.cumsum(floors * floor - power)))
 
-    last = least(2.0)
-    return float(frequency[last if last < len(power) // 2 else least(3.0)])
+def pieces(x: np.ndarray) -> np.ndarray:
+    """(P, L), pieces of a history (N,), which overlap; of a short one itself."""
+    length = len(x) // PIECES
+    if length < SHORTEST_PIECE:
+        return x[None]
+    return np.lib.stride_tricks.sliding_window_view(x, length)[:: length // OVERLAPPING]
+
+
+def _last_above(power: np.ndarray, level: float) -> int:
+    """The last line of a periodogram that adds more than this; see :func:`signal_band`."""
+    return int(np.argmin(np.cumsum(level - power)))
 
 
 def signal_edges(x: np.ndarray, step: float) -> tuple[float, float]:

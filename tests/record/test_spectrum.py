@@ -58,6 +58,17 @@ def test_signal_band(top, noise):
     assert signal_band(x, STEP) == pytest.approx(top, abs=0.1 * top + 4.0 / DURATION)
 
 
+@pytest.mark.parametrize("begins", [0.0, 0.02 * DURATION, 0.9 * DURATION])
+def test_what_soon_dies_out_is_in_the_band(begins):
+    """Little beside the noise of the whole record, and taken away by a window over it."""
+    age, fast = TIME - begins, 0.3 / STEP
+    slow = np.sin(2.0 * np.pi * TIME)
+    decaying = np.where(age >= 0.0, np.exp(-np.abs(age) / 1.0) * np.sin(2.0 * np.pi * fast * age), 0.0)
+    x = slow + decaying + white(0.01)[:, 0]
+    assert signal_band(x, STEP) == pytest.approx(fast, rel=0.15)
+    assert signal_band(slow + white(0.01)[:, 0], STEP) == pytest.approx(1.0, abs=4.0 / DURATION)
+
+
 @pytest.mark.parametrize(("low", "top"), [(0.5, 4.0), (2.0, 8.0)])
 def test_a_signal_stands_out_between_its_edges_and_has_its_power_there(low, top):
     x = banded(low, top)[:, 0] + white(0.1)[:, 0]

@@ -7,7 +7,7 @@ import torch
 
 from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.record.channels import record_band
-from pinn_cli.record.spectrum import periodogram
+from pinn_cli.record.spectrum import periodogram, pieces
 from pinn_cli.system.parameters import FACTOR
 from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
@@ -30,7 +30,7 @@ LARGEST_FACTOR = 2.0
 
 
 def acceleration_error(evidence: RecordEvidence, solution: RecordSolution) -> np.ndarray:
-    """(dofs,) rms of what the spline cannot follow of the accelerations, m/s^2.
+    """(dofs,) rms of what the spline cannot follow of the accelerations, m/s^2, in the piece of the record with most.
 
     Content at a frequency f comes with an image of it at r - f, with r knots a second, smaller by the power degree - 1
     of f / (r - f): that of the basis functions' spectrum, sinc to the power degree + 1, less two derivatives.
@@ -44,10 +44,13 @@ def acceleration_error(evidence: RecordEvidence, solution: RecordSolution) -> np
     rate, step = network.free_intervals, equations.problem.record.step / equations.refinement
     errors = []
     for column in motion.T:
-        frequency, power = periodogram(column, step)
-        below = frequency <= rate / 2.0
-        image = (frequency[below] / (rate - frequency[below])) ** (2 * (network.degree - 1))
-        errors.append(np.sqrt(2.0 * float(np.sum(power[below] * image)) / len(column)))
+        square = 0.0
+        for piece in pieces(column):
+            frequency, power = periodogram(piece, step)
+            below = frequency <= rate / 2.0
+            image = (frequency[below] / (rate - frequency[below])) ** (2 * (network.degree - 1))
+            square = max(square, 2.0 * float(np.sum(power[below] * image)) / len(piece))
+        errors.append(square**0.5)
     return np.array(errors)
 
 
