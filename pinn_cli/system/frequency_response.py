@@ -128,12 +128,14 @@ class Seen:
         sensing: (S, n), the displacements that every sensor feels, whatever derivative of them.
         acting: F inputs.
         low, high: Between which it shows anything, Hz.
+        released: (2, n), displacement and velocity with which it begins, where nothing acts; nobody knows them.
     """
 
     sensing: np.ndarray
     acting: Acting
     low: float
     high: float
+    released: np.ndarray | None = None
 
 
 def rivals_of(structure: Structure, free: Sequence[Parameter], seen: Seen, most: int) -> list[dict[Parameter, float]]:
@@ -148,7 +150,8 @@ def rivals_of(structure: Structure, free: Sequence[Parameter], seen: Seen, most:
     free = [
         p for p in free if p.kind in (MASS, STIFFNESS) and 0.0 < float(structure.parameters[p.kind][p.index]) < np.inf
     ]
-    if not free or not seen.sensing.size or not seen.acting.pushed.size or not seen.low < seen.high:
+    acts = seen.released is not None or seen.acting.pushed.size
+    if not free or not seen.sensing.size or not acts or not seen.low < seen.high:
         return []
     match = _Match(structure, free, seen)
     ends = match.starts()
@@ -186,7 +189,12 @@ class _Match:
         count = max(PER_MODE * len(self.mass), 2 * len(self.values) + 2)
         omega = 2.0 * np.pi * np.geomspace(self.seen.low, self.seen.high, count)
         self.s = omega * (1j + off_axis)
-        self.wanted = self._response(np.zeros(len(self.values))).value
+        response = self._response(np.zeros(len(self.values)))
+        self.wanted = response.value
+        if self.seen.released is not None:
+            displacement, velocity = self.seen.released
+            pushed = self.mass * (self.s[:, None] * displacement + velocity)
+            self.wanted = response.sensing @ response.flexibility @ pushed[..., None]
         size = np.abs(self.wanted)
         # Next to a zero of a response a difference may be large relative to it, and still nobody sees it.
         # Through springs of no stiffness nothing is felt at all.
@@ -205,21 +213,25 @@ class _Match:
         x = np.clip(x, -0.99 * FARTHEST_START, 0.99 * FARTHEST_START)
         if not np.isfinite(self.difference(x)):
             return x
-        best = least_squares(
-            lambda x: real_rows(self._differences(x).reshape(-1)),
-            x,
-            lambda x: real_rows((self.slopes(x) / self.size[..., None]).reshape(-1, len(x))),
-            (-FARTHEST_START, FARTHEST_START),
-            max_nfev=EVALUATIONS,
-        )
-        return best.x
+        bounds = (-FARTHEST_START, FARTHEST_START)
+        slopes = self.slopes if self.seen.released is None else "2-point"
+        return least_squares(self._differences, x, slopes, bounds, max_nfev=EVALUATIONS).x
 
     def difference(self, x: np.ndarray) -> float:
         """Relative rms difference of the responses."""
-        return float(np.sqrt(np.sum(np.abs(self._differences(x)) ** 2)))
+        return float(np.sqrt(np.sum(self._differences(x) ** 2)))
 
     def _differences(self, x: np.ndarray) -> np.ndarray:
-        return (self._response(x).value - self.wanted) / self.size
+        """Over their sizes, as real rows; of a structure that was let go with whatever motion comes nearest."""
+        response = self._response(x)
+        if self.seen.released is None:
+            return real_rows(((response.value - self.wanted) / self.size).reshape(-1))
+        felt = response.sensing @ response.flexibility / self.size
+        columns = np.concatenate((felt, self.s[:, None, None] * felt), axis=2)
+        rows, wanted = (real_rows(x.reshape(self.size.size, -1)) for x in (columns, self.wanted / self.size))
+        rows /= np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+        difference: np.ndarray = rows @ np.linalg.lstsq(rows, wanted, rcond=None)[0] - wanted
+        return difference[:, 0]
 
     def _response(self, x: np.ndarray) -> FrequencyResponse:
         """Displacements at the sensors for one of every input."""
@@ -231,11 +243,11 @@ class _Match:
         return FrequencyResponse(-1j * self.s, self.stretch, self.seen.sensing[None], self.seen.acting, mass, stiffness)
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
-        """(B, S, F, p), of the displacements by x."""
+        """Of :meth:`_differences`, where what acts is known."""
         response, values = self._response(x), self.values * np.exp(x)
         masses, connections = np.arange(len(self.mass)), np.arange(len(self.stiffness))
         by = [
             response.slope(value * (is_mass & (masses == i)), value * np.atleast_2d(~is_mass & (connections == i)))
             for value, is_mass, i in zip(values, self.masses, self.index, strict=True)
         ]
-        return np.stack(by, axis=-1)
+        return real_rows((np.stack(by, axis=-1) / self.size[..., None]).reshape(-1, len(x)))

@@ -264,11 +264,15 @@ def seen(sensing: np.ndarray, shaken: bool = True) -> Seen:
     return Seen(sensing, Acting.of([(np.eye(3)[0] * (not shaken), one, nothing)], 3), 0.3, 20.0)
 
 
+def stiffness_matrix(k: list[float]) -> np.ndarray:
+    """Written out independently."""
+    return np.diag(np.add(k, [*k[1:], 0.0])) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
+
+
 def frequencies(k: list[float]) -> np.ndarray:
-    """Written out independently: rad/s."""
-    stiffness = np.diag(np.add(k, [*k[1:], 0.0])) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
+    """Likewise, rad/s."""
     mass = np.array([2e3, 2e3, 1.5e3])
-    return np.sqrt(np.linalg.eigvalsh(stiffness / np.sqrt(np.outer(mass, mass))))
+    return np.sqrt(np.linalg.eigvalsh(stiffness_matrix(k) / np.sqrt(np.outer(mass, mass))))
 
 
 def test_the_roof_of_a_shaken_frame_has_a_twin_with_the_same_frequencies():
@@ -302,3 +306,12 @@ def test_behind_a_spring_of_no_stiffness_nothing_is_felt_and_nothing_breaks():
     seen = Seen(one[[0, 2]], Acting.forces(one[:, [0]]), 0.5, 4.0)
     free = [p for p in structure.every_parameter() if p.kind == "k"]
     assert all(np.isfinite(list(other.values())).all() for other in rivals_of(structure, free, seen, 3))
+
+
+def test_after_a_release_the_roof_shows_frequencies_alone_and_all_floors_show_the_frame():
+    start = np.stack((np.linalg.solve(stiffness_matrix([8e6, 7.2e6, 5.6e6]), [1e4, -2e4, 1e4]), np.zeros(3)))
+    nothing = Acting.of([], 3)
+    (other,) = rivals_of(FRAME, SPRINGS, replace(seen(ROOF), acting=nothing, released=start), 9)
+    found = frequencies([other[p] for p in SPRINGS])
+    np.testing.assert_allclose(found, frequencies([8e6, 7.2e6, 5.6e6]), rtol=1e-5)
+    assert rivals_of(FRAME, SPRINGS, replace(seen(EVERY), acting=nothing, released=start), 9) == []

@@ -61,9 +61,10 @@ def _rival_values(inference: Inference) -> list[dict[Parameter, float]]:
     if not unknown or problem.structure.is_modal:
         return []
     structure = problem.structure.with_values({p: x for p, x in values.items() if p.kind not in CALIBRATION_UNITS})
-    rivals = rivals_of(
-        structure, unknown, seen_by(structure, [record_problem.record for record_problem in problem]), MOST_WEIGHED
-    )
+    seen = seen_by(structure, [record_problem.record for record_problem in problem])
+    if not seen.acting.pushed.size and not problem.first.inputs.unmeasured:
+        seen = replace(seen, released=_first_state(inference))
+    rivals = rivals_of(structure, unknown, seen, MOST_WEIGHED)
     return [rival | _dampers(values, rival) for rival in rivals]
 
 
@@ -95,6 +96,14 @@ def seen_by(structure: Structure, records: Sequence[Record]) -> Seen:
     high = max(map(record_band, records))
     low = max(LOWEST * high, 1.0 / max(record.duration for record in records))
     return Seen(np.reshape(sensing, (-1, structure.ndof)), Acting.of(inputs, structure.ndof), low, high)
+
+
+def _first_state(inference: Inference) -> np.ndarray:
+    """(2, n), displacement and velocity with which the first record begins."""
+    equations, point = inference.evidence.equations, inference.trained.solution.point
+    first, point_of_first = equations.by_record[0], equations.split(point)[0]
+    motion = first.flat_states(first.observation, point_of_first)
+    return np.stack([x[0, : first.dynamics.ndof].numpy() for x in motion[:2]])
 
 
 def _solved(inference: Inference, values: dict[Parameter, float]) -> Inference | None:
