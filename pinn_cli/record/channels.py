@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -23,6 +24,8 @@ CONSTANT_RUN, AT_EXTREME_BY_CHANCE = 8, 2
 # other one has this share of its rms meanwhile: else the structure may be at rest. Levels of a converter so far apart,
 # over the rms, are too coarse to tell.
 DROPOUT_MOTION, OTHERS_MOVE, COARSE = 0.5, 0.2, 0.1
+# Records whose band is kept: a run asks for that of the same few some hundred times.
+RECENT = 4
 # Of the mains, Hz. A sine of such a frequency has one phase in all parts of a record, which a mode has by chance alone:
 # the statistic of so many parts is F-distributed, and beyond `STEADY_LINE` once in 10^7 times. It is told from such a
 # part of the channel's power on; and what acts has a line of its own from `FAINT` on.
@@ -123,6 +126,7 @@ def _steadiness(signal: np.ndarray, turns: float) -> tuple[float, float]:
     return LINE_PARTS * line / max(variance, 1e-300), 2.0 * line / max(float(np.var(signal)), 1e-300)
 
 
+@lru_cache(maxsize=RECENT)
 def record_band(record: Record) -> float:
     """The widest band of any measured channel of the record, Hz; at least the record's own frequency resolution.
 

@@ -50,20 +50,21 @@ HALF_LENGTH = 10
 
 
 def periodogram(x: np.ndarray, step: float, sharper: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (Hz) and periodogram of one channel (N,); white noise of variance s^2 reads s^2.
+    """Frequencies (Hz) and periodogram of a channel (..., N); white noise of variance s^2 reads s^2.
 
     The window is Hann's, or a power of it, whose lines are wider and leak less.
     """
-    window = np.hanning(len(x)) ** sharper
-    spectrum = np.fft.rfft((x - x.mean()) * window)
-    return np.fft.rfftfreq(len(x), step), np.abs(spectrum) ** 2 / np.sum(window**2)
+    samples = x.shape[-1]
+    window = np.hanning(samples) ** sharper
+    spectrum = np.fft.rfft((x - x.mean(axis=-1, keepdims=True)) * window)
+    return np.fft.rfftfreq(samples, step), np.abs(spectrum) ** 2 / np.sum(window**2)
 
 
 def usable_periodogram(x: np.ndarray, step: float, sharper: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """The same up to where anti-alias filters may begin."""
     frequency, power = periodogram(x, step, sharper)
     usable = frequency <= USABLE_NYQUIST_FRACTION * frequency[-1]
-    return frequency[usable], power[usable]
+    return frequency[usable], power[..., usable]
 
 
 def signal_band(x: np.ndarray, step: float) -> float:
@@ -83,11 +84,9 @@ def signal_band(x: np.ndarray, step: float) -> float:
     floor = _noise_floor(power)
     last = _last_above(power, 2.0 * floor)
     band = frequency[last if last < len(power) // 2 else _last_above(power, 3.0 * floor)]
-    for piece in pieces(x):
-        frequency, power = usable_periodogram(piece, step, SHARPER)
-        last = _last_above(power, LOUD * max(floor, _noise_floor(power)))
-        band = max(band, frequency[max(last - LINE_WIDTH, 0)])
-    return float(band)
+    frequency, power = usable_periodogram(pieces(x), step, SHARPER)
+    last = _last_above(power, LOUD * np.maximum(floor, _noise_floor(power)))
+    return float(max(band, frequency[max(last - LINE_WIDTH, 0)]))
 
 
 def pieces(x: np.ndarray) -> np.ndarray:
@@ -98,9 +97,9 @@ def pieces(x: np.ndarray) -> np.ndarray:
     return np.lib.stride_tricks.sliding_window_view(x, length)[:: length // OVERLAPPING]
 
 
-def _last_above(power: np.ndarray, level: float) -> int:
-    """The last line of a periodogram that adds more than this; see :func:`signal_band`."""
-    return int(np.argmin(np.cumsum(level - power)))
+def _last_above(power: np.ndarray, level: np.ndarray) -> int:
+    """The last line of any periodogram (..., B) that adds more than its level (...); see :func:`signal_band`."""
+    return int(np.max(np.argmin(np.cumsum(level[..., None] - power, axis=-1), axis=-1)))
 
 
 def signal_edges(x: np.ndarray, step: float) -> tuple[float, float]:
@@ -127,13 +126,15 @@ def band_share(x: np.ndarray, step: float, low: float, high: float) -> float:
     return float(power[within].sum()) / total if total > 0.0 else 0.0
 
 
-def _noise_floor(power: np.ndarray) -> float:
-    """Mean square of the white noise that the upper half of a usable periodogram shows."""
-    floor = float(np.median(power[len(power) // 2 :]) / np.log(2.0))
-    parts = np.array_split(power, max(1, min(NARROW_PARTS, len(power) // FEWEST_IN_NARROW)))
-    emptiest = min(float(np.mean(part)) for part in parts)
+def _noise_floor(power: np.ndarray) -> np.ndarray:
+    """(...), mean square of the white noise that the upper half of a usable periodogram (..., B) shows."""
+    lines = power.shape[-1]
+    floor = np.median(power[..., lines // 2 :], axis=-1) / np.log(2.0)
+    parts = np.array_split(power, max(1, min(NARROW_PARTS, lines // FEWEST_IN_NARROW)), axis=-1)
+    emptiest = np.min([part.mean(axis=-1) for part in parts], axis=0)
     # Far less anywhere than in the upper half: content fills the half that the floor is read from.
-    return max(emptiest if emptiest < FAR_BELOW * floor else floor, FINEST_FLOOR * float(power.mean()))
+    shown = np.where(emptiest < FAR_BELOW * floor, emptiest, floor)
+    return np.maximum(shown, FINEST_FLOOR * power.mean(axis=-1))
 
 
 def mean_deviation(x: np.ndarray) -> float:
@@ -150,7 +151,7 @@ def white_level(residual: np.ndarray, step: float, above: float) -> float:
 
 def noise_level(x: np.ndarray, step: float) -> float:
     """Standard deviation of the white noise that a channel (N,) shows, see :func:`signal_band`."""
-    return _noise_floor(usable_periodogram(x, step)[1]) ** 0.5
+    return float(_noise_floor(usable_periodogram(x, step)[1]) ** 0.5)
 
 
 def lowest_level(x: np.ndarray, step: float) -> float:
