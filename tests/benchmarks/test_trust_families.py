@@ -41,7 +41,7 @@ FRAME = Structure(
             for family, seed in {
                 "chain": 0, "topology": 0, "nonlinear": 1, "degrading": 1, "unmeasured": 13, "unmeasured_nonlinear": 3,
                 "unknown_law": 2, "lost_ground": 1, "wind": 1, "damping": 4, "sensors": 2, "posterior": 0, "records": 0,
-                "spoilt": 0,
+                "spoilt": 0, "transient": 1,
             }.items()
         ),
     ],

@@ -18,6 +18,7 @@ FAMILIES = (
     "unmeasured_nonlinear",
     "lost_ground",
     "wind",
+    "transient",
     "finite_elements",
     "sensors",
     "records",

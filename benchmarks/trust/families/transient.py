@@ -1,0 +1,84 @@
+"""Chains that are struck with a hammer, or pulled aside and let go: the record begins with its largest motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from scipy.linalg import expm
+
+from benchmarks.trust.case import HERE, UNKNOWN_STRUCTURE, Case, Truth
+from benchmarks.trust.families.topology import damped, guessed
+from benchmarks.trust.structures import Connection, Motion, Structure, linear_motion, noisy
+
+
+def draw(seed: int) -> Case:
+    """Even seeds are struck, and the blow is measured. Odd ones are let go, which nobody measures."""
+    rng = np.random.default_rng([seed, 117])
+    n = int(rng.integers(1, 6))
+    mass, row = 10.0 ** rng.uniform(-1, 5) * rng.uniform(0.7, 1.4, n), np.eye(n) - np.eye(n, k=-1)
+    shape = rng.uniform(0.6, 1.5, n)
+    links = (Connection(f"storey_{i + 1}", row[i], values={"k": float(shape[i])}) for i in range(n))
+    unscaled = Structure(tuple(f"x{i + 1}" for i in range(n)), mass, tuple(links))
+    factor = (10.0 ** rng.uniform(-0.5, 1.7) / unscaled.modes()[0][0]) ** 2
+    structure = damped(rng, unscaled.with_values("k", {f"storey_{i + 1}": factor * shape[i] for i in range(n)}))
+    frequencies, shapes = structure.modes()
+    ratio = float(shapes[:, 0] @ structure.matrix("c") @ shapes[:, 0]) / (4.0 * np.pi * frequencies[0])
+    last = frequencies[-1]
+    rate = last * rng.uniform(4.0, 15.0)
+    times = np.arange(
+        0.0, min(rng.uniform(3.0, 10.0) / (2.0 * np.pi * ratio * frequencies[0]), 6000 / rate), 1.0 / rate
+    )
+    sensors = np.sort(rng.choice(n, (n + 1) // 2, replace=False))
+    struck, response_db, blow_db = int(rng.integers(0, n)), rng.uniform(20, 50), rng.uniform(20, 50)
+    table, force = {"t": times}, {}
+    if seed % 2 == 0:
+        begins, lasts = times[-1] * rng.uniform(0.005, 0.05), max(rng.uniform(0.2, 0.5) / last, 1.5 / rate)
+
+        def blow(t: np.ndarray) -> np.ndarray:
+            hit = np.exp(-0.5 * ((t - begins) / lasts) ** 2)
+            return 10.0 * float(mass.mean()) * hit[:, None] * np.eye(n)[struck]
+
+        motion, force = linear_motion(structure, blow, times, max(last, 0.5 / lasts)), {f"x{struck + 1}": "f"}
+        table["f"] = noisy(rng, blow(times)[:, struck], blow_db)
+    else:
+        motion = let_go(structure, times)
+    table |= {f"a{i + 1}": noisy(rng, motion.acceleration[:, i], response_db) for i in sensors}
+    system = structure.settings()
+    for link in structure.connections:
+        system["connections"][link.name] |= {  # type: ignore[index]
+            kind: guessed(rng, value) for kind, value in link.values.items()
+        }
+    settings = {
+        "defaults": UNKNOWN_STRUCTURE,
+        "system": {"damping": None} | system,
+        "data": {
+            "path": f"{HERE}/record.csv", "time": "t", "force": force,
+            "acceleration": {f"x{i + 1}": f"a{i + 1}" for i in sensors},
+        },
+        "scheme": {"unknown": ["k_*", "c_*"]},
+    }  # fmt: skip
+    truth = Truth(
+        structure.parameters(), motion.displacement, motion.velocity, motion.acceleration,
+        tuple(int(i) for i in sensors),
+    )  # fmt: skip
+    about = (
+        f"{n} storeys, {frequencies[0]:.3g} to {last:.3g} Hz, {100 * ratio:.2g} %, {rate:.4g} Hz x {len(times)}, on"
+        f" {(sensors + 1).tolist()}, {response_db:.0f} dB, "
+        + (f"struck on {struck + 1}, {blow_db:.0f} dB" if force else "let go")
+    )
+    return Case("transient", seed, {"record.csv": pd.DataFrame(table)}, settings, truth, about)
+
+
+def let_go(structure: Structure, times: np.ndarray) -> Motion:
+    """From rest under a pull on the roof, by the exact transition matrix."""
+    n, C, K = structure.n, structure.matrix("c"), structure.matrix("k")
+    generator = np.block([
+        [np.zeros((n, n)), np.eye(n)], [-K / structure.mass[:, None], -C / structure.mass[:, None]],
+    ])  # fmt: skip
+    pull = 0.3 * float(structure.mass.mean()) * np.eye(n)[-1]
+    step = expm(generator * (times[1] - times[0]))
+    states = [np.concatenate((np.linalg.solve(K, pull), np.zeros(n)))]
+    for _ in times[1:]:
+        states.append(step @ states[-1])
+    found = np.array(states)
+    return Motion(found[:, :n], found[:, n:], (found @ generator.T)[:, n:], np.zeros((len(times), 0)))
