@@ -33,9 +33,10 @@ WHITTLE_STEPS, NEGLIGIBLE_DECREASE = 60, 1e-3
 LARGEST_STEP = 2.0
 # Damping of a step, relative to the diagonal of the information: first, largest.
 FIRST_FISHER_DAMPING, LARGEST_FISHER_DAMPING = 1e-4, 1e4
-# Rounds of the prior spreads; where those of the forces' spectrum and of differences between forces begin, and the
-# least: nepers.
-PRIOR_ROUNDS, FIRST_SPREAD, LEAST_SPREAD, PRIOR_SETTLED = 12, 0.3, 0.02, 0.05
+# Rounds of the prior spreads; what those of the forces' spectrum and of differences between forces are believed to be,
+# nepers, as if one bend, and one difference, of that size had been seen: two forces whose difference a record does not
+# tell look alike, and would be taken for it.
+PRIOR_ROUNDS, USUAL_SPREAD, PRIOR_SETTLED = 12, 0.3, 0.05
 # Parts of the spectra that a misfit is looked for in, as wide as a resonance and its flanks, and values in one at the
 # least.
 PART_RATIO, FEWEST_IN_PART = 1.1, 20.0
@@ -281,7 +282,7 @@ def known_parameters(whole: JointProblem, learn_spread: bool = True) -> KnownPar
         return None
     model = SpectralModel(problem, spectrum)
     whittle = Whittle(model, learn_spread)
-    x, spreads = whittle.centre, np.array([FIRST_SPREAD, FIRST_SPREAD, 1.0])
+    x, spreads = whittle.centre, np.array([USUAL_SPREAD, USUAL_SPREAD, 1.0])
     for round_ in range(PRIOR_ROUNDS):
         if round_:
             whittle.allow_for_leakage(x)
@@ -343,9 +344,9 @@ def _step(scored: Scored, damping: float, held: np.ndarray) -> np.ndarray:
 
 
 def _spread(rows: np.ndarray, x: np.ndarray, covariance: np.ndarray, before: float) -> float:
-    """The most probable prior spread of some sums of unknowns (MacKay 1992)."""
+    """The most probable prior spread of some sums of unknowns (MacKay 1992), beside what is usual."""
     if not len(rows):
         return before
     determined = len(rows) - np.trace(rows @ covariance @ rows.T) / before**2
-    spread = np.sqrt(np.sum((rows @ x) ** 2) / max(determined, 1e-3 * len(rows)))
-    return float(np.clip(spread, max(LEAST_SPREAD, 0.2 * before), 5.0 * before))
+    spread = np.sqrt((np.sum((rows @ x) ** 2) + USUAL_SPREAD**2) / (max(determined, 0.0) + 1.0))
+    return float(np.clip(spread, 0.2 * before, 5.0 * before))
