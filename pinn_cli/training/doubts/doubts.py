@@ -19,8 +19,9 @@ import torch
 
 from pinn_cli.record.response import Response
 from pinn_cli.system.functions import Jet
-from pinn_cli.system.left_out import MODE
+from pinn_cli.system.left_out import MODE, SPRING
 from pinn_cli.system.modes import frequency_with_oscillator
+from pinn_cli.system.parameters import FACTOR, MASS
 from pinn_cli.system.priors import HALF_WIDTH_90
 from pinn_cli.system.quantities import MOTION
 from pinn_cli.training.doubts.force_doubts import ForceTerm, connection_force, force_border, force_terms, structure_at
@@ -44,8 +45,8 @@ from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 # of its kind. Stiffer equations take all but the last digits of a column's information; at a resonance of 1 % damping
 # this much is half a per cent of the motion. What is smaller, far from where anything acts, is not asked.
 LEAST_LEVEL = 1e-4
-# Part of the motion that no doubt takes away.
-HALF = 0.5
+# Part of the motion, and of a mass or a stiffness, that no doubt takes away.
+HALF, STIFF = 0.5, (MASS, SPRING, FACTOR)
 # Logarithm of how many times as probable a record must be with a doubt: among some hundred doubts, by chance once in a
 # hundred records.
 DECISIVE_DOUBT = 10.0
@@ -201,7 +202,7 @@ class _Solution:
         number = {id(term): i for i, term in enumerate([*forces, *sensors], start=p)}
         places = [number[id(term)] for term in terms]
         grown = self.grown_by(moved[:, 1:])
-        return [_Asked(terms, places, of_part, moved[:, 1:], free, grown) for of_part in spectra]
+        return [_Asked(terms, places, of_part, moved[:, 1:], free, grown, self.half_parameters) for of_part in spectra]
 
     @cached_property
     def moved_by(self) -> dict[int, tuple[ForceTerm | SensorTerm, np.ndarray]]:
@@ -251,6 +252,15 @@ class _Solution:
             gain += other.spectra.minus_log_after(without.step) - other.spectra.minus_log_after(whole.step)
         return gain
 
+    @cached_property
+    def half_parameters(self) -> dict[int, float]:
+        """Place of every stiffness and mass among the columns, to the step that is half of it."""
+        distances, scale = self.point.parameters.tolist(), self.equations.scale.tolist()
+        values = [
+            (i, p.value(scale[i] * distances[i])) for i, p in enumerate(self.equations.uncertain) if p.kind in STIFF
+        ]
+        return {i: HALF * abs(value) / scale[i] for i, value in values}
+
     def at_its_mode(self, doubt: Doubt, term: ForceTerm | SensorTerm, step: np.ndarray) -> Doubt:
         """Of an attached oscillator with the frequency of the whole, in place of its own while its DOF is held."""
         if doubt.kind != MODE or not isinstance(term, ForceTerm):
@@ -288,6 +298,7 @@ class _Asked:
         moved: (size, columns), how the motion adapts to each.
         free: Places of the parameters that no bound holds.
         grown: (columns,), by how much of itself the motion grows with each.
+        half: See :attr:`_Solution.half_parameters`.
     """
 
     terms: Sequence[ForceTerm | SensorTerm]
@@ -296,6 +307,7 @@ class _Asked:
     moved: np.ndarray
     free: list[int]
     grown: np.ndarray
+    half: dict[int, float]
 
     def fits(self, chosen: int) -> list[Fit]:
         """Without any term, and with one more of the first ones at a time."""
@@ -353,6 +365,8 @@ class _Asked:
         # Where all of the motion is smaller, as where what acts is of an unknown gain, or nothing acts, less is left of
         # whatever is wrong.
         wrong |= float(self.grown @ fit.step) < -HALF
+        # Nor does a linear step tell of a structure with half of a stiffness.
+        wrong |= any(abs(fit.step[i]) > half for i, half in self.half.items())
         # What comes late is more usual than what comes early: where all sensors are early, the load cell is late.
         early = EARLY * gain if term.kind == DELAY and x < 0.0 else 0.0
         return -np.inf if wrong else float(gain - early)
