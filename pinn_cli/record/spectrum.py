@@ -84,17 +84,15 @@ def signal_band(x: np.ndarray, step: float) -> float:
     floor = _noise_floor(power)
     last = _last_above(power, 2.0 * floor)
     band = frequency[last if last < len(power) // 2 else _last_above(power, 3.0 * floor)]
-    frequency, power = usable_periodogram(pieces(x), step, SHARPER)
+    frequency, power = usable_periodogram(pieces(x, SHORTEST_PIECE), step, SHARPER)
     last = _last_above(power, LOUD * np.maximum(floor, _noise_floor(power)))
     return float(max(band, frequency[max(last - LINE_WIDTH, 0)]))
 
 
-def pieces(x: np.ndarray) -> np.ndarray:
-    """(P, L), pieces of a history (N,), which overlap; of a short one itself."""
-    length = len(x) // PIECES
-    if length < SHORTEST_PIECE:
-        return x[None]
-    return np.lib.stride_tricks.sliding_window_view(x, length)[:: length // OVERLAPPING]
+def pieces(x: np.ndarray, shortest: int = 1) -> np.ndarray:
+    """(P, L), pieces of a history (N,), which overlap; at least so many samples long, or it is one."""
+    length = min(max(len(x) // PIECES, shortest), len(x))
+    return np.lib.stride_tricks.sliding_window_view(x, length)[:: max(length // OVERLAPPING, 1)]
 
 
 def _last_above(power: np.ndarray, level: np.ndarray) -> int:

@@ -21,6 +21,8 @@ ORDER = 5
 TOLERATED = 0.3
 # The same of the motion's where forces are not linear: they fold what the spline cannot follow back into its band.
 TOLERATED_NONLINEAR = 0.15
+# Knots in a piece of a record: its lines are narrow beside the slope of what a spline cannot follow.
+KNOTS_IN_PIECE = 64
 # So far above the highest resonance a record still tells of stiffness.
 BEYOND_RESONANCE = 1.3
 # Draws from the posterior that tell how well the motion is known.
@@ -45,7 +47,7 @@ def acceleration_error(evidence: RecordEvidence, solution: RecordSolution) -> np
     errors = []
     for column in motion.T:
         square = 0.0
-        for piece in pieces(column):
+        for piece in pieces(column, round(KNOTS_IN_PIECE / (rate * step))):
             frequency, power = periodogram(piece, step)
             below = frequency <= rate / 2.0
             image = (frequency[below] / (rate - frequency[below])) ** (2 * (network.degree - 1))

@@ -89,7 +89,7 @@ def test_better_sensors_ask_for_more_knots():
 
 
 def test_enough_knots_are_enough():
-    assert wanted(20.0, 8.0) == 1.0
+    assert wanted(20.0, 9.0) == 1.0
 
 
 def test_the_spline_is_finer_than_its_bands_are_wide():
