@@ -19,9 +19,9 @@ USABLE_NYQUIST_FRACTION = 0.8
 # Content 70 dB below a channel's mean square does not count as signal: a noise-free record has no band otherwise.
 FINEST_FLOOR = 1e-7
 AVERAGED_PIECES = 8
-# Pieces of a record, side by side, each of which may hold what its whole spectrum does not show, and how many more of
-# them lie across; their least length.
-LOCAL_PIECES, OVERLAPPING, SHORTEST_LOCAL = 8, 4, 64
+# Pieces of a record, side by side, each of which may hold what its whole spectrum does not show: few, more, many; how
+# many times as many of them overlap, and their least length.
+LOCAL_PIECES, OVERLAPPING, SHORTEST_LOCAL = (8, 32, 128), 4, 64
 # Power of the Hann window for a piece, so that a line of it is nothing, 60 dB down, beyond so many beside it; and how
 # many times its noise that must be which only a piece shows, since there are many of them.
 SHARPER, LINE_WIDTH, LOUD = 3, 6, 10.0
@@ -84,14 +84,16 @@ def signal_band(x: np.ndarray, step: float) -> float:
     floor = _noise_floor(power)
     last = _last_above(power, 2.0 * floor)
     band = frequency[last if last < len(power) // 2 else _last_above(power, 3.0 * floor)]
-    frequency, power = usable_periodogram(pieces(x, SHORTEST_LOCAL), step, SHARPER)
-    last = _last_above(power, LOUD * np.maximum(floor, _noise_floor(power)))
-    return float(max(band, frequency[max(last - LINE_WIDTH, 0)]))
+    for length in (len(x) // parts for parts in LOCAL_PIECES if len(x) >= parts * SHORTEST_LOCAL):
+        frequency, power = usable_periodogram(pieces(x, length), step, SHARPER)
+        last = _last_above(power, LOUD * np.maximum(floor, _noise_floor(power)))
+        band = max(band, frequency[max(last - LINE_WIDTH, 0)])
+    return float(band)
 
 
-def pieces(x: np.ndarray, shortest: int = 1) -> np.ndarray:
-    """(P, L), pieces of a history (N,), which overlap; at least so many samples long, or it is one."""
-    length = min(max(len(x) // LOCAL_PIECES, shortest), len(x))
+def pieces(x: np.ndarray, length: int) -> np.ndarray:
+    """(P, L), overlapping pieces of a history (N,), so many samples long; or it is one."""
+    length = min(length, len(x))
     return np.lib.stride_tricks.sliding_window_view(x, length)[:: max(length // OVERLAPPING, 1)]
 
 

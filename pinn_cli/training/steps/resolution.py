@@ -21,7 +21,8 @@ ORDER = 5
 TOLERATED = 0.3
 # The same of the motion's where forces are not linear: they fold what the spline cannot follow back into its band.
 TOLERATED_NONLINEAR = 0.15
-# Knots in a piece of a record: its lines are narrow beside the slope of what a spline cannot follow.
+# Knots in a piece of a record: with more it holds little of what soon dies out, and with fewer its lines are wide
+# beside the slope of what a spline cannot follow.
 KNOTS_IN_PIECE = 64
 # So far above the highest resonance a record still tells of stiffness.
 BEYOND_RESONANCE = 1.3
