@@ -26,13 +26,7 @@ from pinn_cli.system.priors import HALF_WIDTH_90
 from pinn_cli.system.quantities import MOTION
 from pinn_cli.training.doubts.force_doubts import ForceTerm, connection_force, force_border, force_terms, structure_at
 from pinn_cli.training.doubts.left_spectra import WHOLE_RECORD, Fit, LeftSpectra, highest_seen, left_spectra
-from pinn_cli.training.doubts.sensor_doubts import (
-    DELAY,
-    SensorTerm,
-    Term,
-    sensor_border,
-    sensor_terms,
-)
+from pinn_cli.training.doubts.sensor_doubts import DELAY, SensorTerm, Term, sensor_border, sensor_terms
 from pinn_cli.training.estimate import Doubt, ParameterEstimate
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint
 from pinn_cli.training.minimise import Point
@@ -234,11 +228,11 @@ class _Solution:
 
     def grown_by(self, moved: np.ndarray) -> np.ndarray:
         """(W,), by how much of itself the motion grows with every column (size, W), on average over the sensors."""
-        grown = np.zeros((0, moved.shape[1]))
-        for channel in (channel for channel in self.channels if channel.quantity in MOTION):
+        grown, sensors = np.zeros(moved.shape[1]), [c for c in self.channels if c.quantity in MOTION]
+        for channel in sensors:
             shown, by = channel.gain * channel.measurand, channel.moved(self.equations.layout, moved)
-            grown = np.vstack((grown, shown @ by / max(float(shown @ shown), 1e-300)))
-        return grown.mean(axis=0)
+            grown += shown @ by / max(float(shown @ shown), 1e-300) / len(sensors)
+        return grown
 
     def gain_in_other_half(self, terms: Sequence[ForceTerm | SensorTerm]) -> float:
         """Logarithm of how many times as probable each half is with the last term, as the other half tells all of them.
