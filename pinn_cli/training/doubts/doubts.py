@@ -195,7 +195,7 @@ class _Solution:
         free = np.flatnonzero(self.point.parameters.numpy() > equations.lower).tolist()
         number = {id(term): i for i, term in enumerate([*forces, *sensors], start=p)}
         places = [number[id(term)] for term in terms]
-        grown = self.grown_by(moved[:, 1:])
+        grown = self.growth @ moved[:, 1:]
         return [_Asked(terms, places, of_part, moved[:, 1:], free, grown, self.half_parameters) for of_part in spectra]
 
     @cached_property
@@ -226,13 +226,15 @@ class _Solution:
             part[:] = -self.readout.solved(self.readout.half_solved(part)[0], still)
         return border
 
-    def grown_by(self, moved: np.ndarray) -> np.ndarray:
-        """(W,), by how much of itself the motion grows with every column (size, W), on average over the sensors."""
-        grown, sensors = np.zeros(moved.shape[1]), [c for c in self.channels if c.quantity in MOTION]
+    @cached_property
+    def growth(self) -> np.ndarray:
+        """(size,), by how much of itself the motion grows with every readout weight, on average over the sensors."""
+        growth, sensors = np.zeros(self.equations.layout.size), [c for c in self.channels if c.quantity in MOTION]
         for channel in sensors:
-            shown, by = channel.gain * channel.measurand, channel.moved(self.equations.layout, moved)
-            grown += shown @ by / max(float(shown @ shown), 1e-300) / len(sensors)
-        return grown
+            shown = channel.gain * channel.measurand
+            pulled = channel.border(self.equations.layout, shown[:, None])[:, 0]
+            growth += pulled / max(float(shown @ shown), 1e-300) / len(sensors)
+        return growth
 
     def gain_in_other_half(self, terms: Sequence[ForceTerm | SensorTerm]) -> float:
         """Logarithm of how many times as probable each half is with the last term, as the other half tells all of them.

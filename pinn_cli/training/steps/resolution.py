@@ -47,13 +47,11 @@ def acceleration_error(evidence: RecordEvidence, solution: RecordSolution) -> np
     rate, step = network.free_intervals, equations.problem.record.step / equations.refinement
     errors = []
     for column in motion.T:
-        square = 0.0
-        for piece in pieces(column, round(KNOTS_IN_PIECE / (rate * step))):
-            frequency, power = periodogram(piece, step)
-            below = frequency <= rate / 2.0
-            image = (frequency[below] / (rate - frequency[below])) ** (2 * (network.degree - 1))
-            square = max(square, 2.0 * float(np.sum(power[below] * image)) / len(piece))
-        errors.append(square**0.5)
+        cut = pieces(column, round(KNOTS_IN_PIECE / (rate * step)))
+        frequency, power = periodogram(cut, step)
+        below = frequency <= rate / 2.0
+        image = (frequency[below] / (rate - frequency[below])) ** (2 * (network.degree - 1))
+        errors.append(np.sqrt(2.0 * np.max(power[:, below] @ image) / cut.shape[1]))
     return np.array(errors)
 
 
