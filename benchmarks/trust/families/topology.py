@@ -74,6 +74,16 @@ def believed(structure: Structure, connections: dict[str, dict[str, float | None
     return found
 
 
+def springs_and_dampers(system: dict[str, object], channels: dict[str, object]) -> dict[str, object]:
+    """The experiment that finds all of them, from a record's columns by quantity and DOF."""
+    return {
+        "defaults": UNKNOWN_STRUCTURE,
+        "system": system,
+        "data": {"path": f"{HERE}/record.csv", "time": "t", **channels},
+        "scheme": {"unknown": ["k_*", "c_*"]},
+    }
+
+
 def draw(seed: int) -> Case:
     """One or two shakers; stiffnesses begin 20 to 50 % off, dampers too or nobody says anything of them."""
     rng = np.random.default_rng([seed, 102])
@@ -108,15 +118,10 @@ def draw(seed: int) -> Case:
         system["connections"][link.name] |= {  # type: ignore[index]
             "k": guessed(rng, link.values["k"]), "c": None if nothing_said else guessed(rng, link.values["c"]),
         }  # fmt: skip
-    settings = {
-        "defaults": UNKNOWN_STRUCTURE,
-        "system": system,
-        "data": {
-            "path": f"{HERE}/record.csv", "time": "t", "force": {f"x{i + 1}": f"f{i + 1}" for i in shaken},
-            kind: {f"x{i + 1}": f"y{i + 1}" for i in sensors},
-        },
-        "scheme": {"unknown": ["k_*", "c_*"]},
+    channels = {
+        "force": {f"x{i + 1}": f"f{i + 1}" for i in shaken}, kind: {f"x{i + 1}": f"y{i + 1}" for i in sensors},
     }  # fmt: skip
+    settings = springs_and_dampers(system, channels)
     truth = Truth(
         structure.parameters(), motion.displacement, motion.velocity, motion.acceleration,
         tuple(int(i) for i in sensors),

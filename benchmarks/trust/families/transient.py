@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from scipy.linalg import expm
 
-from benchmarks.trust.case import HERE, UNKNOWN_STRUCTURE, Case, Truth
-from benchmarks.trust.families.topology import damped, guessed
-from benchmarks.trust.structures import Connection, Motion, Structure, linear_motion, noisy
+from benchmarks.trust.case import Case, Truth
+from benchmarks.trust.families.topology import damped, guessed, springs_and_dampers
+from benchmarks.trust.structures import Connection, Structure, linear_motion, noisy, simulated
 
 
 def draw(seed: int) -> Case:
@@ -41,22 +40,16 @@ def draw(seed: int) -> Case:
         motion, force = linear_motion(structure, blow, times, max(last, 0.5 / lasts)), {f"x{struck + 1}": "f"}
         table["f"] = noisy(rng, blow(times)[:, struck], blow_db)
     else:
-        motion = let_go(structure, times)
+        pulled = np.linalg.solve(structure.matrix("k"), 0.3 * float(mass.mean()) * np.eye(n)[-1])
+        motion = simulated(structure, lambda _: np.zeros(n), times, last, np.concatenate((pulled, np.zeros(n))))
     table |= {f"a{i + 1}": noisy(rng, motion.acceleration[:, i], response_db) for i in sensors}
     system = structure.settings()
     for link in structure.connections:
         system["connections"][link.name] |= {  # type: ignore[index]
             kind: guessed(rng, value) for kind, value in link.values.items()
         }
-    settings = {
-        "defaults": UNKNOWN_STRUCTURE,
-        "system": {"damping": None} | system,
-        "data": {
-            "path": f"{HERE}/record.csv", "time": "t", "force": force,
-            "acceleration": {f"x{i + 1}": f"a{i + 1}" for i in sensors},
-        },
-        "scheme": {"unknown": ["k_*", "c_*"]},
-    }  # fmt: skip
+    channels = {"force": force, "acceleration": {f"x{i + 1}": f"a{i + 1}" for i in sensors}}
+    settings = springs_and_dampers({"damping": None} | system, channels)
     truth = Truth(
         structure.parameters(), motion.displacement, motion.velocity, motion.acceleration,
         tuple(int(i) for i in sensors),
@@ -67,18 +60,3 @@ def draw(seed: int) -> Case:
         + (f"struck on {struck + 1}, {blow_db:.0f} dB" if force else "let go")
     )
     return Case("transient", seed, {"record.csv": pd.DataFrame(table)}, settings, truth, about)
-
-
-def let_go(structure: Structure, times: np.ndarray) -> Motion:
-    """From rest under a pull on the roof, by the exact transition matrix."""
-    n, C, K = structure.n, structure.matrix("c"), structure.matrix("k")
-    generator = np.block([
-        [np.zeros((n, n)), np.eye(n)], [-K / structure.mass[:, None], -C / structure.mass[:, None]],
-    ])  # fmt: skip
-    pull = 0.3 * float(structure.mass.mean()) * np.eye(n)[-1]
-    step = expm(generator * (times[1] - times[0]))
-    states = [np.concatenate((np.linalg.solve(K, pull), np.zeros(n)))]
-    for _ in times[1:]:
-        states.append(step @ states[-1])
-    found = np.array(states)
-    return Motion(found[:, :n], found[:, n:], (found @ generator.T)[:, n:], np.zeros((len(times), 0)))
