@@ -181,7 +181,10 @@ def soft_to_stiff(evidence: Evidence, noise: NoiseLevels, path: Path) -> Trained
             again = searched(evidence, noise.each(NoiseModel.noisier, factor), second)
         except DivergenceError:
             break
-        best = max(best, again, key=lambda trained: (trained.solution.converged, trained.log_evidence))
+        # Noisier sensors show the way, but are less probable wherever it leads.
+        told = evidence.train(again.noise.each(NoiseModel.noisier, 1.0 / factor), again.solution.point)
+        found = filter(None, (best, again, told))
+        best = max(found, key=lambda trained: (trained.solution.converged, trained.log_evidence))
     return best
 
 

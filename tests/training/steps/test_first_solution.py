@@ -93,6 +93,23 @@ def test_a_start_that_cannot_be_solved_costs_none_of_the_others(problem, monkeyp
         solved(broken)
 
 
+def test_where_noisier_sensors_show_the_way_their_own_noise_judges_where_it_leads(problem, monkeypatch):
+    solver = Solver((Spline(),), History(False))
+    evidence = solver.evidence(JointProblem.of(problem))
+    noise = solver.starting_noise(evidence)
+
+    def strays(evidence, levels, *given):
+        found = searched(evidence, levels, *given)
+        own = levels.records[0].response["acceleration"] is noise.records[0].response["acceleration"]
+        return replace(found, solution=replace(found.solution, converged=False)) if own else found
+
+    monkeypatch.setattr(module, "searched", strays)
+    found = module.soft_to_stiff(evidence, noise, search.Path(()))
+    assert found.solution.converged
+    their_own, there = (levels.records[0].response["acceleration"] for levels in (noise, found.noise))
+    np.testing.assert_allclose(there, their_own)
+
+
 def test_a_start_that_comes_to_the_solution_of_another_is_not_followed_to_the_end(problem, monkeypatch):
     asked: list[JointProblem] = []
     train = Evidence.train
