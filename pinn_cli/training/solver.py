@@ -29,6 +29,8 @@ from pinn_cli.training.whittle.whittle_estimate import KnownParameters
 
 # Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
 ITERATIONS, TOLERANCE = 15, 1e-6
+# A discrepancy of this part of the force that acts explains nothing.
+NOTHING_EXPLAINED = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +141,13 @@ class Inference:
     def is_informed(self) -> bool:
         """Whether the parameters or the levels are known from elsewhere: from spectra, or from earlier records."""
         return self.solver.known_parameters is not None or self.problem.is_informed
+
+    @property
+    def explains_something(self) -> bool:
+        """Whether the force that the model leaves out is well below the one that acts."""
+        noise = self.trained.noise.records[0]
+        acting = self.solver.starting_noise(self.evidence).discrepancy
+        return bool(noise.discrepancy * noise.occupied**0.5 < NOTHING_EXPLAINED * acting)
 
 
 def starting_noise(equations: NormalEquations) -> NoiseModel:

@@ -40,7 +40,7 @@ LEAST_BENT = 1e-8
 
 def move_to_marginal_peak(inference: Inference) -> Inference | None:
     """The solution with the most probable parameters, the motion integrated out; None where it has them."""
-    if inference.is_informed or inference.at_marginal_peak:
+    if inference.is_informed or inference.at_marginal_peak or not inference.explains_something:
         return None
     evidence, trained = inference.evidence, inference.trained
     held, pulls, moved = zip(*evidence.each_record(pull_on, trained), strict=True)

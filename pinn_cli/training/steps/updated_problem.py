@@ -113,9 +113,10 @@ def loosen_at_turning_points(inference: Inference) -> Inference | None:
 def refine_features(inference: Inference) -> Inference | None:
     """The solution in finer features for the records that want them; None where none does, or they find none.
 
-    Finer ones would reach further beyond the band, where forces that nobody measured are free.
+    Finer ones would reach further beyond the band, where forces that nobody measured are free. Of a model that explains
+    nothing absurd parameters would ask for them.
     """
-    if inference.problem.has_unknown_forces:
+    if inference.problem.has_unknown_forces or not inference.explains_something:
         return None
     wanted = inference.evidence.each_record(knots_wanted, inference.trained)
     records = zip(inference.solver.designs, wanted, inference.problem, strict=True)
