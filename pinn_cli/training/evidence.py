@@ -70,7 +70,7 @@ class Evidence:
         self.problem = JointProblem.of(*(frame.problem for frame in equations))
         self.iterations, self.tolerance = iterations, tolerance
         self.watch, self.learn_spread, self.count = watch, learn_spread, count
-        self._is_cautious = False  # whether the last solution refused its undamped step: the next may as well
+        self._damping = 0.0  # where the last solution refused its undamped step: the next may as well
         self._chord: SharedFactor | None = None  # that the last step of the last solution was made with
 
     def train(
@@ -88,8 +88,8 @@ class Evidence:
         watch = lambda losses: self.watch(losses, noise.records[0])  # noqa: E731
         near, self._chord = self._chord if goes_on else None, None
         limits = self.iterations, enough
-        solution = minimise(self.equations, noise, start, *limits, watch, self._is_cautious, near)
-        self._is_cautious = solution.cautious
+        solution = minimise(self.equations, noise, start, *limits, watch, self._damping, near)
+        self._damping = solution.damping
         # One is kept, and not with the solution: factors are large.
         self._chord = solution.chord if len(self.records) == 1 else None
         solution = replace(solution, chord=None)

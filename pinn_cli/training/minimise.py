@@ -75,7 +75,7 @@ class Solution:
         factor: Undamped factors of the Hessian where that last, negligible step began; None where it did not converge,
             or where the Hessian is not positive definite.
         factorisations: That were tried.
-        cautious: Whether the last undamped step was refused.
+        damping: That the next step would have; 0 where the last undamped step was not refused.
         chord: The factor that the last step was made with.
     """
 
@@ -85,7 +85,7 @@ class Solution:
     converged: bool
     factorisations: int
     factor: SharedFactor | None = None
-    cautious: bool = False
+    damping: float = 0.0
     chord: SharedFactor | None = None
 
     @property
@@ -101,14 +101,14 @@ def minimise(
     iterations: int,
     tolerance: float,
     watch: Callable[[dict[str, float]], None],
-    cautious: bool = False,
+    damping: float = 0.0,
     near: SharedFactor | None = None,
 ) -> Solution:
     """Levenberg-Marquardt from a starting point.
 
     A step is taken when the loss does not rise, if need be after the motion has followed the parameters
-    (:meth:`Equations.retries`); otherwise the damping grows tenfold. After an accepted step it falls tenfold, and to
-    zero once it is negligible, which gives back Gauss-Newton's quadratic convergence.
+    (:meth:`Equations.retries`); otherwise the damping grows tenfold. After a step that is accepted at once it falls
+    tenfold, and to zero once it is negligible, which gives back Gauss-Newton's quadratic convergence.
 
     A factor serves further steps for as long as each promises a tenth of the one before and keeps half of its promise
     (the chord method; Kelley 1995, section 5.4): near a solution, that is until it is reached. Damped steps that creep
@@ -126,13 +126,13 @@ def minimise(
         iterations: Steps with a factor of their own at most, and steps that any one factor serves further.
         tolerance: Relative decrease of the loss below which it has converged.
         watch: Called with every loss term after each accepted step.
-        cautious: Whether the last undamped step of a similar problem was refused.
+        damping: Of the next step of a similar problem; 0 where its last undamped step was not refused.
         near: A factor of a Hessian that differs little, damped where that was of use; None: there is none.
 
     Raises:
         DivergenceError: The loss is not finite at the start.
     """
-    descent = Descent(equations, noise, start, tolerance, watch, cautious, near)
+    descent = Descent(equations, noise, start, tolerance, watch, damping, near)
     for _ in range(iterations):
         solution = descent.advance(iterations)
         if solution is not None:
@@ -157,11 +157,11 @@ class Descent:
         start: Point,
         tolerance: float,
         watch: Callable[[dict[str, float]], None],
-        cautious: bool = False,
+        damping: float = 0.0,
         near: SharedFactor | None = None,
     ) -> None:
         self.equations, self.noise, self.tolerance, self.watch = equations, noise, tolerance, watch
-        self.point, self.cautious, self.damping = start, cautious, FIRST_DAMPING if cautious else 0.0
+        self.point, self.cautious, self.damping = start, damping > 0.0, damping
         self.steps = self.factorisations = 0
         self.chord: Any = near
         self.promised = math.inf
@@ -183,9 +183,9 @@ class Descent:
 
     def ended(self, converged: bool, factor: SharedFactor | None = None) -> Solution:
         """The solution as it stands, with the undamped factor of its Hessian."""
-        return Solution(
-            self.point, self.loss, self.steps, converged, self.factorisations, factor, self.cautious, self.chord
-        )
+        is_lost = not self.cautious or self.damping > LARGEST_DAMPING
+        damping = (FIRST_DAMPING if self.cautious else 0.0) if is_lost else max(self.damping, FIRST_DAMPING)
+        return Solution(self.point, self.loss, self.steps, converged, self.factorisations, factor, damping, self.chord)
 
     def advance(self, most: int) -> Solution | None:
         """At most so many steps with the last factor while they are quick, then one with its own; the end, if it is."""
@@ -223,7 +223,7 @@ class Descent:
 
     def _factored(self, system: System, room: np.ndarray) -> Solution | None:
         """A step with a factor of its own, as little damped as can be; the end, if it is."""
-        undamped, tried = None, False
+        undamped, tried, first = None, False, self.damping
         while True:
             factor = self._factor(system, self.damping)
             if self.damping == 0.0:
@@ -257,7 +257,8 @@ class Descent:
             return self.ended(True, undamped) if tried else self._settled(system, room)
         self._accept(trial)
         self.creeps = trial.promised <= 2.0 * self.refused
-        self.damping = self.damping / 10.0 if self.damping > FIRST_DAMPING else FIRST_DAMPING
+        if self.damping == first:
+            self.damping = max(self.damping / 10.0, FIRST_DAMPING)
         return None
 
     def _assembled(self) -> tuple[System, np.ndarray]:

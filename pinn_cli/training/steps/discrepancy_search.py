@@ -59,12 +59,21 @@ class Path:
 
     Args:
         earlier: Those from other starts.
+
+    Attributes:
+        leads_nowhere: Whether even noisier sensors led to no model that explains something.
     """
 
     def __init__(self, earlier: Sequence[Path]) -> None:
+        self.leads_nowhere = False
         self._earlier, self._found = earlier, dict[float, tuple[np.ndarray, np.ndarray]]()
         self._evidence = dict[float, float]()
         self._behind = 0.0
+
+    @property
+    def may_lead_somewhere(self) -> bool:
+        """Whether no earlier one led nowhere: what is wrong for all starts alike is the model, or a sensor."""
+        return not any(path.leads_nowhere for path in self._earlier)
 
     def follow(self, equations: LeastSquares, trained: Trained) -> None:
         """Note a solution.
@@ -203,4 +212,4 @@ def _is_easy(before: Trained, after: Trained | None) -> bool:
     if after is None or not (before.solution.converged and after.solution.converged):
         return False
     rise = after.log_evidence - before.log_evidence
-    return rise > FAR_FROM_THE_PEAK and after.solution.factorisations <= EASILY_FOLLOWED and not after.solution.cautious
+    return rise > FAR_FROM_THE_PEAK and after.solution.factorisations <= EASILY_FOLLOWED and not after.solution.damping

@@ -167,14 +167,16 @@ def _log_evidence(solution: tuple[Inference, float]) -> float:
 def soft_to_stiff(evidence: Evidence, noise: NoiseLevels, path: Path) -> Trained:
     """The most probable discrepancy, under noisier sensors too where the model explains nothing under these.
 
+    Not where these have led nowhere from an earlier start.
+
     Raises:
         NothingNew: See :func:`searched`.
         DivergenceError: Even the softest physics cannot be solved.
     """
     second = partial(_simulated_start, evidence)
     best = searched(evidence, noise, second, path)
-    for factor in NOISIER:
-        if best.solution.converged and best.noise.discrepancy < NOTHING_EXPLAINED * noise.discrepancy:
+    for factor in NOISIER if path.may_lead_somewhere else ():
+        if _explains_something(best, noise):
             break
         try:
             again = searched(evidence, noise.each(NoiseModel.noisier, factor), second)
@@ -184,7 +186,12 @@ def soft_to_stiff(evidence: Evidence, noise: NoiseLevels, path: Path) -> Trained
         told = evidence.train(again.noise.each(NoiseModel.noisier, 1.0 / factor), again.solution.point)
         found = filter(None, (best, again, told))
         best = max(found, key=lambda trained: (trained.solution.converged, trained.log_evidence))
+    path.leads_nowhere = not _explains_something(best, noise)
     return best
+
+
+def _explains_something(trained: Trained, acting: NoiseLevels) -> bool:
+    return trained.solution.converged and trained.noise.discrepancy < NOTHING_EXPLAINED * acting.discrepancy
 
 
 def _simulated_start(evidence: Evidence) -> Point | None:

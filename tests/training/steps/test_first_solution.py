@@ -110,6 +110,24 @@ def test_where_noisier_sensors_show_the_way_their_own_noise_judges_where_it_lead
     np.testing.assert_allclose(there, their_own)
 
 
+def test_where_noisier_sensors_lead_nowhere_they_are_not_asked_from_another_start(problem, monkeypatch):
+    solver, asked = Solver((Spline(),), History(False)), []
+    evidence = solver.evidence(JointProblem.of(problem))
+    noise = solver.starting_noise(evidence)
+
+    def nothing(evidence, levels, *given):
+        asked.append(levels.records[0].response["acceleration"][0] / noise.records[0].response["acceleration"][0])
+        found = evidence.train(levels, evidence.equations.start())
+        return replace(found, noise=levels, solution=replace(found.solution, converged=True))
+
+    monkeypatch.setattr(module, "searched", nothing)
+    first = search.Path(())
+    module.soft_to_stiff(evidence, noise, first)
+    assert first.leads_nowhere
+    module.soft_to_stiff(evidence, noise, search.Path((first,)))
+    np.testing.assert_allclose(asked, [1.0, 3.0, 10.0, 1.0])
+
+
 def test_a_start_that_comes_to_the_solution_of_another_is_not_followed_to_the_end(problem, monkeypatch):
     asked: list[JointProblem] = []
     train = Evidence.train
