@@ -18,8 +18,8 @@ ONE_SIDED_DAMPER = "one-sided damper"
 STRIBECK = "Stribeck"
 # What a DOF may carry: an oscillator that is attached to it, and a mass that lies on it.
 MODE, SLIDING = "mode", "sliding mass"
-# A base that turns under the structure.
-ROCKING = "rocking"
+# A base that turns under the structure; a spring where no connection is.
+ROCKING, LINK = "rocking", "link"
 # A force of any history on one DOF.
 PLACE = "force"
 # What damps a mode of the structure beside its dampers.

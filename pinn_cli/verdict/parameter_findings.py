@@ -353,6 +353,10 @@ def _said(doubt: Doubt) -> tuple[str, str]:
             f"the base rocks: if storeys are of one height, it is {percent} of what gives way to a turning moment",
             "give the model its angle, a DOF that stretches every storey (weights)",
         ),
+        lacking.LINK: (
+            f"{doubt.of} are joined by {number} that the model does not have",
+            "add that connection (system.connections)",
+        ),
         lacking.PLACE: (
             f"what the model leaves out acts on {doubt.of} alone, as a force of {doubt.value:.2g} N would",
             f"look for a support that moves, or a joint or load cell that is else than said; {unmeasured}",

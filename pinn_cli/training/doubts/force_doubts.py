@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain, combinations
 
 import numpy as np
 import torch
@@ -22,6 +23,7 @@ from pinn_cli.system.functions import Jet
 from pinn_cli.system.left_out import (
     DAMPED_MODE,
     LEFT_OUT,
+    LINK,
     MODE,
     ROCKING,
     SLIDES_AT,
@@ -151,6 +153,22 @@ class _Forces:
             for kind in (kind for kind in LEFT_OUT if not np.isnan(most[kind.kind][connection])):
                 bounded = replace(kind, most=float(most[kind.kind][connection]))
                 yield from (self.of_connection(shape * rms(e), bounded, of, state) for shape in kind.shapes)
+
+    def of_links(self) -> Iterator[ForceTerm]:
+        """A spring between two DOFs, or from one to the ground, that no connection joins."""
+        structure, record = self.equations.dynamics.structure, self.equations.problem.record
+        if structure.is_modal:
+            return
+        joined = {tuple(np.flatnonzero(row).tolist()) for row in structure.incidence.matrix.toarray()}
+        moved = self.motion.value[:, : len(self.place)].numpy()
+        size = float(np.median([rms(force) for force in self.of_motion[2].T]))
+        for ends in chain.from_iterable(combinations(range(len(self.place)), count) for count in (1, 2)):
+            if ends in joined:
+                continue
+            pull = np.zeros(len(self.place))
+            pull[list(ends)] = (-1.0, 1.0)[-len(ends) :]
+            of = record.dof_names(ends) if len(ends) > 1 else f"DOF {record.dof_name(*ends)} and the ground"
+            yield self.term(Term(LINK, of, "N/m", 1.0, least=0.0), pull, moved @ pull, size)
 
     def _most(self, kind: str) -> np.ndarray:
         """(C,), what connections lack at most of what a parameter says: below its bound, 0; NaN: it may move itself."""
@@ -290,7 +308,7 @@ def force_terms(equations: NormalEquations, point: Point, highest: float) -> lis
     loads = () if equations.problem.inputs.loads else made.of_loads()  # or they are channels, see `sensor_terms`
     of_modes = (*made.of_modes(), *made.of_base())
     carried = (*of_modes, *made.of_masses(), *made.of_sliding_masses(), *made.of_oscillators())
-    return [*made.of_connections(), *carried, *loads]
+    return [*made.of_connections(), *made.of_links(), *carried, *loads]
 
 
 def _storeys(incidence: csr_matrix) -> np.ndarray:
