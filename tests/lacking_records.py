@@ -21,6 +21,8 @@ RATE, DURATION, STEPS = 50.0, 20.0, 8
 M = np.array([9e3, 11e3, 8e3])
 K = np.array([4.2e6, 3.6e6, 3.1e6])
 C = np.array([1.1e4, 8e3, 9e3])
+# Where no connection is: between the first floor and the roof, and from the second floor and the roof to the ground.
+LINKS = np.array([[-1.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 @cache
@@ -32,7 +34,7 @@ def moved(ground: bool, seed: int, terms: tuple[tuple[str, int, float], ...]) ->
         seed: Of its phases; content from 0.2 to 8 Hz.
         terms: ``cubic`` N/m^3, ``quadratic`` N (s/m)^2, ``friction`` N, ``one_sided`` N/m, ``one_way`` N s/m or ``gap``
             m, of a connection counted from 0; ``rocking``, of whichever: the part of its base of what gives way to a
-            turning moment.
+            turning moment; ``link`` N/m, of one of `LINKS`.
     """
     rng = np.random.default_rng(seed)
     half = np.arange(2 * STEPS * round(RATE * DURATION) + 1) / (2.0 * STEPS * RATE)
@@ -41,7 +43,8 @@ def moved(ground: bool, seed: int, terms: tuple[tuple[str, int, float], ...]) ->
     acting = np.cos(2.0 * np.pi * np.outer(half, frequency) + phase).sum(1) / len(frequency) ** 0.5
     acting *= np.minimum(1.0, half) * (1.4 if ground else 1.2e4)
     rows, roof = np.eye(3) - np.eye(3, k=-1), np.array([0.0, 0.0, 1.0])
-    of = {kind: np.zeros(3) for kind in ("cubic", "quadratic", "friction", "one_sided", "one_way", "gap", "rocking")}
+    kinds = "cubic", "quadratic", "friction", "one_sided", "one_way", "gap", "rocking", "link"
+    of = {kind: np.zeros(3) for kind in kinds}
     for kind, connection, value in terms:
         of[kind][connection] = value
 
@@ -50,7 +53,7 @@ def moved(ground: bool, seed: int, terms: tuple[tuple[str, int, float], ...]) ->
         force = K * e + C * de + of["cubic"] * e**3 + of["quadratic"] * abs(de) * de
         force = force + of["friction"] * np.tanh(de / 1e-3) + of["one_sided"] * np.maximum(e, 0.0)
         force = force - K * np.clip(e, -of["gap"], of["gap"]) + of["one_way"] * np.maximum(de, 0.0)
-        pull = -force @ rows
+        pull = -force @ rows - (of["link"] * (LINKS @ state[0])) @ LINKS
         pull = pull - M * load if ground else pull + load * roof
         return np.array((state[1], pull / M))
 

@@ -100,6 +100,7 @@ KINDS = {
     "delay": ("acceleration of DOF 2", "the acceleration of DOF 2 is 3 +- 0.2 N late"),
     "tilt": ("acceleration of DOF 2", "the acceleration of DOF 2 follows the displacement"),
     "rocking": ("base", "the base rocks: if storeys are of one height, it is 3e+02 +- 2e+01 %"),
+    "link": ("DOFs 1, 3", "DOFs 1, 3 are joined by 3 +- 0.2 N"),
     "force": ("DOF 1", "what the model leaves out acts on DOF 1 alone"),
     "high_pass": ("acceleration of all sensors", "high_pass: 3 (data.channels)"),
 }

@@ -19,7 +19,7 @@ import torch
 
 from pinn_cli.record.response import Response
 from pinn_cli.system.functions import Jet
-from pinn_cli.system.left_out import MODE, SPRING
+from pinn_cli.system.left_out import LINK, MODE, SPRING
 from pinn_cli.system.modes import frequency_with_oscillator
 from pinn_cli.system.parameters import FACTOR, MASS
 from pinn_cli.system.priors import HALF_WIDTH_90
@@ -82,7 +82,10 @@ def doubts(
         return ()
     forces = force_terms(equations, point, highest_seen(equations, reduced.channels))
     sensors = sensor_terms(reduced.channels)
-    if equations.layout.size * (len(forces) + len(sensors)) ** 2 > MOST_DOUBT_PRODUCTS:
+    most = int((MOST_DOUBT_PRODUCTS / equations.layout.size) ** 0.5) - len(sensors)
+    if len(forces) > most:  # of many DOFs the pairs are most of all
+        forces = [force for force in forces if force.term.kind != LINK]
+    if len(forces) > most:
         return ()
     chosen, gains = _chosen(reduced, forces, sensors)
     if not chosen:

@@ -78,6 +78,21 @@ def test_a_base_that_rocks_is_named_and_how_much_of_the_turning_is_its(ground: b
     assert first.value == pytest.approx(0.06, rel=0.25)
 
 
+@pytest.mark.parametrize(
+    ("link", "of"),
+    [
+        (0, "DOFs 1, 3"),
+        pytest.param(1, "DOF 2 and the ground", marks=pytest.mark.slow),
+        pytest.param(2, "DOF 3 and the ground", marks=pytest.mark.slow),
+    ],
+)
+def test_a_spring_where_no_connection_is_is_named_by_its_ends(link: int, of: str):
+    """Half of them on ground that moves."""
+    first = solved(posed(recorded(moved(link % 2 == 1, 1, (("link", link, 1.5e5),))))).doubts[0]
+    assert (first.kind, first.of) == ("link", of)
+    assert first.value == pytest.approx(1.5e5, rel=0.25)
+
+
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_mode_that_is_not_in_the_model_is_named_by_its_frequency(seed: int):
     """One displacement sensor, which the estimate copies: the discrepancy is several times the force that acts."""
