@@ -265,8 +265,10 @@ def test_the_ground_does_not_take_up_what_dampers_lack():
 
 @pytest.mark.slow
 def test_what_stood_in_for_two_modes_gives_way_to_them():
-    doubts = solved(posed(on_moving_ground(0.03))).doubts
-    assert [(doubt.kind, doubt.of) for doubt in doubts] == [("damping ratio", f"mode {i}") for i in (2, 1, 3)]
+    first, second, *others = solved(posed(on_moving_ground(0.03))).doubts
+    assert {(doubt.kind, doubt.of) for doubt in (first, second)} == {("damping ratio", f"mode {i}") for i in (1, 2)}
+    assert first.share + second.share > 0.9
+    assert all(doubt.share < 0.01 for doubt in others)
 
 
 STEP, COUNT = 0.01, 2000
