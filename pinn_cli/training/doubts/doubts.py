@@ -50,8 +50,9 @@ EARLY = 0.1
 # and doubts that are told of one record.
 FURTHER_SHARE = 0.1
 MOST_CHOSEN = 3
-# Parts of a record that each tell of the other, and share of its logarithm that a doubt keeps there, or it is refuted.
-HALVES, HELD_TRUE = ((0.0, 0.5), (0.5, 1.0)), 0.25
+# Share of the logarithm that a doubt keeps where either half of a record tells of the other, or it is refuted; and the
+# shortest half, over the record.
+HELD_TRUE, SHORTEST_HALF = 0.25, 0.2
 # How far the shapes of a term that is told are from each other, over those that are tried at first; in turn.
 SPANS = (0.75, 0.25, 0.08)
 # Columns for which the readout weights are solved at once: their copies are little beside the columns themselves.
@@ -242,14 +243,22 @@ class _Solution:
     def gain_in_other_half(self, terms: Sequence[ForceTerm | SensorTerm]) -> float:
         """Logarithm of how many times as probable each half is with the last term, as the other half tells all of them.
 
-        What stands in for something else in one part of a record does so in no other.
+        What stands in for something else in one part of a record does so in no other. Both halves have as much of
+        the motion: at the end of an earthquake nothing yields that yielded before.
         """
-        halves = self.asked_in_parts(terms, HALVES)
+        halves = self.asked_in_parts(terms, ((0.0, self.middle), (self.middle, 1.0)))
         fits = [half.fits(len(terms))[-2:] for half in halves]
         gain = 0.0
         for other, (without, whole) in zip(reversed(halves), fits, strict=True):
             gain += other.spectra.minus_log_after(without.step) - other.spectra.minus_log_after(whole.step)
         return gain
+
+    @cached_property
+    def middle(self) -> float:
+        """Share of the record at which half of it is over, as measured by the squares of the connections' forces."""
+        squares = (_connection_forces(self.equations, self.point) ** 2).sum(axis=1)
+        over = np.searchsorted(squares.cumsum(), 0.5 * squares.sum()) / len(squares)
+        return float(np.clip(over, SHORTEST_HALF, 1.0 - SHORTEST_HALF))
 
     @cached_property
     def half_parameters(self) -> dict[int, float]:
@@ -397,5 +406,9 @@ def _softened(evidence: RecordEvidence, noise: NoiseModel, force: float) -> Nois
 
 def _rms_force(equations: NormalEquations, point: Point) -> float:
     """Of the connections, N."""
-    motion = Jet(*equations.flat_states(equations.physics, point)[:3])
-    return float(np.sqrt(np.mean(connection_force(equations, point, motion)[2] ** 2)))
+    return float(np.sqrt(np.mean(_connection_forces(equations, point) ** 2)))
+
+
+def _connection_forces(equations: NormalEquations, point: Point) -> np.ndarray:
+    """(P, C), at the collocation points."""
+    return connection_force(equations, point, Jet(*equations.flat_states(equations.physics, point)[:3]))[2]

@@ -22,6 +22,7 @@ from pinn_cli.system.connection import Linear
 from pinn_cli.system.modes import NaturalModes
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
+from pinn_cli.training.doubts import doubts as module
 from pinn_cli.training.doubts.left_spectra import LeftSpectra, banded_gram, bands_of
 from pinn_cli.training.doubts.sensor_doubts import delays
 from pinn_cli.training.estimate import Estimate
@@ -106,6 +107,17 @@ def test_a_mode_that_is_not_in_the_model_is_named_by_its_frequency(seed: int):
     assert (first.kind, first.of) == ("mode", "DOF 1")
     assert first.shape == pytest.approx(max(natural), rel=0.04)
     assert first.share > 0.8
+
+
+@pytest.mark.parametrize("decay", [0.0, 1.0, 50.0])
+def test_both_halves_of_a_record_have_as_much_of_the_motion(monkeypatch, decay: float):
+    """The force of two connections that decays; the shorter half has a fifth of the record at least."""
+    time = np.linspace(0.0, 1.0, 4000)[:, None]
+    forces = np.exp(-decay * time) * np.sin(300.0 * time + np.array([0.0, 0.5 * np.pi]))
+    monkeypatch.setattr(module, "_connection_forces", lambda equations, point: forces)
+    solution = module._Solution(*[None] * 7)
+    squares = np.cumsum(np.exp(-2.0 * decay * time))
+    assert solution.middle == pytest.approx(max(np.searchsorted(squares, 0.5 * squares[-1]) / len(time), 0.2), abs=0.01)
 
 
 @pytest.mark.slow
