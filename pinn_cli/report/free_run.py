@@ -50,6 +50,8 @@ CONTRADICTED_BELOW = 95.0
 # splines show, and the motion far from the sensors is poorly known for as long as a wave takes to get there. A run that
 # parts from itself is begun anew as often.
 EXCUSED_SHARE = 10
+# Such short runs tell of parameters if masses that are so many times as large contradict the estimate in them.
+TELLING_MASSES = 1.03
 
 VALIDATION_COLUMNS = (
     "quantity", "dof", "unit", "start_time", "stop_time", "begins", "samples", "signal_rms", "error_rms",
@@ -133,9 +135,8 @@ def _excused_agreements(structure: Structure, estimate: Estimate, record: Record
     makes up for them.
 
     The second number is the median of runs that begin anew wherever as many samples as ``first`` are over; NaN of a
-    linear structure. A nonlinear one may part from itself by a thousandth of a stiffness, or the noise of a good load
-    cell: at a few places, or everywhere where it is chaotic, and of a stiffness that is one per cent off every run
-    tells.
+    linear structure, and where they are too short to tell anything. A nonlinear one may part from itself by a
+    thousandth of a stiffness, or the noise of a good load cell: at a few places, or everywhere where it is chaotic.
     """
     response = estimate.response
     force = np.where(record.sensors("force"), response.force, record.force)
@@ -143,18 +144,22 @@ def _excused_agreements(structure: Structure, estimate: Estimate, record: Record
     acting = replace(record, force=force, ground_acceleration=ground)
     supports = response.supports
 
-    def agreement(begin: int, end: int) -> float:
+    def agreement(of: Structure, begin: int, end: int) -> float:
         part = acting if supports is None else acting.carried_by(supports, begin)
         try:
-            run = free_run_of(structure, part.until(end), response, begin, begin)
+            run = free_run_of(of, part.until(end), response, begin, begin)
         except NoFreeRunError:
             return math.nan
-        return _agreement(structure, run, response.part(begin, end))
+        return _agreement(of, run, response.part(begin, end))
 
-    excused = agreement(first, len(record.time))
+    def anew(of: Structure) -> float:
+        return float(np.median([agreement(of, i * first, (i + 1) * first) for i in range(EXCUSED_SHARE)]))
+
+    excused = agreement(structure, first, len(record.time))
     if excused >= CONTRADICTED_BELOW or is_linear(structure):
         return excused, math.nan
-    return excused, float(np.median([agreement(i * first, (i + 1) * first) for i in range(EXCUSED_SHARE)]))
+    heavier = structure.with_parameters(m=TELLING_MASSES * structure.parameters[MASS])
+    return excused, anew(structure) if anew(heavier) < CONTRADICTED_BELOW else math.nan
 
 
 def _agreement(structure: Structure, response: Response, reference: Response) -> float:

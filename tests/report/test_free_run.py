@@ -160,6 +160,16 @@ def test_of_a_chaotic_motion_no_free_run_tells_anything(law, wrong, beside, told
     assert np.isnan(run.agreement) == (told == "chaotic")
 
 
+def test_runs_that_are_too_short_to_tell_of_a_spring_excuse_nothing():
+    """Ten of a twentieth of a period, with which a spring agrees to 96 % that is a third off."""
+    structure = build_chain(1, Duffing(), m=10.0, c=0.1, k=15.0, kappa=100.0)
+    measurements = measured(structure, duration=3.0, samples=300)
+    estimate = estimated(measurements.truth.response, k_1=20.0)
+    run = free_run(structure, estimate, measurements.record)
+    assert run.finding.startswith("warning")
+    assert not np.isnan(run.agreement)
+
+
 def test_an_unstable_or_absurdly_stiff_system_is_a_finding():
     structure, measurements = small_chain(), measured(small_chain(), duration=40.0, samples=1025)
     estimate = estimated(measurements.truth.response, kappa_2=-1e6)
