@@ -168,7 +168,7 @@ class _Solution:
     def of(cls, evidence: RecordEvidence, solution: RecordSolution) -> _Solution | None:
         """None where the equations cannot be solved."""
         equations, point = evidence.equations, solution.point
-        noise = _softened(evidence, solution.noise, _rms_force(equations, point))
+        noise = _softened(evidence, solution.noise, rms_force(equations, point))
         system = equations.assemble(point, noise)
         eliminated = system.eliminated()
         if eliminated is None:
@@ -404,7 +404,7 @@ def _softened(evidence: RecordEvidence, noise: NoiseModel, force: float) -> Nois
     return replace(noise, discrepancy=max(noise.discrepancy, LEAST_LEVEL * force), response=response)
 
 
-def _rms_force(equations: NormalEquations, point: Point) -> float:
+def rms_force(equations: NormalEquations, point: Point) -> float:
     """Of the connections, N."""
     return float(np.sqrt(np.mean(_connection_forces(equations, point) ** 2)))
 

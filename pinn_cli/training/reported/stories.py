@@ -20,7 +20,7 @@ from pinn_cli.record.response import Response
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.left_out import PLACE
 from pinn_cli.training.calibrated_record import as_run
-from pinn_cli.training.doubts.doubts import doubts
+from pinn_cli.training.doubts.doubts import LEAST_LEVEL, doubts, rms_force
 from pinn_cli.training.estimate import Doubt, Estimate, ParameterEstimate, Story, estimated_structure
 from pinn_cli.training.evidence import Trained
 from pinn_cli.training.minimise import Point
@@ -83,13 +83,13 @@ def explain_most(found: Sequence[Doubt]) -> bool:
 
 
 def _of_place(smooth: Inference, found: Estimate, reported: Estimate) -> tuple[Doubt, ...]:
-    """That a smooth force acts on one DOF alone; nothing where it does not."""
-    if not (of := place_of(smooth)):
+    """That a smooth force acts on one DOF alone; nothing where it does not, or is nothing beside the connections'."""
+    level = found.summary["std_unknown_force"]
+    if not (of := place_of(smooth)) or level < LEAST_LEVEL * rms_force(*smooth.by_record[0]):
         return ()
     pairs = zip(found.parameters, reported.parameters, strict=True)
     moves = {ours.name: abs(one.estimate - ours.estimate) / ours.std for one, ours in pairs if ours.unknown}
     moved = max(moves, key=lambda name: moves[name])
-    level = found.summary["std_unknown_force"]
     return (Doubt(PLACE, of, level, math.nan, "N", smooth.log_odds_of_place, moves[moved], moved),)
 
 

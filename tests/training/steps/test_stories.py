@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.training import inference
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
+from pinn_cli.training.reported import stories
 from pinn_cli.training.steps.smooth_force import fit_smooth_force
 
 M, C, K = 50.0, 120.0, 2e4
@@ -246,3 +248,14 @@ def test_modes_get_forces_on_dofs_that_tell_them_apart():
     forces = list(with_every_force(Problem(structure, record)).inputs.forces)
     assert len(forces) == 3
     assert np.linalg.cond(structure.shapes.matrix[forces]) < 5.0
+
+
+@pytest.mark.parametrize(("level", "told"), [(0.05, []), (5.0, ["force"])])
+def test_a_force_that_is_nothing_beside_those_of_the_connections_has_no_place(monkeypatch, level: float, told: list):
+    spring = SimpleNamespace(name="k_1", estimate=1.0, std=0.1, unknown=True)
+    smooth = SimpleNamespace(by_record=[(None, None)], log_odds_of_place=40.0)
+    monkeypatch.setattr(stories, "place_of", lambda smooth: "DOF 1")
+    monkeypatch.setattr(stories, "rms_force", lambda equations, point: 1e3)
+    found = SimpleNamespace(summary={"std_unknown_force": level}, parameters=[spring])
+    doubts = stories._of_place(smooth, found, SimpleNamespace(parameters=[spring]))
+    assert [doubt.kind for doubt in doubts] == told
