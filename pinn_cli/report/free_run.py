@@ -26,7 +26,7 @@ from pinn_cli.record.ensemble import Members, affordable_members, spread_of
 from pinn_cli.record.free_run import NoFreeRunError, free_run_of, is_linear
 from pinn_cli.record.free_run import free_run as motion_of
 from pinn_cli.record.inputs import SupportErrors
-from pinn_cli.record.record import Record
+from pinn_cli.record.record import MINIMUM_SAMPLES, Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
 from pinn_cli.record.validation_data import ValidationRecord
 from pinn_cli.report.fitness import fitness_percent, fitness_table, nmse_percent
@@ -156,7 +156,7 @@ def _excused_agreements(structure: Structure, estimate: Estimate, record: Record
         return float(np.median([agreement(of, i * first, (i + 1) * first) for i in range(EXCUSED_SHARE)]))
 
     excused = agreement(structure, first, len(record.time))
-    if excused >= CONTRADICTED_BELOW or is_linear(structure):
+    if excused >= CONTRADICTED_BELOW or is_linear(structure) or first < MINIMUM_SAMPLES:
         return excused, math.nan
     heavier = structure.with_parameters(m=TELLING_MASSES * structure.parameters[MASS])
     return excused, anew(structure) if anew(heavier) < CONTRADICTED_BELOW else math.nan

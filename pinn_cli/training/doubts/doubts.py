@@ -50,9 +50,9 @@ EARLY = 0.1
 # and doubts that are told of one record.
 FURTHER_SHARE = 0.1
 MOST_CHOSEN = 3
-# Share of the logarithm that a doubt keeps where either half of a record tells of the other, or it is refuted; and the
-# shortest half, over the record.
-HELD_TRUE, SHORTEST_HALF = 0.25, 0.2
+# Share of the logarithm that a doubt keeps where either half of a record tells of the other, or it is refuted. Parts as
+# long as each other are halves while each has so much of the motion; and the shortest half, over the record.
+HELD_TRUE, LEAST_OF_MOTION, SHORTEST_HALF = 0.25, 0.25, 0.2
 # How far the shapes of a term that is told are from each other, over those that are tried at first; in turn.
 SPANS = (0.75, 0.25, 0.08)
 # Columns for which the readout weights are solved at once: their copies are little beside the columns themselves.
@@ -243,8 +243,8 @@ class _Solution:
     def gain_in_other_half(self, terms: Sequence[ForceTerm | SensorTerm]) -> float:
         """Logarithm of how many times as probable each half is with the last term, as the other half tells all of them.
 
-        What stands in for something else in one part of a record does so in no other. Both halves have as much of
-        the motion: at the end of an earthquake nothing yields that yielded before.
+        What stands in for something else in one part of a record does so in no other. Where one of them has hardly any
+        motion both have as much of it: at the end of an earthquake nothing yields that yielded before.
         """
         halves = self.asked_in_parts(terms, ((0.0, self.middle), (self.middle, 1.0)))
         fits = [half.fits(len(terms))[-2:] for half in halves]
@@ -255,10 +255,12 @@ class _Solution:
 
     @cached_property
     def middle(self) -> float:
-        """Share of the record at which half of it is over, as measured by the squares of the connections' forces."""
-        squares = (_connection_forces(self.equations, self.point) ** 2).sum(axis=1)
-        over = np.searchsorted(squares.cumsum(), 0.5 * squares.sum()) / len(squares)
-        return float(np.clip(over, SHORTEST_HALF, 1.0 - SHORTEST_HALF))
+        """Share of the record at which half of it is over, by time or by the squares of the connections' forces."""
+        over = (_connection_forces(self.equations, self.point) ** 2).sum(axis=1).cumsum()
+        if LEAST_OF_MOTION <= over[len(over) // 2] / over[-1] <= 1.0 - LEAST_OF_MOTION:
+            return 0.5
+        middle = np.searchsorted(over, 0.5 * over[-1]) / len(over)
+        return float(np.clip(middle, SHORTEST_HALF, 1.0 - SHORTEST_HALF))
 
     @cached_property
     def half_parameters(self) -> dict[int, float]:
