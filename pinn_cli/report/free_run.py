@@ -99,7 +99,7 @@ def free_run(prescribed: Structure, estimate: Estimate, record: Record) -> FreeR
         later = f"under the estimated force and from {record.time[first]:.4g} s on, to {excused:.1f} %"
         why = "the noise of the measured force or the estimated start explains it"
         return FreeRun(response, f"{said}; {later}: {why}")
-    if anew >= CONTRADICTED_BELOW:
+    if not math.isnan(anew):
         why = f"begun anew at every tenth of the record, to {anew:.1f} %"
         told = "the motion is chaotic, or nearly so: what is next to nothing at first grows"
         return FreeRun(response, f"{said}; {why}: {told}")
@@ -135,8 +135,9 @@ def _excused_agreements(structure: Structure, estimate: Estimate, record: Record
     makes up for them.
 
     The second number is the median of runs that begin anew wherever as many samples as ``first`` are over; NaN of a
-    linear structure, and where they are too short to tell anything. A nonlinear one may part from itself by a
-    thousandth of a stiffness, or the noise of a good load cell: at a few places, or everywhere where it is chaotic.
+    linear structure, and where they contradict the estimate, too, or are too short to tell anything. A nonlinear one
+    may part from itself by a thousandth of a stiffness, or the noise of a good load cell: at a few places, or
+    everywhere where it is chaotic.
     """
     response = estimate.response
     force = np.where(record.sensors("force"), response.force, record.force)
@@ -158,8 +159,8 @@ def _excused_agreements(structure: Structure, estimate: Estimate, record: Record
     excused = agreement(structure, first, len(record.time))
     if excused >= CONTRADICTED_BELOW or is_linear(structure) or first < MINIMUM_SAMPLES:
         return excused, math.nan
-    heavier = structure.with_parameters(m=TELLING_MASSES * structure.parameters[MASS])
-    return excused, anew(structure) if anew(heavier) < CONTRADICTED_BELOW else math.nan
+    again, heavier = anew(structure), structure.with_parameters(m=TELLING_MASSES * structure.parameters[MASS])
+    return excused, again if again >= CONTRADICTED_BELOW > anew(heavier) else math.nan
 
 
 def _agreement(structure: Structure, response: Response, reference: Response) -> float:

@@ -183,8 +183,8 @@ class Descent:
 
     def ended(self, converged: bool, factor: SharedFactor | None = None) -> Solution:
         """The solution as it stands, with the undamped factor of its Hessian."""
-        is_lost = not self.cautious or self.damping > LARGEST_DAMPING
-        damping = (FIRST_DAMPING if self.cautious else 0.0) if is_lost else max(self.damping, FIRST_DAMPING)
+        kept = self.damping if FIRST_DAMPING <= self.damping <= LARGEST_DAMPING else FIRST_DAMPING
+        damping = kept if self.cautious else 0.0
         return Solution(self.point, self.loss, self.steps, converged, self.factorisations, factor, damping, self.chord)
 
     def advance(self, most: int) -> Solution | None:

@@ -135,7 +135,12 @@ def searched(
 
 def holds(trained: Trained, force: float) -> bool:
     """Whether a solution is a good model of its record, under the force that acts, N."""
-    return trained.solution.converged and trained.noise.discrepancy < SUSPICIOUS_DISCREPANCY * force
+    return leaves_less_than(trained, SUSPICIOUS_DISCREPANCY * force)
+
+
+def leaves_less_than(trained: Trained, force: float) -> bool:
+    """Whether there is a solution, and what it leaves out is less than a force, N."""
+    return trained.solution.converged and trained.noise.discrepancy < force
 
 
 def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point, path: Path | None = None) -> Trained:

@@ -24,7 +24,7 @@ from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import FeatureProjection, NoiseLevels, NoiseModel, first_output, output_features
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.solver import NOTHING_EXPLAINED, Inference, Solver
-from pinn_cli.training.steps.discrepancy_search import NothingNew, Path, holds, searched
+from pinn_cli.training.steps.discrepancy_search import NothingNew, Path, holds, leaves_less_than, searched
 from pinn_cli.training.steps.known_levels import solve_under_known_levels
 from pinn_cli.training.steps.part_of_record import part_of_record, whole_from
 from pinn_cli.training.whittle.whittle_estimate import known_parameters
@@ -176,7 +176,7 @@ def soft_to_stiff(evidence: Evidence, noise: NoiseLevels, path: Path) -> Trained
     second = partial(_simulated_start, evidence)
     best = searched(evidence, noise, second, path)
     for factor in NOISIER if path.may_lead_somewhere else ():
-        if _explains_something(best, noise):
+        if leaves_less_than(best, NOTHING_EXPLAINED * noise.discrepancy):
             break
         try:
             again = searched(evidence, noise.each(NoiseModel.noisier, factor), second)
@@ -186,12 +186,8 @@ def soft_to_stiff(evidence: Evidence, noise: NoiseLevels, path: Path) -> Trained
         told = evidence.train(again.noise.each(NoiseModel.noisier, 1.0 / factor), again.solution.point)
         found = filter(None, (best, again, told))
         best = max(found, key=lambda trained: (trained.solution.converged, trained.log_evidence))
-    path.leads_nowhere = not _explains_something(best, noise)
+    path.leads_nowhere = not leaves_less_than(best, NOTHING_EXPLAINED * noise.discrepancy)
     return best
-
-
-def _explains_something(trained: Trained, acting: NoiseLevels) -> bool:
-    return trained.solution.converged and trained.noise.discrepancy < NOTHING_EXPLAINED * acting.discrepancy
 
 
 def _simulated_start(evidence: Evidence) -> Point | None:

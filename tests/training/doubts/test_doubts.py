@@ -282,6 +282,13 @@ def test_what_stood_in_for_two_modes_gives_way_to_them():
     assert all(doubt.share < 0.01 for doubt in others)
 
 
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="an oscillator of 0.1 % of what is left out stands in for the third mode")
+def test_all_three_modes_are_named_in_turn():
+    doubts = solved(posed(on_moving_ground(0.03))).doubts
+    assert [(doubt.kind, doubt.of) for doubt in doubts] == [("damping ratio", f"mode {i}") for i in (2, 1, 3)]
+
+
 STEP, COUNT = 0.01, 2000
 
 

@@ -93,10 +93,8 @@ def test_a_start_that_cannot_be_solved_costs_none_of_the_others(problem, monkeyp
         solved(broken)
 
 
-def test_where_noisier_sensors_show_the_way_their_own_noise_judges_where_it_leads(problem, monkeypatch):
-    solver = Solver((Spline(),), History(False))
-    evidence = solver.evidence(JointProblem.of(problem))
-    noise = solver.starting_noise(evidence)
+def test_where_noisier_sensors_show_the_way_their_own_noise_judges_where_it_leads(monkeypatch):
+    evidence, noise = searching(measured(small_chain(), snr_db=40.0).record)
 
     def strays(evidence, levels, *given):
         found = searched(evidence, levels, *given)
@@ -110,15 +108,12 @@ def test_where_noisier_sensors_show_the_way_their_own_noise_judges_where_it_lead
     np.testing.assert_allclose(there, their_own)
 
 
-def test_where_noisier_sensors_lead_nowhere_they_are_not_asked_from_another_start(problem, monkeypatch):
-    solver, asked = Solver((Spline(),), History(False)), []
-    evidence = solver.evidence(JointProblem.of(problem))
-    noise = solver.starting_noise(evidence)
+def test_where_noisier_sensors_lead_nowhere_they_are_not_asked_from_another_start(monkeypatch):
+    (evidence, noise), asked = searching(measured(small_chain(), snr_db=40.0).record), []
 
     def nothing(evidence, levels, *given):
         asked.append(levels.records[0].response["acceleration"][0] / noise.records[0].response["acceleration"][0])
-        found = evidence.train(levels, evidence.equations.start())
-        return replace(found, noise=levels, solution=replace(found.solution, converged=True))
+        return evidence.train(levels, evidence.equations.start())
 
     monkeypatch.setattr(module, "searched", nothing)
     first = search.Path(())
