@@ -17,6 +17,7 @@ from pinn_cli.record.channels import channels, dropouts, hum, of_mains
 from pinn_cli.record.files.table import told_mark
 from pinn_cli.record.response import MEASURED_QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import mean_deviation
+from pinn_cli.system.left_out import rms
 from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 from pinn_cli.verdict.finding import Finding
 from pinn_cli.verdict.prediction import Comparison, compare, comparisons
@@ -297,22 +298,26 @@ def first_sample_findings(record: Record, estimate: Estimate) -> list[Finding]:
     """First samples that are far off: a filter that settles, a sensor that is switched on.
 
     What is left of a good record is left everywhere. There, the estimate follows a few wrong samples or leaves them:
-    the sensor is told that is furthest off. Where none is, the model may leave out a force.
+    the sensor is told that is furthest off. Where none is, the model may leave out a force. Of one that does not hold
+    without those samples either, the beginning says nothing.
     """
     count, misfit = max(3, math.ceil(BEGINNING * len(record.time))), estimate.misfit
-    worst, fault, residual = 0.0, "", np.zeros(0)
+    worst, fault, residual, is_followed = 0.0, "", np.zeros(0), False
     for channel in channels(record, (*RESPONSE_QUANTITIES, FORCE, GROUND, *SUPPORT)):
         estimated = channel.of(estimate.response)
         gap = ~(np.isfinite(estimated) & channel.there)
         off = np.where(gap, 0.0, channel.measured - estimated)
-        far = _far_off(off, np.where(gap, 0.0, channel.measured), channel.of(estimate.std), count)
+        measured = np.where(gap, 0.0, channel.measured)
+        far = _far_off(off, measured, channel.of(estimate.std), count)
+        is_followed |= channel.quantity in RESPONSE_QUANTITIES and rms(off[count:]) < FAR_OFF * rms(measured[count:])
         if far > worst:
             worst, residual, at = far, off, int(np.argmax(np.abs(off[:count])))
             numbers = f"was measured as {channel.measured[at]:.3g} and estimated as {estimated[at]:.3g}"
             fault = f"the {channel.name} {numbers} at {record.time[at]:.4g} s"
-    if not fault and misfit is not None and len(misfit.history) == len(record.time) and misfit.acting > 0.0:
+    if not fault and is_followed and misfit is not None and len(misfit.history) == len(record.time):
         force, ones = np.linalg.norm(misfit.history.astype(float), axis=1), np.ones(len(record.time))
-        if _far_off(force, misfit.acting * ones, misfit.rest * ones, count):
+        holds = rms(force[count:]) < FAR_OFF * misfit.acting
+        if holds and _far_off(force, misfit.acting * ones, misfit.rest * ones, count):
             residual, at = force, int(np.argmax(force[:count]))
             fault = f"the model leaves out a force of {force[at]:.3g} N at {record.time[at]:.4g} s"
     if not fault:
@@ -328,7 +333,7 @@ def _far_off(residual: np.ndarray, signal: np.ndarray, std: np.ndarray, count: i
     All are (N,); ``std`` is that of what was estimated, NaN where it is unknown.
     """
     parts = residual[:count], residual[count:], signal[:count], np.nan_to_num(std[:count])
-    first, rest, begins, deviation = (float(np.sqrt(np.mean(part**2))) for part in parts)
+    first, rest, begins, deviation = map(rms, parts)
     size = max(float(np.std(signal)), begins)
     allowed = max(FAR_OFF * size, ABOVE_REST * rest, ABOVE_REST * deviation)
     return first / size if first > allowed > 0.0 else 0.0

@@ -11,6 +11,7 @@ from frame_records import altered, measure
 from storeys import K, record, system, written
 
 from pinn_cli.model.knowledge import Misfit
+from pinn_cli.record.record import Record
 from pinn_cli.record.response import QUANTITIES
 from pinn_cli.verdict.channel_faults import first_sample_findings, record_faults
 
@@ -93,13 +94,17 @@ def test_a_force_that_the_model_leaves_out_at_the_beginning_alone(problem, estim
     acting, rng = float(problem.record.force.std()), np.random.default_rng(0)
     history = 0.01 * acting * rng.standard_normal(problem.record.force.shape)
 
-    def told(history: np.ndarray) -> int:
-        misfit = Misfit.of(problem.record.step, history, acting, 0.0)
-        return len(first_sample_findings(problem.record, replace(estimate, misfit=misfit)))
+    def told(history: np.ndarray, record: Record = problem.record) -> int:
+        misfit = Misfit.of(record.step, history, acting, 0.0)
+        return len(first_sample_findings(record, replace(estimate, misfit=misfit)))
 
     assert told(history) == told(100.0 * history) == 0
     history[:4, 1] += 20.0 * acting
     assert told(history) == 1
+    # A model that does not hold elsewhere either, by its force or by its sensors: the beginning is not what is wrong.
+    assert told(history + acting) == 0
+    quantities = {name: -getattr(problem.record, name) for name in ("displacement", "velocity", "acceleration")}
+    assert told(history, replace(problem.record, **quantities)) == 0
 
 
 @pytest.mark.slow
