@@ -36,7 +36,9 @@ def acceleration_error(evidence: RecordEvidence, solution: RecordSolution) -> np
     """(dofs,) rms of what the spline cannot follow of the accelerations, m/s^2, in the piece of the record with most.
 
     Content at a frequency f comes with an image of it at r - f, with r knots a second, smaller by the power degree - 1
-    of f / (r - f): that of the basis functions' spectrum, sinc to the power degree + 1, less two derivatives.
+    of f / (r - f): that of the basis functions' spectrum, sinc to the power degree + 1, less two derivatives. Of a
+    linear structure there is no content beyond the record's band: what is found there is noise that finer features
+    would only follow further.
     """
     equations = evidence.equations
     network = equations.network
@@ -45,11 +47,12 @@ def acceleration_error(evidence: RecordEvidence, solution: RecordSolution) -> np
     motion = equations.flat_states(equations.physics, solution.point).acceleration.numpy()
     motion = equations.dynamics.structure.shapes.of_dofs(motion[:, : equations.dynamics.ndof])
     rate, step = network.free_intervals, equations.problem.record.step / equations.refinement
+    highest = min(rate / 2.0, record_band(equations.problem.record)) if _is_linear(equations) else rate / 2.0
     errors = []
     for column in motion.T:
         cut = pieces(column, round(KNOTS_IN_PIECE / (rate * step)))
         frequency, power = periodogram(cut, step)
-        below = frequency <= rate / 2.0
+        below = frequency <= highest
         image = (frequency[below] / (rate - frequency[below])) ** (2 * (network.degree - 1))
         errors.append(np.sqrt(2.0 * np.max(power[:, below] @ image) / cut.shape[1]))
     return np.array(errors)
@@ -81,8 +84,11 @@ def _for_the_motion(evidence: RecordEvidence, solution: RecordSolution, error: n
             square += values.square().sum((0, 1)).numpy() / RESOLUTION_DRAWS
     std = np.sqrt(square / segments.samples)
     worst = float(np.max(error[std > 0] / std[std > 0], initial=0.0))
-    is_linear = equations.dynamics.structure.nonlinearity_name == "linear"
-    return float((worst / (TOLERATED if is_linear else TOLERATED_NONLINEAR)) ** (1.0 / ORDER))
+    return float((worst / (TOLERATED if _is_linear(equations) else TOLERATED_NONLINEAR)) ** (1.0 / ORDER))
+
+
+def _is_linear(equations: NormalEquations) -> bool:
+    return equations.dynamics.structure.nonlinearity_name == "linear"
 
 
 def _for_the_sensors(evidence: RecordEvidence, solution: RecordSolution, error: np.ndarray) -> float:

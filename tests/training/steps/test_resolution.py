@@ -41,6 +41,8 @@ def fitted_sine(per_period: float, degree: int = 6) -> tuple[float, float]:
     record = measured(structure, duration=STEP * (SAMPLES - 1), samples=SAMPLES).record.keep({"displacement": (1,)})
     points = 12
     omega = 2.0 * np.pi / (per_period * points * STEP)
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(record.displacement.shape)
+    record = replace(record, displacement=AMPLITUDE * (np.sin(omega * record.time)[:, None] + noise))
     evidence = posed(Problem(structure, record), Spline(degree=degree, intervals=(SAMPLES + 1) // points))
     (equations,) = evidence.equations.by_record
     segments, time = equations.physics, equations.target.physics_time
