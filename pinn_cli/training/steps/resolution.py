@@ -37,8 +37,8 @@ def acceleration_error(evidence: RecordEvidence, solution: RecordSolution) -> np
 
     Content at a frequency f comes with an image of it at r - f, with r knots a second, smaller by the power degree - 1
     of f / (r - f): that of the basis functions' spectrum, sinc to the power degree + 1, less two derivatives. Of a
-    linear structure there is no content beyond the record's band: what is found there is noise that finer features
-    would only follow further.
+    linear structure there is content in the record's band and up to its highest resonance, which may have died out too
+    soon to be seen: what is found beyond both is noise that finer features would only follow further.
     """
     equations = evidence.equations
     network = equations.network
@@ -47,7 +47,10 @@ def acceleration_error(evidence: RecordEvidence, solution: RecordSolution) -> np
     motion = equations.flat_states(equations.physics, solution.point).acceleration.numpy()
     motion = equations.dynamics.structure.shapes.of_dofs(motion[:, : equations.dynamics.ndof])
     rate, step = network.free_intervals, equations.problem.record.step / equations.refinement
-    highest = min(rate / 2.0, record_band(equations.problem.record)) if _is_linear(equations) else rate / 2.0
+    highest = rate / 2.0
+    if _is_linear(equations):
+        resonances = BEYOND_RESONANCE * natural_frequencies(equations, solution)
+        highest = min(highest, max(record_band(equations.problem.record), float(np.max(resonances, initial=0.0))))
     errors = []
     for column in motion.T:
         cut = pieces(column, round(KNOTS_IN_PIECE / (rate * step)))
@@ -124,16 +127,22 @@ def _for_the_parameters(evidence: RecordEvidence, solution: RecordSolution) -> f
 
 
 def _highest_resonance(equations: NormalEquations, solution: RecordSolution) -> float:
-    """A little above the highest natural frequency in the record's band, Hz, with the mean tangent stiffness."""
+    """A little above the highest natural frequency in the record's band, Hz."""
+    frequencies, band = natural_frequencies(equations, solution), record_band(equations.problem.record)
+    highest = float(max(frequencies[frequencies <= band], default=band))
+    return min(band, BEYOND_RESONANCE * highest)
+
+
+def natural_frequencies(equations: NormalEquations, solution: RecordSolution) -> np.ndarray:
+    """(n,), with the mean tangent stiffness, Hz."""
     parameters, point = equations.parameters(solution.point), solution.point
     structure = equations.dynamics.structure
     stretch = structure.incidence.matrix.toarray()
     stiffness = equations.motion.mean_tangent(equations.observation, point)[0][: len(stretch)].numpy()
     root = np.sqrt(parameters["m"].numpy())
     rates = np.linalg.eigvalsh((stretch / root).T @ (stiffness[:, None] * (stretch / root)))
-    frequencies, band = np.sqrt(np.maximum(rates, 0.0)) / (2.0 * np.pi), record_band(equations.problem.record)
-    highest = float(max(frequencies[frequencies <= band], default=band))
-    return min(band, BEYOND_RESONANCE * highest)
+    frequencies: np.ndarray = np.sqrt(np.maximum(rates, 0.0)) / (2.0 * np.pi)
+    return frequencies
 
 
 def carried_over(point: Point, coarse: NormalEquations, fine: NormalEquations) -> Point:
