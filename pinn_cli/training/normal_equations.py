@@ -34,7 +34,7 @@ from pinn_cli.training.factors.ridge import Ridge
 from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_matrix.bordered import BorderedSystem
-from pinn_cli.training.normal_matrix.dissection import FrontTree, order_of_elimination
+from pinn_cli.training.normal_matrix.dissection import FrontTree, InBand, order_of_elimination
 from pinn_cli.training.normal_matrix.row_sums import RowSums
 from pinn_cli.training.normal_matrix.traced_sums import Met, TracedSums
 from pinn_cli.training.whittle.whittle_estimate import KnownParameters
@@ -166,7 +166,7 @@ class NormalEquations(Frame):
         ]
         self.pull: np.ndarray | None = None
         self.pulled_from = torch.zeros_like(self.scale)
-        self._tree: FrontTree | None = None
+        self._order: FrontTree | InBand | None = None
 
     def start(self) -> Point:
         """The structure at rest with its prescribed parameters, or with those that are known."""
@@ -218,11 +218,11 @@ class NormalEquations(Frame):
         alive = self.physics.feature.shape[1]
         return self.network.channels, alive, self.physics.count, self.dynamics.coupling, self.pattern.count
 
-    def _order_of_elimination(self, border: csr_matrix) -> FrontTree:
+    def _order_of_elimination(self, border: csr_matrix) -> FrontTree | InBand:
         """See :class:`BorderedSystem`; worked out once for all systems whose parameters touch the same weights."""
-        if self._tree is None or not self._tree.suits(border):
-            self._tree = order_of_elimination(self.layout.dissection, border)
-        return self._tree
+        if self._order is None or not self._order.suits(border):
+            self._order = order_of_elimination(self.layout.dissection, border)
+        return self._order
 
     @property
     def joint_precision(self) -> np.ndarray | None:

@@ -16,11 +16,25 @@ from scipy.optimize import nnls
 from scipy.sparse import csr_matrix
 
 from pinn_cli.runs.side_by_side import Items
-from pinn_cli.training.normal_matrix.dissection import FrontTree
+from pinn_cli.training.normal_matrix.band_elimination import BandElimination
+from pinn_cli.training.normal_matrix.dissection import FrontTree, InBand
 from pinn_cli.training.normal_matrix.elimination import Diagonals, Elimination
+from pinn_cli.training.normal_matrix.front_elimination import FrontElimination
 
 # Steps that a bounded solution may take per parameter; one or two is the rule.
 NNLS_STEPS = 100
+
+
+def eliminated(
+    order: FrontTree | InBand, band: Diagonals, border: csr_matrix, damping: float = 0.0
+) -> Elimination | None:
+    """The weights of a matrix, its scaled diagonal damped, and of its border (size, p), in some order.
+
+    None if the matrix is not positive definite.
+    """
+    if isinstance(order, InBand):
+        return BandElimination.of(order, band, border, damping)
+    return FrontElimination.of(order, band, border, damping)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +47,7 @@ class BorderedSystem:
         corner: C, (p, p).
         gradient: g, (size,).
         corner_gradient: h, (p,).
-        tree: The order in which the readout weights are eliminated.
+        order: In which the readout weights are eliminated.
     """
 
     band: Diagonals
@@ -41,11 +55,11 @@ class BorderedSystem:
     corner: np.ndarray
     gradient: np.ndarray
     corner_gradient: np.ndarray
-    tree: FrontTree
+    order: FrontTree | InBand
 
     def eliminated(self, damping: float = 0.0) -> Eliminated | None:
         """The readout weights eliminated, the diagonal times 1 + ``damping``; None if A is not positive definite."""
-        readout = Elimination.of(self.tree, self.band, self.border, damping)
+        readout = eliminated(self.order, self.band, self.border, damping)
         if readout is None:
             return None
         schur = self.corner - readout.border_gram
@@ -64,7 +78,8 @@ class BorderedSystem:
 
     def _readout_alone(self) -> Elimination | None:
         """A, factored without the border."""
-        return Elimination.of(self.tree.alone, self.band, self.tree.alone.border)
+        alone = self.order.alone
+        return eliminated(alone, self.band, alone.border)
 
     def decrease(self, step: tuple[np.ndarray, np.ndarray]) -> float:
         """What the system's own solution (w, x) takes off 2 [g, h] [w, x] + [w, x] H [w, x]."""

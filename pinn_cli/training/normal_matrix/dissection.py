@@ -31,6 +31,9 @@ Runs = list[tuple[int, int, int]]
 # (k^3 / 3), in the triangular solutions (k^2 m) and in the products (k m^2); of an entry that is filled and added; of
 # the front itself. Measured in products.
 CHOLESKY, SOLUTION, ENTRY, FRONT = 2.5, 2.5, 60.0, 4e6
+# The same of LAPACK's banded factor: of a column, of its square, and of each of its entries for a parameter; up to a
+# half width of 64 it goes column by column. The band itself is filled entry by entry.
+COLUMN, SQUARE, BORDER, UNBLOCKED, SQUARE_UNBLOCKED = 500.0, 2.0, 40.0, 64, 10.0
 # Weights of a slab, and of a part that is not cut any further, at most.
 LARGEST_SLAB = 400
 
@@ -112,12 +115,9 @@ class FrontTree:
         nodes = _after_their_children(root)
         self.order = np.concatenate([node.weights for node, _ in nodes])
         self.rank = np.argsort(self.order)
-        features, functions = np.meshgrid(
-            np.arange(-grid.span, grid.span + 1), np.arange(-grid.reach, grid.reach + 1), indexing="ij"
-        )
-        self._distances = features.reshape(-1), functions.reshape(-1)
+        self._distances = grid.distances
         distances = np.abs(self._distances[0] * grid.functions + self._distances[1])
-        self.offsets = np.unique(distances)
+        self.offsets = grid.offsets
         self._line = np.searchsorted(self.offsets, distances)
         self.fronts: list[Front] = []
         of_band, of_border = [[np.zeros((2, 0), dtype=np.int32)] for _ in range(2)]
@@ -217,8 +217,10 @@ class FrontTree:
 _LAST: deque[tuple[int, FrontTree]] = deque(maxlen=1)
 
 
-def order_of_elimination(dissection: Dissection, border: csr_matrix) -> FrontTree:
+def order_of_elimination(dissection: Dissection, border: csr_matrix) -> FrontTree | InBand:
     """Of the weights of a grid and the parameters that a border (size, p) has them touch."""
+    if dissection.cheapest.how == "band":
+        return InBand(dissection.grid, border)
     for largest, tree in _LAST:
         if largest == dissection.largest and tree.grid == dissection.grid and tree.suits(border):
             return tree
@@ -264,6 +266,65 @@ class Grid:
     reach: int
     parameters: int
 
+    @property
+    def size(self) -> int:
+        """Weights."""
+        return self.features * self.functions
+
+    @property
+    def distances(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of two weights of one row in features and in functions, all that there are."""
+        along, across = np.arange(-self.span, self.span + 1), np.arange(-self.reach, self.reach + 1)
+        features, functions = np.meshgrid(along, across, indexing="ij")
+        return features.reshape(-1), functions.reshape(-1)
+
+    @property
+    def offsets(self) -> np.ndarray:
+        """(K,), ascending, the diagonals of the band that hold something."""
+        features, functions = self.distances
+        offsets: np.ndarray = np.unique(np.abs(features * self.functions + functions))
+        return offsets
+
+
+@dataclass(frozen=True, eq=False)
+class InBand:
+    """All weights one after the other, as they stand in the band.
+
+    Attributes:
+        grid: Of the weights.
+        border: Of the parameters (size, p).
+    """
+
+    grid: Grid
+    border: csr_matrix
+
+    @cached_property
+    def offsets(self) -> np.ndarray:
+        """See :attr:`Grid.offsets`."""
+        return self.grid.offsets
+
+    @property
+    def half_width(self) -> int:
+        """Of the band."""
+        return int(self.offsets[-1])
+
+    @property
+    def alone(self) -> InBand:
+        """The same elimination without a border."""
+        return InBand(self.grid, csr_matrix((self.grid.size, 0)))
+
+    def suits(self, border: csr_matrix) -> bool:
+        """Whether another border may stand in the place of this one."""
+        return bool(border.shape == self.border.shape)
+
+    @property
+    def choice(self) -> Choice:
+        """What it costs."""
+        width, parameters = self.half_width, self.border.shape[1]
+        square = SQUARE_UNBLOCKED if width <= UNBLOCKED else SQUARE
+        column = (COLUMN + square * width + BORDER * parameters) * width + ENTRY * len(self.offsets)
+        return Choice(self.grid.size * column, float(self.grid.size * (width + 1 + parameters)), "band", "features", 1)
+
 
 class Part(NamedTuple):
     """A rectangle of the grid, and at which of its sides there is more of it.
@@ -302,7 +363,7 @@ class Choice(NamedTuple):
     Attributes:
         cost: In operations of a matrix product.
         entries: Of its factor.
-        how: ``leaf``, ``slabs`` or ``halves``.
+        how: ``leaf``, ``slabs``, ``halves`` or ``band``.
         axis: Along which it is cut, ``features`` or ``functions``.
         length: Of a slab along it.
     """
@@ -339,8 +400,14 @@ class Dissection:
         """Of all weights."""
         return self._best(self._whole)
 
+    @property
+    def cheapest(self) -> Choice:
+        """Of all weights, or all of them in their band."""
+        grid = self.grid
+        return min(self.best, InBand(grid, csr_matrix((grid.size, grid.parameters))).choice)
+
     def tree(self) -> Separated:
-        """The order."""
+        """The order of the best."""
         return self._tree(self._whole, 0, 0)
 
     def _thick(self, axis: str) -> int:

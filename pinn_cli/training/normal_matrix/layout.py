@@ -42,7 +42,7 @@ class BandLayout:
         self._check_memory()
 
     def _check_memory(self) -> None:
-        numbers = self.dissection.best.entries + BORDERS * self.size * self.pattern.count
+        numbers = self.dissection.cheapest.entries + BORDERS * self.size * self.pattern.count
         needed, memory = 8 * numbers, of_this_machine()
         if needed > memory:
             allowed = f"such that a run fits into the memory of this machine, {memory / 2**30:.3g} GiB"

@@ -41,9 +41,9 @@ def random_system(half_width: int, size: int, border: int) -> tuple[BorderedSyst
     band = np.zeros((width + 1, size))
     for k in range(width + 1):
         band[k, : size - k] = np.diag(whole[:size, :size], -k)
-    corner, tree = whole[size:, size:], in_slabs(half_width, whole[:size, size:])
+    corner, order = whole[size:, size:], in_slabs(half_width, whole[:size, size:])
     diagonals = Diagonals(np.arange(width + 1), band)
-    return BorderedSystem(diagonals, tree.border, corner, gradient[:size], gradient[size:], tree), whole
+    return BorderedSystem(diagonals, order.border, corner, gradient[:size], gradient[size:], order), whole
 
 
 def solved(system: BorderedSystem, lower: np.ndarray | None = None, damping: float = 0.0):

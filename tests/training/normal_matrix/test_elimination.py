@@ -1,4 +1,4 @@
-"""Elimination by fronts, in orders that are chosen by counting, and variances, against dense linear algebra."""
+"""Elimination in a band, and by fronts in orders that are chosen by counting, against dense linear algebra."""
 
 from dataclasses import replace
 
@@ -10,7 +10,8 @@ from scipy.sparse import csr_matrix
 
 from pinn_cli.training.covariance import ENOUGH, is_alike, row_variance
 from pinn_cli.training.normal_matrix.bordered import BorderedSystem
-from pinn_cli.training.normal_matrix.dissection import Dissection, FrontTree, Grid
+from pinn_cli.training.normal_matrix.bordered import eliminated as eliminated_in
+from pinn_cli.training.normal_matrix.dissection import Dissection, FrontTree, Grid, InBand, order_of_elimination
 from pinn_cli.training.normal_matrix.elimination import Diagonals, Elimination
 
 # Parameters of a function, and the grids: cut across the functions first, across the features first, in slabs along
@@ -50,11 +51,18 @@ def matrices(grid: Grid) -> tuple[Diagonals, csr_matrix]:
     return Diagonals(offsets, values), csr_matrix(border[:, : grid.parameters])
 
 
-def eliminated(grid: Grid, damping: float = 0.0) -> tuple[Elimination, np.ndarray, np.ndarray]:
+def in_fronts(grid: Grid, border: csr_matrix, largest: int = 40) -> FrontTree:
+    return FrontTree(grid, Dissection(grid, largest).tree(), border)
+
+
+ORDERS = {"fronts": in_fronts, "band": InBand}
+in_every_order = pytest.mark.parametrize("order", ORDERS)
+
+
+def eliminated(grid: Grid, order: str, damping: float = 0.0) -> tuple[Elimination, np.ndarray, np.ndarray]:
     """With the same as dense matrices."""
     band, border = matrices(grid)
-    tree = FrontTree(grid, Dissection(grid, largest=40).tree(), border)
-    found = Elimination.of(tree, band, border, damping)
+    found = eliminated_in(ORDERS[order](grid, border), band, border, damping)
     assert found is not None
     dense = band.dense()
     return found, dense + damping * np.diag(np.diag(dense)), border.toarray()
@@ -73,23 +81,25 @@ def test_the_grids_are_eliminated_in_the_orders_that_they_stand_for():
 
 @pytest.mark.parametrize("name", GRIDS)
 def test_every_weight_is_eliminated_once(name):
-    found, _, _ = eliminated(GRIDS[name])
-    np.testing.assert_array_equal(np.sort(found.tree.order), np.arange(found.size))
-    assert len(found.tree.fronts) > (name != "leaf")
+    tree = in_fronts(GRIDS[name], matrices(GRIDS[name])[1])
+    np.testing.assert_array_equal(np.sort(tree.order), np.arange(tree.size))
+    assert len(tree.fronts) > (name != "leaf")
 
 
+@in_every_order
 @pytest.mark.parametrize("name", GRIDS)
-def test_log_determinant_and_what_the_border_leaves(name):
-    found, dense, border = eliminated(GRIDS[name])
+def test_log_determinant_and_what_the_border_leaves(name, order):
+    found, dense, border = eliminated(GRIDS[name], order)
     assert found.log_determinant == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-10)
     expected = border.T @ np.linalg.solve(dense, border)
     np.testing.assert_allclose(found.border_gram, expected, atol=1e-10 * np.abs(expected).max(initial=0.0))
 
 
+@in_every_order
 @pytest.mark.parametrize("damping", [0.0, 0.3])
 @pytest.mark.parametrize("name", GRIDS)
-def test_a_solution_leaves_no_residual(name, damping):
-    found, dense, border = eliminated(GRIDS[name], damping)
+def test_a_solution_leaves_no_residual(name, damping, order):
+    found, dense, border = eliminated(GRIDS[name], order, damping)
     rng, root = np.random.default_rng(0), np.sqrt(np.diag(dense))
     right, x = rng.normal(size=(found.size, 3)) * root[:, None], rng.normal(size=(border.shape[1], 3))
     half, taken = found.half_solved(right)
@@ -103,9 +113,10 @@ def test_a_solution_leaves_no_residual(name, damping):
     np.testing.assert_allclose(found.solved_border, np.linalg.solve(dense, border), atol=1e-9 / root.min())
 
 
+@in_every_order
 @pytest.mark.parametrize("name", GRIDS)
-def test_the_inverse_wherever_two_weights_meet(name):
-    found, dense, _ = eliminated(GRIDS[name])
+def test_the_inverse_wherever_two_weights_meet(name, order):
+    found, dense, _ = eliminated(GRIDS[name], order)
     row, column = np.nonzero(dense)
     expected = np.linalg.inv(dense)
     scale = np.sqrt(np.diag(expected))
@@ -120,11 +131,33 @@ def test_operations_are_those_of_elimination_entry_by_entry(name):
     """Of one front, which is dense: of every entry that a column changes an addition and a multiplication."""
     grid = GRIDS[name]
     band, border = matrices(grid)
-    tree = FrontTree(grid, Dissection(grid, largest=band.size).tree(), border)
-    found, counted = Elimination.of(tree, band, border), 0
+    found, counted = eliminated_in(in_fronts(grid, border, band.size), band, border), 0
     for pivot, below in zip(found.pivots, found.below, strict=True):
         counted += sum((len(pivot) + len(below) - column) ** 2 for column in range(len(pivot)))
     assert found.operations == pytest.approx(counted, rel=0.1)
+    width, parameters = int(grid.offsets[-1]), border.shape[1]
+    in_band = eliminated_in(InBand(grid, border), band, border)
+    assert in_band.operations == band.size * (1 + width + parameters) ** 2
+
+
+@in_every_order
+@pytest.mark.parametrize("name", GRIDS)
+def test_what_is_not_positive_definite_is_refused(name, order):
+    band, border = matrices(GRIDS[name])
+    for at, value in ((band.size // 2, -1.0), (0, np.nan)):
+        main = band.values.copy()
+        main[0, at] *= value
+        assert eliminated_in(ORDERS[order](GRIDS[name], border), Diagonals(band.offsets, main), border) is None
+    indefinite = band.values.copy()
+    indefinite[0] *= 1e-3
+    assert eliminated_in(ORDERS[order](GRIDS[name], border), Diagonals(band.offsets, indefinite), border) is None
+
+
+def test_the_cheapest_order_is_taken():
+    """Of a long record of few functions in their band; of many functions by dissection."""
+    for functions, how in ((3, InBand), (40, FrontTree)):
+        grid = Grid(600, functions, 6, 2, 3)
+        assert isinstance(order_of_elimination(Dissection(grid), csr_matrix((grid.size, 3))), how)
 
 
 def test_a_system_gives_the_same_step_in_two_orders():
@@ -133,10 +166,8 @@ def test_a_system_gives_the_same_step_in_two_orders():
     rng, p = np.random.default_rng(1), border.shape[1]
     corner = 2.0 * np.eye(p) + border.T @ np.linalg.solve(band.dense(), border.toarray())
     gradient = rng.normal(size=band.size) * np.sqrt(band.main)
-    trees = [FrontTree(grid, Dissection(grid, largest).tree(), border) for largest in (40, band.size)]
-    assert len(trees[0].fronts) > len(trees[1].fronts)
-    dissected = BorderedSystem(band, border, corner, gradient, rng.normal(size=p), trees[0])
-    plain = replace(dissected, tree=trees[1])
+    dissected = BorderedSystem(band, border, corner, gradient, rng.normal(size=p), in_fronts(grid, border))
+    plain = replace(dissected, order=InBand(grid, border))
     for damping in (0.0, 0.1):
         expected, given = (system.factor(damping).step(system) for system in map(shared, (plain, dissected)))
         np.testing.assert_allclose(given[0] * np.sqrt(band.main), expected[0] * np.sqrt(band.main), atol=1e-9)
@@ -150,22 +181,21 @@ def test_a_system_gives_the_same_step_in_two_orders():
 def test_the_same_tree_serves_another_border_at_the_same_places():
     grid = GRIDS["features"]
     band, border = matrices(grid)
-    tree = FrontTree(grid, Dissection(grid, largest=40).tree(), border)
+    tree = in_fronts(grid, border)
     zeros = border.copy()
     zeros.data[::3] = 0.0
     assert tree.suits(2.0 * border)
     assert tree.suits(zeros)
     assert not tree.suits(border[:, :3])
     expected = zeros.toarray().T @ np.linalg.solve(band.dense(), zeros.toarray())
-    np.testing.assert_allclose(Elimination.of(tree, band, zeros).border_gram, expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(eliminated_in(tree, band, zeros).border_gram, expected, rtol=1e-9, atol=1e-12)
 
 
-def test_rows_that_reach_further_than_the_coupling_says_are_refused():
+@in_every_order
+def test_rows_that_reach_further_than_the_coupling_says_are_refused(order):
     band, border = matrices(Grid(60, 12, 3, 3, 24))
-    grid = GRIDS["features"]
-    tree = FrontTree(grid, Dissection(grid, largest=40).tree(), border)
     with pytest.raises(IndexError, match="further apart than the structure's coupling"):
-        Elimination.of(tree, band, border)
+        eliminated_in(ORDERS[order](GRIDS["features"], border), band, border)
 
 
 def test_operations_grow_as_they_do_for_a_plane_grid():
@@ -174,7 +204,8 @@ def test_operations_grow_as_they_do_for_a_plane_grid():
     assert np.log(many / few) / np.log(4.0) < 3.2
 
 
-def test_a_curvature_that_is_known_far_better_than_the_weights_has_its_variance():
+@in_every_order
+def test_a_curvature_that_is_known_far_better_than_the_weights_has_its_variance(order):
     """Of coupled splines whose values are measured seldom: it was up to thousands of times as large, or negative."""
     count, functions, degree, known = 400, 3, 6, 1e5
     time, knots = np.arange(count - degree) + 0.37, np.arange(-degree, count + 1.0)
@@ -183,13 +214,12 @@ def test_a_curvature_that_is_known_far_better_than_the_weights_has_its_variance(
     rows = np.vstack((known * np.kron(curvature, coupling), np.kron(value[::7], np.eye(functions))))
     matrix = rows.T @ rows
     grid = Grid(count, functions, degree, 1, 0)
-    tree = FrontTree(grid, Dissection(grid, largest=40).tree(), csr_matrix((len(matrix), 0)))
-    values = np.zeros((len(tree.offsets), len(matrix)))
-    for line, offset in zip(values, tree.offsets, strict=True):
+    values, border = np.zeros((len(grid.offsets), len(matrix))), csr_matrix((len(matrix), 0))
+    for line, offset in zip(values, grid.offsets, strict=True):
         line[: len(matrix) - offset] = np.diag(matrix, -offset)
-    band, border = Diagonals(tree.offsets, values), csr_matrix((len(matrix), 0))
+    band = Diagonals(grid.offsets, values)
     wanted = np.kron(curvature, np.eye(functions)[-1:])
-    factor = Elimination.of(tree, band, border)
+    factor = eliminated_in(ORDERS[order](grid, border), band, border)
     half, _ = factor.half_solved(wanted.T)
     variance = np.sum((wanted @ factor.inverse().dense()) * wanted, axis=1)
     assert variance == pytest.approx(np.sum(half**2, axis=0), rel=0.02, abs=0.0)
