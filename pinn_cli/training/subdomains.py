@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pinn_cli.network.linear_readout import Segments
+from pinn_cli.network.linear_readout import Segments, in_groups
 
 # Weights of a degree of freedom that no equation of motion settles: where it begins, and how fast.
 INITIAL_CONDITIONS = 2
@@ -79,7 +79,7 @@ class Subdomains:
     def __call__(self, values: Tensor) -> Tensor:
         """Averages (I, ..., 1, C) of grouped histories (I, ..., S, C), times the square root of their points."""
         weight = self.weight.reshape(len(self.weight), *[1] * (values.ndim - 3), 1, -1)
-        return weight @ values
+        return in_groups(weight, values)
 
     def by_interval(self, averages: Tensor) -> Tensor:
         """(intervals, n) averages over whole intervals, of (I, 1, n), in the order of time, scaled alike."""
@@ -92,11 +92,8 @@ class Subdomains:
 
 def _regrouped(segments: Segments, interval: Tensor, inside: Tensor) -> Segments:
     """Segments with a group for every average (I,), of which only the points ``inside`` (I, S) are left."""
-    kinds = {
-        name: getattr(segments, name)[interval] * inside[..., None]
-        for name in ("displacement", "velocity", "acceleration")
-    }
-    return replace(segments, sample=segments.sample[interval], mask=inside, feature=segments.feature[interval], **kinds)
+    index, jet = interval, segments.jet[interval] * inside[:, None, :, None]
+    return replace(segments, sample=segments.sample[index], mask=inside, feature=segments.feature[index], jet=jet)
 
 
 def _pieces(points: list[int], wanted: int) -> list[int]:

@@ -134,7 +134,7 @@ class CalibratedChannel:
         if self._moment is None or self._moment.delay != delay:
             time, network = self.time - delay, self.frame.network
             sample, mask, feature, jet = network.groups(time, 3)
-            segments = Segments(sample, mask, feature, jet[0], jet[1], jet[2], None, network.count, len(time))
+            segments = Segments(sample, mask, feature, torch.stack(jet[:3], 1), None, network.count, len(time))
             self._moment = Moment(delay, segments, jet[3])
         return self._moment
 

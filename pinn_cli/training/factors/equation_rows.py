@@ -326,9 +326,8 @@ class EquationsOfMotion(Residuals):
     def _averaged(self, part: slice) -> LocalFeatures:
         """Features of some averages, of every derivative."""
         assert self.averages is not None
-        of, share = self.segments, self.averages.weight[part, :, None]
-        features = [(phi[part] * share).sum(1) for phi in (of.displacement, of.velocity, of.acceleration)]
-        return LocalFeatures(of.feature[part], torch.stack(features, 1)[:, None])
+        averaged = self.averages.part(part)(self.segments.jet[part])
+        return LocalFeatures(self.segments.feature[part], averaged.transpose(1, 2))
 
     def moved(self, point: Point, steps: Sequence[Point]) -> Iterator[tuple[slice, list[Tensor]]]:
         """Window by window which groups, and how the residual changes with small steps.

@@ -12,7 +12,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from pinn_cli.network.linear_readout import LinearReadout, Segments
+from pinn_cli.network.linear_readout import LinearReadout, Segments, in_groups
 from pinn_cli.network.network import States
 from pinn_cli.network.spline import POINTS_PER_INTERVAL, SplineNetwork
 from pinn_cli.physics import targets
@@ -153,10 +153,11 @@ class Frame:
     def fresh_states(self, segments: Segments, point: Point) -> States:
         """The same, and not kept."""
         local = self.layout.weights(point.unknowns)[segments.feature]
-        continuity = None if segments.continuity is None else segments.continuity @ local
-        return States(
-            segments.displacement @ local, segments.velocity @ local, segments.acceleration @ local, continuity
-        )
+        continuity = None if segments.continuity is None else in_groups(segments.continuity, local)
+        # One product for all three: of few features in many groups what counts is how many products there are.
+        motion = in_groups(segments.jet.flatten(1, 2), local).unflatten(1, segments.jet.shape[1:3])
+        displacement, velocity, acceleration = motion.unbind(1)
+        return States(displacement, velocity, acceleration, continuity)
 
     def jet(self, segments: Segments, point: Point, part: slice = EVERY) -> Jet:
         """The same without what separate outputs leave between them."""

@@ -68,8 +68,9 @@ class NetworkFrame(Frame):
         none = time.new_zeros(1, len(time), 0)
         continuity = None if self.perceptron.continuity == "exact" else none
         sample, feature = torch.arange(len(time), device=time.device)[None], torch.zeros(1, 0, dtype=torch.long)
-        of_motion = (none, none, none, continuity)
-        segments = Segments(sample, torch.ones_like(time)[None], feature.to(time.device), *of_motion, 0, len(time))
+        jet = none[:, None].expand(-1, 3, -1, -1)
+        feature, mask = feature.to(time.device), torch.ones_like(time)[None]
+        segments = Segments(sample, mask, feature, jet, continuity, 0, len(time))
         self._time[id(segments)] = segments, time
         return segments
 

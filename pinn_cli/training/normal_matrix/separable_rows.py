@@ -15,8 +15,8 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from torch import Tensor
 
-# Windows of time whose sums over features are kept: all of a record of ten thousand intervals, and of a longer one no
-# more memory than that.
+# Windows of time whose features are kept: all of a record of ten thousand intervals, and of a longer one no more memory
+# than that. Sums over them take a tenth of it, and are kept of all windows.
 WINDOWS_KEPT = 8
 
 
@@ -35,30 +35,21 @@ class LocalFeatures:
 
     Attributes:
         first: Of the first group.
+        constant: What :meth:`products` gives where all groups count alike; None: nobody has asked for it.
     """
 
     def __init__(self, feature: Tensor, values: Tensor) -> None:
+        self.constant: list[tuple[int, list[np.ndarray]]] | None = None
         self.values, first = values.cpu().numpy(), feature[:, 0].cpu().numpy()
         # Runs of groups each of which begins as many features on, those of one output of a function.
         self.first, steps = int(first[0]), np.diff(first)
         self._stride = int(min(steps[steps > 0], default=1))
         self._runs = runs(first, self._stride)
 
-    def _gram(self) -> np.ndarray:
-        """(B, B, orders, orders, I), summed over the times of a group."""
-        groups, times, orders, features = self.values.shape
-        flat = self.values.reshape(groups, times, -1)
-        gram = (flat.swapaxes(1, 2) @ flat).reshape(groups, orders, features, orders, features)
-        return np.ascontiguousarray(gram.transpose(2, 4, 1, 3, 0))
-
     @cached_property
-    def _products(self) -> np.ndarray:
-        """The same, kept where the groups' weights change from step to step."""
-        return self._gram()
-
-    @cached_property
-    def _constant(self) -> list[tuple[int, list[np.ndarray]]]:
-        return list(self._summed(self._gram()))
+    def _lines(self) -> np.ndarray:
+        """(B, S, orders, I), one feature after the other."""
+        return np.ascontiguousarray(self.values.transpose(3, 1, 2, 0))
 
     def products(self, weight: np.ndarray | None) -> list[tuple[int, list[np.ndarray]]]:
         """Products of features summed over groups that follow one another, for every such run.
@@ -70,25 +61,33 @@ class LocalFeatures:
             The first feature F_0 of a run, and for every shift from 0 to B - 1 (F, orders squared): those of the
             features from F_0 on with the ones so much later.
         """
-        return self._constant if weight is None else list(self._summed(self._products * weight))
+        if weight is not None:
+            return list(self._summed(weight))
+        self.constant = self.constant or list(self._summed(np.ones(())))
+        return self.constant
 
-    def _summed(self, products: np.ndarray) -> Iterator[tuple[int, list[np.ndarray]]]:
-        features = len(products)
-        products = products.reshape(features, features, -1, products.shape[-1])
+    def _summed(self, weight: np.ndarray) -> Iterator[tuple[int, list[np.ndarray]]]:
+        groups, times, orders, features = self.values.shape
+        if groups < features:  # each group by itself
+            flat = self.values.reshape(groups, times, -1)
+            gram = ((flat.swapaxes(1, 2) * weight.reshape(-1, 1, 1)) @ flat).reshape(
+                groups, orders, features, orders, features
+            )
+        lines = self._lines
+        weighed = lines * weight
         for part, first in self._runs:
-            run = products[..., part]
-            groups = run.shape[-1]
-            last = (groups - 1) * self._stride + 1
-            out = [np.zeros((run.shape[2], last - 1 + features - shift)) for shift in range(features)]
+            last = (part.stop - part.start - 1) * self._stride + 1
+            out = [np.zeros((orders, orders, last - 1 + features - shift)) for shift in range(features)]
             for shift, total in enumerate(out):
                 if groups < features:
-                    for group in range(groups):
-                        at = group * self._stride
-                        total[:, at : at + features - shift] += np.diagonal(run[..., group], shift)
-                else:
-                    for b in range(features - shift):
-                        total[:, b : b + last : self._stride] += run[b, b + shift]
-            yield first, [np.ascontiguousarray(total.T) for total in out]
+                    for group in range(part.start, part.stop):
+                        at = (group - part.start) * self._stride
+                        total[..., at : at + features - shift] += np.diagonal(gram[group], shift, 1, 3)
+                    continue
+                for b in range(features - shift):
+                    earlier, later = weighed[b, :, :, None, part], lines[b + shift, :, None, :, part]
+                    total[..., b : b + last : self._stride] += (earlier * later).sum(0)
+            yield first, [np.ascontiguousarray(total.reshape(orders**2, -1).T) for total in out]
 
     def against(self, histories: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
         """Features times histories (I, S, orders, C), summed; for every run its first feature, and (F, C)."""
@@ -104,7 +103,7 @@ class LocalFeatures:
 
 
 class FeatureWindows:
-    """Features of the windows of a record; those that were asked for last are kept.
+    """Features of the windows of a record; those that were asked for last are kept, and sums over all of them.
 
     Args:
         make: From a window of groups to its features.
@@ -112,14 +111,17 @@ class FeatureWindows:
 
     def __init__(self, make: Callable[[slice], LocalFeatures]) -> None:
         self._make, self._kept = make, dict[tuple[int | None, int | None], LocalFeatures]()
+        self._constant: dict[tuple[int | None, int | None], list[tuple[int, list[np.ndarray]]] | None] = {}
 
     def __call__(self, part: slice) -> LocalFeatures:
         """Of some groups."""
         key = part.start, part.stop
         if key not in self._kept:
             if len(self._kept) >= WINDOWS_KEPT:
+                self._constant |= {window: features.constant for window, features in self._kept.items()}
                 self._kept.clear()
             self._kept[key] = self._make(part)
+            self._kept[key].constant = self._constant.get(key)
         return self._kept[key]
 
 
