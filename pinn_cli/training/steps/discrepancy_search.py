@@ -46,7 +46,8 @@ SAME_SOLUTION = 0.1
 # A start that is behind another one by so much log evidence, and by more at the next smaller discrepancy, is given up:
 # what is a wrong valley is so the more, the less the discrepancy explains.
 OUTDONE = 200.0
-# Gain in log evidence below which another solution is not worth it.
+# Gain in log evidence below which another solution is not worth it. A scan ends where a step of a good model changes it
+# by less: what is stiffer is as probable, and the levels that settle afterwards are the same.
 NEGLIGIBLE_GAIN = 0.5
 
 
@@ -176,7 +177,8 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
         may_stray = False
         followed = best is not None and best.solution.converged
         failed = trained is None or (followed and not trained.solution.converged)
-        lower = trained is not None and best is not None and trained.log_evidence < best.log_evidence
+        gain = trained.log_evidence - best.log_evidence if trained is not None and best is not None else np.inf
+        lower = gain < 0.0
         if stride > SCAN_FACTOR and (failed or lower):  # beyond what can be followed, or beyond the peak
             discrepancy, stride = discrepancy * stride / SCAN_FACTOR, SCAN_FACTOR
             continue
@@ -188,7 +190,8 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
         point, noise = trained.solution.point, replace(noise, spread=evidence.learned_spread(trained))
         idle = 0 if best is None or trained.log_evidence > best.log_evidence else idle + 1
         best = trained if best is None or idle == 0 else best
-        if trained.log_evidence < best.log_evidence - DECISIVE_DROP or (idle and discrepancy < indifferent):
+        flat = abs(gain) < NEGLIGIBLE_GAIN and discrepancy < SUSPICIOUS_DISCREPANCY * force
+        if gain < -DECISIVE_DROP or (idle and discrepancy < indifferent) or flat:
             break
         discrepancy /= stride
         del trained  # before the next is made
