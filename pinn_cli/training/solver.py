@@ -29,8 +29,6 @@ from pinn_cli.training.whittle.whittle_estimate import KnownParameters
 
 # Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
 ITERATIONS, TOLERANCE = 15, 1e-6
-# A discrepancy of this part of the force that acts explains nothing.
-NOTHING_EXPLAINED = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,10 +142,10 @@ class Inference:
 
     @property
     def explains_something(self) -> bool:
-        """Whether the force that the model leaves out is well below the one that acts."""
+        """Whether the force that the model leaves out is below the one that acts."""
         noise = self.trained.noise.records[0]
         acting = self.solver.starting_noise(self.evidence).discrepancy
-        return bool(noise.discrepancy * noise.occupied**0.5 < NOTHING_EXPLAINED * acting)
+        return bool(noise.discrepancy * noise.occupied**0.5 < acting)
 
 
 def starting_noise(equations: NormalEquations) -> NoiseModel:

@@ -23,7 +23,7 @@ from pinn_cli.training.history import History
 from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import FeatureProjection, NoiseLevels, NoiseModel, first_output, output_features
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.solver import NOTHING_EXPLAINED, Inference, Solver
+from pinn_cli.training.solver import Inference, Solver
 from pinn_cli.training.steps.discrepancy_search import NothingNew, Path, holds, leaves_less_than, searched
 from pinn_cli.training.steps.known_levels import solve_under_known_levels
 from pinn_cli.training.steps.part_of_record import part_of_record, whole_from
@@ -54,8 +54,9 @@ def simulated_start(equations: NormalEquations) -> Point | None:
     return Point(equations.layout.unknowns(weights.to(like)), equations.start().parameters)
 
 
-# Where nothing is explained, the sensors are taken to be so many times as noisy as their spectra say.
-NOISIER = (3.0, 10.0)
+# A discrepancy of this part of the force that acts explains nothing, or the search went astray; then the sensors are
+# taken to be so many times as noisy as their spectra say.
+NOTHING_EXPLAINED, NOISIER = 0.3, (3.0, 10.0)
 
 
 def identify_by_spectra(problem: JointProblem, solver: Solver) -> tuple[JointProblem, Solver]:
