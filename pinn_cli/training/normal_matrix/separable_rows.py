@@ -63,31 +63,36 @@ class LocalFeatures:
         """
         if weight is not None:
             return list(self._summed(weight))
-        self.constant = self.constant or list(self._summed(np.ones(())))
+        self.constant = self.constant or list(self._summed(np.ones(len(self.values))))
         return self.constant
 
     def _summed(self, weight: np.ndarray) -> Iterator[tuple[int, list[np.ndarray]]]:
-        groups, times, orders, features = self.values.shape
-        if groups < features:  # each group by itself
-            flat = self.values.reshape(groups, times, -1)
-            gram = ((flat.swapaxes(1, 2) * weight.reshape(-1, 1, 1)) @ flat).reshape(
-                groups, orders, features, orders, features
-            )
-        lines = self._lines
-        weighed = lines * weight
+        groups, _, orders, features = self.values.shape
+        add = self._add_by_group if groups < features else self._add_by_feature
         for part, first in self._runs:
             last = (part.stop - part.start - 1) * self._stride + 1
             out = [np.zeros((orders, orders, last - 1 + features - shift)) for shift in range(features)]
-            for shift, total in enumerate(out):
-                if groups < features:
-                    for group in range(part.start, part.stop):
-                        at = (group - part.start) * self._stride
-                        total[..., at : at + features - shift] += np.diagonal(gram[group], shift, 1, 3)
-                    continue
-                for b in range(features - shift):
-                    earlier, later = weighed[b, :, :, None, part], lines[b + shift, :, None, :, part]
-                    total[..., b : b + last : self._stride] += (earlier * later).sum(0)
+            add(out, part, weight[part])
             yield first, [np.ascontiguousarray(total.reshape(orders**2, -1).T) for total in out]
+
+    def _add_by_group(self, out: list[np.ndarray], part: slice, weight: np.ndarray) -> None:
+        """One group after the other: of few with many features."""
+        _, times, orders, features = self.values.shape
+        flat = self.values[part].reshape(-1, times, orders * features)
+        gram = (flat.swapaxes(1, 2) * weight[:, None, None]) @ flat
+        for group, products in enumerate(gram.reshape(-1, orders, features, orders, features)):
+            for shift, total in enumerate(out):
+                at = group * self._stride
+                total[..., at : at + features - shift] += np.diagonal(products, shift, 1, 3)
+
+    def _add_by_feature(self, out: list[np.ndarray], part: slice, weight: np.ndarray) -> None:
+        """One pair of features after the other: of few in many groups."""
+        lines, last = self._lines[..., part], (part.stop - part.start - 1) * self._stride + 1
+        weighed = lines * weight
+        for shift, total in enumerate(out):
+            for b in range(len(lines) - shift):
+                products = weighed[b, :, :, None] * lines[b + shift, :, None]
+                total[..., b : b + last : self._stride] += products.sum(0)
 
     def against(self, histories: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
         """Features times histories (I, S, orders, C), summed; for every run its first feature, and (F, C)."""
