@@ -22,8 +22,9 @@ TOLERATED = 0.3
 # The same of the motion's where forces are not linear: they fold what the spline cannot follow back into its band.
 TOLERATED_NONLINEAR = 0.15
 # Knots in a piece of a record: with more it holds little of what soon dies out, and with fewer its lines are wide
-# beside the slope of what a spline cannot follow.
-KNOTS_IN_PIECE = 64
+# beside the slope of what a spline cannot follow. The loudest piece of a record that is alike everywhere has up to so
+# many times the mean power of all.
+KNOTS_IN_PIECE, LOUDEST_BY_CHANCE = 64, 8.0
 # So far above the highest resonance a record still tells of stiffness.
 BEYOND_RESONANCE = 1.3
 # Draws from the posterior that tell how well the motion is known.
@@ -57,7 +58,9 @@ def acceleration_error(evidence: RecordEvidence, solution: RecordSolution) -> np
         frequency, power = periodogram(cut, step)
         below = frequency <= highest
         image = (frequency[below] / (rate - frequency[below])) ** (2 * (network.degree - 1))
-        errors.append(np.sqrt(2.0 * np.max(power[:, below] @ image) / cut.shape[1]))
+        of_pieces = 2.0 * (power[:, below] @ image) / cut.shape[1]
+        is_alike = of_pieces.max() <= LOUDEST_BY_CHANCE * of_pieces.mean()
+        errors.append(np.sqrt(of_pieces.mean() if is_alike else of_pieces.max()))
     return np.array(errors)
 
 
