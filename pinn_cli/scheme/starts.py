@@ -21,7 +21,7 @@ from pinn_cli.record.free_run import NoFreeRunError, affordable, free_run, is_li
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.scheme.linear_fit import ABOVE_FLOOR, STARTING_RATIO, WIDTHS, last_ends, lines_in_band
-from pinn_cli.scheme.screening import HOPELESS, NEARLY_NOTHING, SAME_START, Candidate, Screening, common_factors
+from pinn_cli.scheme.screening import HOPELESS, MUCH, NEARLY_NOTHING, SAME_START, Candidate, Screening, common_factors
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.system.damping import of_ratio
@@ -162,11 +162,14 @@ class Starts:
         if most is None:
             candidates = [c for c in candidates[:MOST_RIVALS] if c.misfit <= RIVAL * candidates[0].misfit]
         start = replace(start, calibration=candidates[0].calibration if candidates else {})
-        if not candidates[:most]:
-            return [start if most == 0 else self._by_own_motion(start)]
-        said = most != 1 and _is_said(self.unknown, self.given)
-        if said and all(_are_distinct(start, candidate, self.unknown) for candidate in candidates[:most]):
-            candidates = [*candidates[: None if most is None else most - 1], start]
+        own, among = start, candidates[:most]
+        if most != 0 and not (among and among[0].misfit < MUCH):
+            own = self._by_own_motion(start)
+        if not among:
+            return [own]
+        wanted = most != 1 and (own is not start or _is_said(self.unknown, self.given))
+        if wanted and all(_are_distinct(own, candidate, self.unknown) for candidate in among):
+            candidates = [*candidates[: None if most is None else most - 1], own]
         return candidates[: most or None]
 
     @cached_property

@@ -242,8 +242,7 @@ def test_where_no_linear_chain_comes_near_the_free_run_says_how_stiff_it_is(fact
     record = measured(s, s.moved(random_force(0.5, 20.0, 8000.0, 6.0), time), {"acceleration": (1, 3)}, 40.0).record
     values = {"m": s.m.tolist(), "c": s.c.tolist(), "k": (factor * s.k).tolist(), "kappa": s.kappa.tolist()}
     problem = StateParameter(unobserved=[], unknown="k_*").pose(build_chain(3, Duffing(), **values), [record])
-    (start,) = starts(problem)
-    assert np.abs(np.log10(start / s.k)).max() < 0.3
+    assert min(np.abs(np.log10(start / s.k)).max() for start in starts(problem)) < 0.3
 
 
 CSV = (

@@ -96,7 +96,7 @@ def test_a_new_record_without_a_search():
         true = getattr(new.truth, quantity)
         ours, theirs = (np.linalg.norm(getattr(e.response, quantity) - true) for e in (found, known))
         assert ours < 1.1 * theirs
-    assert found.summary["factorisations"] < 0.65 * known.summary["factorisations"]
+    assert found.summary["factorisations"] < 0.7 * known.summary["factorisations"]
 
 
 def test_the_state_at_the_end():
