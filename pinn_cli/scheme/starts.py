@@ -162,15 +162,16 @@ class Starts:
         if most is None:
             candidates = [c for c in candidates[:MOST_RIVALS] if c.misfit <= RIVAL * candidates[0].misfit]
         start = replace(start, calibration=candidates[0].calibration if candidates else {})
-        own, among = start, candidates[:most]
-        if most != 0 and not (among and among[0].misfit < MUCH):
-            own = self._by_own_motion(start)
+        among = candidates[:most]
         if not among:
-            return [own]
-        wanted = most != 1 and (own is not start or _is_said(self.unknown, self.given))
+            return [start if most == 0 else self._by_own_motion(start)]
+        if most == 1:
+            return among
+        own = start if among[0].misfit < MUCH else self._by_own_motion(start)
+        wanted = own is not start or _is_said(self.unknown, self.given)
         if wanted and all(_are_distinct(own, candidate, self.unknown) for candidate in among):
-            candidates = [*candidates[: None if most is None else most - 1], own]
-        return candidates[: most or None]
+            return [*candidates[: None if most is None else most - 1], own]
+        return among
 
     @cached_property
     def _known(self) -> dict[str, np.ndarray]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,7 +99,7 @@ class BandElimination(Elimination):
         return Diagonals(self.order.offsets, out).over(self.scale)
 
 
-def _forward(lower: np.ndarray, lines: Sequence[np.ndarray] | np.ndarray) -> None:
+def _forward(lower: np.ndarray, lines: np.ndarray) -> None:
     """L^-1 of every line (size,), in place; functions of the last weights alone begin late."""
     for line in lines:
         first = int(np.argmax(line != 0.0))

@@ -78,8 +78,7 @@ class BorderedSystem:
 
     def _readout_alone(self) -> Elimination | None:
         """A, factored without the border."""
-        alone = self.order.alone
-        return eliminated(alone, self.band, alone.border)
+        return eliminated(self.order.alone, self.band, csr_matrix((self.band.size, 0)))
 
     def decrease(self, step: tuple[np.ndarray, np.ndarray]) -> float:
         """What the system's own solution (w, x) takes off 2 [g, h] [w, x] + [w, x] H [w, x]."""

@@ -220,7 +220,7 @@ _LAST: deque[tuple[int, FrontTree]] = deque(maxlen=1)
 def order_of_elimination(dissection: Dissection, border: csr_matrix) -> FrontTree | InBand:
     """Of the weights of a grid and the parameters that a border (size, p) has them touch."""
     if dissection.cheapest.how == "band":
-        return InBand(dissection.grid, border)
+        return InBand(dissection.grid, border.shape[1])
     for largest, tree in _LAST:
         if largest == dissection.largest and tree.grid == dissection.grid and tree.suits(border):
             return tree
@@ -285,6 +285,14 @@ class Grid:
         offsets: np.ndarray = np.unique(np.abs(features * self.functions + functions))
         return offsets
 
+    @property
+    def in_band(self) -> Choice:
+        """All of them one after the other."""
+        width, lines = int(self.offsets[-1]), len(self.offsets)
+        square = SQUARE_UNBLOCKED if width <= UNBLOCKED else SQUARE
+        column = (COLUMN + square * width + BORDER * self.parameters) * width + ENTRY * lines
+        return Choice(self.size * column, float(self.size * (width + 1 + self.parameters)), "band", "features", 1)
+
 
 @dataclass(frozen=True, eq=False)
 class InBand:
@@ -292,11 +300,11 @@ class InBand:
 
     Attributes:
         grid: Of the weights.
-        border: Of the parameters (size, p).
+        parameters: In the border.
     """
 
     grid: Grid
-    border: csr_matrix
+    parameters: int
 
     @cached_property
     def offsets(self) -> np.ndarray:
@@ -311,19 +319,11 @@ class InBand:
     @property
     def alone(self) -> InBand:
         """The same elimination without a border."""
-        return InBand(self.grid, csr_matrix((self.grid.size, 0)))
+        return InBand(self.grid, 0)
 
     def suits(self, border: csr_matrix) -> bool:
         """Whether another border may stand in the place of this one."""
-        return bool(border.shape == self.border.shape)
-
-    @property
-    def choice(self) -> Choice:
-        """What it costs."""
-        width, parameters = self.half_width, self.border.shape[1]
-        square = SQUARE_UNBLOCKED if width <= UNBLOCKED else SQUARE
-        column = (COLUMN + square * width + BORDER * parameters) * width + ENTRY * len(self.offsets)
-        return Choice(self.grid.size * column, float(self.grid.size * (width + 1 + parameters)), "band", "features", 1)
+        return bool(border.shape[1] == self.parameters)
 
 
 class Part(NamedTuple):
@@ -403,8 +403,7 @@ class Dissection:
     @property
     def cheapest(self) -> Choice:
         """Of all weights, or all of them in their band."""
-        grid = self.grid
-        return min(self.best, InBand(grid, csr_matrix((grid.size, grid.parameters))).choice)
+        return min(self.best, self.grid.in_band)
 
     def tree(self) -> Separated:
         """The order of the best."""

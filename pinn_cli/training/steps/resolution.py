@@ -33,13 +33,16 @@ RESOLUTION_DRAWS = 4
 LARGEST_FACTOR = 2.0
 
 
-def acceleration_error(evidence: RecordEvidence, solution: RecordSolution) -> np.ndarray:
+def acceleration_error(evidence: RecordEvidence, solution: RecordSolution, content: float = np.inf) -> np.ndarray:
     """(dofs,) rms of what the spline cannot follow of the accelerations, m/s^2, in the piece of the record with most.
 
     Content at a frequency f comes with an image of it at r - f, with r knots a second, smaller by the power degree - 1
-    of f / (r - f): that of the basis functions' spectrum, sinc to the power degree + 1, less two derivatives. Of a
-    linear structure there is content in the record's band and up to its highest resonance, which may have died out too
-    soon to be seen: what is found beyond both is noise that finer features would only follow further.
+    of f / (r - f): that of the basis functions' spectrum, sinc to the power degree + 1, less two derivatives.
+
+    Args:
+        evidence: Of one record.
+        solution: Its part of a solution.
+        content: The highest frequency of what is no noise, Hz.
     """
     equations = evidence.equations
     network = equations.network
@@ -48,15 +51,11 @@ def acceleration_error(evidence: RecordEvidence, solution: RecordSolution) -> np
     motion = equations.flat_states(equations.physics, solution.point).acceleration.numpy()
     motion = equations.dynamics.structure.shapes.of_dofs(motion[:, : equations.dynamics.ndof])
     rate, step = network.free_intervals, equations.problem.record.step / equations.refinement
-    highest = rate / 2.0
-    if _is_linear(equations):
-        resonances = BEYOND_RESONANCE * natural_frequencies(equations, solution)
-        highest = min(highest, max(record_band(equations.problem.record), float(np.max(resonances, initial=0.0))))
     errors = []
     for column in motion.T:
         cut = pieces(column, round(KNOTS_IN_PIECE / (rate * step)))
         frequency, power = periodogram(cut, step)
-        below = frequency <= highest
+        below = frequency <= min(rate / 2.0, content)
         image = (frequency[below] / (rate - frequency[below])) ** (2 * (network.degree - 1))
         of_pieces = 2.0 * (power[:, below] @ image) / cut.shape[1]
         is_alike = of_pieces.max() <= LOUDEST_BY_CHANCE * of_pieces.mean()
@@ -65,14 +64,23 @@ def acceleration_error(evidence: RecordEvidence, solution: RecordSolution) -> np
 
 
 def knots_wanted(evidence: RecordEvidence, solution: RecordSolution) -> float:
-    """How many times the knots make the spline's error small against all that the record tells; at least 1."""
-    if evidence.equations.averages is None:
+    """How many times the knots make the spline's error small against all that the record tells; at least 1.
+
+    Of a linear structure there is content in the record's band and up to its highest resonance, which may have died out
+    too soon to be seen: what is found beyond both is noise that finer features would only follow further.
+    """
+    equations = evidence.equations
+    if equations.averages is None:
         return 1.0
-    error = acceleration_error(evidence, solution)
+    band, frequencies = record_band(equations.problem.record), _natural_frequencies(equations, solution)
+    reached = max(band, BEYOND_RESONANCE * float(np.max(frequencies, initial=0.0)))
+    error = acceleration_error(evidence, solution, reached if _is_linear(equations) else np.inf)
+    # A little above the highest natural frequency in the band.
+    resonance = min(band, BEYOND_RESONANCE * float(max(frequencies[frequencies <= band], default=band)))
     wanted = max(
-        _for_the_sensors(evidence, solution, error),
+        _for_the_sensors(solution, error, band),
         _for_the_motion(evidence, solution, error),
-        _for_the_parameters(evidence, solution),
+        _for_the_parameters(evidence, solution, resonance),
     )
     return float(np.clip(wanted, 1.0, LARGEST_FACTOR))
 
@@ -97,21 +105,19 @@ def _is_linear(equations: NormalEquations) -> bool:
     return equations.dynamics.structure.nonlinearity_name == "linear"
 
 
-def _for_the_sensors(evidence: RecordEvidence, solution: RecordSolution, error: np.ndarray) -> float:
+def _for_the_sensors(solution: RecordSolution, error: np.ndarray, band: float) -> float:
     """So many times the knots make the spline's error (dofs,) small against every sensor's noise.
 
     An error of the accelerations is one of velocities and displacements at the record's highest frequencies.
     """
-    record = evidence.equations.problem.record
-    omega = 2.0 * np.pi * record_band(record)
-    worst = 0.0
+    omega, worst = 2.0 * np.pi * band, 0.0
     for order, quantity in enumerate(("acceleration", "velocity", "displacement")):
         ratio = error / omega**order / solution.noise.response[quantity]
         worst = max(worst, float(np.nanmax(ratio, initial=0.0)))
     return float((worst / TOLERATED) ** (1.0 / ORDER))
 
 
-def _for_the_parameters(evidence: RecordEvidence, solution: RecordSolution) -> float:
+def _for_the_parameters(evidence: RecordEvidence, solution: RecordSolution, resonance: float) -> float:
     """So many times the knots make the error of the dynamic stiffness small against what is known of every spring."""
     equations = evidence.equations
     parameters = equations.parameters(solution.point)
@@ -125,18 +131,11 @@ def _for_the_parameters(evidence: RecordEvidence, solution: RecordSolution) -> f
         return 1.0
     network = equations.network
     assert isinstance(network, SplineNetwork)
-    wanted = _highest_resonance(equations, solution) * (1.0 + (TOLERATED * min(relative)) ** (-1.0 / network.degree))
+    wanted = resonance * (1.0 + (TOLERATED * min(relative)) ** (-1.0 / network.degree))
     return wanted * network.spacing
 
 
-def _highest_resonance(equations: NormalEquations, solution: RecordSolution) -> float:
-    """A little above the highest natural frequency in the record's band, Hz."""
-    frequencies, band = natural_frequencies(equations, solution), record_band(equations.problem.record)
-    highest = float(max(frequencies[frequencies <= band], default=band))
-    return min(band, BEYOND_RESONANCE * highest)
-
-
-def natural_frequencies(equations: NormalEquations, solution: RecordSolution) -> np.ndarray:
+def _natural_frequencies(equations: NormalEquations, solution: RecordSolution) -> np.ndarray:
     """(n,), with the mean tangent stiffness, Hz."""
     parameters, point = equations.parameters(solution.point), solution.point
     structure = equations.dynamics.structure
