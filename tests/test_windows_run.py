@@ -152,14 +152,13 @@ def softened(seed: int, when: float, left: float) -> Response:
     return Response(*(np.concatenate([getattr(one, name) for one in (first, second)]) for name in both))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "when", "left"),
     [
         (2, 18.0, 0.92),  # inside one
-        (3, 15.0, 0.95),  # in what two have in common
-        (4, 26.0, 0.9),  # in the last one
-        (5, 18.0, 1.0),
+        pytest.param(3, 15.0, 0.95, marks=pytest.mark.slow),  # in what two have in common
+        pytest.param(4, 26.0, 0.9, marks=pytest.mark.slow),  # in the last one
+        pytest.param(5, 18.0, 1.0, marks=pytest.mark.slow),
     ],
 )
 def test_a_change_is_told_where_it_is(pinn_run: PinnRun, tmp_path: Path, seed: int, when: float, left: float) -> None:

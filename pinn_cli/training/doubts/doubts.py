@@ -286,7 +286,8 @@ class _Solution:
         """Standard deviations by which what is reported moves with a step of the columns, of what moves most."""
         equations, like, std_of = self.equations, self.point.unknowns, {p.name: p.std for p in parameters}
         names, scale = [p.name for p in equations.uncertain], equations.scale.numpy()
-        moved = {names[i]: float(abs(by[i]) * scale[i]) / std_of[names[i]] for i in asked.free}
+        reported = [i for i in asked.free if names[i] in std_of]  # not the state that a record goes on from
+        moved = {names[i]: float(abs(by[i]) * scale[i]) / std_of[names[i]] for i in reported}
         along = Point(torch.as_tensor(asked.moved @ by).to(like), self.point.parameters)
         change = equations.flat_states(equations.observation, along)
         displacement = equations.dynamics.sensed("displacement", Jet(*change[:3])).numpy()
