@@ -37,19 +37,10 @@ class Segments:
     samples: int
 
     @property
-    def displacement(self) -> Tensor:
-        """(I, S, B), what each feature adds to it."""
-        return self.jet[:, 0]
-
-    @property
-    def velocity(self) -> Tensor:
-        """(I, S, B), what each feature adds to it."""
-        return self.jet[:, 1]
-
-    @property
-    def acceleration(self) -> Tensor:
-        """(I, S, B), what each feature adds to it."""
-        return self.jet[:, 2]
+    def orders(self) -> tuple[Tensor, Tensor, Tensor]:
+        """(I, S, B) each, what each feature adds to displacement, velocity and acceleration."""
+        displacement, velocity, acceleration = self.jet.unbind(1)
+        return displacement, velocity, acceleration
 
     def gather(self, values: Tensor) -> Tensor:
         """(N, ...) to (I, S, ...), zero at padding."""

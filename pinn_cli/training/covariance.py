@@ -140,7 +140,7 @@ class ReadoutPosterior:
         The covariance of all functions is then taken from the band once for all channels.
         """
         local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))  # (I, functions, B)
-        kinds = segments.displacement, segments.velocity, segments.acceleration
+        kinds = segments.orders
         weights = [[(order, torch.as_tensor(w.toarray())) for order, w in parts] for parts in sensing]
         deviations: list[list[Tensor]] = [[] for _ in sensing]
         for start in range(0, len(local), INTERVALS_AT_ONCE):
@@ -170,7 +170,7 @@ class ReadoutPosterior:
     def _combined(self, segments: Segments, sensing: Sequence[tuple[int, csr_matrix]]) -> Tensor:
         """The same in some groups, (I, S, channels)."""
         local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))
-        kinds = segments.displacement, segments.velocity, segments.acceleration
+        kinds = segments.orders
         deviations = []
         for channel in range(sensing[0][1].shape[0]):
             parts = [
@@ -195,7 +195,7 @@ class ReadoutPosterior:
     def _functions(self, segments: Segments) -> list[Tensor]:
         """The same in some groups, each (I, S, functions)."""
         local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))
-        kinds = segments.displacement, segments.velocity, segments.acceleration
+        kinds = segments.orders
         results: list[list[Tensor]] = [[] for _ in kinds]
         for dof in range(self.equations.layout.ndof):
             spread = self._spread(local[:, dof], torch.cat(kinds, 1))

@@ -225,8 +225,8 @@ def first_output(network: LinearReadout, segments: Segments) -> Segments:
 def output_features(network: LinearReadout, segments: Segments) -> tuple[Tensor, Tensor, Tensor]:
     """Value, first and second derivative of one output's features, each (I, S, B)."""
     if network.channels == 1:
-        return segments.displacement, segments.velocity, segments.acceleration
-    value, rate = segments.displacement[..., ::2], segments.acceleration[..., 1::2]
+        return segments.orders
+    value, rate = segments.orders[0][..., ::2], segments.orders[2][..., 1::2]
     return value, value, rate
 
 

@@ -138,7 +138,7 @@ def test_a_quintic_spline_reproduces_a_quintic_polynomial():
     second = sum(p * (p - 1) * c * time ** max(p - 2, 0) for p, c in enumerate(coefficients))
     segments = network.segments(time)
     features = torch.zeros(len(time), network.count, dtype=torch.float64)
-    scattered = segments.scatter(segments.displacement)
+    scattered = segments.scatter(segments.orders[0])
     features.scatter_(1, segments.scatter(segments.feature[:, None].expand(*segments.sample.shape, -1)), scattered)
     network.readout.data = torch.linalg.lstsq(features, polynomial[:, None]).solution[None]
     for given, expected in zip(network.jet(time, 2), (polynomial, first, second), strict=True):

@@ -175,9 +175,9 @@ def test_a_projection_of_white_noise_keeps_a_share_of_features_over_samples(meas
     network = Spline(intervals=100).build(measurements.record)
     segments = network.segments(torch.as_tensor(measurements.record.time))
     white = torch.as_tensor(np.random.default_rng(0).normal(size=(2049, 20)))
-    found = FeatureProjection(segments, segments.displacement).sum_of_squares(segments.gather(white))
+    found = FeatureProjection(segments, segments.orders[0]).sum_of_squares(segments.gather(white))
     assert found.mean() == pytest.approx(105, rel=0.1)
-    rest = FeatureProjection(segments, segments.displacement).residual(white)
+    rest = FeatureProjection(segments, segments.orders[0]).residual(white)
     np.testing.assert_allclose(found + (rest**2).sum(0), white.square().sum(0), rtol=1e-6)
 
 

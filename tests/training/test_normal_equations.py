@@ -243,7 +243,7 @@ def dynamic_stiffness_error(degree: int, per_period: float) -> float:
         np.put_along_axis(out, found.segments.feature.numpy(), local, axis=1)
         return out
 
-    curvature, value = rows(found.segments.acceleration), rows(found.segments.displacement)
+    curvature, value = rows(found.segments.orders[2]), rows(found.segments.orders[0])
     right = found(found.segments.gather(sine))[:, 0, 0].numpy()
     weights = np.linalg.lstsq(np.vstack((curvature, 1e-6 * value)), np.r_[-(omega**2) * right, 1e-6 * right], None)[0]
     middle = slice(found.count // 3, 2 * found.count // 3)

@@ -49,8 +49,7 @@ class Moment(NamedTuple):
 
     def features(self, order: int) -> Tensor:
         """(I, S, B), of a derivative."""
-        s = self.segments
-        return (s.displacement, s.velocity, s.acceleration, self.third)[order]
+        return (*self.segments.orders, self.third)[order]
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,7 +376,7 @@ class SensorFilter(Factor):
         super().__init__(frame)
         self.channel, self.state, self.order = channel, state, channel.channel.filter_order
         self.segments, averages = frame.physics, frame.averages
-        jet = (self.segments.displacement, self.segments.velocity, self.segments.acceleration)
+        jet = self.segments.orders
         self.features = jet if averages is None else tuple(averages(phi) for phi in jet)
         self.weight = (EXACT * (float(np.std(channel.channel.measured)) or 1.0)) ** -2
 

@@ -134,7 +134,7 @@ class ResponseChannels(ConstantChannels):
         self.acting = np.zeros(len(self.present), bool)
         self.segments = frame.observation
         self.target = self.segments.gather(frame.target.response[quantity])
-        jet = self.segments.displacement, self.segments.velocity, self.segments.acceleration
+        jet = self.segments.orders
         sensing = [(jet[order], matrix) for order, matrix in frame.dynamics.sensing(quantity)]
         self.rows = ConstantRows(self.segments, sensing)
 
@@ -145,7 +145,7 @@ class ResponseChannels(ConstantChannels):
         displacement = frame.dynamics.sensed("displacement", Jet(*states[:3])).cpu().numpy()
         measurands = self.measurands(states).cpu().numpy()
         residual = measurands - frame.target.response[self.name].cpu().numpy()
-        features = dict(enumerate((segments.displacement, segments.velocity, segments.acceleration)))
+        features = dict(enumerate(segments.orders))
         for dof in np.flatnonzero(self.present).tolist():
             yield ChannelAtPoint(
                 frame.problem.record.column(self.name, dof).name,

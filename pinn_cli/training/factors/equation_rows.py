@@ -167,9 +167,7 @@ class EquationRows:
         pattern, count = self.pattern, len(rows)
         stiffness, damping = (pattern.every_function(x[part][:, :, rows], rows) for x in self._at_every_time)
         parameter = pattern.every_parameter(self.parameter[part][:, :, rows], rows)
-        value, rate, curvature = (
-            getattr(segments, name)[part] for name in ("displacement", "velocity", "acceleration")
-        )
+        value, rate, curvature = segments.part(part).orders
         if averages is None:
             jacobian = value[:, :, None, :, None] * stiffness[:, :, :, None]
             jacobian += rate[:, :, None, :, None] * damping[:, :, :, None]
@@ -219,23 +217,23 @@ class EquationRows:
 
     def jacobian(self, segments: Segments, dofs: slice | np.ndarray) -> Tensor:
         """The given DOFs' rows by the features of the DOFs in their slots, slot by slot, (I, dofs, S, D B)."""
-        displacement, velocity = (phi[:, None, :, None, :] for phi in (segments.displacement, segments.velocity))
+        displacement, velocity = (phi[:, None, :, None, :] for phi in segments.orders[:2])
         stiffness, damping = (x[:, :, dofs].movedim(2, 1)[..., None] for x in (self.stiffness, self.damping))
         out = displacement * stiffness
         out.addcmul_(velocity, damping)
         if self.mass is not None:
-            out[..., self.pattern.own_slot, :] += segments.acceleration[:, None] * self.mass[dofs, None, None]
+            out[..., self.pattern.own_slot, :] += segments.orders[2][:, None] * self.mass[dofs, None, None]
         return out.flatten(3)
 
     def averaged_jacobian(self, segments: Segments, averages: Subdomains) -> Tensor:
         """The averages of all rows by the features of the DOFs in their slots, (I, B, n, D)."""
         share, slots = averages.weight[..., None], (len(self.pattern.coupled), len(self.pattern.offsets))
         stiffness, damping = self._at_every_time
-        out = (segments.displacement * share).mT @ stiffness.flatten(2)
-        out += (segments.velocity * share).mT @ damping.flatten(2)
+        out = (segments.orders[0] * share).mT @ stiffness.flatten(2)
+        out += (segments.orders[1] * share).mT @ damping.flatten(2)
         out = out.unflatten(-1, slots)
         if self.mass is not None:
-            out[..., self.pattern.own_slot] += (segments.acceleration * share).sum(1)[..., None] * self.mass
+            out[..., self.pattern.own_slot] += (segments.orders[2] * share).sum(1)[..., None] * self.mass
         return out
 
 

@@ -85,7 +85,7 @@ class InputChannels(ConstantChannels):
         self.segments = self.points.weighted(*(of_value if k == order else of_rates for k in range(3)))
         plain = of_value[:, None] * torch.as_tensor(values).to(like) / self.gain
         self.target = self.segments.gather(torch.where(of_rates[:, None] > 0, target, plain))
-        jet = (self.segments.displacement, self.segments.velocity, self.segments.acceleration)
+        jet = self.segments.orders
         self.rows = ConstantRows(self.segments, list(zip(jet[order:], weights, strict=True)))
 
     def _filtered(self, network: LinearReadout, values: Tensor, factors: Sequence[float]) -> Tensor:
@@ -134,7 +134,7 @@ class InputChannels(ConstantChannels):
     def at(self, point: Point, noise: NoiseModel) -> Iterator[ChannelAtPoint]:
         """See :meth:`Channels.at`."""
         points, record = self.points, self.frame.problem.record
-        features = dict(enumerate((points.displacement, points.velocity, points.acceleration)))
+        features = dict(enumerate(points.orders))
         measurands = self.measurands(self.frame.flat_states(points, point)).numpy()
         residual = points.scatter(self.residual(point)).numpy()
         for i in np.flatnonzero(self.present).tolist():

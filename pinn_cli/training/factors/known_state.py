@@ -106,7 +106,7 @@ class KnownState(Factor):
         segments = frame.network.segments(time)
         alive = segments.mask[:, 0] > 0
         self.feature = segments.feature[alive][:1]
-        jet = segments.displacement, segments.velocity, segments.acceleration
+        jet = segments.orders
         rows = torch.stack([x[alive][0, 0] for x in jet[state.order : state.order + 2]])
         self.jacobian = rows / rows.new_tensor(state.deviation)[:, :, None]
         place = frame.layout.positions(self.feature.numpy(), np.arange(len(state.deviation))[:, None])  # (F, B)

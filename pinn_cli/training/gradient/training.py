@@ -6,7 +6,7 @@ Readout weights in units of the record's amplitudes, so that one learning rate s
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar
 
@@ -24,6 +24,7 @@ from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, positive_number, whole_number
+from pinn_cli.system.quantities import MOTION
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.estimator import Training
 from pinn_cli.training.gradient.losses import LearnedParameters, Losses, checked_weights
@@ -61,19 +62,21 @@ def scale_readout(network: LinearReadout, record: Record) -> None:
     accelerations about at every step of a gradient method. The features of a spline are nearly all alike.
     """
     amplitudes = motion_amplitudes(record)
-    reach = _reach(network, record, {**amplitudes, "continuity": amplitudes["velocity"]})
+    reach = _reach(network, record, [amplitudes[name] for name in (*MOTION, MOTION[1])])
     slow = reach.quantile(SLOW_FEATURES, dim=1, keepdim=True)
     unit = torch.tensor([amplitudes["displacement"], amplitudes["velocity"]][: network.channels]).to(reach)
     scale = unit[:, None] * (slow / reach).clamp(max=1.0)
     parametrize.register_parametrization(network, "readout", _Scaled(scale[..., None]))
 
 
-def _reach(network: LinearReadout, record: Record, amplitudes: Mapping[str, float]) -> Tensor:
-    """(channels, count): the most that a weight of one adds to any part of the motion, over that part's amplitude."""
+def _reach(network: LinearReadout, record: Record, amplitudes: Sequence[float]) -> Tensor:
+    """(channels, count): the most that a weight of one adds to any part of the motion, over that part's amplitude.
+
+    Parts are displacement, velocity, acceleration and the discontinuity of velocity.
+    """
     segments = network.segments(torch.as_tensor(record.time).to(network.readout))
     reach = network.readout.new_zeros(segments.count)
-    for name, amplitude in amplitudes.items():
-        features = getattr(segments, name)
+    for features, amplitude in zip((*segments.orders, segments.continuity), amplitudes, strict=True):
         if features is not None:
             peak = features.abs().amax(1) / amplitude
             reach.scatter_reduce_(0, segments.feature.flatten(), peak.flatten(), "amax")

@@ -51,7 +51,7 @@ def _deviation(posterior: ReadoutPosterior, segments: Segments, slope: Linearisa
     equations = posterior.equations
     dynamics = equations.dynamics
     local = torch.as_tensor(equations.layout.columns(segments.feature, coupled=False))
-    value, rate = segments.displacement, segments.velocity
+    value, rate, _ = segments.orders
     stretch = dynamics.stretched[connection]
     stiffness, damping = (x[..., connection, None] for x in (slope.stiffness, slope.damping))
     rows = [float(weight) * (stiffness * value + damping * rate) for weight in stretch.data]
@@ -156,12 +156,12 @@ class _Energy:
         dynamics, structure = equations.dynamics, equations.dynamics.structure
         segments = equations.observation.part(part)
         local = equations.layout.columns(segments.feature, coupled=False)  # (I, functions, B)
-        moment = (segments.displacement.mT @ self.by_value + segments.velocity.mT @ self.by_rate).numpy()
+        moment = (segments.orders[0].mT @ self.by_value + segments.orders[1].mT @ self.by_rate).numpy()
         for column, connection in enumerate(structure.added.tolist()):
             stretch = dynamics.stretched[connection]
             for function, weight in zip(stretch.indices.tolist(), stretch.data.tolist(), strict=True):
                 np.add.at(out[:, column], local[:, function], weight * moment[..., connection])
-        hidden = (segments.displacement.mT @ self.by_hidden).numpy()
+        hidden = (segments.orders[0].mT @ self.by_hidden).numpy()
         for number, connection in enumerate(structure.memory.tolist()):
             column = int(np.searchsorted(structure.added, connection))
             np.add.at(out[:, column], local[:, dynamics.hidden.start + number], hidden[..., number])

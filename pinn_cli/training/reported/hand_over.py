@@ -39,7 +39,7 @@ def end_state(evidence: RecordEvidence, solution: RecordSolution) -> EndState:
     segments = equations.network.segments(time[-1:])
     alive = segments.mask[:, 0] > 0
     feature = segments.feature[alive][0].numpy()
-    value, rate = (x[alive][0, 0].numpy() for x in (segments.displacement, segments.velocity))
+    value, rate = (x[alive][0, 0].numpy() for x in segments.orders[:2])
     motion, hidden = np.arange(dynamics.ndof), np.arange(dynamics.size)[dynamics.hidden]
     wanted = [
         (function, phi)
