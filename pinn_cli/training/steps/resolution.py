@@ -58,7 +58,9 @@ def acceleration_error(evidence: RecordEvidence, solution: RecordSolution, conte
         below = frequency <= min(rate / 2.0, content)
         image = (frequency[below] / (rate - frequency[below])) ** (2 * (network.degree - 1))
         of_pieces = 2.0 * (power[:, below] @ image) / cut.shape[1]
-        is_alike = of_pieces.max() <= LOUDEST_BY_CHANCE * of_pieces.mean()
+        # What tells of a law with a memory is where it turns, in a few pieces.
+        turns = len(equations.dynamics.structure.memory) > 0
+        is_alike = not turns and of_pieces.max() <= LOUDEST_BY_CHANCE * of_pieces.mean()
         errors.append(np.sqrt(of_pieces.mean() if is_alike else of_pieces.max()))
     return np.array(errors)
 
