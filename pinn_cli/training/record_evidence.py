@@ -195,13 +195,17 @@ class RecordEvidence:
         moved = self._log_density_of_motion(point, forces.count)
         return -0.5 * (forces.misfit(noise) + rest + sensors + readout_log_determinant) + moved
 
+    def mean_equations(self, point: Point) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Mass (N,), damping and stiffness (N, N) of all functions' equations, linearised, on the record's average."""
+        equations = self.equations
+        pattern, tangent = equations.pattern, equations.motion.mean_tangent(equations.physics, point)
+        stiffness, damping = (pattern.full(pattern.by_coordinate(x).numpy()) for x in tangent)
+        return equations.dynamics.mass(equations.parameters(point)).numpy(), damping, stiffness
+
     def _log_density_of_motion(self, point: Point, count: int) -> float:
         """See :func:`log_density`: of the equations linearised at a motion, on the average over the record."""
         equations = self.equations
-        enforced, segments = equations.target.equation.numpy() > 0, equations.physics
-        pattern, tangent = equations.pattern, equations.motion.mean_tangent(segments, point)
-        stiffness, damping = (pattern.full(pattern.by_coordinate(x).numpy()) for x in tangent)
-        mass = equations.dynamics.mass(equations.parameters(point)).numpy()
+        enforced, (mass, damping, stiffness) = equations.target.equation.numpy() > 0, self.mean_equations(point)
         kept = np.ix_(enforced, enforced)
         network, averaged = equations.network, equations.averages is not None
         degree = network.degree if averaged and isinstance(network, SplineNetwork) else None

@@ -8,6 +8,7 @@ level of what drives an input down, and make bands too narrow.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -28,7 +29,8 @@ LEAST_DETERMINED = 0.02
 # is known above the band, and one of two corners is there.
 PARTS, CORNERS, OF_LEFT_OUT = 16, np.geomspace(0.01, 2.0, 14), np.array([0.01, 0.03, 0.1, 0.3, 1.0])
 # Forces end where their power falls to this part of it from one narrow part of the band to the next, and ratio of the
-# frequencies at the ends of one.
+# frequencies at the ends of one. A nonlinear structure moves in a wider band than theirs: with what is driven there in
+# the level of the forces a damper was 55 % too strong.
 END, NARROW = 0.2, 1.08
 # Another spectrum must be so much more probable, as a logarithm.
 DECISIVE_SPECTRUM = 3.0
@@ -81,18 +83,27 @@ class DriveSpectrum:
         """(functions,) standard deviations of the drive, per collocation point; None where they cannot be read."""
         return levels_of_a_kind(self.power.sum(0), self.determined.sum(0)) if self.is_enough else None
 
-    def to_end(self) -> DriveSpectrum:
-        """As far as forces reach.
+    @cached_property
+    def end(self) -> float:
+        """Where forces end, Hz: their power falls at once there; infinity where it does nowhere.
 
-        A nonlinear structure moves in a wider band than theirs, with whose level a damper was 55 % too strong.
+        Of all places where it does, the most probable one of a fall from one level to another.
         """
-        from_top = np.log(self.frequency[-1:] / self.frequency)
-        part = np.floor(from_top / np.log(NARROW)).astype(int)
-        power, values = (np.bincount(part, x.sum(1)) for x in (self.power, np.maximum(self.determined, 0.0)))
-        told = np.logical_and.accumulate(values > FEWEST_OF_PART)
-        level = power[told] / values[told]
-        ends = np.flatnonzero(level[:-1] < END * level[1:])
-        inside = part > ends.max(initial=-1)
+        frequency, sums = self.frequency, np.zeros((len(self.frequency) + 1, 2))
+        sums[1:] = np.cumsum(np.stack([self.power.sum(1), np.maximum(self.determined, 0.0).sum(1)], axis=1), axis=0)
+        at = np.arange(1, len(frequency))
+        first, stop = (np.searchsorted(frequency, frequency[at] * ratio) for ratio in (1.0 / NARROW, NARROW))
+        (below, of_below), (above, of_above) = ((sums[j] - sums[i]).T for i, j in ((first, at), (at, stop)))
+        falls = (np.minimum(of_below, of_above) > FEWEST_OF_PART) & (above * of_below < END * below * of_above)
+        if not falls.any():
+            return np.inf
+        at = at[falls]
+        misfit = sum(n * np.log(power / n) for power, n in (sums[at].T, (sums[-1] - sums[at]).T))
+        return float(frequency[at[np.argmin(misfit)] - 1])
+
+    def up_to(self, frequency: float) -> DriveSpectrum:
+        """That part of it, in Hz."""
+        inside = self.frequency <= frequency
         return DriveSpectrum(self.frequency[inside], self.power[inside], self.determined[inside])
 
 
@@ -287,9 +298,23 @@ def _by_part(part: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 def _of_forces(evidence: RecordEvidence, solution: RecordSolution) -> DriveSpectrum | None:
     """What drives the unknown forces, as far as they reach in the record's band; None without any."""
-    equations, inputs = evidence.equations, evidence.equations.problem.inputs
-    seen = drive_below(evidence, solution, equations.dynamics.forces, inputs.edge / (2.0 * np.pi))
-    return seen if seen is None or inputs.left_out else seen.to_end()
+    inputs = evidence.equations.problem.inputs
+    seen = _in_record(evidence, solution)
+    return (
+        None if seen is None else seen.up_to(min(inputs.edge / (2.0 * np.pi), np.inf if inputs.left_out else seen.end))
+    )
+
+
+def end_of_forces(evidence: RecordEvidence, solution: RecordSolution) -> float:
+    """Where unknown forces end, Hz, see :attr:`DriveSpectrum.end`; infinity where the record does not tell."""
+    seen = _in_record(evidence, solution)
+    return np.inf if seen is None else seen.end
+
+
+def _in_record(evidence: RecordEvidence, solution: RecordSolution) -> DriveSpectrum | None:
+    """What drives the unknown forces, at all frequencies that the samples tell; None without any."""
+    equations = evidence.equations
+    return drive_below(evidence, solution, equations.dynamics.forces, 0.5 / equations.problem.record.step)
 
 
 def drive_below(

@@ -23,6 +23,7 @@ from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.normal_matrix.traced_sums import Met
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.solver import Inference
+from pinn_cli.training.steps.beyond_forces import slope_beyond
 from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN
 from pinn_cli.training.steps.unknown_forces import set_force_level
 
@@ -123,6 +124,8 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
         # A discrepancy in a part of the band has as much fewer values: it was widened for these. What drives an unknown
         # force was not, and leaves far more of the motion open.
         pull[i] = slope if anyhow else noise.occupied * slope
+    if anyhow:
+        pull -= np.where(wanted, slope_beyond(evidence, solution, std), 0.0)
     # The record may be computed in another process, which alone knows what pulls at it.
     change = pull - before
     move = float(np.max(np.abs(covariance @ change) / std, initial=0.0))
