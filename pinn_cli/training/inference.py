@@ -8,9 +8,9 @@ levels have an evidence (:mod:`pinn_cli.training.evidence`; MacKay 1992), by whi
 
 1. **Spectra first.** Forces that nobody measured leave the motion of a linear structure open: Whittle's likelihood of
    the sensors' spectra tells its parameters, and they are held.
-2. **Soft to stiff.** From each start of the parameters the discrepancy, a force that stands for what the model leaves
-   out, comes down from the force that acts to its most probable level; each solution begins at the last. Then all
-   levels follow sigma^2 <- |r|^2 / (N - gamma).
+2. **Soft to stiff.** From one start of the parameters after the other, until a model holds, the discrepancy, a force
+   that stands for what the model leaves out, comes down from the force that acts to its most probable level; each
+   solution begins at the last. Then all levels follow sigma^2 <- |r|^2 / (N - gamma).
 3. **The problem is posed again** as its solution asks for (`STEPS`): forces in their own band and colour, damping in
    its own modes, contacts apart from where they turn, features fine enough. The solution is carried over each time.
 4. **What the levels do not say:** which of several structures is meant, which discrepancy all windows agree on, how

@@ -18,7 +18,7 @@ from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.steps.force_spectrum import end_of_forces
 
 # Frequencies at which what lies beyond the end is looked at: it has no resonance any more.
-FREQUENCIES = 256
+FREQUENCIES_BEYOND = 256
 # Part of a parameter's standard deviation that its derivative is the difference over.
 PART_OF_STD = 0.1
 
@@ -33,9 +33,9 @@ def log_density_beyond(evidence: RecordEvidence, solution: RecordSolution, end: 
     dynamics, noise, record = equations.dynamics, solution.noise, equations.problem.record
     assert noise.innovation is not None
     forces, nyquist = np.arange(dynamics.forces.start, dynamics.forces.stop), 0.5 / record.step
-    edges = np.linspace(end, nyquist, FREQUENCIES + 1)
+    edges = np.linspace(end, nyquist, FREQUENCIES_BEYOND + 1)
     s = 2j * np.pi * 0.5 * (edges[:-1] + edges[1:])[:, None, None]
-    lines = (nyquist - end) / FREQUENCIES * record.step * len(record.time)
+    lines = (nyquist - end) / FREQUENCIES_BEYOND * record.step * len(record.time)
     mass, damping, stiffness = evidence.mean_equations(point)
     driven = np.zeros((dynamics.size, len(forces)))
     # White noise of the points has so much power per frequency less than that of the samples.

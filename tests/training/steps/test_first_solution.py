@@ -33,8 +33,8 @@ from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.solver import Inference, Solver
 from pinn_cli.training.steps import discrepancy_search as search
-from pinn_cli.training.steps import first_solution, part_of_record
 from pinn_cli.training.steps import first_solution as module
+from pinn_cli.training.steps import part_of_record
 from pinn_cli.training.steps.discrepancy_search import scanned, searched
 from pinn_cli.training.steps.first_solution import simulated_start
 
@@ -137,6 +137,10 @@ def test_a_start_that_comes_to_the_solution_of_another_is_not_followed_to_the_en
     like = JointProblem.of(replace(problem, structure=structure, uncertain=(other,)))
     alone = solved(first)
     once = len(asked)
+    asked.clear()
+    solved(replace(first, other_starts=(like,)))
+    assert len(asked) == once  # the model holds: no other start is tried
+    monkeypatch.setattr(module, "_holds", lambda solution: False)
     asked.clear()
     found = solved(replace(first, other_starts=(like,)))
     assert found.problem.alone is problem
@@ -371,7 +375,7 @@ def test_a_strongly_nonlinear_chain_needs_it(monkeypatch):
     measurements = strongly_nonlinear()
     found = recovered(measurements)
     assert worst_fitness(found, measurements) > 97.0
-    monkeypatch.setattr(first_solution, "simulated_start", lambda equations: None)
+    monkeypatch.setattr(module, "simulated_start", lambda equations: None)
     alone = recovered(measurements)
     assert worst_fitness(alone, measurements) < 50.0
     assert alone.summary["log_evidence"] < found.summary["log_evidence"] - 100.0
