@@ -85,21 +85,25 @@ class DriveSpectrum:
 
     @cached_property
     def end(self) -> float:
-        """Where forces end, Hz: their power falls at once there; infinity where it does nowhere.
+        """Where forces end, Hz: their power falls at once there, and stays low; infinity where it does nowhere.
 
-        Of all places where it does, the most probable one of a fall from one level to another.
+        About the lowest such frequency, where the fall is most probable.
         """
         frequency, sums = self.frequency, np.zeros((len(self.frequency) + 1, 2))
         sums[1:] = np.cumsum(np.stack([self.power.sum(1), np.maximum(self.determined, 0.0).sum(1)], axis=1), axis=0)
         at = np.arange(1, len(frequency))
         first, stop = (np.searchsorted(frequency, frequency[at] * ratio) for ratio in (1.0 / NARROW, NARROW))
-        (below, of_below), (above, of_above) = ((sums[j] - sums[i]).T for i, j in ((first, at), (at, stop)))
-        falls = (np.minimum(of_below, of_above) > FEWEST_OF_PART) & (above * of_below < END * below * of_above)
+        falls = np.ones(len(at), dtype=bool)
+        for lower, upper in ((0, len(frequency)), (first, stop)):  # over all, and nearby
+            (below, of_below), (above, of_above) = pair = (sums[at] - sums[lower]).T, (sums[upper] - sums[at]).T
+            falls &= np.minimum(of_below, of_above) > FEWEST_OF_PART
+            falls &= above * of_below < END * below * of_above
         if not falls.any():
             return np.inf
-        at = at[falls]
-        misfit = sum(n * np.log(power / n) for power, n in (sums[at].T, (sums[-1] - sums[at]).T))
-        return float(frequency[at[np.argmin(misfit)] - 1])
+        near = falls & (frequency[at] < NARROW * frequency[at[falls][0]])
+        misfit = sum(n * np.log(power / n) for power, n in np.stack(pair)[..., near])
+        both = np.sum(pair, axis=0)[:, near]
+        return float(frequency[at[near][np.argmin(misfit - both[1] * np.log(both[0] / both[1]))] - 1])
 
     def up_to(self, frequency: float) -> DriveSpectrum:
         """That part of it, in Hz."""

@@ -40,8 +40,11 @@ def test_forces_end_where_their_power_falls_at_once(end):
     np.testing.assert_allclose(seen.up_to(seen.end).levels, 2.0, rtol=0.1)
 
 
-def test_forces_that_fall_off_slowly_end_with_the_band():
-    assert drawn((1.0 + FREQUENCY) ** -2.0).end == np.inf
+@pytest.mark.parametrize(
+    "power", [(1.0 + FREQUENCY) ** -2.0, np.where(np.abs(FREQUENCY - 10.0) < 1.0, 0.01, 4.0)], ids=["slow", "a gap"]
+)
+def test_forces_that_fall_off_slowly_or_come_back_do_not_end(power):
+    assert drawn(power).end == np.inf
 
 
 def test_levels_of_a_kind_are_their_own_where_they_are_determined_and_common_where_not():
