@@ -29,9 +29,9 @@ LEAST_DETERMINED = 0.02
 # is known above the band, and one of two corners is there.
 PARTS, CORNERS, OF_LEFT_OUT = 16, np.geomspace(0.01, 2.0, 14), np.array([0.01, 0.03, 0.1, 0.3, 1.0])
 # Forces end where their power falls to this part of it from one narrow part of the band to the next, and ratio of the
-# frequencies at the ends of one. A nonlinear structure moves in a wider band than theirs: with what is driven there in
-# the level of the forces a damper was 55 % too strong.
-END, NARROW = 0.2, 1.08
+# frequencies at the ends of one; where it holds too few values, up to the second one. A nonlinear structure moves in a
+# wider band than theirs: with what is driven there in the level of the forces a damper was 55 % too strong.
+END, NARROW, WIDE = 0.2, 1.08, 1.25
 # Another spectrum must be so much more probable, as a logarithm.
 DECISIVE_SPECTRUM = 3.0
 # Share of a part's values that the record must determine, and frequencies that a part must have, for its level to be
@@ -92,18 +92,23 @@ class DriveSpectrum:
         frequency, sums = self.frequency, np.zeros((len(self.frequency) + 1, 2))
         sums[1:] = np.cumsum(np.stack([self.power.sum(1), np.maximum(self.determined, 0.0).sum(1)], axis=1), axis=0)
         at = np.arange(1, len(frequency))
-        first, stop = (np.searchsorted(frequency, frequency[at] * ratio) for ratio in (1.0 / NARROW, NARROW))
+        wide, near, beyond, far = (
+            np.searchsorted(frequency, frequency[at] * r) for r in (1 / WIDE, 1 / NARROW, NARROW, WIDE)
+        )
+        told = sums[:, 1]
+        first = np.clip(np.searchsorted(told, told[at] - FEWEST_OF_PART, side="right") - 1, wide, near)
+        stop = np.clip(np.searchsorted(told, told[at] + FEWEST_OF_PART), beyond, far)
         falls = np.ones(len(at), dtype=bool)
         for lower, upper in ((0, len(frequency)), (first, stop)):  # over all, and nearby
             (below, of_below), (above, of_above) = pair = (sums[at] - sums[lower]).T, (sums[upper] - sums[at]).T
-            falls &= np.minimum(of_below, of_above) > FEWEST_OF_PART
+            falls &= np.minimum(of_below, of_above) >= FEWEST_OF_PART
             falls &= above * of_below < END * below * of_above
         if not falls.any():
             return np.inf
-        near = falls & (frequency[at] < NARROW * frequency[at[falls][0]])
-        misfit = sum(n * np.log(power / n) for power, n in np.stack(pair)[..., near])
-        both = np.sum(pair, axis=0)[:, near]
-        return float(frequency[at[near][np.argmin(misfit - both[1] * np.log(both[0] / both[1]))] - 1])
+        lowest = falls & (frequency[at] < NARROW * frequency[at[falls][0]])
+        misfit = sum(n * np.log(power / n) for power, n in np.stack(pair)[..., lowest])
+        both = np.sum(pair, axis=0)[:, lowest]
+        return float(frequency[at[lowest][np.argmin(misfit - both[1] * np.log(both[0] / both[1]))] - 1])
 
     def up_to(self, frequency: float) -> DriveSpectrum:
         """That part of it, in Hz."""
