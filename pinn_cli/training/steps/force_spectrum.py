@@ -31,7 +31,7 @@ PARTS, CORNERS, OF_LEFT_OUT = 16, np.geomspace(0.01, 2.0, 14), np.array([0.01, 0
 # Forces end where their power falls to this part of it from one narrow part of the band to the next, and ratio of the
 # frequencies at the ends of one; where it holds too few values, up to the second one. A nonlinear structure moves in a
 # wider band than theirs: with what is driven there in the level of the forces a damper was 55 % too strong.
-END, NARROW, WIDE = 0.2, 1.08, 1.25
+END, NARROW, NARROW_ENOUGH = 0.2, 1.08, 1.25
 # Another spectrum must be so much more probable, as a logarithm.
 DECISIVE_SPECTRUM = 3.0
 # Share of a part's values that the record must determine, and frequencies that a part must have, for its level to be
@@ -93,7 +93,8 @@ class DriveSpectrum:
         sums[1:] = np.cumsum(np.stack([self.power.sum(1), np.maximum(self.determined, 0.0).sum(1)], axis=1), axis=0)
         at = np.arange(1, len(frequency))
         wide, near, beyond, far = (
-            np.searchsorted(frequency, frequency[at] * r) for r in (1 / WIDE, 1 / NARROW, NARROW, WIDE)
+            np.searchsorted(frequency, frequency[at] * r)
+            for r in (1 / NARROW_ENOUGH, 1 / NARROW, NARROW, NARROW_ENOUGH)
         )
         told = sums[:, 1]
         first = np.clip(np.searchsorted(told, told[at] - FEWEST_OF_PART, side="right") - 1, wide, near)
