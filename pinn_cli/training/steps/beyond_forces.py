@@ -17,8 +17,8 @@ from pinn_cli.training.minimise import Point
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.steps.force_spectrum import end_of_forces
 
-# Frequencies at which what lies beyond the end is looked at: it has no resonance any more.
-FREQUENCIES_BEYOND = 256
+# Frequencies at most at which what lies beyond the end is looked at: a resonance there must be among them.
+FREQUENCIES_BEYOND = 1024
 # Part of a parameter's standard deviation that its derivative is the difference over.
 PART_OF_STD = 0.1
 
@@ -32,10 +32,10 @@ def log_density_beyond(evidence: RecordEvidence, solution: RecordSolution, end: 
     equations = evidence.equations
     dynamics, noise, record = equations.dynamics, solution.noise, equations.problem.record
     assert noise.innovation is not None
-    forces, nyquist = np.arange(dynamics.forces.start, dynamics.forces.stop), 0.5 / record.step
-    edges = np.linspace(end, nyquist, FREQUENCIES_BEYOND + 1)
-    s = 2j * np.pi * 0.5 * (edges[:-1] + edges[1:])[:, None, None]
-    lines = (nyquist - end) / FREQUENCIES_BEYOND * record.step * len(record.time)
+    forces = np.arange(dynamics.forces.start, dynamics.forces.stop)
+    lines = (_top(evidence) - end) * record.step * len(record.time)
+    number = min(FREQUENCIES_BEYOND, max(1, round(lines)))
+    s = 2j * np.pi * (end + (_top(evidence) - end) * (np.arange(number) + 0.5) / number)[:, None, None]
     mass, damping, stiffness = evidence.mean_equations(point)
     driven = np.zeros((dynamics.size, len(forces)))
     # White noise of the points has so much power per frequency less than that of the samples.
@@ -52,7 +52,7 @@ def log_density_beyond(evidence: RecordEvidence, solution: RecordSolution, end: 
     shown = rows @ moved / noise_of[:, None]  # in units in which R is the identity
     spectrum = np.eye(len(sensors)) + shown @ shown.conj().transpose(0, 2, 1)
     of_noise = np.trace(np.linalg.inv(spectrum), axis1=1, axis2=2).real
-    return -lines * float((np.linalg.slogdet(spectrum)[1] + of_noise).sum())
+    return -lines * float((np.linalg.slogdet(spectrum)[1] + of_noise).mean())
 
 
 def slope_beyond(evidence: RecordEvidence, solution: RecordSolution, std: np.ndarray) -> np.ndarray:
@@ -65,7 +65,7 @@ def slope_beyond(evidence: RecordEvidence, solution: RecordSolution, std: np.nda
     """
     end, point = end_of_forces(evidence, solution), solution.point
     slope = np.zeros(len(std))
-    if not np.isfinite(end):
+    if end >= _top(evidence):
         return slope
     for i, width in enumerate((PART_OF_STD * std).tolist()):
         step = torch.zeros_like(point.parameters)
@@ -74,3 +74,8 @@ def slope_beyond(evidence: RecordEvidence, solution: RecordSolution, std: np.nda
         ends = (log_density_beyond(evidence, solution, end, at) for at in (above, below))
         slope[i] = (next(ends) - next(ends)) / (2.0 * width)
     return slope
+
+
+def _top(evidence: RecordEvidence) -> float:
+    """Hz, up to which both the samples and the features tell something."""
+    return 0.5 * min(1.0 / evidence.equations.problem.record.step, evidence.equations.network.free_intervals)

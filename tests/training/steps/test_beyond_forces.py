@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -77,12 +79,15 @@ def test_the_slope_beyond_the_end_is_that_of_the_sensors_spectrum(solved):
     assert slope[0] < 0.0
 
 
-def test_noise_alone_tells_nothing_of_a_structure(solved):
+def test_poor_sensors_tell_nothing_beyond_the_end(solved):
     _, evidence, trained = solved
-    (placed,) = evidence.each_record(lambda one, solution: (one, solution), trained)
-    shift = torch.tensor([1.0, 0.0], dtype=torch.float64)
-    point = placed[1].point
-    stiffer = Point(point.unknowns, point.parameters + shift)
-    near_nyquist = 0.4999 * RATE  # next to no line is there
-    change = log_density_beyond(*placed, near_nyquist, stiffer) - log_density_beyond(*placed, near_nyquist, point)
-    assert abs(change) < 0.01
+    ((record_evidence, solution),) = evidence.each_record(lambda *given: given, trained)
+    loud = {name: 1e4 * level for name, level in solution.noise.response.items()}
+    poor = replace(solution, noise=replace(solution.noise, response=loud))
+    stiffer = Point(solution.point.unknowns, solution.point.parameters + torch.tensor([1.0, 0.0], dtype=torch.float64))
+    changes = [
+        log_density_beyond(record_evidence, of, END, stiffer) - log_density_beyond(record_evidence, of, END, of.point)
+        for of in (solution, poor)
+    ]
+    assert abs(changes[0]) > 0.01
+    assert abs(changes[1]) < 1e-3
