@@ -110,8 +110,9 @@ def test_segments_agree_with_the_network(record, kind, continuity):
     # Feature g of output c is number channels * g + c.
     weights = network.readout.movedim(0, 1).flatten(0, 1)[segments.feature]
     assert segments.count == network.channels * network.count
-    for name, expected in states._asdict().items():
-        features = getattr(segments, name)
+    for features, (name, expected) in zip(
+        (*segments.orders, segments.continuity), states._asdict().items(), strict=True
+    ):
         assert (features is None) == (expected is None), name
         if features is not None:
             torch.testing.assert_close(segments.scatter(features @ weights), expected)
