@@ -329,3 +329,9 @@ class Point:
     def moved(self, step: tuple[Tensor, Tensor]) -> Point:
         """The point after a step."""
         return Point(self.unknowns + step[0], self.parameters + step[1])
+
+    def beside(self, i: int, width: float) -> tuple[Point, Point]:
+        """With a parameter so much more, and so much less, in prior standard deviations."""
+        shift = self.parameters.new_zeros(self.parameters.shape)
+        shift[i] = width
+        return replace(self, parameters=self.parameters + shift), replace(self, parameters=self.parameters - shift)

@@ -9,7 +9,6 @@ they should be.
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from pinn_cli.system.quantities import MOTION
 from pinn_cli.training.factors.feels import weighted
@@ -61,18 +60,13 @@ def slope_beyond(evidence: RecordEvidence, solution: RecordSolution, std: np.nda
     Args:
         evidence: Of one record.
         solution: Its solution.
-        std: (p,), posterior standard deviations of the parameters, in prior ones.
+        std: (p,), posterior standard deviations of the parameters, in prior ones; 0 of those that are not asked for.
     """
-    end, point = end_of_forces(evidence, solution), solution.point
-    slope = np.zeros(len(std))
-    if end >= _top(evidence):
-        return slope
-    for i, width in enumerate((PART_OF_STD * std).tolist()):
-        step = torch.zeros_like(point.parameters)
-        step[i] = width
-        above, below = (Point(point.unknowns, point.parameters + sign * step) for sign in (1.0, -1.0))
-        ends = (log_density_beyond(evidence, solution, end, at) for at in (above, below))
-        slope[i] = (next(ends) - next(ends)) / (2.0 * width)
+    end, slope = end_of_forces(evidence, solution), np.zeros(len(std))
+    for i in np.flatnonzero(std if end < _top(evidence) else slope).tolist():
+        width = PART_OF_STD * float(std[i])
+        above, below = (log_density_beyond(evidence, solution, end, at) for at in solution.point.beside(i, width))
+        slope[i] = (above - below) / (2.0 * width)
     return slope
 
 

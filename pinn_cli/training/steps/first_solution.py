@@ -115,8 +115,8 @@ def _from_the_starts(
 ) -> tuple[Inference, float]:
     """Of the solutions from all starts, up to the first whose model holds, the most probable one, and the force, N.
 
-    Of 138 random structures a later start led to a more probable solution in none whose model held from an earlier one.
-    Where none does, one from starts elsewhere whose model does, if there is one that is more probable.
+    Where none does, one from starts elsewhere whose model does, if there is one that is more probable. Of 138 random
+    structures whose model held from one start, none had another solution from a later one.
 
     Raises:
         DivergenceError: None could be solved.

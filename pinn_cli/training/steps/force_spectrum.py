@@ -309,10 +309,8 @@ def _by_part(part: np.ndarray, values: np.ndarray) -> np.ndarray:
 def _of_forces(evidence: RecordEvidence, solution: RecordSolution) -> DriveSpectrum | None:
     """What drives the unknown forces, as far as they reach in the record's band; None without any."""
     inputs = evidence.equations.problem.inputs
-    seen = _in_record(evidence, solution)
-    return (
-        None if seen is None else seen.up_to(min(inputs.edge / (2.0 * np.pi), np.inf if inputs.left_out else seen.end))
-    )
+    seen, edge = _in_record(evidence, solution), inputs.edge / (2.0 * np.pi)
+    return None if seen is None else seen.up_to(edge if inputs.left_out else min(edge, seen.end))
 
 
 def end_of_forces(evidence: RecordEvidence, solution: RecordSolution) -> float:

@@ -115,28 +115,22 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
     for i in np.flatnonzero(wanted).tolist():
         # Wide beside rounding: where a parameter is known well, a part of its value.
         wide = max(std[i], PART_OF_VALUE * abs(values[i]))
-        straight = _is_straight(equations, residual, _ends(point, i, wide))
+        straight = _is_straight(equations, residual, point.beside(i, wide))
         slope = 0.0
         for width, weight in ((wide, 0.5 / wide),) if straight else ((w * std[i], s / std[i]) for w, s in OF_BENT):
             for factor, levels, met, share in through:
-                above, below = (equations.traced(factor, end, levels, met) for end in _ends(point, i, width))
+                above, below = (equations.traced(factor, end, levels, met) for end in point.beside(i, width))
                 slope += weight * share * met.trace(above, below)
         # A discrepancy in a part of the band has as much fewer values: it was widened for these. What drives an unknown
         # force was not, and leaves far more of the motion open.
         pull[i] = slope if anyhow else noise.occupied * slope
     if anyhow:
-        pull -= np.where(wanted, slope_beyond(evidence, solution, std), 0.0)
+        pull -= slope_beyond(evidence, solution, np.where(wanted, std, 0.0))
     # The record may be computed in another process, which alone knows what pulls at it.
     change = pull - before
     move = float(np.max(np.abs(covariance @ change) / std, initial=0.0))
     change *= min(1.0, LARGEST_MOVE / max(move, NEGLIGIBLE_PULL))
     return equations.pull, before + change, move
-
-
-def _ends(point: Point, i: int, width: float) -> tuple[Point, Point]:
-    """A parameter so much more, and so much less, in prior standard deviations."""
-    shift = point.parameters.new_tensor(width * (np.arange(len(point.parameters)) == i))
-    return replace(point, parameters=point.parameters + shift), replace(point, parameters=point.parameters - shift)
 
 
 def _is_straight(equations: NormalEquations, between: Tensor, ends: tuple[Point, Point]) -> bool:

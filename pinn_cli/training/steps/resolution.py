@@ -51,15 +51,14 @@ def acceleration_error(evidence: RecordEvidence, solution: RecordSolution, conte
     motion = equations.flat_states(equations.physics, solution.point).acceleration.numpy()
     motion = equations.dynamics.structure.shapes.of_dofs(motion[:, : equations.dynamics.ndof])
     rate, step = network.free_intervals, equations.problem.record.step / equations.refinement
-    errors = []
+    # What tells of a law with a memory is where it turns, in a few pieces.
+    turns, errors = len(equations.dynamics.structure.memory) > 0, []
     for column in motion.T:
         cut = pieces(column, round(KNOTS_IN_PIECE / (rate * step)))
         frequency, power = periodogram(cut, step)
         below = frequency <= min(rate / 2.0, content)
         image = (frequency[below] / (rate - frequency[below])) ** (2 * (network.degree - 1))
         of_pieces = 2.0 * (power[:, below] @ image) / cut.shape[1]
-        # What tells of a law with a memory is where it turns, in a few pieces.
-        turns = len(equations.dynamics.structure.memory) > 0
         is_alike = not turns and of_pieces.max() <= LOUDEST_BY_CHANCE * of_pieces.mean()
         errors.append(np.sqrt(of_pieces.mean() if is_alike else of_pieces.max()))
     return np.array(errors)
