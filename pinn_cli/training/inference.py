@@ -78,12 +78,12 @@ def infer(problem: JointProblem, solver: Solver) -> Inference:
 
 
 def _as_believed(problem: JointProblem, solver: Solver) -> Solver:
-    """The common spread of the parameters is learned where these are beliefs of a user, which forces can contradict.
+    """The common spread of the parameters is learned where they are beliefs of a user that measured forces contradict.
 
-    What earlier records leave open is no such belief, and forces that are free on every DOF follow any parameters: the
-    spread would grow without end.
+    What earlier records leave open is no such belief, and forces that nobody measured follow wrong parameters: together
+    with the most probable of them these move, the spread after them, and so on.
     """
     if problem.is_informed:
         solver = replace(solver, tolerance=max(solver.tolerance, NEAR_TOLERANCE))
-    is_free = all(len(record_problem.inputs.forces) == record_problem.record.ndof for record_problem in problem)
-    return replace(solver, learn_spread=False) if is_free or problem.is_informed else solver
+    is_followed = any(record_problem.inputs.unmeasured for record_problem in problem)
+    return replace(solver, learn_spread=False) if is_followed or problem.is_informed else solver

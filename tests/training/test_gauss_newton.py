@@ -91,6 +91,12 @@ def test_wrong_parameters_free_each_other():
             assert p.estimate == pytest.approx(15.0, rel=0.02)
 
 
+def test_a_force_that_nobody_measured_does_not_free_parameters():
+    record = example().record
+    record = replace(record, force=np.where([True, False, False], np.nan, record.force))
+    assert recovered(record=record).summary["parameter_spread"] == 1.0
+
+
 def test_history_has_a_row_per_step():
     estimate = found()
     table = estimate.history
