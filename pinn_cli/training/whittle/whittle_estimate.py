@@ -40,6 +40,8 @@ PRIOR_ROUNDS, USUAL_SPREAD, PRIOR_SETTLED = 12, 0.3, 0.05
 # Parts of the spectra that a misfit is looked for in, as wide as a resonance and its flanks, and values in one at the
 # least.
 PART_RATIO, FEWEST_IN_PART = 1.1, 20.0
+# Of what leaks out of resonances in a usual record, so much may have leaked out of this one.
+LEAKED_SHARES = 0.0, 0.03, 0.1, 0.3, 1.0
 # Prior standard deviation of the logarithm of a sensor's noise about what its spectrum shows.
 NOISE_SPREAD = 3.0
 
@@ -240,26 +242,36 @@ class Whittle:
         return step * min(1.0, LARGEST_STEP / max(float(np.abs(step[logarithms]).max()), 1e-300))
 
     def misfit(self, x: np.ndarray) -> float:
-        """See :attr:`KnownParameters.misfit`: where the sensors' whitened spectra are no unit matrix beyond chance."""
+        """See :attr:`KnownParameters.misfit`: where the sensors' whitened spectra are no unit matrix beyond chance.
+
+        What leaks out of resonances into the lines hangs on how the record began and how it ends, two states of a
+        motion: what is off for any part of the usual leak is. Of a record from rest to rest there is none.
+        """
         plain, seen = self.model.power(x)
         residual, _ = self._residual_spectra(seen)
+        leak = self._expected(self.model, x) - plain
         try:
-            unit = np.linalg.inv(np.linalg.cholesky(self._expected(self.model, x)))
+            np.linalg.cholesky(plain + leak)
         except np.linalg.LinAlgError:  # what a measured force leaks is a difference, which rounding may turn
-            unit = np.linalg.inv(np.linalg.cholesky(plain + self.leaked))
+            leak = self.leaked
+        units = (np.linalg.inv(np.linalg.cholesky(plain + share * leak)) for share in LEAKED_SHARES)
+        return float(np.min([self._misfit_by_part(unit, residual) for unit in units], axis=0).max(initial=0.0))
+
+    def _misfit_by_part(self, unit: np.ndarray, residual: np.ndarray) -> np.ndarray:
+        """How far the spectra (G, S, S), whitened by the unit (G, S, S), are off in each part; 0 where by chance."""
         power, count = unit @ residual @ unit.conj().transpose(0, 2, 1), self.spectrum.count
         part = np.floor(np.log(self.spectrum.omega / self.spectrum.omega[0]) / np.log(PART_RATIO)).astype(int)
-        worst, parts, size = 0.0, part[-1] + 1, power.shape[-1]
-        for number in range(parts):
+        found, size = np.zeros(part[-1] + 1), power.shape[-1]
+        for number in range(len(found)):
             lines = part == number
             values = count[lines].sum()
             if values < FEWEST_IN_PART:
                 continue
             off = np.einsum("g,gst->st", count[lines], power[lines]) / values - np.eye(size)
-            by_chance = chdtrc(size**2, values * np.sum(np.abs(off) ** 2)) * parts
+            by_chance = chdtrc(size**2, values * np.sum(np.abs(off) ** 2)) * len(found)
             if by_chance < IMPROBABLE_PART:
-                worst = max(worst, float(np.linalg.norm(off, 2)))
-        return worst
+                found[number] = np.linalg.norm(off, 2)
+        return found
 
 
 def known_parameters(whole: JointProblem, learn_spread: bool = True) -> KnownParameters | None:

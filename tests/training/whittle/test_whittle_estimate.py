@@ -216,6 +216,32 @@ def test_what_spectra_do_not_tell():
     assert not is_spectral(measured.alone)
 
 
+def from_rest_to_rest(first_frequency, duration, seed, snr_db):
+    """Displacements of the frame on a ground that shakes in the first half of the record, by transfer functions."""
+    random, samples = np.random.default_rng(seed), round(duration * RATE)
+    m, c, k = frame(FLOORS, first_frequency)
+    strong = np.append(np.hanning(samples // 2), np.zeros(samples - samples // 2))
+    frequency = np.fft.rfftfreq(samples, 1.0 / RATE)
+    ground = np.fft.rfft(strong * random.standard_normal(samples)) * (frequency < EDGE)
+    omega = 2.0 * np.pi * frequency[:, None, None]
+    dynamic = -(omega**2) * np.diag(m) + 1j * omega * chain_matrix(c) + chain_matrix(k)
+    motion = np.fft.irfft(np.linalg.solve(dynamic, -(ground[:, None] * m)[..., None])[..., 0], samples, axis=0)
+    seen = motion + 10.0 ** (-snr_db / 20.0) * motion.std(axis=0) * random.standard_normal(motion.shape)
+    nothing, still = np.full_like(seen, np.nan), np.zeros_like(seen)
+    time, moves = np.arange(samples) / RATE, np.full(samples, np.nan)
+    unforced = np.ones(FLOORS, dtype=bool)
+    return Record(time, seen, nothing, nothing.copy(), still, unforced=unforced, ground_acceleration=moves)
+
+
+def test_a_record_from_rest_to_rest_leaks_nothing():
+    """Of eight, seven had less beside a resonance than leaks into a record that goes on, and were blamed for it."""
+    scheme, misfits = SparseRecovery(parameter_uncertainty=0.1), []
+    for seed in range(8):
+        record = from_rest_to_rest(3.0, 60.0, seed, snr_db=60.0)
+        misfits.append(known_parameters(scheme.pose(believed_frame(3.0), [record])).misfit)
+    assert np.count_nonzero(misfits) <= 2
+
+
 def test_where_all_parameters_are_held_the_spectra_tell_whether_they_can_be():
     problem, found = posed(), []
     for factor in (1.0, 4.0):
