@@ -22,6 +22,8 @@ SCAN_FACTOR = 10.0**0.5
 FAR_FROM_THE_PEAK, EASILY_FOLLOWED = 200.0, 3
 # A drop of the log evidence by this much ends the scan: the odds against anything stiffer are e^-20.
 DECISIVE_DROP = 20.0
+# Where a solution runs into its limit of iterations it goes on so many times; a scan ends where it still does not end.
+GOING_ON = 3
 # The scan also ends after this many steps without a gain, or at this fraction of the force that it began with.
 PATIENCE, FINEST_OF_START = 3, 1e-8
 # A discrepancy below this part of the noise of every measured input makes no motion better known: one step without a
@@ -176,6 +178,8 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
             continue
         may_stray = False
         followed = best is not None and best.solution.converged
+        if followed and stride <= SCAN_FACTOR:
+            trained = _ended(evidence, trained)
         failed = trained is None or (followed and not trained.solution.converged)
         gain = trained.log_evidence - best.log_evidence if trained is not None and best is not None else np.inf
         lower = gain < 0.0
@@ -201,6 +205,15 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
         )
     let_go = evidence.train(replace(best.noise, firmness=0.0), best.solution.point) if best.noise.firmness else best
     return best if let_go is None else let_go
+
+
+def _ended(evidence: Evidence, trained: Trained | None) -> Trained | None:
+    """A solution, begun again where it ran into its limit of iterations, see :data:`GOING_ON`."""
+    for _ in range(GOING_ON):
+        if trained is None or trained.solution.converged:
+            break
+        trained = evidence.train(trained.noise, trained.solution.point)
+    return trained
 
 
 def _held(noise: NoiseLevels, force: float) -> NoiseLevels:

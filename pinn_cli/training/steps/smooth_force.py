@@ -54,9 +54,10 @@ def fit_smooth_force(inference: Inference) -> Inference | None:
 
 
 def _of_own_spectrum(smooth: Inference) -> Inference:
+    """The same with the spectra that make the record more probable; a force that is next to nothing has none."""
     for _ in range(SPECTRA):
         better = fit_force_spectrum(smooth)
-        if better is None:
+        if better is None or not _log_evidence(better) > _log_evidence(smooth):
             break
         smooth = better
     return set_force_level(smooth) or smooth

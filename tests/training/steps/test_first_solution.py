@@ -322,6 +322,24 @@ def test_parameters_are_held_where_soft_physics_leads_them_astray(monkeypatch):
     assert found.log_evidence == pytest.approx(expected.log_evidence, abs=0.1)
 
 
+def test_a_scan_goes_on_where_a_solution_runs_into_its_limit(problem, monkeypatch):
+    """It ended there, at physics so soft that nothing was told: a hysteresis came out 40 % off."""
+    solver = Solver((Spline(),), History(False))
+    evidence = solver.evidence(JointProblem.of(replace(problem, uncertain=(UNKNOWN,))))
+    noise, train, asked = solver.starting_noise(evidence), evidence.train, []
+    limited = lambda trained: replace(trained, solution=replace(trained.solution, converged=False))  # noqa: E731
+    expected = scanned(evidence, noise, noise.discrepancy, evidence.equations.start())
+
+    def creeping(levels: NoiseLevels, start: Point) -> Trained | None:
+        asked.append(levels.discrepancy)
+        return limited(train(levels, start)) if len(asked) == 2 else train(levels, start)
+
+    monkeypatch.setattr(evidence, "train", creeping)
+    found = scanned(evidence, noise, noise.discrepancy, evidence.equations.start())
+    assert asked[1] == asked[2]
+    assert found.log_evidence == pytest.approx(expected.log_evidence, abs=0.1)
+
+
 @pytest.mark.parametrize("firmness", [0.0, 30.0])
 def test_the_prior_of_what_is_held_is_a_density(problem, firmness):
     """A parameter that the record says nothing of costs and gains no evidence, however firmly it is held."""
