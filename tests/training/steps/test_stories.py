@@ -23,6 +23,7 @@ from pinn_cli.system.connection import Linear
 from pinn_cli.training import inference
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
 from pinn_cli.training.reported import stories
+from pinn_cli.training.steps import smooth_force
 from pinn_cli.training.steps.smooth_force import fit_smooth_force
 
 M, C, K = 50.0, 120.0, 2e4
@@ -259,3 +260,12 @@ def test_a_force_that_is_nothing_beside_those_of_the_connections_has_no_place(mo
     found = SimpleNamespace(summary={"std_unknown_force": level}, parameters=[spring])
     doubts = stories._of_place(smooth, found, SimpleNamespace(parameters=[spring]))
     assert [doubt.kind for doubt in doubts] == told
+
+
+def test_a_spectrum_with_which_the_record_is_less_probable_is_not_taken(monkeypatch):
+    """That of a force that is next to nothing is one of rounding: it was followed for two minutes."""
+    probable, after = {"white": 5.0, "coloured": 9.0, "absurd": -4e5}, {"white": "coloured", "coloured": "absurd"}
+    monkeypatch.setattr(smooth_force, "fit_force_spectrum", after.get)
+    monkeypatch.setattr(smooth_force, "_log_evidence", probable.get)
+    monkeypatch.setattr(smooth_force, "set_force_level", lambda story: None)
+    assert smooth_force._of_own_spectrum("white") == "coloured"
