@@ -46,19 +46,23 @@ def believed_frame(first_frequency, off=0.0, seed=0, law="linear", **more):
     return build_structure(NAMES, dict(zip(NAMES, m, strict=True)), connections)
 
 
+def dynamic_stiffness(first_frequency, frequency):
+    """(K, n, n), of the frame at frequencies (K,), Hz."""
+    m, c, k = frame(FLOORS, first_frequency)
+    omega = 2.0 * np.pi * frequency[:, None, None]
+    return -(omega**2) * np.diag(m) + 1j * omega * chain_matrix(c) + chain_matrix(k)
+
+
 def shaken(first_frequency, duration, seed, together=0.0, measured=(), sensors=(0, 2), snr_db=30.0):
     """A record of the frame under periodic forces, white up to the edge, by its transfer functions alone."""
     random, samples = np.random.default_rng(seed), round(duration * RATE)
-    m, c, k = frame(FLOORS, first_frequency)
     frequency = np.fft.rfftfreq(samples, 1.0 / RATE)
-    omega = 2.0 * np.pi * frequency[:, None, None]
     inside = (frequency > 0) & (frequency < EDGE)
     own = random.standard_normal((len(frequency), FLOORS, 2)) @ [1.0, 1j]
     common = random.standard_normal((len(frequency), 1, 2)) @ [1.0, 1j]
     spectrum = (own + together**0.5 * common) * inside[:, None]
-    dynamic = -(omega**2) * np.diag(m) + 1j * omega * chain_matrix(c) + chain_matrix(k)
-    motion = np.linalg.solve(dynamic, spectrum[..., None])[..., 0]
-    acceleration = np.fft.irfft(-(omega[:, 0] ** 2) * motion, samples, axis=0)
+    motion = np.linalg.solve(dynamic_stiffness(first_frequency, frequency), spectrum[..., None])[..., 0]
+    acceleration = np.fft.irfft(-((2.0 * np.pi * frequency[:, None]) ** 2) * motion, samples, axis=0)
     force = np.fft.irfft(spectrum, samples, axis=0)
     nothing = np.full_like(force, np.nan)
     seen, pushed = nothing.copy(), nothing.copy()
@@ -219,13 +223,12 @@ def test_what_spectra_do_not_tell():
 def from_rest_to_rest(first_frequency, duration, seed, snr_db):
     """Displacements of the frame on a ground that shakes in the first half of the record, by transfer functions."""
     random, samples = np.random.default_rng(seed), round(duration * RATE)
-    m, c, k = frame(FLOORS, first_frequency)
     strong = np.append(np.hanning(samples // 2), np.zeros(samples - samples // 2))
     frequency = np.fft.rfftfreq(samples, 1.0 / RATE)
     ground = np.fft.rfft(strong * random.standard_normal(samples)) * (frequency < EDGE)
-    omega = 2.0 * np.pi * frequency[:, None, None]
-    dynamic = -(omega**2) * np.diag(m) + 1j * omega * chain_matrix(c) + chain_matrix(k)
-    motion = np.fft.irfft(np.linalg.solve(dynamic, -(ground[:, None] * m)[..., None])[..., 0], samples, axis=0)
+    pushed = -ground[:, None] * frame(FLOORS, first_frequency)[0]
+    moved = np.linalg.solve(dynamic_stiffness(first_frequency, frequency), pushed[..., None])[..., 0]
+    motion = np.fft.irfft(moved, samples, axis=0)
     seen = motion + 10.0 ** (-snr_db / 20.0) * motion.std(axis=0) * random.standard_normal(motion.shape)
     nothing, still = np.full_like(seen, np.nan), np.zeros_like(seen)
     time, moves = np.arange(samples) / RATE, np.full(samples, np.nan)
