@@ -88,17 +88,25 @@ def _followed(evidence: Evidence, trained: Trained, ends: list[float], first: tu
 def _is_misled(evidence: Evidence, trained: Trained, least: list[NoiseModel]) -> bool:
     """Whether the record is far less probable without any discrepancy; or far more, where the search went astray.
 
-    A tenth of the discrepancy tells it mostly, and is solved in a few steps.
+    What is compared is the most probable discrepancy: one that was widened for its colour is less probable by itself.
+    A tenth of it tells it mostly, and is solved in a few steps.
     """
-    levels = list(zip(trained.noise.records, least, strict=True))
-    if all(level.discrepancy <= SCAN_FACTOR * lowest.discrepancy for level, lowest in levels):
+    levels = [level.discrepancy * level.occupied**0.5 for level in trained.noise.records]
+    if all(level <= SCAN_FACTOR * lowest.discrepancy for level, lowest in zip(levels, least, strict=True)):
         return False
-    for part in (SCAN_FACTOR**-2, 0.0):
-        lower = (replace(level, discrepancy=max(part * level.discrepancy, low.discrepancy)) for level, low in levels)
-        stiff = evidence.train(replace(trained.noise, records=tuple(lower)), trained.solution.point)
-        if stiff is None or not abs(stiff.log_evidence - trained.log_evidence) < DECISIVE_DROP:
-            return True
-    return False
+
+    def log_evidence(part: float) -> float:
+        """Under a part of the most probable discrepancy; -inf where that cannot be solved."""
+        lower = (
+            replace(noise, discrepancy=max(part * level, lowest.discrepancy))
+            for noise, level, lowest in zip(trained.noise.records, levels, least, strict=True)
+        )
+        again = evidence.train(replace(trained.noise, records=tuple(lower)), trained.solution.point)
+        return -np.inf if again is None else again.log_evidence
+
+    is_widened = any(noise.occupied < 1.0 for noise in trained.noise.records)
+    most_probable = log_evidence(1.0) if is_widened else trained.log_evidence
+    return not all(abs(log_evidence(part) - most_probable) < DECISIVE_DROP for part in (SCAN_FACTOR**-2, 0.0))
 
 
 def _stiffer(evidence: RecordEvidence, solution: RecordSolution, end: float, first: NoiseModel) -> NoiseModel:

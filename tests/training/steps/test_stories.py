@@ -22,8 +22,10 @@ from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.training import inference
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.reported import stories
 from pinn_cli.training.steps import smooth_force
+from pinn_cli.training.steps.free_running import _is_misled
 from pinn_cli.training.steps.smooth_force import fit_smooth_force
 
 M, C, K = 50.0, 120.0, 2e4
@@ -100,6 +102,22 @@ def test_a_model_that_holds_has_one_story():
     estimate = identified(0.0)
     assert estimate.stories == ()
     assert [p.estimate for p in estimate.parameters] == pytest.approx([M, C, K], rel=2e-3)
+
+
+@pytest.mark.parametrize(("least", "misled"), [(0.0, False), (0.5, True)])
+def test_a_discrepancy_that_was_widened_is_compared_as_it_was(least: float, misled: bool):
+    """What none of the record shows has any colour: widened for it, the record was "far more probable without"."""
+
+    def trained(noise: NoiseLevels, point: object = None) -> SimpleNamespace:
+        (level,) = noise.records
+        too_much, too_little = level.discrepancy - 1.0, least - level.discrepancy
+        log_evidence = -100.0 * (max(too_much, 0.0) + max(too_little, 0.0))
+        return SimpleNamespace(noise=noise, log_evidence=log_evidence, solution=SimpleNamespace(point=None))
+
+    white = NoiseModel({}, np.zeros(1), 1.0, np.nan)
+    levels = NoiseLevels((white.widened(1 / 16),), 1.0)
+    assert trained(levels).log_evidence < trained(NoiseLevels((white,), 1.0)).log_evidence - 20.0
+    assert _is_misled(SimpleNamespace(train=trained), trained(levels), [replace(white, discrepancy=1e-6)]) == misled
 
 
 def test_a_load_cell_of_an_unknown_delay_makes_no_second_story():
