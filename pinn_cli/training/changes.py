@@ -43,22 +43,20 @@ def found_changes(problem: Problem, known: ParameterKnowledge, solved: Problem |
     prior, uncertain, solved = problem.prior, problem.uncertain, solved or problem
     assert prior is not None
     assert solved.prior is not None
-    unit = np.array([p.prior_std for p in uncertain])
+    before, unit = _earlier(problem), np.array([p.prior_std for p in uncertain])
     ratio = unit / np.array([p.prior_std for p in solved.uncertain])
     together = np.linalg.inv(known.covariance / np.outer(unit, unit))
-    information = _semidefinite(together - solved.prior.precision * np.outer(ratio, ratio))
-    distance = (known.mean - np.array([p.prescribed for p in uncertain])) / unit
-    pull = together @ distance
-    before = ParameterKnowledge(known.mean, prior.correlation, prior.told, prior.weight, prior.first_std)
+    told = together - solved.prior.precision * np.outer(ratio, ratio)
+    values, vectors = np.linalg.eigh((told + told.T) / 2.0)
+    information = (vectors * values.clip(min=0.0)) @ vectors.T  # what rounding has made negative says nothing
+    pull = together @ ((known.mean - before.mean) / unit)
     covariance = prior.correlation + np.diag((before.hidden**2 + known.hidden**2) / unit**2)
     comparison = _Comparison(problem, information, pull, covariance)
     changed = comparison.changes()
     chance = _as_a_whole(information, pull, comparison.opened(uncertain.index(change.parameter) for change in changed))
     alone, alone_std = _by_itself(information, pull)
-    hidden = np.hypot(unit * alone_std, known.hidden)
-    prescribed = np.array([p.prescribed for p in uncertain])
-    before_std = np.sqrt(unit**2 + before.hidden**2)
-    return Changes(uncertain, changed, chance, IMPROBABLE, prescribed, before_std, prescribed + unit * alone, hidden)
+    before_std, hidden = np.sqrt(unit**2 + before.hidden**2), np.hypot(unit * alone_std, known.hidden)
+    return Changes(uncertain, changed, chance, IMPROBABLE, before.mean, before_std, before.mean + unit * alone, hidden)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,24 +113,12 @@ class _Comparison:
 
 def released(problem: Problem, changes: Changes) -> Problem:
     """The problem with the parameters that changed left open: earlier records say nothing of what they are now."""
-    prior, uncertain = problem.prior, list(problem.uncertain)
-    assert prior is not None
-    unit = np.array([p.prior_std for p in uncertain])
-    covariance = prior.correlation * np.outer(unit, unit)
-    told, weight, first = prior.told.copy(), prior.weight.copy(), prior.first_std.copy()
-    prescribed = None if prior.prescribed is None else prior.prescribed.copy()
+    known = _earlier(problem)
+    covariance = known.covariance.copy()  # below, squares of an array are rounded in another way
     for change in changes.found:
-        j = uncertain.index(change.parameter)
+        j = problem.uncertain.index(change.parameter)
         covariance[j, j] += _open(problem, j) ** 2
-        told[j] = weight[j] = 0.0
-        if prescribed is not None:
-            prescribed[j] = np.nan
-        first[j] = max(first[j], _open(problem, j))
-    std = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(std, std)
-    again = replace(prior, correlation=correlation, told=told, weight=weight, first_std=first, prescribed=prescribed)
-    freed = tuple(replace(p, prior_std=float(s)) for p, s in zip(uncertain, std, strict=True))
-    return replace(problem, uncertain=freed, prior=again)
+    return _knowing(problem, replace(left_open(known, problem, changes), covariance=covariance))
 
 
 def left_open(known: ParameterKnowledge, problem: Problem, changes: Changes) -> ParameterKnowledge:
@@ -155,16 +141,27 @@ def left_open(known: ParameterKnowledge, problem: Problem, changes: Changes) -> 
     return replace(known, covariance=covariance, told=told, weight=weight, first_std=first, prescribed=prescribed)
 
 
+def _earlier(problem: Problem) -> ParameterKnowledge:
+    """What the records before say."""
+    assert problem.prior is not None
+    mean, std = (np.array([getattr(p, name) for p in problem.uncertain]) for name in ("prescribed", "prior_std"))
+    return problem.prior.known(mean, std)
+
+
+def _knowing(problem: Problem, known: ParameterKnowledge) -> Problem:
+    """The problem of an update whose earlier records say this; its structure stays."""
+    assert problem.prior is not None
+    uncertain = tuple(
+        replace(p, prescribed=max(float(m), 0.0) if p.positive else float(m), prior_std=float(s))
+        for p, m, s in zip(problem.uncertain, known.mean, np.sqrt(np.diag(known.covariance)), strict=True)
+    )
+    return replace(problem, uncertain=uncertain, prior=JointPrior.of(known, problem.prior.levels))
+
+
 def _open(problem: Problem, j: int) -> float:
     """Standard deviation of a parameter that may have become anything: its own size, or what was believed at first."""
     assert problem.prior is not None
     return max(abs(problem.uncertain[j].prescribed), float(problem.prior.first_std[j]))
-
-
-def _semidefinite(matrix: np.ndarray) -> np.ndarray:
-    """Without what rounding has made negative."""
-    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2.0)
-    return (vectors * values.clip(min=0.0)) @ vectors.T
 
 
 def _as_a_whole(information: np.ndarray, pull: np.ndarray, covariance: np.ndarray) -> float:
@@ -213,18 +210,9 @@ def common_spread(known: ParameterKnowledge) -> float:
 
 def under_spread(problem: Problem, spread: float) -> Problem:
     """The problem of an update whose earlier records are looked at again under another common spread."""
-    assert problem.prior is not None
-    uncertain = problem.uncertain
-    mean, std = (np.array([getattr(p, name) for p in uncertain]) for name in ("prescribed", "prior_std"))
-    known = problem.prior.known(mean, std).with_spread(spread)
-    prior = JointPrior.of(known, problem.prior.levels)
-    again = tuple(
-        replace(p, prescribed=max(float(m), 0.0) if p.positive else float(m), prior_std=float(s))
-        for p, m, s in zip(uncertain, known.mean, np.sqrt(np.diag(known.covariance)), strict=True)
-    )
-    structural = problem.structure.parameters
-    values = {p: p.prescribed for p in again if p.kind in structural}
-    return replace(problem, structure=problem.structure.with_values(values), uncertain=again, prior=prior)
+    again, structure = _knowing(problem, _earlier(problem).with_spread(spread)), problem.structure
+    values = {p: p.prescribed for p in again.uncertain if p.kind in structure.parameters}
+    return replace(again, structure=structure.with_values(values))
 
 
 @dataclass(frozen=True)
@@ -249,7 +237,10 @@ class UpdatedNetwork(TrainedNetwork):
             if _names(changes) == _names(before):
                 break
             solved = released(alone, changes)
-        return _handing_over(replace(estimate, changes=changes), alone)
+        handed = estimate.handed_over
+        if handed is not None and changes is not None:
+            handed = replace(handed, known=left_open(handed.known, alone, changes))
+        return replace(estimate, changes=changes, handed_over=handed)
 
     def _under_their_spread(self, problem: Problem, run: RunContext) -> tuple[Problem, Estimate]:
         """The problem and its solution under the common spread that all records together ask for."""
@@ -261,14 +252,6 @@ class UpdatedNetwork(TrainedNetwork):
             return problem, estimate
         problem = under_spread(problem, spread)
         return problem, super().solve(JointProblem.of(problem), run)
-
-
-def _handing_over(estimate: Estimate, problem: Problem) -> Estimate:
-    """The same that tells a later window nothing of what changed in this one."""
-    handed, changes = estimate.handed_over, estimate.changes
-    if handed is None or changes is None or not changes.found:
-        return estimate
-    return replace(estimate, handed_over=replace(handed, known=left_open(handed.known, problem, changes)))
 
 
 def _names(changes: Changes | None) -> set[str]:

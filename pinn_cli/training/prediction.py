@@ -63,12 +63,9 @@ def parameter_draws(
 def drawn_structures(
     structure: Structure, parameters: Sequence[ParameterEstimate], draws: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Kind to (count, members of the kind): the parameters of a structure, those that were drawn in their places.
+    """Kind to (count, members of the kind): a structure's parameters, with the draws (count, p) in their places.
 
-    Args:
-        structure: With the others.
-        parameters: p of them; those of sensors have no part in it.
-        draws: (count, p).
+    Those of sensors have no part in it.
     """
     nominal = structure.parameters_like(np.empty(0))
     drawn = {kind: np.tile(values, (len(draws), 1)) for kind, values in nominal.items()}
@@ -107,7 +104,11 @@ class Predictor(TrainedNetwork):
             response = free_run(structure, record, start)
         except NoFreeRunError as error:
             raise DivergenceError(str(error)) from error
-        parameters, correlation = _estimates(alone), None if alone.prior is None else alone.prior.correlation
+        parameters = []
+        for p in alone.uncertain:
+            reach = HALF_WIDTH_90 * p.prior_std
+            parameters.append(ParameterEstimate(p, p.prescribed, p.prior_std, p.value(-reach), p.value(reach)))
+        correlation = None if alone.prior is None else alone.prior.correlation
         draws = self._draws(alone, parameters, correlation, run.seed)
         state = np.tile(np.concatenate(start), (len(draws), 1))
         white, replay = _left_out(alone, self.model, response, len(draws), run.seed)
@@ -120,10 +121,14 @@ class Predictor(TrainedNetwork):
             SupportErrors.of(record, levels),
         )  # fmt: skip
         band = _Band(structure, record, response, members)
+        displacement, velocity, acceleration = (band.std[quantity] for quantity in RESPONSE_QUANTITIES)
+        std = Response(record.time, displacement, velocity, acceleration, 0.0 * response.force)
         summary = {"iterations": 0, "stop_reason": "predicted", "draws": len(draws)}
         return Estimate(
-            response, band.std, parameters, pd.DataFrame(columns=["iteration", "seconds"]), summary, correlation,
-            connections=ConnectionHistories(band.elongation, band.elongation_std, band.force, band.force_std),
+            response, std, parameters, pd.DataFrame(columns=["iteration", "seconds"]), summary, correlation,
+            connections=ConnectionHistories(
+                band.history["drift"], band.std["drift"], band.history["connection_force"], band.std["connection_force"]
+            ),
             peaks=tuple(band.peaks()),
         )  # fmt: skip
 
@@ -139,37 +144,32 @@ class Predictor(TrainedNetwork):
 
 
 class _Band:
-    """What the members do about the response of the mean structure."""
+    """What the members do about the response of the mean structure.
+
+    Attributes:
+        history, std: Name of a quantity to that of the mean structure and its deviation, (N, ...) each.
+        largest: Likewise to the largest absolute values of every member, (members, ...).
+    """
 
     def __init__(self, structure: Structure, record: Record, response: Response, members: Members) -> None:
-        self.structure, self.response, added, drifts = structure, response, structure.added, structure.drifts.toarray()
-        self.elongation, self.force = _connections(structure, response)
-        unknown = Response.unknown(record.time, record.ndof)
-        self.std = replace(unknown, force=0.0 * response.force)
-        self.elongation_std, self.force_std = (np.full(x.shape, np.nan) for x in (self.elongation, self.force))
-        count, n = len(members.start), structure.coordinates
-        largest = {q: np.zeros((count, record.ndof)) for q in RESPONSE_QUANTITIES}
-        largest |= {"drift": np.zeros((count, drifts.shape[0])), "connection_force": np.zeros((count, len(added)))}
+        self.structure, self.time, drifts = structure, record.time, structure.drifts.toarray()
+        motion, n = response.stretching, structure.coordinates
+        e, de = (structure.elongation(x) for x in motion)
+        force = structure.connection_force(e, de, z=response.hidden)
+        of_connections = {"drift": motion[0] @ structure.drifts.T, "connection_force": force[:, structure.added]}
+        self.history = {q: getattr(response, q) for q in RESPONSE_QUANTITIES} | of_connections
+        self.std = {name: np.full(x.shape, np.nan) for name, x in self.history.items()}
+        self.largest = {name: np.zeros((len(members.start), x.shape[1])) for name, x in self.history.items()}
         parameters = members.with_parameters_of(structure)
         with np.errstate(over="ignore", invalid="ignore"):
-            for part, motion, states, carried in followed_members(members, structure, record, response.state(0)):
+            for part, moved, states, carried in followed_members(members, structure, record, response.state(0)):
                 u, v = (np.concatenate((states[..., k * n : (k + 1) * n], carried[..., k, :]), -1) for k in range(2))
                 e, de = structure.elongation(u), structure.elongation(v)
-                z = states[..., 2 * n :] if len(structure.memory) else None
-                force = structure.connection_force(e, de, parameters, z)
-                histories = motion | {"drift": u @ drifts.T, "connection_force": force[..., added]}
+                force = structure.connection_force(e, de, parameters, states[..., 2 * n :])
+                histories = moved | {"drift": u @ drifts.T, "connection_force": force[..., structure.added]}
                 for name, values in histories.items():
-                    np.maximum(largest[name], np.abs(values[:, :-1]).max(axis=0), out=largest[name])
-                    self._of(name)[1][part] = distance(values)
-        self.largest = largest
-
-    def _of(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """History of the mean structure and where its deviation goes, each (N, ...)."""
-        if name == "drift":
-            return self.elongation, self.elongation_std
-        if name == "connection_force":
-            return self.force, self.force_std
-        return getattr(self.response, name), getattr(self.std, name)
+                    np.maximum(self.largest[name], np.abs(values[:, :-1]).max(axis=0), out=self.largest[name])
+                    self.std[name][part] = distance(values)
 
     def peaks(self) -> list[Peak]:
         """Of every history that is known to its end."""
@@ -178,33 +178,14 @@ class _Band:
         names = {"drift": structure.drift_names, "connection_force": connections}
         units = {**UNITS, "drift": "m", "connection_force": "N"}
         for name, largest in self.largest.items():
-            history, std = self._of(name)
-            if not np.isfinite(std).all() or not np.isfinite(largest).all():
+            if not np.isfinite(self.std[name]).all() or not np.isfinite(largest).all():
                 continue
             lower, upper = np.percentile(largest, INTERVAL, axis=0)
-            for i, sample in enumerate(np.abs(history).argmax(axis=0)):
+            for i, sample in enumerate(np.abs(self.history[name]).argmax(axis=0)):
                 of = names[name][i] if name in names else structure.dof_name(i)
-                peak, time = abs(float(history[sample, i])), float(self.response.time[sample])
+                peak, time = abs(float(self.history[name][sample, i])), float(self.time[sample])
                 peaks.append(Peak(name, of, units[name], peak, time, float(lower[i]), float(upper[i])))
         return peaks
-
-
-def _connections(structure: Structure, response: Response) -> tuple[np.ndarray, np.ndarray]:
-    """Drifts (N, D) of the mean structure, and forces (N, C') of its connections."""
-    motion = response.stretching
-    e, de = (structure.elongation(x) for x in motion)
-    return motion[0] @ structure.drifts.T, structure.connection_force(e, de, None, response.hidden)[:, structure.added]
-
-
-def _estimates(problem: Problem) -> list[ParameterEstimate]:
-    """What is known of the parameters."""
-    return [
-        ParameterEstimate(
-            p, p.prescribed, p.prior_std,
-            p.value(-HALF_WIDTH_90 * p.prior_std), p.value(HALF_WIDTH_90 * p.prior_std),
-        )
-        for p in problem.uncertain
-    ]  # fmt: skip
 
 
 def _left_out(problem: Problem, model: Model, response: Response, count: int, seed: int) -> tuple[float, Replay | None]:
