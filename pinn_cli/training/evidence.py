@@ -37,6 +37,11 @@ class Trained:
     log_evidence: float
 
 
+def converged(trained: Trained | None) -> Trained | None:
+    """A solution, if there is one and another step would change nothing."""
+    return trained if trained is not None and trained.solution.converged else None
+
+
 class Evidence:
     """Laplace approximation of the marginal likelihood of noise levels (MacKay 1992), everything integrated out.
 
@@ -84,10 +89,9 @@ class Evidence:
             tolerance: Of a solution that is a step on the way; None: the search's own.
             goes_on: Whether the levels differ little from those before, whose factor may serve.
         """
-        enough = self.tolerance if tolerance is None else tolerance
         watch = lambda losses: self.watch(losses, noise.records[0])  # noqa: E731
         near, self._chord = self._chord if goes_on else None, None
-        limits = self.iterations, enough
+        limits = self.iterations, self.tolerance if tolerance is None else tolerance
         solution = minimise(self.equations, noise, start, *limits, watch, self._damping, near)
         self._damping = solution.damping
         # One is kept, and not with the solution: factors are large.
@@ -163,12 +167,8 @@ def sensors_term(evidence: RecordEvidence, solution: RecordSolution) -> float:
     physics = float((forces.seen / noise.physics_variance)[forces.enforced].sum())
     rest = sum(value for name, value in losses.items() if name not in ("physics", *OF_PARAMETERS))
     change = solution.factor.readout.log_determinant - alone.readout.log_determinant
-    return -0.5 * (physics + rest + evidence.log_variances(noise) + _count(evidence) * math.log(2.0 * math.pi) + change)
-
-
-def _count(evidence: RecordEvidence) -> int:
-    """Samples of all response sensors."""
-    return int(sum(channels.samples[channels.present].sum() for channels in evidence.equations.channels))
+    count = int(sum(channels.samples[channels.present].sum() for channels in equations.channels))
+    return -0.5 * (physics + rest + evidence.log_variances(noise) + count * math.log(2.0 * math.pi) + change)
 
 
 def of_motion(evidence: RecordEvidence, noise: NoiseModel) -> NoiseModel:

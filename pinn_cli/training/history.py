@@ -73,12 +73,7 @@ class History:
     ) -> None:
         """Note the weighted loss terms after so many iterations, if a row is due or this is the last one.
 
-        Args:
-            iteration: How many.
-            losses: By term.
-            weights: By term.
-            last: Whether no further one follows.
-            **shown: What else the bar shows.
+        The bar shows what else is given.
         """
         self.bar.update(iteration - self.bar.n)
         if iteration % self.every and not last:

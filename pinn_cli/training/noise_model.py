@@ -180,6 +180,11 @@ class FeatureProjection:
         array[0] += 1e-15 * array[0].max()
         self.factor = cholesky_banded(array, lower=True)
 
+    @classmethod
+    def of_displacements(cls, network: LinearReadout, segments: Segments) -> FeatureProjection:
+        """Onto the features of a displacement output."""
+        return cls(first_output(network, segments), output_features(network, segments)[0])
+
     def no_moments(self, channels: int) -> Tensor:
         """(count, channels) zeros, for :meth:`add_moments`."""
         return torch.zeros(self.segments.count, channels, dtype=self.features.dtype)

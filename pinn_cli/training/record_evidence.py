@@ -24,7 +24,6 @@ import torch
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
-from pinn_cli.network.linear_readout import Segments
 from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.record.spectrum import occupied_band
 from pinn_cli.system.quantities import FORCE
@@ -119,9 +118,7 @@ class RecordSolution:
     def drawn(self, count: int, of_mean_length: bool = False) -> list[Point]:
         """Draws from the posterior, as steps from the solution; the same ones every time.
 
-        Args:
-            count: How many.
-            of_mean_length: Whether each is as long as a draw is on average: few of them then add up to what they must.
+        With ``of_mean_length`` each is as long as a draw is on average: few of them then add up to what they must.
         """
         size = self.factor.size
         normals = np.random.default_rng(0).standard_normal((size, count))
@@ -139,10 +136,6 @@ class RecordEvidence:
 
     The physics residual counts as what the features can see of it, K values per DOF with a discrepancy that is white
     among them; beyond that there is nothing but the force sensors' noise.
-
-    Attributes:
-        equations: Of the record.
-        problem: Likewise.
     """
 
     def __init__(self, equations: NormalEquations) -> None:
@@ -151,12 +144,12 @@ class RecordEvidence:
     @cached_property
     def projection(self) -> FeatureProjection:
         """At the collocation points."""
-        return self._projection(self.equations.physics)
+        return FeatureProjection.of_displacements(self.equations.network, self.equations.physics)
 
     @cached_property
     def observer_projection(self) -> FeatureProjection:
         """At the response's samples, where it differs from :attr:`projection` if the force is held between its own."""
-        return self._projection(self.equations.observation)
+        return FeatureProjection.of_displacements(self.equations.network, self.equations.observation)
 
     @cached_property
     def load_cells(self) -> dict[int, SensorSamples]:
@@ -186,9 +179,7 @@ class RecordEvidence:
 
     def log_evidence(self, point: Point, noise: NoiseModel, readout_log_determinant: float) -> float:
         """The record's own part, without the parameters' prior and without their share of the Hessian."""
-        equations = self.equations
-        losses = equations.losses(point, noise)
-        forces = self.force_residuals(point, noise)
+        losses, forces = self.equations.losses(point, noise), self.force_residuals(point, noise)
         rest = sum(value for name, value in losses.items() if name not in ("physics", "observer", *OF_PARAMETERS))
         sensors = self.log_variances(noise)
         # What is probable is a force, not the motion that it makes.
@@ -204,10 +195,10 @@ class RecordEvidence:
 
     def _log_density_of_motion(self, point: Point, count: int) -> float:
         """See :func:`log_density`: of the equations linearised at a motion, on the average over the record."""
-        equations = self.equations
+        equations, network = self.equations, self.equations.network
         enforced, (mass, damping, stiffness) = equations.target.equation.numpy() > 0, self.mean_equations(point)
         kept = np.ix_(enforced, enforced)
-        network, averaged = equations.network, equations.averages is not None
+        averaged = equations.averages is not None
         degree = network.degree if averaged and isinstance(network, SplineNetwork) else None
         seen = seen_powers(count, np.pi * network.free_intervals, degree)
         return log_density(mass[enforced], damping[kept], stiffness[kept], seen)
@@ -251,18 +242,10 @@ class RecordEvidence:
 
     def followed_force(self) -> np.ndarray:
         """(N, n), the measured force as far as the features follow it; 0 where there is none."""
-        equations = self.equations
+        equations, segments, network = self.equations, self.equations.forces, self.equations.network
         coefficients = self.projection.coefficients(equations.target.force)
-        segments = equations.forces
-        values = (
-            output_features(equations.network, segments)[0]
-            @ coefficients[first_output(equations.network, segments).feature]
-        )
+        values = output_features(network, segments)[0] @ coefficients[first_output(network, segments).feature]
         return segments.scatter(values)[:, : equations.dynamics.ndof].numpy()
-
-    def _projection(self, segments: Segments) -> FeatureProjection:
-        network = self.equations.network
-        return FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
 
 
 def occupied_share(evidence: RecordEvidence, solution: RecordSolution) -> float:

@@ -64,19 +64,13 @@ class Path:
         earlier: Those from other starts.
 
     Attributes:
+        earlier: Likewise.
         leads_nowhere: Whether even noisier sensors led to no model that explains something.
     """
 
     def __init__(self, earlier: Sequence[Path]) -> None:
-        self.leads_nowhere = False
-        self._earlier, self._found = earlier, dict[float, tuple[np.ndarray, np.ndarray]]()
-        self._evidence = dict[float, float]()
-        self._behind = 0.0
-
-    @property
-    def may_lead_somewhere(self) -> bool:
-        """Whether no earlier one led nowhere: what is wrong for all starts alike is the model, or a sensor."""
-        return not any(path.leads_nowhere for path in self._earlier)
+        self.earlier, self.leads_nowhere = earlier, False
+        self._found, self._evidence, self._behind = dict[float, np.ndarray](), dict[float, float](), 0.0
 
     def follow(self, equations: LeastSquares, trained: Trained) -> None:
         """Note a solution.
@@ -86,7 +80,7 @@ class Path:
         """
         discrepancy = trained.noise.discrepancy
         self._evidence[discrepancy] = trained.log_evidence
-        others = [path._evidence[discrepancy] for path in self._earlier if discrepancy in path._evidence]
+        others = [path._evidence[discrepancy] for path in self.earlier if discrepancy in path._evidence]
         behind = max(others, default=-np.inf) - trained.log_evidence
         if behind > self._behind > OUTDONE:
             raise NothingNew
@@ -96,9 +90,9 @@ class Path:
         scale, prescribed = equations.scale, np.array([p.prescribed for p in equations.uncertain])
         values = prescribed + scale * trained.solution.point.parameters.numpy()
         std = scale * np.sqrt(np.diag(trained.factor.corner_covariance))
-        self._found[discrepancy] = values, std
-        for path in self._earlier:
-            if discrepancy in path._found and np.all(abs(path._found[discrepancy][0] - values) < SAME_SOLUTION * std):
+        self._found[discrepancy] = values
+        for path in self.earlier:
+            if discrepancy in path._found and np.all(abs(path._found[discrepancy] - values) < SAME_SOLUTION * std):
                 raise NothingNew
 
 
@@ -114,7 +108,7 @@ def searched(
 
     Args:
         evidence: Of the problem.
-        noise: Sensor noise; its discrepancy is the force that acts.
+        noise: See :func:`scanned`.
         second_start: Another motion to begin with; None: there is none.
         path: Of the scan from rest.
 
@@ -182,8 +176,7 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
             trained = _ended(evidence, trained)
         failed = trained is None or (followed and not trained.solution.converged)
         gain = trained.log_evidence - best.log_evidence if trained is not None and best is not None else np.inf
-        lower = gain < 0.0
-        if stride > SCAN_FACTOR and (failed or lower):  # beyond what can be followed, or beyond the peak
+        if stride > SCAN_FACTOR and (failed or gain < 0.0):  # beyond what can be followed, or beyond the peak
             discrepancy, stride = discrepancy * stride / SCAN_FACTOR, SCAN_FACTOR
             continue
         if trained is None or failed:
@@ -192,7 +185,7 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
             path.follow(evidence.equations, trained)
         stride = SCAN_FACTOR**2 if best is not None and _is_easy(best, trained) else SCAN_FACTOR
         point, noise = trained.solution.point, replace(noise, spread=evidence.learned_spread(trained))
-        idle = 0 if best is None or trained.log_evidence > best.log_evidence else idle + 1
+        idle = 0 if best is None or gain > 0.0 else idle + 1
         best = trained if best is None or idle == 0 else best
         flat = abs(gain) < NEGLIGIBLE_GAIN and discrepancy < SUSPICIOUS_DISCREPANCY * force
         if gain < -DECISIVE_DROP or (idle and discrepancy < indifferent) or flat:
@@ -200,11 +193,10 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
         discrepancy /= stride
         del trained  # before the next is made
     if best is None:
-        raise DivergenceError(
-            "the softest physics already has a singular normal matrix; use fewer knots or more sensors"
-        )
+        reason = "the softest physics already has a singular normal matrix; use fewer knots or more sensors"
+        raise DivergenceError(reason)
     let_go = evidence.train(replace(best.noise, firmness=0.0), best.solution.point) if best.noise.firmness else best
-    return best if let_go is None else let_go
+    return let_go or best
 
 
 def _ended(evidence: Evidence, trained: Trained | None) -> Trained | None:
@@ -228,9 +220,8 @@ def negligible(equations: NormalEquations, noise: NoiseModel) -> float:
     return max(FINEST_OF_NOISE * noise.least_of_inputs, FINEST_OF_DRIVE * drive)
 
 
-def _is_easy(before: Trained, after: Trained | None) -> bool:
+def _is_easy(before: Trained, after: Trained) -> bool:
     """Whether a scan that goes on like that is still far from the peak, and may take longer steps to it."""
-    if after is None or not (before.solution.converged and after.solution.converged):
-        return False
-    rise = after.log_evidence - before.log_evidence
-    return rise > FAR_FROM_THE_PEAK and after.solution.factorisations <= EASILY_FOLLOWED and not after.solution.damping
+    is_far = after.log_evidence - before.log_evidence > FAR_FROM_THE_PEAK
+    is_quick = after.solution.factorisations <= EASILY_FOLLOWED and not after.solution.damping
+    return before.solution.converged and after.solution.converged and is_far and is_quick

@@ -21,7 +21,7 @@ from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.history import History
 from pinn_cli.training.minimise import Point
-from pinn_cli.training.noise_model import FeatureProjection, NoiseLevels, NoiseModel, first_output, output_features
+from pinn_cli.training.noise_model import FeatureProjection, NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.solver import Inference, Solver
 from pinn_cli.training.steps.discrepancy_search import NothingNew, Path, holds, leaves_less_than, searched
@@ -47,8 +47,7 @@ def simulated_start(equations: NormalEquations) -> Point | None:
     supports = None if motion.supports is None else motion.supports[:, 0]
     functions = [coordinates, *(x for x in (motion.hidden, supports, motion.ground_acceleration) if x is not None)]
     histories = np.column_stack([*functions, problem.record.force[:, list(problem.inputs.loads)]])
-    segments, network = equations.observation, equations.network
-    projection = FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
+    projection = FeatureProjection.of_displacements(equations.network, equations.observation)
     like = equations.target.force
     weights = projection.coefficients(torch.as_tensor(histories).to(like))
     return Point(equations.layout.unknowns(weights.to(like)), equations.start().parameters)
@@ -95,16 +94,14 @@ def _through_a_part(
 ) -> Inference | None:
     """The solution next to that of a part of the record; None where it is not a good model."""
     part_problem, shorter = part
+    in_part = problem.changed(partial(replace, record=part_problem.record))
     try:
-        of_part, largest = _from_the_starts(
-            problem.changed(partial(replace, record=part_problem.record)), solver, [shorter]
-        )
+        of_part, largest = _from_the_starts(in_part, solver, [shorter])
         if not holds(of_part.trained, largest):
             return None
         of_whole = of_part.problem.changed(partial(replace, record=problem.alone.record))
         evidence = solver.evidence(of_whole, [network])
-        noise = solver.starting_noise(evidence)
-        whole = whole_from(of_part.trained, of_part.evidence, largest, evidence, noise)
+        whole = whole_from(of_part.trained, of_part.evidence, largest, evidence, solver.starting_noise(evidence))
     except DivergenceError:
         return None
     return None if whole is None else Inference(evidence, whole, solver)
@@ -181,7 +178,8 @@ def soft_to_stiff(evidence: Evidence, noise: NoiseLevels, path: Path) -> Trained
     """
     second = partial(_simulated_start, evidence)
     best = searched(evidence, noise, second, path)
-    for factor in NOISIER if path.may_lead_somewhere else ():
+    # What is wrong for all starts alike is the model, or a sensor.
+    for factor in () if any(earlier.leads_nowhere for earlier in path.earlier) else NOISIER:
         if leaves_less_than(best, NOTHING_EXPLAINED * noise.discrepancy):
             break
         try:

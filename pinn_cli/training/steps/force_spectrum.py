@@ -34,9 +34,8 @@ PARTS, CORNERS, OF_LEFT_OUT = 16, np.geomspace(0.01, 2.0, 14), np.array([0.01, 0
 END, NARROW, NARROW_ENOUGH = 0.2, 1.08, 1.25
 # Another spectrum must be so much more probable, as a logarithm.
 DECISIVE_SPECTRUM = 3.0
-# Share of a part's values that the record must determine, and frequencies that a part must have, for its level to be
-# told; and logarithm of how many times as probable levels of their own make a load cell's noise that is not white.
-TOLD_OF_PART, FEWEST_OF_PART, COLOURED_CELL = 0.25, 16, 50.0
+# Frequencies that a part must have for its level to be told.
+FEWEST_OF_PART = 16
 # Prior standard deviation of the logarithm of one force's level about that of all: forces on one structure are of a
 # kind. With 1.0 two sensors took one of three forces for nothing within 5 s; 60 s with three tell a seventh from all.
 OF_A_KIND = 0.2
@@ -178,12 +177,10 @@ def std_and_misfit(evidence: RecordEvidence, solution: RecordSolution) -> tuple[
 def _misfit(seen: DriveSpectrum, variance: np.ndarray) -> float:
     """Relative, how far the power of a force is off its spectrum in a part of the band, beyond chance; 0: no part is.
 
-    Args:
-        seen: What drives the forces.
-        variance: (functions,) of that, by their spectrum.
+    The variance (functions,) is that of what drives the forces, by their spectrum.
     """
-    part = _parts(seen.frequency)
-    power, values = (_by_part(part, x) for x in (seen.power, np.maximum(seen.determined, 0.0)))
+    part = parts_of(seen.frequency)
+    power, values = (sums_by_part(part, x) for x in (seen.power, np.maximum(seen.determined, 0.0)))
     told = values > FEWEST_OF_PART
     squares, values = (power / variance)[told], values[told]
     by_chance = 2.0 * len(values) * np.minimum(chdtr(2.0 * values, 2.0 * squares), chdtrc(2.0 * values, 2.0 * squares))
@@ -192,14 +189,18 @@ def _misfit(seen: DriveSpectrum, variance: np.ndarray) -> float:
 
 def spectrum_of_discrepancy(evidence: RecordEvidence, solution: RecordSolution) -> Drive | None:
     """What would drive forces in the place of the discrepancy, which is as it is; None where it cannot be read."""
-    equations, noise = evidence.equations, solution.noise
+    equations, inputs = evidence.equations, with_every_force(evidence.equations.problem).inputs
     of_motion = slice(0, equations.dynamics.ndof)
-    levels = replace(noise, innovation=np.sqrt(noise.physics_variance))
-    inputs = with_every_force(equations.problem).inputs
-    seen = drive_below(evidence, replace(solution, noise=levels), of_motion, inputs.edge / (2.0 * np.pi))
+    seen = drive_below(evidence, all_driven(solution), of_motion, inputs.edge / (2.0 * np.pi))
     if seen is None or not seen.is_enough:
         return None
     return _fitted(seen, inputs, np.ones_like(seen.frequency))[1][1]
+
+
+def all_driven(solution: RecordSolution) -> RecordSolution:
+    """The same under white noise that drives the motion as well, instead of a discrepancy."""
+    noise = solution.noise
+    return replace(solution, noise=replace(noise, innovation=np.sqrt(noise.physics_variance)))
 
 
 def _fitted(
@@ -207,26 +208,21 @@ def _fitted(
 ) -> tuple[tuple[float, Drive], tuple[float, Drive]]:
     """How probable the present spectrum is, and the most probable one, with what drives the process then.
 
-    Args:
-        seen: What drives the forces now.
-        inputs: Theirs.
-        present: (F,), gain from a force to that.
+    ``present`` (F,) is the gain from a force to what drives it now, which is what was seen.
     """
-    part = _parts(seen.frequency)
+    part = parts_of(seen.frequency)
 
     def fit(correlation_time: float, damping_ratio: float) -> tuple[float, Drive]:
         """Whittle's likelihood of the parts, and what drives the process at its most probable level."""
         ratio = (_gain(correlation_time, damping_ratio, seen.frequency) / present)[:, None] ** 2
         values = np.maximum(seen.determined, 0.0)
-        power, known, shape = (_by_part(part, x) for x in (seen.power * ratio, values, values * np.log(ratio)))
+        power, known, shape = (sums_by_part(part, x) for x in (seen.power * ratio, values, values * np.log(ratio)))
         levels = levels_of_a_kind(power.sum(0), known.sum(0))
         likelihood = float((shape - known * np.log(levels**2) - power / levels**2).sum())
         return likelihood, Drive(levels, correlation_time, damping_ratio)
 
-    edge = 2.0 * np.pi * seen.frequency[-1]
-    processes = (
-        _processes(edge, OF_LEFT_OUT, OF_LEFT_OUT[-1:]) if inputs.left_out else _processes(edge, CORNERS, CORNERS)
-    )
+    corners = (OF_LEFT_OUT, OF_LEFT_OUT[-1:]) if inputs.left_out else (CORNERS, CORNERS)
+    processes = _processes(2.0 * np.pi * seen.frequency[-1], *corners)
     best = max((fit(*process) for process in processes), key=lambda fitted: fitted[0])
     return fit(inputs.correlation_time, inputs.damping_ratio), best
 
@@ -234,10 +230,7 @@ def _fitted(
 def _processes(edge: float, lower: np.ndarray, upper: np.ndarray) -> list[tuple[float, float]]:
     """Correlation times and damping ratios: flat to a corner, or falling off from a lower to an upper one.
 
-    Args:
-        edge: Of the forces' band, rad/s.
-        lower: Corners over that.
-        upper: Likewise.
+    Corners are over the edge of the forces' band, rad/s.
     """
     pairs = [(low, high) for low in lower for high in upper if low <= high]
     falling = [((1.0 / low + 1.0 / high) / edge, 0.5 * (low + high) / (low * high) ** 0.5) for low, high in pairs]
@@ -273,35 +266,13 @@ def reaches_beyond(evidence: RecordEvidence, solution: RecordSolution) -> float:
     return wider if share and OF_FORCES[0] < np.median(share) < OF_FORCES[1] else 1.0
 
 
-def quietest_of_load_cells(evidence: RecordEvidence, solution: RecordSolution) -> dict[int, float]:
-    """DOF to the noise of a load cell, N, in the quietest part of its band, if its noise is far from white.
-
-    A cell's noise is white. What the model lacks is largest where the structure moves most, and passes for it where no
-    spectrum shows how little it is.
-    """
-    noise, out = solution.noise, {}
-    as_driven = replace(solution, noise=replace(noise, innovation=np.sqrt(noise.physics_variance)))
-    for dof in (dof for dof, cell in evidence.load_cells.items() if not cell.shown):
-        seen = drive_below(evidence, as_driven, slice(dof, dof + 1), 0.5 / evidence.problem.record.step)
-        if seen is None:
-            continue
-        part = _parts(seen.frequency)
-        power, values = (_by_part(part, x)[:, 0] for x in (seen.power, seen.determined))
-        count = np.bincount(part, minlength=PARTS)
-        told = (values > TOLD_OF_PART * count) & (count > FEWEST_OF_PART)
-        level = power[told] / values[told]
-        if told.any() and float(values[told] @ np.log(power[told].sum() / values[told].sum() / level)) > COLOURED_CELL:
-            out[dof] = float(np.sqrt(level.min() / noise.points_per_sample))
-    return out
-
-
-def _parts(frequency: np.ndarray) -> np.ndarray:
+def parts_of(frequency: np.ndarray) -> np.ndarray:
     """(F,), in which part of the band each frequency is."""
     edges = np.geomspace(max(frequency[0], 1e-3 * frequency[-1]), frequency[-1], PARTS + 1)
     return np.clip(np.searchsorted(edges, frequency, side="right") - 1, 0, PARTS - 1)
 
 
-def _by_part(part: np.ndarray, values: np.ndarray) -> np.ndarray:
+def sums_by_part(part: np.ndarray, values: np.ndarray) -> np.ndarray:
     """(PARTS, functions), sums of (F, functions)."""
     return np.stack([np.bincount(part, of_function, PARTS) for of_function in values.T], axis=-1)
 
@@ -309,17 +280,11 @@ def _by_part(part: np.ndarray, values: np.ndarray) -> np.ndarray:
 def _of_forces(evidence: RecordEvidence, solution: RecordSolution) -> DriveSpectrum | None:
     """What drives the unknown forces, as far as they reach in the record's band; None without any."""
     inputs = evidence.equations.problem.inputs
-    seen, edge = _in_record(evidence, solution), inputs.edge / (2.0 * np.pi)
+    seen, edge = drive_in_record(evidence, solution), inputs.edge / (2.0 * np.pi)
     return None if seen is None else seen.up_to(edge if inputs.left_out else min(edge, seen.end))
 
 
-def end_of_forces(evidence: RecordEvidence, solution: RecordSolution) -> float:
-    """Where unknown forces end, Hz, see :attr:`DriveSpectrum.end`; infinity where the record does not tell."""
-    seen = _in_record(evidence, solution)
-    return np.inf if seen is None else seen.end
-
-
-def _in_record(evidence: RecordEvidence, solution: RecordSolution) -> DriveSpectrum | None:
+def drive_in_record(evidence: RecordEvidence, solution: RecordSolution) -> DriveSpectrum | None:
     """What drives the unknown forces, at all frequencies that the samples tell; None without any."""
     equations = evidence.equations
     return drive_below(evidence, solution, equations.dynamics.forces, 0.5 / equations.problem.record.step)
@@ -328,14 +293,7 @@ def _in_record(evidence: RecordEvidence, solution: RecordSolution) -> DriveSpect
 def drive_below(
     evidence: RecordEvidence, solution: RecordSolution, functions: slice, top: float
 ) -> DriveSpectrum | None:
-    """What drives some functions, up to a frequency (Hz); None without any, or without averages over intervals.
-
-    Args:
-        evidence: Of one record.
-        solution: Its solution.
-        functions: Which.
-        top: The frequency.
-    """
+    """What drives some functions, up to a frequency (Hz); None without any, or without averages over intervals."""
     equations, point = evidence.equations, solution.point
     innovation, averages = solution.noise.innovation, equations.averages
     if functions.start == functions.stop or innovation is None or averages is None:

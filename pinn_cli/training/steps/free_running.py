@@ -120,14 +120,18 @@ def _stiffer(evidence: RecordEvidence, solution: RecordSolution, end: float, fir
         end: Of the discrepancy.
         first: Noise of the sensors, and of the inputs, which keep theirs.
     """
-    residual, size = _mean_squares(evidence, solution.point)
     # Of a part p, with r the residuals, a sensor's own noise s and its size z, r^2 = s^2 + p z^2: maximum likelihood
     # weighs each sensor by how well it tells as it is now (Fisher scoring).
-    told = known = 0.0
-    for q, z_squared in size.items():
+    told, known, size = 0.0, 0.0, {}
+    for channels in evidence.equations.channels:
+        q, is_response = channels.name, channels.present & ~channels.acting
+        if not is_response.any():
+            continue
+        residual = np.where(is_response, channels.squares(solution.point) / channels.samples, np.nan)
+        size[q] = np.where(channels.present, is_response * channels.numbers("rms") ** 2, np.nan)
         precision = solution.noise.response[q] ** -4
-        told += float(np.nansum(precision * z_squared * (residual[q] - first.response[q] ** 2)))
-        known += float(np.nansum(precision * z_squared**2))
+        told += float(np.nansum(precision * size[q] * (residual - first.response[q] ** 2)))
+        known += float(np.nansum(precision * size[q] ** 2))
     part = max(told, 0.0) / known if known > 0.0 else 0.0
     response = {q: np.sqrt(level**2 + part * size.get(q, 0.0)) for q, level in first.response.items()}
     discrepancy = max(solution.noise.discrepancy / SCAN_FACTOR, end)
@@ -135,17 +139,6 @@ def _stiffer(evidence: RecordEvidence, solution: RecordSolution, end: float, fir
     for name, i in evidence.input_channels:
         response[name][i] *= of_force
     return replace(solution.noise, response=response, force=of_force * first.force, discrepancy=discrepancy)
-
-
-def _mean_squares(evidence: RecordEvidence, point: Point) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Mean squares of what a point leaves of the response's sensors, and of these, by name; NaN of no sensor."""
-    residual, size = {}, {}
-    for channels in evidence.equations.channels:
-        response = channels.present & ~channels.acting
-        if response.any():
-            residual[channels.name] = np.where(response, channels.squares(point) / channels.samples, np.nan)
-            size[channels.name] = np.where(channels.present, response * channels.numbers("rms") ** 2, np.nan)
-    return residual, size
 
 
 def _log_response(noise: NoiseModel) -> np.ndarray:
@@ -207,15 +200,10 @@ def _scores(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
     In parts of the record.
     """
     equations, noise, point = evidence.equations, solution.noise, solution.point
-    count = len(point.parameters)
-    still = np.zeros(solution.factor.readout.size)
-    steps = [
-        Point(
-            torch.as_tensor(-solution.factor.readout.solved(still, direction)).to(point.unknowns),
-            torch.as_tensor(direction),
-        )
-        for direction in np.eye(count)
-    ]
+    count, readout, steps = len(point.parameters), solution.factor.readout, []
+    for direction in np.eye(count):
+        followed = torch.as_tensor(-readout.solved(np.zeros(readout.size), direction)).to(point.unknowns)
+        steps.append(Point(followed, torch.as_tensor(direction)))
     scores, information = np.zeros((CELLS, count)), np.zeros((CELLS, count, count))
 
     def add(residual: torch.Tensor, moved: list[torch.Tensor], first: int, total: int) -> None:

@@ -12,7 +12,7 @@ from pinn_cli.network.network import NetworkDesign
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.quantities import FORCE
-from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.evidence import Evidence, Trained, converged
 from pinn_cli.training.levels import floor, updated
 from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
@@ -32,11 +32,8 @@ def solve_under_known_levels(evidence: Evidence, noise: NoiseLevels) -> Trained 
     """The solution under the levels of the problem's model; None where it has none, or they explain nothing.
 
     The discrepancy is taken for as large a part of the force as it was. A structure that is not linear is first solved
-    under softer physics, which forgives a start at rest.
-
-    Args:
-        evidence: Of the problem.
-        noise: Where its levels would start without a model; the discrepancy is the force that acts.
+    under softer physics, which forgives a start at rest. Without a model the levels would start at ``noise``, whose
+    discrepancy is the force that acts.
     """
     problem = evidence.problem.first
     if problem.spectral is not None:
@@ -54,8 +51,8 @@ def solve_under_known_levels(evidence: Evidence, noise: NoiseLevels) -> Trained 
     discrepancy = max(known_discrepancy, LEAST_START * force)
     if discrepancy > SUSPICIOUS_DISCREPANCY * force * rate:
         return None
-    of_force = levels.sensors.get("force")
     known_noise = noise.each(_with_known_response, levels.sensors).with_discrepancy(discrepancy)
+    of_force = levels.sensors.get("force")
     known_noise = known_noise.each(lambda noise: replace(noise, force=_known_where(noise.force, of_force)))
     point = evidence.equations.start()
     try:
@@ -64,16 +61,16 @@ def solve_under_known_levels(evidence: Evidence, noise: NoiseLevels) -> Trained 
         stiff = levels.windows is not None or not equations.dynamics.is_plain
         bilinear = stiff and len(problem.uncertain) > 0
         if problem.structure.nonlinearity_name != "linear" or bilinear:
-            softer = evidence.train(softened(known_noise, force), point, ON_THE_WAY)
-            if softer is None or not softer.solution.converged:
+            softer = converged(evidence.train(softened(known_noise, force), point, ON_THE_WAY))
+            if softer is None:
                 return None
             point = softer.solution.point
-        trained = evidence.train(known_noise, point)
-        if trained is not None and trained.solution.converged:
-            trained = _as_driven(evidence, trained, known_discrepancy) or trained
+        trained = converged(evidence.train(known_noise, point))
+        if trained is None:
+            return None
+        return converged(_as_driven(evidence, trained, known_discrepancy) or trained)
     except DivergenceError:
         return None
-    return trained if trained is not None and trained.solution.converged else None
 
 
 def _under_levels(evidence: Evidence, noise: NoiseLevels, levels: Mapping[str, np.ndarray]) -> Trained | None:
@@ -109,24 +106,15 @@ def _as_driven(evidence: Evidence, trained: Trained, discrepancy: float) -> Trai
     if trained.noise.records[0].innovation is None:
         return None
     (driven,) = evidence.each_record(updated, trained, evidence.each_record(floor, trained))
-    noise = trained.noise.each(
-        lambda record_noise: replace(record_noise, discrepancy=discrepancy, innovation=driven.innovation)
-    )
+    noise = trained.noise.each(lambda own: replace(own, discrepancy=discrepancy, innovation=driven.innovation))
     return evidence.train(noise, trained.solution.point)
 
 
 def as_fine_as_before(design: NetworkDesign, problem: Problem, network: LinearReadout) -> NetworkDesign:
-    """A design with as many features a second as the model's record turned out to need.
-
-    Args:
-        design: As it is.
-        problem: With a model.
-        network: Of that design.
-    """
+    """A design, whose network this is, with as many features a second as the model's record turned out to need."""
     assert problem.prior is not None
     factor = problem.prior.levels.features * problem.record.duration / network.count
-    finer = design.finer(factor, problem.record) if factor >= WORTHWHILE else None
-    return design if finer is None else finer
+    return design.finer(factor, problem.record) or design if factor >= WORTHWHILE else design
 
 
 def _with_known_response(noise: NoiseModel, levels: Mapping[str, np.ndarray]) -> NoiseModel:

@@ -15,7 +15,7 @@ from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.evidence import Evidence, Trained, converged
 from pinn_cli.training.factors.frame import collocation_refinement
 from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseLevels
@@ -53,8 +53,8 @@ def part_of_record(whole: JointProblem, network: LinearReadout) -> tuple[Problem
     if len(record.time) < FEWEST_PARTS * wanted:
         return None
     # So many intervals are a whole number of samples, and the part ends as the whole does.
-    groups = round(wanted * record.step / network.spacing) // collocation_refinement(network, record) + 1
-    intervals = groups * collocation_refinement(network, record)
+    refinement = collocation_refinement(network, record)
+    intervals = refinement * (round(wanted * record.step / network.spacing) // refinement + 1)
     samples = intervals * network.spacing / record.step
     if abs(samples - round(samples)) > 1e-6 * samples or not _is_stationary(record, round(samples)):
         return None
@@ -91,28 +91,14 @@ def whole_from(
     equations, record_equations = evidence.equations, evidence.equations.by_record[0]
     equations.share_ridges(of_part.equations)
     noise, largest_of_whole = replace(noise, spread=part.noise.spread), noise.discrepancy
-    steps = min(
-        _steps(largest, part.noise.discrepancy),
-        _steps_to_indifference(noise, negligible(record_equations, noise.records[0])),
-    )
+    steps = round(float(np.log(largest / part.noise.discrepancy) / np.log(SCAN_FACTOR)))
+    # How far a scan goes beyond the first discrepancy that makes no motion better known is chance.
+    least = negligible(record_equations, noise.records[0])
+    to_least = int(np.ceil(np.log(largest_of_whole / least) / np.log(SCAN_FACTOR))) if least > 0 else MOST_SCAN_STEPS
+    steps = min(steps, to_least)
     # A scan of the whole would take one step, then two at a time: from an odd one on both try the same discrepancies.
     begin = noise.with_discrepancy(largest_of_whole / SCAN_FACTOR ** max(steps - 1 + steps % 2, 0))
     point = Point(equations.start().unknowns, part.solution.point.parameters)
-    point = equations.followed(point, begin)
-    whole = scanned(evidence, noise, begin.discrepancy, point)
-    return whole if whole.solution.converged and _are_near(begin, whole.noise) else None
-
-
-def _steps(largest: float, discrepancy: float) -> int:
-    """Of a scan from the largest discrepancy to another one."""
-    return round(float(np.log(largest / discrepancy) / np.log(SCAN_FACTOR)))
-
-
-def _steps_to_indifference(noise: NoiseLevels, least: float) -> int:
-    """Of a scan to the first discrepancy that makes no motion better known: how far beyond it goes is chance."""
-    return int(np.ceil(np.log(noise.discrepancy / least) / np.log(SCAN_FACTOR))) if least > 0 else MOST_SCAN_STEPS
-
-
-def _are_near(begin: NoiseLevels, end: NoiseLevels) -> bool:
-    """Whether the discrepancy was found near the place where it was looked for first."""
-    return end.discrepancy > begin.discrepancy / SCAN_FACTOR ** (NEAR_STEPS + 0.5)
+    whole = converged(scanned(evidence, noise, begin.discrepancy, equations.followed(point, begin)))
+    furthest = begin.discrepancy / SCAN_FACTOR ** (NEAR_STEPS + 0.5)
+    return whole if whole is not None and whole.noise.discrepancy > furthest else None

@@ -10,7 +10,7 @@ from pinn_cli.record.channels import record_band
 from pinn_cli.record.spectrum import periodogram, pieces
 from pinn_cli.system.parameters import FACTOR
 from pinn_cli.training.minimise import Point
-from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
+from pinn_cli.training.noise_model import FeatureProjection
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 
@@ -38,14 +38,9 @@ def acceleration_error(evidence: RecordEvidence, solution: RecordSolution, conte
 
     Content at a frequency f comes with an image of it at r - f, with r knots a second, smaller by the power degree - 1
     of f / (r - f): that of the basis functions' spectrum, sinc to the power degree + 1, less two derivatives.
-
-    Args:
-        evidence: Of one record.
-        solution: Its part of a solution.
-        content: The highest frequency of what is no noise, Hz.
+    What is no noise has no frequency above that of ``content``, Hz.
     """
-    equations = evidence.equations
-    network = equations.network
+    equations, network = evidence.equations, evidence.equations.network
     if not isinstance(network, SplineNetwork):
         return np.zeros(equations.problem.record.ndof)
     motion = equations.flat_states(equations.physics, solution.point).acceleration.numpy()
@@ -150,14 +145,12 @@ def _natural_frequencies(equations: NormalEquations, solution: RecordSolution) -
 
 def carried_over(point: Point, coarse: NormalEquations, fine: NormalEquations) -> Point:
     """The same motion and parameters in the features of a finer spline, or in other coordinates."""
-    segments = fine.physics
-    times = fine.target.physics_time
+    segments, times = fine.physics, fine.target.physics_time
     motion = coarse.flat_states(coarse.network.segments(times), point).displacement
     before, after = (equations.dynamics.structure.reduction for equations in (coarse, fine))
     if before is not None and after is not before:
         turn = torch.as_tensor(before.onto(after)).to(motion)
         n = len(turn)
         motion = torch.cat([motion[:, :n] @ turn.T, motion[:, n:]], 1)
-    projection = FeatureProjection(first_output(fine.network, segments), output_features(fine.network, segments)[0])
-    weights = projection.coefficients(motion).to(motion)
+    weights = FeatureProjection.of_displacements(fine.network, segments).coefficients(motion).to(motion)
     return Point(fine.layout.unknowns(weights), point.parameters)

@@ -20,6 +20,7 @@ from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Rival
+from pinn_cli.training.evidence import converged
 from pinn_cli.training.minimise import Point
 from pinn_cli.training.solver import Inference
 from pinn_cli.training.steps.updated_problem import problem_in_own_modes
@@ -48,8 +49,12 @@ def choose_equivalent_structure(inference: Inference) -> Inference | None:
     best = max(solution.trained.log_evidence for solution in solutions)
     as_good = [solution for solution in solutions if solution.trained.log_evidence > best - AS_GOOD]
     as_good.sort(key=_distance)
-    first = as_good[0]
-    rivals = [_rival(solution, solution.trained.log_evidence - first.trained.log_evidence) for solution in as_good[1:]]
+    first, *others = as_good
+    rivals = []
+    for other in others:
+        unknown = {p: x for p, x in _values(other).items() if p.unknown and p.kind not in CALIBRATION_UNITS}
+        log_odds = other.trained.log_evidence - first.trained.log_evidence
+        rivals.append(Rival({p.name: x for p, x in unknown.items()}, log_odds))
     trained = first.trained if first is inference else first.solver.settled(first.evidence, first.trained)
     return replace(first, trained=trained, rivals=tuple(rivals))
 
@@ -63,15 +68,15 @@ def _rival_values(inference: Inference) -> list[dict[Parameter, float]]:
     structure = problem.structure.with_values({p: x for p, x in values.items() if p.kind not in CALIBRATION_UNITS})
     seen = seen_by(structure, [record_problem.record for record_problem in problem])
     if not seen.acting.pushed.size and not problem.first.inputs.unmeasured:
-        seen = replace(seen, released=_first_state(inference))
+        first, point = inference.by_record[0]
+        motion = first.flat_states(first.observation, point)
+        seen = replace(seen, released=np.stack([x[0, : first.dynamics.ndof].numpy() for x in motion[:2]]))
     rivals = rivals_of(structure, unknown, seen, MOST_WEIGHED)
-    return [rival | _dampers(values, rival) for rival in rivals]
-
-
-def _dampers(values: dict[Parameter, float], rival: dict[Parameter, float]) -> dict[Parameter, float]:
-    """Unknown dampers with the loss factors that their springs had."""
-    springs = {p.index: x / values[p] for p, x in rival.items() if p.kind == "k"}
-    return {p: x * springs[p.index] for p, x in values.items() if p.kind == "c" and p.unknown and p.index in springs}
+    dampers = [p for p in values if p.unknown and p.kind == "c"]
+    for rival in rivals:  # unknown dampers with the loss factors that their springs had
+        springs = {p.index: x / values[p] for p, x in rival.items() if p.kind == "k"}
+        rival.update({p: values[p] * springs[p.index] for p in dampers if p.index in springs})
+    return rivals
 
 
 def seen_by(structure: Structure, records: Sequence[Record]) -> Seen:
@@ -98,14 +103,6 @@ def seen_by(structure: Structure, records: Sequence[Record]) -> Seen:
     return Seen(np.reshape(sensing, (-1, structure.ndof)), Acting.of(inputs, structure.ndof), low, high)
 
 
-def _first_state(inference: Inference) -> np.ndarray:
-    """(2, n), displacement and velocity with which the first record begins."""
-    equations, point = inference.evidence.equations, inference.trained.solution.point
-    first, point_of_first = equations.by_record[0], equations.split(point)[0]
-    motion = first.flat_states(first.observation, point_of_first)
-    return np.stack([x[0, : first.dynamics.ndof].numpy() for x in motion[:2]])
-
-
 def _solved(inference: Inference, values: dict[Parameter, float]) -> Inference | None:
     """The solution next to these values, under the same noise and damped in its own modes; None where there is none."""
     equations, point = inference.evidence.equations, inference.trained.solution.point
@@ -115,23 +112,17 @@ def _solved(inference: Inference, values: dict[Parameter, float]) -> Inference |
             moved[i] = (values[p] - p.prescribed) / equations.scale[i]
     moved_point = Point(point.unknowns, moved)
     solution = replace(inference.trained.solution, point=moved_point)
-    begun = _damped_in_own_modes(replace(inference, trained=replace(inference.trained, solution=solution)))
+    begun = replace(inference, trained=replace(inference.trained, solution=solution))
+    problem = problem_in_own_modes(begun)
+    if problem is not None:
+        begun = replace(begun, evidence=inference.solver.evidence(problem))
+        begun.evidence.equations.share_ridges(equations)
     try:
         followed = begun.evidence.equations.followed(moved_point, inference.trained.noise)
-        again = begun.evidence.train(inference.trained.noise, followed)
+        again = converged(begun.evidence.train(inference.trained.noise, followed))
     except DivergenceError:
         return None
-    return replace(begun, trained=again) if again is not None and again.solution.converged else None
-
-
-def _damped_in_own_modes(inference: Inference) -> Inference:
-    """The same point of a problem whose damping of the whole is that of the structure there."""
-    problem = problem_in_own_modes(inference)
-    if problem is None:
-        return inference
-    evidence = inference.solver.evidence(problem)
-    evidence.equations.share_ridges(inference.evidence.equations)
-    return replace(inference, evidence=evidence)
+    return None if again is None else replace(begun, trained=again)
 
 
 def _values(inference: Inference) -> dict[Parameter, float]:
@@ -147,13 +138,8 @@ def _differ(a: Inference, b: Inference) -> bool:
     spread = sum(np.diag(inference.trained.factor.corner_covariance) for inference in (a, b)) ** 0.5
     distance = np.abs(values_a - values_b)
     relevant = np.array([p.unknown and p.kind in LINEAR_UNITS for p in equations.uncertain])
-    return bool(
-        (
-            (distance > RIVALS_APART * spread * equations.scale)
-            & (distance > RIVALS_LEAST_APART * np.abs(values_a))
-            & relevant
-        ).any()
-    )
+    apart = np.maximum(RIVALS_APART * spread * equations.scale, RIVALS_LEAST_APART * np.abs(values_a))
+    return bool((relevant & (distance > apart)).any())
 
 
 def _distance(inference: Inference) -> float:
@@ -161,8 +147,3 @@ def _distance(inference: Inference) -> float:
     springs = {p: x for p, x in _values(inference).items() if p.unknown and p.kind in (MASS, "k")}
     pairs = [(x, p.said if p.said > 0 else p.prescribed) for p, x in springs.items()]
     return sum(math.log(x / start) ** 2 for x, start in pairs if x > 0 and start > 0)
-
-
-def _rival(inference: Inference, log_odds: float) -> Rival:
-    values = {p.name: x for p, x in _values(inference).items() if p.unknown and p.kind not in CALIBRATION_UNITS}
-    return Rival(values, log_odds)

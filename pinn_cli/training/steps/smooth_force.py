@@ -18,7 +18,7 @@ from torch import Tensor
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import with_every_force
 from pinn_cli.settings.errors import InputError
-from pinn_cli.training.evidence import model_log_evidence
+from pinn_cli.training.evidence import converged, model_log_evidence
 from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
@@ -128,24 +128,19 @@ def _with_force(inference: Inference) -> Inference | None:
     except InputError:  # memory
         return None
     pairs = list(zip(inference.by_record, evidence.equations.by_record, strict=True))
-    points = [_beside_forces(point, plain, forced) for (plain, point), forced in pairs]
+    points = []
+    for (plain, point), forced in pairs:  # the same motion, with forces that are nothing yet
+        weights = forced.target.force.new_zeros(forced.layout.count, forced.dynamics.size)
+        weights[:, _others(forced)] = plain.layout.weights(point.unknowns)
+        points.append(Point(forced.layout.unknowns(weights), point.parameters))
     levels = [
         _driven(noise, forced, noise.discrepancy if drive is None else float(np.sqrt(np.mean(drive.levels**2))))
         for (_, drive, noise), forced in zip(records, evidence.equations.by_record, strict=True)
     ]
     noise = replace(inference.trained.noise, records=tuple(levels))
     trained = evidence.train(noise, evidence.equations.joined(points))
-    if trained is None:
-        return None
-    story = _settled(replace(inference, evidence=evidence, trained=trained))
-    return story if story.trained.solution.converged else None
-
-
-def _beside_forces(point: Point, plain: NormalEquations, forced: NormalEquations) -> Point:
-    """The same motion, with forces that are nothing yet."""
-    weights = forced.target.force.new_zeros(forced.layout.count, forced.dynamics.size)
-    weights[:, _others(forced)] = plain.layout.weights(point.unknowns)
-    return Point(forced.layout.unknowns(weights), point.parameters)
+    story = None if trained is None else _settled(replace(inference, evidence=evidence, trained=trained))
+    return None if story is None or converged(story.trained) is None else story
 
 
 def of_smooth_motion(inference: Inference) -> Tensor:
@@ -162,16 +157,15 @@ def of_smooth_motion(inference: Inference) -> Tensor:
 
 def _others(forced: NormalEquations) -> np.ndarray:
     """All functions but the forces."""
-    at = forced.dynamics.forces
-    return np.delete(np.arange(forced.dynamics.size), at)
+    return np.delete(np.arange(forced.dynamics.size), forced.dynamics.forces)
 
 
 def _driven(noise: NoiseModel, forced: NormalEquations, level: float) -> NoiseModel:
     """The same noise, with forces that so much drives in the equation of a coordinate, N, for the discrepancy."""
-    at = forced.dynamics.forces
+    at, innovation = forced.dynamics.forces, noise.innovation
     of_force, innovation = (
         np.insert(levels, at.start, np.full(at.stop - at.start, np.nan))
-        for levels in (noise.force, np.full(len(noise.force), np.nan) if noise.innovation is None else noise.innovation)
+        for levels in (noise.force, np.full(len(noise.force), np.nan) if innovation is None else innovation)
     )
     # A force on a DOF is in every coordinate's equation by how far the DOF moves with it.
     driven = replace(noise, force=of_force, innovation=innovation, discrepancy=LEFT_BESIDE * noise.discrepancy)

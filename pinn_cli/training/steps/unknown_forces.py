@@ -9,8 +9,7 @@ import numpy as np
 
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.evidence import Evidence
-from pinn_cli.training.noise_model import NoiseLevels
+from pinn_cli.training.evidence import Evidence, Trained, converged
 from pinn_cli.training.solver import Inference
 from pinn_cli.training.steps.first_solution import first_solution
 from pinn_cli.training.steps.force_spectrum import Drive, level_in_band, reaches_beyond, spectrum_in_band
@@ -28,14 +27,13 @@ def widen_force_band(inference: Inference) -> Inference | None:
     designs = tuple(design.finer(factor, record_problem.record) for design, factor, record_problem in records)
     if not all(designs):
         return None
-    problem = JointProblem.of(*(_of_wider_band(record_problem, factor) for _, factor, record_problem in records))
+
+    def wider(problem: Problem, factor: float) -> Problem:
+        edge, correlation_time = problem.inputs.edge * factor, problem.inputs.correlation_time / factor
+        return replace(problem, inputs=replace(problem.inputs, edge=edge, correlation_time=correlation_time))
+
+    problem = JointProblem.of(*(wider(record_problem, factor) for _, factor, record_problem in records))
     return first_solution(problem, replace(solver, designs=designs))  # type: ignore[arg-type]
-
-
-def _of_wider_band(problem: Problem, factor: float) -> Problem:
-    inputs = problem.inputs
-    wider = replace(inputs, edge=inputs.edge * factor, correlation_time=inputs.correlation_time / factor)
-    return replace(problem, inputs=wider)
 
 
 def fit_force_spectrum(inference: Inference) -> Inference | None:
@@ -45,16 +43,12 @@ def fit_force_spectrum(inference: Inference) -> Inference | None:
         return None
     pairs = zip(inference.problem, drives, strict=True)
     problem = JointProblem.of(*(of_spectrum(record_problem, drive) for record_problem, drive in pairs))
-    evidence = inference.solver.evidence(
-        problem, [equations.network for equations in inference.evidence.equations.by_record]
-    )
-    levels = [None if drive is None else drive.levels for drive in drives]
-    again = evidence.train(
-        _with_levels(inference.evidence, inference.trained.noise, levels), inference.trained.solution.point
-    )
-    if again is None or not again.solution.converged:
+    solver, networks = inference.solver, [equations.network for equations in inference.evidence.equations.by_record]
+    evidence = solver.evidence(problem, networks)
+    again = _driven(inference, evidence, [None if drive is None else drive.levels for drive in drives])
+    if again is None:
         return None
-    return replace(inference, evidence=evidence, trained=inference.solver.settled(evidence, again, CORRELATION_ROUNDS))
+    return replace(inference, evidence=evidence, trained=solver.settled(evidence, again, CORRELATION_ROUNDS))
 
 
 def of_spectrum(problem: Problem, drive: Drive | None) -> Problem:
@@ -70,17 +64,21 @@ def set_force_level(inference: Inference) -> Inference | None:
     if not inference.problem.has_unknown_forces:
         return None
     levels = inference.evidence.each_record(level_in_band, inference.trained)
-    again = inference.evidence.train(
-        _with_levels(inference.evidence, inference.trained.noise, levels), inference.trained.solution.point
-    )
-    return replace(inference, trained=again) if again is not None and again.solution.converged else None
+    again = _driven(inference, inference.evidence, levels)
+    return None if again is None else replace(inference, trained=again)
 
 
-def _with_levels(evidence: Evidence, noise: NoiseLevels, levels: Sequence[np.ndarray | None]) -> NoiseLevels:
-    """The same noise with unknown forces of every record that are driven so much; None: as before."""
-    forces = [equations.dynamics.forces for equations in evidence.equations.by_record]
+def _driven(inference: Inference, evidence: Evidence, levels: Sequence[np.ndarray | None]) -> Trained | None:
+    """The solution with unknown forces of every record that are driven so much, None: as before; None: there is none.
+
+    Args:
+        inference: The solution before.
+        evidence: Of a problem with the same functions.
+        levels: (forces,), of every record.
+    """
+    noise, by_record = inference.trained.noise, inference.evidence.equations.by_record
     driven = (
-        record_noise if level is None else record_noise.driven_by(level, at)
-        for record_noise, level, at in zip(noise.records, levels, forces, strict=True)
+        record_noise if level is None else record_noise.driven_by(level, equations.dynamics.forces)
+        for record_noise, level, equations in zip(noise.records, levels, by_record, strict=True)
     )
-    return replace(noise, records=tuple(driven))
+    return converged(evidence.train(replace(noise, records=tuple(driven)), inference.trained.solution.point))

@@ -13,13 +13,11 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from pinn_cli.network.network import NetworkDesign
 from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.problem import Problem, TurningPoints
+from pinn_cli.scheme.problem import TurningPoints
 from pinn_cli.system.parameters import FACTOR
 from pinn_cli.training.minimise import Point
-from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.solver import Inference, Solver
 from pinn_cli.training.steps.known_levels import WORTHWHILE, softer_point
@@ -40,20 +38,16 @@ SAME_LEVEL = 0.7
 SUSPECT = 2.0
 
 
-def has_turns(problem: Problem) -> bool:
-    """Whether an estimator solves another law than that of a contact, which a spline cannot follow."""
-    return problem.dynamics.structure is not problem.structure
-
-
 def with_turning_points(inference: Inference, problem: JointProblem) -> JointProblem:
     """The problem with the turning points of a solution of it; the same where all laws are smooth."""
-    if not has_turns(problem.first):
+    if problem.first.dynamics.structure is problem.first.structure:  # a contact's law is solved as another one
         return problem
     records = zip(problem, inference.by_record, inference.trained.noise.records, strict=True)
     turning = (
-        (record_problem, _turning_points(*solution, noise.discrepancy)) for record_problem, solution, noise in records
+        replace(record_problem, turning_points=_turning_points(*solution, noise.discrepancy))
+        for record_problem, solution, noise in records
     )
-    return JointProblem.of(*(replace(record_problem, turning_points=points) for record_problem, points in turning))
+    return JointProblem.of(*turning)
 
 
 def _turning_points(equations: NormalEquations, point: Point, discrepancy: float) -> TurningPoints | None:
@@ -105,9 +99,9 @@ def loosen_at_turning_points(inference: Inference) -> Inference | None:
     """The solution with a level of its own where contacts turn; None where what is left elsewhere falls no more."""
     before, problem = inference.problem.first.turning_points, with_turning_points(inference, _present(inference))
     settled = before is not None and inference.trained.noise.discrepancy > SAME_LEVEL * before.discrepancy
-    return (
-        None if problem.first.turning_points is None or settled else _carried_to(inference, problem, inference.solver)
-    )
+    if settled or problem.first.turning_points is None:
+        return None
+    return _carried_to(inference, problem, inference.solver)
 
 
 def refine_features(inference: Inference) -> Inference | None:
@@ -120,26 +114,19 @@ def refine_features(inference: Inference) -> Inference | None:
         return None
     wanted = inference.evidence.each_record(knots_wanted, inference.trained)
     records = zip(inference.solver.designs, wanted, inference.problem, strict=True)
-    finer = [
-        design.finer(factor, record_problem.record) if factor >= WORTHWHILE else None
+    designs = tuple(
+        design.finer(factor, record_problem.record) or design if factor >= WORTHWHILE else design
         for design, factor, record_problem in records
-    ]
-    if not any(finer):
+    )
+    if all(new is old for new, old in zip(designs, inference.solver.designs, strict=True)):
         return None
-    designs: tuple[NetworkDesign, ...] = tuple(
-        new or old for new, old in zip(finer, inference.solver.designs, strict=True)
-    )
-    again = _carried_to(
-        inference, with_turning_points(inference, _present(inference)), replace(inference.solver, designs=designs)
-    )
-    return None if again is None else replace(again, narrowed=_narrowed(inference, again))
-
-
-def _narrowed(coarse: Inference, fine: Inference) -> float:
-    """How many times as large the deviation of an unknown parameter was in coarser features; of all the most."""
-    unknown = fine.evidence.equations.unknown
-    before, after = (np.diag(inference.trained.factor.corner_covariance)[unknown] for inference in (coarse, fine))
-    return float(np.sqrt(np.max(before / after, initial=0.0)))
+    problem, solver = with_turning_points(inference, _present(inference)), replace(inference.solver, designs=designs)
+    again = _carried_to(inference, problem, solver)
+    if again is None:
+        return None
+    unknown = again.evidence.equations.unknown
+    before, after = (np.diag(one.trained.factor.corner_covariance)[unknown] for one in (inference, again))
+    return replace(again, narrowed=float(np.sqrt(np.max(before / after, initial=0.0))))
 
 
 def _present(inference: Inference) -> JointProblem:
@@ -172,15 +159,10 @@ def _carried_to(inference: Inference, problem: JointProblem, solver: Solver) -> 
     if again is None or not (again.solution.converged or problem.first.turning_points is not None):
         return None
     again = solver.settled(evidence, again)
-    if _is_noisier(again.noise, inference.trained.noise):
-        return None
-    return replace(inference, evidence=evidence, trained=again, solver=solver)
-
-
-def _is_noisier(fine: NoiseLevels, coarse: NoiseLevels) -> bool:
-    """Whether any response sensor is far noisier in finer features, which can only follow it better."""
-    return any(
+    # Finer features can only follow a sensor better.
+    is_noisier = any(
         bool((new.response[quantity] > SUSPECT * level).any())
-        for new, old in zip(fine.records, coarse.records, strict=True)
+        for new, old in zip(again.noise.records, inference.trained.noise.records, strict=True)
         for quantity, level in old.response.items()
     )
+    return None if is_noisier else replace(inference, evidence=evidence, trained=again, solver=solver)

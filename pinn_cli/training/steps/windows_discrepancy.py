@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from pinn_cli.model.knowledge import DiscrepancyEvidence
-from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.evidence import Evidence, Trained, converged
 from pinn_cli.training.levels import floor
 from pinn_cli.training.record_evidence import occupied_share
 from pinn_cli.training.record_scales import force_and_velocity_scale
@@ -40,25 +40,17 @@ NEAR_LOSS = 1e-3
 
 def combine_windows(inference: Inference) -> Inference | None:
     """The solution of a window under the discrepancy that all windows say; None of a record that is none."""
-    first, known_parameters = inference.problem.first, inference.solver.known_parameters
+    first = inference.problem.first
     goes_on = first.prior is not None and first.prior.levels.windows is not None
-    if (
-        known_parameters is not None
-        or inference.problem.has_unknown_forces
-        or not (first.hand_over is not None or goes_on)
-    ):
+    is_window = first.hand_over is not None or goes_on
+    if inference.solver.known_parameters is not None or inference.problem.has_unknown_forces or not is_window:
         return None
     trained, discrepancy = of_all_windows(inference.evidence, inference.trained)
     return replace(inference, trained=trained, discrepancy=discrepancy)
 
 
 def of_all_windows(evidence: Evidence, trained: Trained) -> tuple[Trained, DiscrepancyEvidence]:
-    """The solution under the discrepancy that all windows say, and what they say of it.
-
-    Args:
-        evidence: Of a window.
-        trained: Its solution, with settled noise levels.
-    """
+    """The solution under the discrepancy that all windows say, from that of a window, and what they say of it."""
     prior = evidence.problem.first.prior
     before = None if prior is None else prior.levels.windows
     unit = discrepancy_unit(evidence)
@@ -76,14 +68,15 @@ def of_all_windows(evidence: Evidence, trained: Trained) -> tuple[Trained, Discr
     sums = own_evidence.at(tried) + _at(before, tried)
     chosen = least if sums[0] >= sums.max() - NEGLIGIBLE_GAIN else float(tried[np.argmax(sums)])
     common = bool(own_evidence.at(np.array([chosen]))[0] >= -CONTRADICTION)
-    solution = _under(evidence, trained, unit, chosen) if common and chosen != top else None
+    solution = None
+    if common and chosen != top:
+        noise = trained.noise.with_discrepancy(unit * 10.0**chosen)
+        solution = converged(evidence.train(noise, trained.solution.point))
     if solution is None:
         chosen, solution = top, trained
     factor = before.start / 10.0**chosen if before is not None and before.common and common else 1.0
-    solution = replace(
-        solution, noise=solution.noise.each(lambda record_noise: replace(record_noise, earlier_misfit=factor))
-    )
-    return solution, DiscrepancyEvidence(10.0**chosen, common, places, total)
+    levels = solution.noise.each(lambda record_noise: replace(record_noise, earlier_misfit=factor))
+    return replace(solution, noise=levels), DiscrepancyEvidence(10.0**chosen, common, places, total)
 
 
 def discrepancy_unit(evidence: Evidence) -> float:
@@ -118,21 +111,13 @@ def _own_evidence(
         if abs(value - values[least]) <= FLAT_EVIDENCE:
             break
         place -= STEP_DECADES
-    place, highest = (
-        STEP_DECADES * np.floor(top / STEP_DECADES + 1.0),
-        STEP_DECADES * np.floor(top / STEP_DECADES + HIGHEST),
-    )
+    place, highest = (STEP_DECADES * np.floor(top / STEP_DECADES + step) for step in (1.0, HIGHEST))
     while place <= highest and (value := tried(place)) > max(values.values()) - DECISIVE_DROP:
         values[place] = value
         place += STEP_DECADES
     values[place] = max(values.values()) - DECISIVE_DROP  # or less: as improbable
     places = sorted(values)
     return DiscrepancyEvidence(10.0**top, True, np.array(places), np.array([values[place] for place in places]))
-
-
-def _under(evidence: Evidence, trained: Trained, unit: float, place: float) -> Trained | None:
-    again = evidence.train(trained.noise.with_discrepancy(unit * 10.0**place), trained.solution.point)
-    return again if again is not None and again.solution.converged else None
 
 
 def _places(*evidences: DiscrepancyEvidence | None) -> np.ndarray:
@@ -162,5 +147,4 @@ def widened(evidence: Evidence, trained: Trained) -> Trained:
     """
     levels = zip(trained.noise.records, evidence.each_record(occupied_share, trained), strict=True)
     noise = replace(trained.noise, records=tuple(level.widened(share) for level, share in levels))
-    wider = evidence.train(noise, trained.solution.point)
-    return wider if wider is not None and wider.solution.converged else trained
+    return converged(evidence.train(noise, trained.solution.point)) or trained

@@ -41,15 +41,32 @@ from pinn_cli.training.steps.first_solution import simulated_start
 UNKNOWN = Parameter("k", 0, 12.0, 120.0, unknown=True)
 
 
-@pytest.fixture(scope="module")
-def problem() -> Problem:
-    made = small_chain("linear")
+def of_an_unknown_spring(law: str) -> Problem:
+    made = small_chain(law)
     record = accelerations(measured(made, snr_db=40.0, duration=20.0, samples=400).record, (1, 2, 3))
     return Problem(made.with_values({UNKNOWN: 12.0}), record, (UNKNOWN,))
 
 
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return of_an_unknown_spring("linear")
+
+
+def solver() -> Solver:
+    return Solver((Spline(),), History(False))
+
+
 def solved(problem: JointProblem) -> Inference:
-    return module.first_solution(problem, Solver((Spline(),), History(False)))
+    return module.first_solution(problem, solver())
+
+
+def starting(problem: Problem) -> tuple[Evidence, NoiseLevels]:
+    evidence = solver().evidence(JointProblem.of(problem))
+    return evidence, solver().starting_noise(evidence)
+
+
+def scanned_from_rest(evidence: Evidence, noise: NoiseLevels) -> Trained:
+    return scanned(evidence, noise, noise.discrepancy, evidence.equations.start())
 
 
 def heavier(problem: Problem) -> Problem:
@@ -94,7 +111,7 @@ def test_a_start_that_cannot_be_solved_costs_none_of_the_others(problem, monkeyp
 
 
 def test_where_noisier_sensors_show_the_way_their_own_noise_judges_where_it_leads(monkeypatch):
-    evidence, noise = searching(measured(small_chain(), snr_db=40.0).record)
+    evidence, noise = searching()
 
     def strays(evidence, levels, *given):
         found = searched(evidence, levels, *given)
@@ -109,7 +126,7 @@ def test_where_noisier_sensors_show_the_way_their_own_noise_judges_where_it_lead
 
 
 def test_where_noisier_sensors_lead_nowhere_they_are_not_asked_from_another_start(monkeypatch):
-    (evidence, noise), asked = searching(measured(small_chain(), snr_db=40.0).record), []
+    (evidence, noise), asked = searching(), []
 
     def nothing(evidence, levels, *given):
         asked.append(levels.records[0].response["acceleration"][0] / noise.records[0].response["acceleration"][0])
@@ -166,9 +183,8 @@ def long_problem() -> Problem:
     return Problem(small_chain("linear"), accelerations(record, (1, 2, 3)), UNCERTAIN)
 
 
-def inferred(long_problem: Problem) -> tuple[Inference, History]:
-    history = History(False)
-    return infer(JointProblem.of(long_problem), Solver((Spline(),), history)), history
+def inferred(long_problem: Problem) -> Inference:
+    return infer(JointProblem.of(long_problem), solver())
 
 
 def in_parts(monkeypatch, samples: int = 400) -> None:
@@ -176,14 +192,14 @@ def in_parts(monkeypatch, samples: int = 400) -> None:
 
 
 def test_it_ends_where_a_search_in_all_of_the_record_ends(long_problem, monkeypatch):
-    whole, _ = inferred(long_problem)
+    whole = inferred(long_problem)
     in_parts(monkeypatch)
     searched = []
     for place in (search, part_of_record):
         scan = place.scanned
         noted = lambda own, *a, scan=scan, **k: searched.append(own.problem.alone.record) or scan(own, *a, **k)  # noqa: E731
         monkeypatch.setattr(place, "scanned", noted)
-    found, _ = inferred(long_problem)
+    found = inferred(long_problem)
     assert len(searched) == 2
     assert len(searched[0].time) < 500
     factor, other = whole.trained.factor, found.trained.factor
@@ -230,10 +246,10 @@ def test_some_records_are_searched_whole(long_problem, monkeypatch):
 
 @pytest.mark.slow
 def test_where_part_and_whole_have_little_in_common_all_of_it_is_searched(long_problem, monkeypatch):
-    whole, _ = inferred(long_problem)
+    whole = inferred(long_problem)
     in_parts(monkeypatch)
     monkeypatch.setattr(part_of_record, "NEAR_STEPS", -1.0)
-    found, _ = inferred(long_problem)
+    found = inferred(long_problem)
     np.testing.assert_array_equal(found.trained.solution.point.parameters, whole.trained.solution.point.parameters)
 
 
@@ -274,14 +290,13 @@ def test_there_is_none_where_the_motion_cannot_be_simulated():
         assert simulated_start(none) is None
 
 
-def searching(record: Record) -> tuple[Evidence, NoiseLevels]:
-    found = equations(record, small_chain())
-    noise = shown_noise(record, 1.0, 1.0)
-    return evidence_of(found), levels_of(noise)
+def searching() -> tuple[Evidence, NoiseLevels]:
+    record = measured(small_chain(), snr_db=40.0).record
+    return evidence_of(equations(record, small_chain())), levels_of(shown_noise(record, 1.0, 1.0))
 
 
 def test_a_search_that_finds_a_good_model_asks_for_no_second_start():
-    evidence, noise = searching(measured(small_chain(), snr_db=40.0).record)
+    evidence, noise = searching()
 
     def never() -> None:
         raise AssertionError("a second start was asked for")
@@ -290,7 +305,7 @@ def test_a_search_that_finds_a_good_model_asks_for_no_second_start():
 
 
 def test_without_a_second_start_the_first_one_stands(monkeypatch):
-    evidence, noise = searching(measured(small_chain(), snr_db=40.0).record)
+    evidence, noise = searching()
     monkeypatch.setattr("pinn_cli.training.steps.discrepancy_search.SUSPICIOUS_DISCREPANCY", 0.0)
     asked = []
     first = searched(evidence, noise, lambda: asked.append(None))
@@ -299,11 +314,8 @@ def test_without_a_second_start_the_first_one_stands(monkeypatch):
 
 
 def test_parameters_are_held_where_soft_physics_leads_them_astray(monkeypatch):
-    solver = Solver((Spline(),), History(False))
-    made = small_chain("duffing")
-    record = accelerations(measured(made, snr_db=40.0, duration=20.0, samples=400).record, (1, 2, 3))
-    evidence = solver.evidence(JointProblem.of(Problem(made.with_values({UNKNOWN: 12.0}), record, (UNKNOWN,))))
-    noise, train, asked = solver.starting_noise(evidence), evidence.train, []
+    evidence, noise = starting(of_an_unknown_spring("duffing"))
+    train, asked = evidence.train, []
     astray = lambda trained: replace(trained, solution=replace(trained.solution, factorisations=40))  # noqa: E731
 
     def winding(levels: NoiseLevels, start: Point) -> Trained | None:
@@ -311,31 +323,30 @@ def test_parameters_are_held_where_soft_physics_leads_them_astray(monkeypatch):
         return astray(train(levels, start)) if len(asked) == 1 else train(levels, start)
 
     monkeypatch.setattr(evidence, "train", winding)
-    found = scanned(evidence, noise, noise.discrepancy, evidence.equations.start())
+    found = scanned_from_rest(evidence, noise)
     freely, *held = [levels.firmness for levels in asked]
     assert freely == 0.0
     assert held == sorted(held, reverse=True)
     assert held[0] > 50.0
     assert found.noise.firmness == 0.0
     monkeypatch.undo()
-    expected = scanned(evidence, noise, noise.discrepancy, evidence.equations.start())
+    expected = scanned_from_rest(evidence, noise)
     assert found.log_evidence == pytest.approx(expected.log_evidence, abs=0.1)
 
 
 def test_a_scan_goes_on_where_a_solution_runs_into_its_limit(problem, monkeypatch):
     """It ended there, at physics so soft that nothing was told: a hysteresis came out 40 % off."""
-    solver = Solver((Spline(),), History(False))
-    evidence = solver.evidence(JointProblem.of(replace(problem, uncertain=(UNKNOWN,))))
-    noise, train, asked = solver.starting_noise(evidence), evidence.train, []
+    evidence, noise = starting(problem)
+    train, asked = evidence.train, []
     limited = lambda trained: replace(trained, solution=replace(trained.solution, converged=False))  # noqa: E731
-    expected = scanned(evidence, noise, noise.discrepancy, evidence.equations.start())
+    expected = scanned_from_rest(evidence, noise)
 
     def creeping(levels: NoiseLevels, start: Point) -> Trained | None:
         asked.append(levels.discrepancy)
         return limited(train(levels, start)) if len(asked) == 2 else train(levels, start)
 
     monkeypatch.setattr(evidence, "train", creeping)
-    found = scanned(evidence, noise, noise.discrepancy, evidence.equations.start())
+    found = scanned_from_rest(evidence, noise)
     assert asked[1] == asked[2]
     assert found.log_evidence == pytest.approx(expected.log_evidence, abs=0.1)
 
@@ -344,12 +355,10 @@ def test_a_scan_goes_on_where_a_solution_runs_into_its_limit(problem, monkeypatc
 def test_the_prior_of_what_is_held_is_a_density(problem, firmness):
     """A parameter that the record says nothing of costs and gains no evidence, however firmly it is held."""
     nothing = Parameter("c", 0, 1.0, 1e-9, unknown=True)
-    solver = Solver((Spline(),), History(False))
     terms = []
     for uncertain in ((UNKNOWN,), (UNKNOWN, nothing)):
-        evidence = solver.evidence(JointProblem.of(replace(problem, uncertain=uncertain)))
-        noise = replace(solver.starting_noise(evidence), firmness=firmness)
-        trained = evidence.train(noise, evidence.equations.start())
+        evidence, noise = starting(replace(problem, uncertain=uncertain))
+        trained = evidence.train(replace(noise, firmness=firmness), evidence.equations.start())
         assert trained is not None
         terms.append(trained.log_evidence)
     assert terms[1] == pytest.approx(terms[0], abs=1e-3)
@@ -358,8 +367,7 @@ def test_the_prior_of_what_is_held_is_a_density(problem, firmness):
 @pytest.mark.slow
 def test_of_two_the_more_probable_one_is_taken(monkeypatch):
     """A second start of nonsense does no harm."""
-    record = measured(small_chain(), snr_db=40.0).record
-    evidence, noise = searching(record)
+    evidence, noise = searching()
     expected = scanned(evidence, noise, 1.0, evidence.equations.start())
     monkeypatch.setattr("pinn_cli.training.steps.discrepancy_search.SUSPICIOUS_DISCREPANCY", 1e-9)
     rest = evidence.equations.start()

@@ -140,25 +140,14 @@ def test_a_load_cell_is_no_noisier_than_its_spectrum_shows():
 
 MASSES, DAMPERS, SPRINGS = np.array([50.0, 40.0]), np.array([90.0, 60.0]), np.array([4e4, 3e4])
 STOREY_RATE, STOREY_SAMPLES = 100.0, 1500
-DRAG = 600.0  # N s^2/m^2, between the fixed end and DOF 1: the model has none
-
-
-def storeys_dragged() -> Record:
-    """Two storeys with a drag, a force on DOF 2, its cell and both accelerometers, 50 dB."""
-    return lacking(DRAG, 0.0)
-
-
-def pushed() -> Record:
-    """The same without a drag, under another force, on DOF 1."""
-    return lacking(0.0, 8.0)
 
 
 @cache
-def lacking(drag: float, pushing: float) -> Record:
+def storeys(drag: float = 600.0, pushing: float = 0.0) -> Record:
     """Two storeys under a force on DOF 2, its cell and both accelerometers, 50 dB.
 
     Args:
-        drag: Between the fixed end and DOF 1, N s^2/m^2.
+        drag: Between the fixed end and DOF 1, N s^2/m^2: the model has none.
         pushing: Root mean square of a force on DOF 1 that nobody measures, N.
     """
     rng, time = np.random.default_rng(3), np.arange(STOREY_SAMPLES) / STOREY_RATE
@@ -199,7 +188,7 @@ def said(estimate: Estimate, story: str) -> dict[str, ParameterEstimate]:
 
 @pytest.mark.slow
 def test_a_smooth_force_leaves_far_more_of_the_parameters_than_a_white_one():
-    smooth, white = (said(found(storeys_dragged()), story) for story in ("smooth force", "force"))
+    smooth, white = (said(found(storeys()), story) for story in ("smooth force", "force"))
     for name, true in (("c_2", DAMPERS[1]), ("k_1", SPRINGS[0]), ("k_2", SPRINGS[1])):
         assert smooth[name].std < 0.1 * white[name].std
         assert abs(smooth[name].estimate - true) < 3.0 * smooth[name].std
@@ -208,7 +197,7 @@ def test_a_smooth_force_leaves_far_more_of_the_parameters_than_a_white_one():
 @pytest.mark.slow
 def test_the_force_has_the_place_of_what_the_model_lacks():
     """A drag between the fixed end and DOF 1 is a force there; what is elsewhere is as well known as in a right one."""
-    estimate = found(storeys_dragged())
+    estimate = found(storeys())
     (place,) = (one.place for one in estimate.stories if one.name == "smooth force")
     assert place == "DOF 1"
     assert said(estimate, "smooth force")["c_2"].std < 0.01 * DAMPERS[1]
@@ -219,7 +208,7 @@ def test_the_force_has_the_place_of_what_the_model_lacks():
 
 def test_a_force_of_any_history_on_one_dof_is_told_with_its_place():
     """White from 0.5 to 8 Hz on DOF 1, which nobody measured, beside the measured one on the roof."""
-    estimate = found(pushed())
+    estimate = found(storeys(drag=0.0, pushing=8.0))
     (named,) = estimate.doubts
     assert (named.kind, named.of) == ("force", "DOF 1")
     values = said(estimate, "smooth force")
@@ -232,8 +221,8 @@ def test_what_runs_free_allows_for_what_a_smooth_force_says(monkeypatch):
     others = tuple(one for one in inference.STEPS if one[0] is not fit_smooth_force)
     with monkeypatch.context() as patched:
         patched.setattr(inference, "STEPS", others)
-        alone = next(p for p in found.__wrapped__(storeys_dragged()).parameters if p.name == "c_2")
-    beside = next(p for p in found(storeys_dragged()).parameters if p.name == "c_2")
+        alone = next(p for p in found.__wrapped__(storeys()).parameters if p.name == "c_2")
+    beside = next(p for p in found(storeys()).parameters if p.name == "c_2")
     assert beside.estimate == pytest.approx(alone.estimate, rel=1e-3)
     assert not alone.lower_90 < DAMPERS[1] < alone.upper_90
     assert beside.lower_90 < DAMPERS[1] < beside.upper_90
@@ -256,7 +245,7 @@ def test_a_motion_from_which_nothing_is_predicted_is_none():
 
 
 def test_every_coordinate_gets_a_force_of_its_own():
-    chain = Problem(build_chain(2, Linear(), m=50.0, c=60.0, k=3e4), storeys_dragged())
+    chain = Problem(build_chain(2, Linear(), m=50.0, c=60.0, k=3e4), storeys())
     assert with_every_force(chain).inputs.forces == (0, 1)
 
 

@@ -29,8 +29,8 @@ def window(
     """A window of that evidence whose own search ended somewhere; where all windows put it."""
 
     def train(noise: NoiseLevels, *arguments: object, **settings: object) -> Any:
-        found = SimpleNamespace(point=None, converged=True)
-        return replace_trained(found, noise, log_evidence(noise.discrepancy))
+        found: Any = SimpleNamespace(point=None, converged=True)
+        return Trained(found, noise, None, log_evidence(noise.discrepancy))  # type: ignore[arg-type]
 
     def floors(_: object, trained: Any) -> list[Any]:
         return [SimpleNamespace(discrepancy=min(LEAST, trained.noise.discrepancy))]
@@ -39,10 +39,6 @@ def window(
     problem = SimpleNamespace(first=SimpleNamespace(prior=prior))
     evidence: Any = SimpleNamespace(problem=problem, train=train, each_record=floors)
     return of_all_windows(evidence, train(NOISE.with_discrepancy(own)))
-
-
-def replace_trained(solution: Any, noise: NoiseLevels, log_evidence: float) -> Any:
-    return Trained(solution, noise, None, log_evidence)  # type: ignore[arg-type]
 
 
 @pytest.fixture(autouse=True)
