@@ -57,11 +57,9 @@ def compared_record(
 
     def as_column(channel: Channel) -> Channel:
         place, inside = sample_places(channel, numbers[channel.key], record.time)
-        residual = (
-            given[channel.key]
-            if channel.key in given
-            else _residual(channel, numbers[channel.key], record.time, response)
-        )
+        residual = given.get(channel.key)
+        if residual is None:
+            residual = _residual(channel, numbers[channel.key], record.time, response)
         inside &= np.isfinite(residual)
         column, gaps = channel.of(response).copy(), np.ones(len(record.time), dtype=bool)
         column[place[inside]] += residual[inside]

@@ -30,9 +30,7 @@ from pinn_cli.training.steps.known_levels import softer_point
 def end_state(evidence: RecordEvidence, solution: RecordSolution) -> EndState:
     """Displacements, velocities and hidden forces of the coordinates at the last sample.
 
-    Args:
-        evidence: Of one record.
-        solution: Its part of a solution; the factor may know of parameters from other records as well.
+    The solution's factor may know of parameters from other records as well.
     """
     equations, factor = evidence.equations, solution.factor
     dynamics, time = equations.dynamics, equations.target.observation_time
@@ -41,15 +39,10 @@ def end_state(evidence: RecordEvidence, solution: RecordSolution) -> EndState:
     feature = segments.feature[alive][0].numpy()
     value, rate = (x[alive][0, 0].numpy() for x in segments.orders[:2])
     motion, hidden = np.arange(dynamics.ndof), np.arange(dynamics.size)[dynamics.hidden]
-    wanted = [
-        (function, phi)
-        for phi, functions in ((value, motion), (rate, motion), (value, hidden))
-        for function in functions
-    ]
-    places = [equations.layout.positions(feature, np.full(len(feature), function)) for function, _ in wanted]
+    wanted = [(value, i) for i in motion] + [(rate, i) for i in motion] + [(value, i) for i in hidden]
     rows = np.zeros((equations.layout.size, len(wanted)))
-    for column, (place, (_, phi)) in enumerate(zip(places, wanted, strict=True)):
-        rows[place, column] = phi
+    for column, (phi, function) in enumerate(wanted):
+        rows[equations.layout.positions(feature, np.full(len(feature), function)), column] = phi
     half, crossed = factor.readout.half_solved(rows)
     through = solve_triangular(factor.schur, crossed, lower=True)
     unit = equations.scale.numpy()
@@ -63,10 +56,7 @@ def end_state(evidence: RecordEvidence, solution: RecordSolution) -> EndState:
 
 
 def handed_over(inference: Inference) -> HandOver:
-    """Parameters and state at :attr:`pinn_cli.scheme.problem.Problem.hand_over`.
-
-    Args:
-        inference: The solution from all samples, of one record.
+    """Parameters and state at :attr:`pinn_cli.scheme.problem.Problem.hand_over`, from the solution of all samples.
 
     Raises:
         DivergenceError: The samples before that time have no solution.

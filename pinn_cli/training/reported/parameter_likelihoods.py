@@ -127,10 +127,11 @@ def conditional_likelihood(evidence: Evidence, trained: Trained) -> ConditionalL
     equations = evidence.equations
     p = len(equations.uncertain)
     gram, moment, square, scatter, count = np.zeros((p, p)), np.zeros(p), 0.0, 0.0, 0
-    for columns, regression in zip(equations.columns, evidence.each_record(force_regression, trained), strict=True):
-        gram[np.ix_(columns, columns)] += regression.gram
-        moment[columns] += regression.moment
-        square, scatter, count = square + regression.square, scatter + regression.scatter, count + regression.count
+    of_records = zip(equations.columns, evidence.each_record(force_regression, trained), strict=True)
+    for columns, (own_gram, own_moment, own_square, own_scatter, own_count) in of_records:
+        gram[np.ix_(columns, columns)] += own_gram
+        moment[columns] += own_moment
+        square, scatter, count = square + own_square, scatter + own_scatter, count + own_count
     moved = -np.linalg.lstsq(gram, moment, rcond=None)[0]
     peak = _physical(equations, trained.solution.point.parameters.numpy()) + moved
     names = tuple(q.name for q in equations.uncertain)
@@ -138,27 +139,15 @@ def conditional_likelihood(evidence: Evidence, trained: Trained) -> ConditionalL
     return ConditionalLikelihood(names, forced, gram, peak, square + float(moment @ moved) + scatter, count)
 
 
-@dataclass(frozen=True, eq=False)
-class ForceRegression:
+def force_regression(
+    evidence: RecordEvidence, solution: RecordSolution
+) -> tuple[np.ndarray, np.ndarray, float, float, int]:
     """Sums over the samples of one record, repeats included, of its force residual and of the residual's derivatives.
 
-    Attributes:
-        gram: (p, p), derivatives times derivatives.
-        moment: (p,), derivatives times residual.
-        square: Of the residual.
-        scatter: Of the force's repeats about their mean.
-        count: Of residuals.
+    Returns:
+        (p, p) derivatives times derivatives; (p,) derivatives times residual; squares of the residual; squares of the
+        force's repeats about their mean; how many residuals there are.
     """
-
-    gram: np.ndarray
-    moment: np.ndarray
-    square: float
-    scatter: float
-    count: int
-
-
-def force_regression(evidence: RecordEvidence, solution: RecordSolution) -> ForceRegression:
-    """Of one record."""
     equations, record, point = evidence.equations, evidence.problem.record, solution.point
     at_samples = slice(None, None, equations.refinement)
     residual = equations.physics.scatter(equations.motion.force(point))[at_samples]
@@ -173,7 +162,7 @@ def force_regression(evidence: RecordEvidence, solution: RecordSolution) -> Forc
     repeats = _repeats(record)
     scatter = 0.0 if record.repeats is None else float(record.repeats.square["force"][record.sensors("force")].sum())
     count = repeats * len(record.time) * int(equations.target.equation.sum())
-    return ForceRegression(repeats * gram, repeats * moment, repeats * float(residual.square().sum()), scatter, count)
+    return repeats * gram, repeats * moment, repeats * float(residual.square().sum()), scatter, count
 
 
 class ParameterLikelihood(ABC):

@@ -41,8 +41,10 @@ def parameter_posterior(
         hidden: Both (p,), see :func:`coherent_misfit`.
         covariance: (p, p), of that Gaussian; None: by the Hessian.
     """
-    mode, scale = trained.solution.point.parameters.numpy(), equations.scale
-    peak = mode + _newton_step(equations, trained)
+    mode, scale, step = trained.solution.point.parameters.numpy(), equations.scale, np.zeros(len(equations.scale))
+    if (mode <= equations.lower).any():
+        step = trained.factor.step(equations.assemble(trained.solution.point, trained.noise))[1]
+    peak = mode + step
     covariance = trained.factor.corner_covariance if covariance is None else covariance
     # What follows is about parameters alone: a first state is integrated out.
     uncertain, lower = [p for p in equations.uncertain if p.kind != INITIAL_STATE], equations.lower
@@ -104,12 +106,7 @@ def coherent_misfit(
 
 
 def parameter_force(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray, int]:
-    """(p,) rms force of one prior standard deviation of every parameter over that of the misfit; how many values tell.
-
-    Args:
-        evidence: Of one record.
-        solution: Its solution.
-    """
+    """(p,), rms force of a prior standard deviation of each parameter over that of the misfit; how many values tell."""
     equations = evidence.equations
     if not equations.vector.kinds:
         return np.zeros(0), 0
@@ -118,27 +115,14 @@ def parameter_force(evidence: RecordEvidence, solution: RecordSolution) -> tuple
         per_std = equations.motion.own_by_parameter(segments, solution.point, part)
         total = total + (per_std.square() * segments.mask[part, :, None]).sum((0, 1)).numpy()
     force = np.sqrt(total / segments.samples)[equations.vector.column]
-    # What spectra say holds what the model leaves out already.
-    misfit = (
-        0.0
-        if equations.problem.spectral is not None
-        else solution.noise.misfit(equations.network.count, len(equations.problem.record.time))
-    )
+    misfit = solution.noise.misfit(equations.network.count, len(equations.problem.record.time))
+    if equations.problem.spectral is not None:  # what spectra say holds what the model leaves out already
+        misfit = 0.0
     return force / max(misfit, LEAST_MISFIT), equations.network.count
 
 
-def _newton_step(equations: LeastSquares, trained: Trained) -> np.ndarray:
-    """(p,) from the solution to the peak that the Gaussian would have without bounds; zero where none is active."""
-    point = trained.solution.point.parameters.numpy()
-    held = point <= equations.lower
-    if not held.any():
-        return np.zeros(len(point))
-    return trained.factor.step(equations.assemble(trained.solution.point, trained.noise))[1]
-
-
-# Its ends as probabilities.
+# Ends of the central 90 % interval as probabilities.
 CENTRAL_90 = (0.05, 0.95)
-
 # Posterior standard deviations between mode and mean from which a bound counts: it then lies less than 2.8 of them
 # below the mode.
 NOTICEABLE = 0.01
@@ -170,8 +154,6 @@ def bounded_estimates(
     distance = unit * marginals.mean if cut else np.where(held, [p.lower for p in uncertain], unit * mode)
     std, (lower, upper) = unit * marginals.std, unit * marginals.quantiles
     return [
-        ParameterEstimate(
-            p, p.value(distance[i]), float(std[i]), p.value(lower[i]), p.value(upper[i]), bool(held[i])
-        )
+        ParameterEstimate(p, p.value(distance[i]), float(std[i]), p.value(lower[i]), p.value(upper[i]), bool(held[i]))
         for i, p in enumerate(uncertain)
-    ]  # fmt: skip
+    ]

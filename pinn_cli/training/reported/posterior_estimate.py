@@ -6,9 +6,8 @@ Whether records that were solved together say the same of their parameters.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -22,7 +21,6 @@ from pinn_cli.record.channel import CALIBRATED
 from pinn_cli.record.inputs import input_force
 from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
 from pinn_cli.record.spectrum import visible_floor
-from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE, GROUND
@@ -73,22 +71,13 @@ def with_parameters(
     posterior: tuple[list[ParameterEstimate], np.ndarray, ParameterKnowledge],
 ) -> Estimate:
     """One estimate of all records from that of each, with these parameters, their correlation, and what is known."""
-    parameters, correlation, known = posterior
-    records = tuple(
-        replace(estimate, **_own_parameters(parameters, correlation, problem, columns[: len(problem.uncertain)]))
-        for estimate, problem, columns in zip(estimates, evidence.problem, evidence.equations.columns, strict=True)
-    )
-    common: dict[str, Any] = {"parameters": parameters, "correlation": correlation, "known": known}
-    return replace(records[0], records=records if len(records) > 1 else (), **common)
-
-
-def _own_parameters(
-    estimates: Sequence[ParameterEstimate], correlation: np.ndarray, problem: Problem, columns: np.ndarray
-) -> dict[str, Any]:
-    """One record's parameters as its problem has them, and their correlation."""
-    pairs = zip(columns, problem.uncertain, strict=True)
-    parameters = [replace(estimates[column], parameter=parameter) for column, parameter in pairs]
-    return {"parameters": parameters, "correlation": correlation[np.ix_(columns, columns)]}
+    (parameters, correlation, known), records = posterior, []
+    for estimate, problem, columns in zip(estimates, evidence.problem, evidence.equations.columns, strict=True):
+        places = columns[: len(problem.uncertain)]
+        own = [replace(parameters[i], parameter=p) for i, p in zip(places, problem.uncertain, strict=True)]
+        records.append(replace(estimate, parameters=own, correlation=correlation[np.ix_(places, places)]))
+    joint = replace(records[0], parameters=parameters, correlation=correlation, known=known)
+    return replace(joint, records=tuple(records)) if len(records) > 1 else joint
 
 
 def record_estimate(evidence: RecordEvidence, solution: RecordSolution) -> Estimate:
@@ -103,10 +92,11 @@ def record_estimate(evidence: RecordEvidence, solution: RecordSolution) -> Estim
         "features_per_dof": equations.network.count,
         "operations_per_factorisation": solution.factor.readout.operations,
     }
+    taken = values_taken(evidence, solution).response
     noise = FoundNoise(
         {FORCE: solution.noise.force[: equations.problem.record.ndof], **_noise_felt(equations, solution)},
         solution.noise.discrepancy / equations.refinement**0.5,
-        _values_taken(evidence, solution),
+        {group.name: np.where(group.present, taken[group.name], np.nan) for group in equations.channels},
     )
     summary |= _of_unknown_forces(evidence, solution)
     known = equations.known_parameters
@@ -185,6 +175,10 @@ def _deviations(posterior: ReadoutPosterior, response: Response) -> Response:
     if functions is not None:
         force[:, dynamics.loaded] = functions[:, dynamics.acting]
     displacement, velocity, acceleration = (sensed[quantity].numpy() for quantity in RESPONSE_QUANTITIES)
+    supports = None
+    if response.supports is not None:
+        moved = posterior.functions(equations.observation)
+        supports = np.stack([std[:, dynamics.supports].numpy() for std in moved], axis=1)
     return Response(
         response.time,
         displacement,
@@ -193,15 +187,8 @@ def _deviations(posterior: ReadoutPosterior, response: Response) -> Response:
         force.numpy(),
         sensed[GROUND][:, 0].numpy() if dynamics.inputs.ground else None,
         None if functions is None or response.hidden is None else functions[:, dynamics.hidden].numpy(),
-        supports=None if response.supports is None else _of_supports(posterior),
+        supports=supports,
     )
-
-
-def _of_supports(posterior: ReadoutPosterior) -> np.ndarray:
-    """(N, 3, S), standard deviations of the supports' motion."""
-    dynamics = posterior.equations.dynamics
-    moved = posterior.functions(posterior.equations.observation)
-    return np.stack([std[:, dynamics.supports].numpy() for std in moved], axis=1)
 
 
 def _share_force(
@@ -222,13 +209,6 @@ def _share_force(
     return acting_force(response, filtered, noise), replace(std, force=force_std)
 
 
-def _values_taken(evidence: RecordEvidence, solution: RecordSolution) -> dict[str, np.ndarray]:
-    """Name of sensors to how many values of each one's samples the solution has taken up."""
-    taken = values_taken(evidence, solution).response
-    all_channels = evidence.equations.channels
-    return {channels.name: np.where(channels.present, taken[channels.name], np.nan) for channels in all_channels}
-
-
 def disagreements(evidence: Evidence, trained: Trained) -> tuple[Disagreement, ...]:
     """How far every record pulls the parameters from where all of them ended, against chance.
 
@@ -240,18 +220,16 @@ def disagreements(evidence: Evidence, trained: Trained) -> tuple[Disagreement, .
     at, scale = trained.solution.point.parameters.numpy(), equations.scale
     precision = equations.precision(trained.noise).numpy()
     start = np.array([p.prescribed for p in equations.uncertain])
-    for columns, (whole, whole_pull) in zip(
-        equations.columns, evidence.each_record(own_information, trained), strict=True
-    ):
+    each = zip(equations.columns, evidence.each_record(own_information, trained), strict=True)
+    for columns, (whole, whole_pull) in each:
         # A bound holds others back, and says nothing about chance.
         free = at[columns] > equations.lower[columns]
         places, information, pull = columns[free], whole[np.ix_(free, free)], whole_pull[free]
         square, freedom = _against_chance(information, pull, covariance[np.ix_(places, places)])
         alone = at[places] + np.linalg.solve(information + np.diag(precision[places]), pull)
-        values = {
-            equations.uncertain[i].name: float(start[i] + scale[i] * x) for i, x in zip(places, alone, strict=True)
-        }
-        out.append(Disagreement(square, freedom, values))
+        values = start[places] + scale[places] * alone
+        names = [equations.uncertain[i].name for i in places]
+        out.append(Disagreement(square, freedom, dict(zip(names, values.tolist(), strict=True))))
     return tuple(out)
 
 
@@ -352,19 +330,17 @@ def _at_motion(missing: np.ndarray, velocity: np.ndarray) -> float:
 
 def _inputs(
     evidence: RecordEvidence, solution: RecordSolution
-) -> Iterator[tuple[np.ndarray, float, np.ndarray, int | None]]:
-    """Of every measured input: what one unit puts into the equations (n,), its noise, its samples, its function."""
+) -> list[tuple[np.ndarray, float, np.ndarray, int | None]]:
+    """Of every measured input that has noise: what one unit puts into the equations (n,); it; samples; its function."""
     equations, noise, record = evidence.equations, solution.noise, evidence.problem.record
-    dynamics = equations.dynamics
-    structure, loads = dynamics.structure, dynamics.inputs.loads
-    shapes = structure.shapes.matrix
+    dynamics, structure = equations.dynamics, equations.dynamics.structure
+    loads, inputs = dynamics.inputs.loads, []
     for dof in np.flatnonzero(record.sensors(FORCE)):
         function = dynamics.loads.start + loads.index(dof) if loads else None
         sigma = (noise.response[FORCE] if loads else noise.force)[dof]
-        if np.isfinite(sigma) and sigma > 0.0:
-            yield shapes[dof], float(sigma), record.force[:, dof], function
+        inputs.append((structure.shapes.matrix[dof], float(sigma), record.force[:, dof], function))
     if dynamics.inputs.ground and record.measured_ground is not None:
+        pushed = -equations.parameters(solution.point)[MASS].detach().numpy() * structure.with_ground
         sigma = noise.response[GROUND][0]
-        if np.isfinite(sigma) and sigma > 0.0:
-            mass = equations.parameters(solution.point)[MASS].detach().numpy()
-            yield -mass * structure.with_ground, float(sigma), record.measured_ground, dynamics.ground.start
+        inputs.append((pushed, float(sigma), record.measured_ground, dynamics.ground.start))
+    return [one for one in inputs if np.isfinite(one[1]) and one[1] > 0.0]

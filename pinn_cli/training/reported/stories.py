@@ -94,13 +94,7 @@ def _of_place(smooth: Inference, found: Estimate, reported: Estimate) -> tuple[D
 
 
 def _candidates(inference: Inference, estimate: Estimate, found: Estimate | None) -> list[_Candidate]:
-    """All stories, that of a white force first; of the free run one for each solution.
-
-    Args:
-        inference: The solutions.
-        estimate: Of the white force.
-        found: Of the smooth one; None: there is none.
-    """
+    """All stories: of a white force, of a smooth one where it was ``found``, and of every solution that runs free."""
     forced, candidates = [estimate], [_Candidate(OF_FORCE, inference, estimate, inference.trained)]
     if found is not None:
         assert inference.smooth is not None
@@ -153,13 +147,9 @@ def of_free_running(inference: Inference, free: FreeRunning, forced: Sequence[Es
 
 def _with_story(inference: Inference, estimate: Estimate, said: Said) -> Estimate:
     """The same motion, with the parameters of another story."""
-    posterior = said.parameters, said.correlation, said.known
-    changed_estimate = with_parameters(inference.evidence, estimate.by_record, posterior)
-    changed = {name: getattr(changed_estimate, name) for name in ("parameters", "correlation", "known")}
-    before = [tuple(record_estimate.of_motion or record_estimate.parameters) for record_estimate in estimate.by_record]
-    records = zip(changed_estimate.records, before, strict=False)
-    of_records = tuple(replace(record_estimate, of_motion=motion) for record_estimate, motion in records)
-    return replace(estimate, **changed, records=of_records, of_motion=before[0])
+    of_records = [replace(one, of_motion=tuple(one.of_motion or one.parameters)) for one in estimate.by_record]
+    changed = with_parameters(inference.evidence, of_records, (said.parameters, said.correlation, said.known))
+    return replace(changed, disagreements=estimate.disagreements)
 
 
 def _with_force_left(inference: Inference, story: _Candidate, motion: torch.Tensor) -> Estimate:
