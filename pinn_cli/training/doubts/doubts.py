@@ -10,7 +10,7 @@ either half of the record says of it must hold in the other one, and what later 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -25,7 +25,7 @@ from pinn_cli.system.parameters import FACTOR, MASS
 from pinn_cli.system.priors import HALF_WIDTH_90
 from pinn_cli.system.quantities import MOTION
 from pinn_cli.training.doubts.force_doubts import ForceTerm, connection_force, force_border, force_terms, structure_at
-from pinn_cli.training.doubts.left_spectra import WHOLE_RECORD, Fit, LeftSpectra, highest_seen, left_spectra
+from pinn_cli.training.doubts.left_spectra import Fit, LeftSpectra, highest_seen, left_spectra
 from pinn_cli.training.doubts.sensor_doubts import DELAY, SensorTerm, Term, sensor_border, sensor_terms
 from pinn_cli.training.estimate import Doubt, ParameterEstimate
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint
@@ -62,21 +62,20 @@ SOLVED_AT_ONCE = 16
 MOST_DOUBT_PRODUCTS = 2e10
 
 
+# Something that a model may lack.
+Lacking = ForceTerm | SensorTerm
+
+
 def doubts(
     evidence: RecordEvidence, solution: RecordSolution, std: Response, parameters: Sequence[ParameterEstimate]
 ) -> tuple[Doubt, ...]:
     """What makes a record far more probable, the most probable one first; nothing where the model holds.
 
-    Args:
-        evidence: Of one record.
-        solution: Its part of a solution.
-        std: Standard deviation of the motion.
-        parameters: As they are reported.
+    The motion's standard deviation and the parameters are those that are reported.
     """
     equations, point = evidence.equations, solution.point
-    problem = evidence.problem
     # Where nobody measured a force, it is free to be what the model lacks.
-    if equations.known_parameters is not None or problem.inputs.unmeasured:
+    if equations.known_parameters is not None or evidence.problem.inputs.unmeasured:
         return ()
     reduced = _Solution.of(evidence, solution)
     if reduced is None:
@@ -94,20 +93,17 @@ def doubts(
     asked = reduced.asked(chosen)
     fits = asked.fits(len(chosen))
     moved = reduced.moved_most(asked, fits[-1].step - fits[0].step, std, parameters)
-    chosen_doubts = [asked.doubt(i, gain, fits, moved) for i, gain in enumerate(gains)]
-    return tuple(
-        reduced.at_its_mode(doubt, term, fits[-1].step) for doubt, term in zip(chosen_doubts, chosen, strict=True)
-    )
+    return tuple(asked.doubt(i, gain, fits, moved) for i, gain in enumerate(gains))
 
 
 def _chosen(
     solution: _Solution, forces: Sequence[ForceTerm], sensors: Sequence[SensorTerm]
-) -> tuple[list[ForceTerm | SensorTerm], list[float]]:
+) -> tuple[list[Lacking], list[float]]:
     """What makes the record far more probable, one beside the other, and by how much, as logarithms."""
-    chosen: list[ForceTerm | SensorTerm] = []
+    chosen: list[Lacking] = []
     gains: list[float] = []
     refuted: set[tuple[str, str]] = set()
-    candidates: list[ForceTerm | SensorTerm] = [*forces, *sensors]
+    candidates: list[Lacking] = [*forces, *sensors]
     for _ in range(MOST_CHOSEN):
         best, gain = _best(solution, chosen, candidates, refuted)
         if not gain > max([DECISIVE_DOUBT, *(FURTHER_SHARE * first for first in gains[:1])]):
@@ -128,10 +124,10 @@ def _chosen(
 
 def _best(
     solution: _Solution,
-    chosen: Sequence[ForceTerm | SensorTerm],
-    candidates: Sequence[ForceTerm | SensorTerm],
+    chosen: Sequence[Lacking],
+    candidates: Sequence[Lacking],
     refuted: set[tuple[str, str]],
-) -> tuple[ForceTerm | SensorTerm, float]:
+) -> tuple[Lacking, float]:
     """The candidate, in its best shape, that makes the record most probable beside those that are chosen."""
     open_terms = [term for term in candidates if (term.term.kind, term.term.of) not in refuted]
     best, gain = solution.asked([*chosen, *open_terms]).best(len(chosen))
@@ -177,34 +173,33 @@ class _Solution:
         gradient = system.gradient[:, None]
         return cls(equations, point, noise, channels, gradient, eliminated.readout, solution.prior)
 
-    def asked(self, terms: Sequence[ForceTerm | SensorTerm]) -> _Asked:
-        """Further parameters."""
-        return self.asked_in_parts(terms, [WHOLE_RECORD])[0]
+    def asked(self, terms: Sequence[Lacking]) -> _Asked:
+        """Further parameters, of all of the record."""
+        return self.asked_in_parts(terms, [(0.0, 1.0)])[0]
 
-    def asked_in_parts(
-        self, terms: Sequence[ForceTerm | SensorTerm], parts: Sequence[tuple[float, float]]
-    ) -> list[_Asked]:
-        """The same, of each part of the record; forces come first."""
+    def asked_in_parts(self, terms: Sequence[Lacking], parts: Sequence[tuple[float, float]]) -> list[_Asked]:
+        """The same, of each part of the record, from and to over its duration; forces come first."""
         forces = [term for term in terms if isinstance(term, ForceTerm)]
         sensors = [term for term in terms if isinstance(term, SensorTerm)]
-        equations, p = self.equations, len(self.point.parameters)
-        known = self.moved_by
-        self._move_by([f for f in forces if id(f) not in known], [s for s in sensors if id(s) not in known])
-        columns = [known[id(term)][1] for term in (*forces, *sensors)]
+        self._move_by([f for f in forces if f not in self.moved_by], [s for s in sensors if s not in self.moved_by])
+        in_order: list[Lacking] = [*forces, *sensors]
         # Products with sparse rows take it by rows.
-        moved = np.column_stack((*self._moved_anyhow, *columns))
-        terms_of = forces, sensors
-        of_solution = equations, self.point, self.noise, self.channels
-        spectra = [left_spectra(*of_solution, terms_of, moved, self.prior, part) for part in parts]
-        free = np.flatnonzero(self.point.parameters.numpy() > equations.lower).tolist()
-        number = {id(term): i for i, term in enumerate([*forces, *sensors], start=p)}
-        places = [number[id(term)] for term in terms]
-        grown = self.growth @ moved[:, 1:]
-        return [_Asked(terms, places, of_part, moved[:, 1:], free, grown, self.half_parameters) for of_part in spectra]
+        moved = np.column_stack((*self._moved_anyhow, *(self.moved_by[term] for term in in_order)))
+        of_solution = self.equations, self.point, self.noise, self.channels
+        spectra = [left_spectra(*of_solution, (forces, sensors), moved, self.prior, part) for part in parts]
+        number = {term: i for i, term in enumerate(in_order, start=len(self.point.parameters))}
+        places, grown = [number[term] for term in terms], self.growth @ moved[:, 1:]
+        return [_Asked(self, terms, places, of_part, moved[:, 1:], grown) for of_part in spectra]
 
     @cached_property
-    def moved_by(self) -> dict[int, tuple[ForceTerm | SensorTerm, np.ndarray]]:
-        """Terms that were asked for, each with how the motion adapts to it, (size,)."""
+    def free(self) -> list[int]:
+        """Places of the parameters that no bound holds."""
+        free: list[int] = np.flatnonzero(self.point.parameters.numpy() > self.equations.lower).tolist()
+        return free
+
+    @cached_property
+    def moved_by(self) -> dict[Lacking, np.ndarray]:
+        """How the motion adapts to each term that was asked for, (size,)."""
         return {}
 
     def _move_by(self, forces: list[ForceTerm], sensors: list[SensorTerm]) -> None:
@@ -213,9 +208,7 @@ class _Solution:
             return
         of_forces = force_border(self.equations, self.point, self.noise, forces)
         border = np.hstack((of_forces, sensor_border(self.equations, self.channels, sensors)))
-        asked: list[ForceTerm | SensorTerm] = [*forces, *sensors]
-        for term, by in zip(asked, self._adapted(border).T, strict=True):
-            self.moved_by[id(term)] = term, by
+        self.moved_by.update(zip([*forces, *sensors], self._adapted(border).T, strict=True))
 
     @cached_property
     def _moved_anyhow(self) -> tuple[np.ndarray, np.ndarray]:
@@ -240,7 +233,7 @@ class _Solution:
             growth += pulled / max(float(shown @ shown), 1e-300) / len(sensors)
         return growth
 
-    def gain_in_other_half(self, terms: Sequence[ForceTerm | SensorTerm]) -> float:
+    def gain_in_other_half(self, terms: Sequence[Lacking]) -> float:
         """Logarithm of how many times as probable each half is with the last term, as the other half tells all of them.
 
         What stands in for something else in one part of a record does so in no other. Where one of them has hardly any
@@ -271,14 +264,12 @@ class _Solution:
         ]
         return {i: HALF * abs(value) / scale[i] for i, value in values}
 
-    def at_its_mode(self, doubt: Doubt, term: ForceTerm | SensorTerm, step: np.ndarray) -> Doubt:
-        """Of an attached oscillator with the frequency of the whole, in place of its own while its DOF is held."""
-        if doubt.kind != MODE or not isinstance(term, ForceTerm):
-            return doubt
+    def frequency_of_whole(self, oscillator: ForceTerm, mass: float, step: np.ndarray) -> float:
+        """Hz, of an attached oscillator with its DOF, in place of its own while the DOF is held; after a step."""
         by = torch.as_tensor(step[: len(self.point.parameters)]).to(self.point.parameters)
         present = structure_at(self.equations, Point(self.point.unknowns, self.point.parameters + by))
-        whole = frequency_with_oscillator(present, term.distribution[: present.coordinates], doubt.value, doubt.shape)
-        return replace(doubt, shape=whole)
+        pull = oscillator.distribution[: present.coordinates]
+        return frequency_with_oscillator(present, pull, mass, oscillator.term.shape)
 
     def moved_most(
         self, asked: _Asked, by: np.ndarray, std: Response, parameters: Sequence[ParameterEstimate]
@@ -286,7 +277,7 @@ class _Solution:
         """Standard deviations by which what is reported moves with a step of the columns, of what moves most."""
         equations, like, std_of = self.equations, self.point.unknowns, {p.name: p.std for p in parameters}
         names, scale = [p.name for p in equations.uncertain], equations.scale.numpy()
-        reported = [i for i in asked.free if names[i] in std_of]  # not the state that a record goes on from
+        reported = [i for i in self.free if names[i] in std_of]  # not the state that a record goes on from
         moved = {names[i]: float(abs(by[i]) * scale[i]) / std_of[names[i]] for i in reported}
         along = Point(torch.as_tensor(asked.moved @ by).to(like), self.point.parameters)
         change = equations.flat_states(equations.observation, along)
@@ -303,68 +294,63 @@ class _Asked:
     """Terms that a model may lack.
 
     Attributes:
+        solution: Beside which they are asked.
         terms: D of them.
         places: Of each, among the columns.
         spectra: Of the parameters of the model, and of the terms.
         moved: (size, columns), how the motion adapts to each.
-        free: Places of the parameters that no bound holds.
         grown: (columns,), by how much of itself the motion grows with each.
-        half: See :attr:`_Solution.half_parameters`.
     """
 
-    terms: Sequence[ForceTerm | SensorTerm]
+    solution: _Solution
+    terms: Sequence[Lacking]
     places: list[int]
     spectra: LeftSpectra
     moved: np.ndarray
-    free: list[int]
     grown: np.ndarray
-    half: dict[int, float]
 
     def fits(self, chosen: int) -> list[Fit]:
         """Without any term, and with one more of the first ones at a time."""
-        fits = [self.spectra.fit(self.free, self.spectra.energy)]
+        fits = [self._fit([], self.spectra.energy)]
         for count in range(1, chosen + 1):
-            fits.append(self.spectra.fit([*self.free, *self.places[:count]], fits[-1].energy))
+            fits.append(self._fit(self.places[:count], fits[-1].energy))
         return fits
 
-    def needed(self) -> tuple[list[ForceTerm | SensorTerm], list[float], list[ForceTerm | SensorTerm]]:
+    def _fit(self, places: Iterable[int], energy: np.ndarray) -> Fit:
+        """With the columns at these places free as well; see :meth:`LeftSpectra.fit`."""
+        return self.spectra.fit([*self.solution.free, *places], energy)
+
+    def needed(self) -> tuple[list[Lacking], list[float], list[Lacking]]:
         """Terms with which the record is far more probable than with the others alone, by how much, and the rest.
 
         The most probable one is first. What was the best guess alone may stand in for what was found after it.
         """
         kept, whole = dict(zip(self.places, self.terms, strict=True)), self.fits(len(self.terms))[-1]
-        rest: list[ForceTerm | SensorTerm] = []
+        rest: list[Lacking] = []
         while True:
-            others = {place: [*self.free, *(other for other in kept if other != place)] for place in kept}
-            gains = {place: whole.gain(self.spectra.fit(others[place], whole.energy), place) for place in kept}
+            others = {place: [other for other in kept if other != place] for place in kept}
+            gains = {place: whole.gain(self._fit(others[place], whole.energy), place) for place in kept}
             ranked = sorted(kept, key=lambda place: -gains[place])
             if gains[ranked[-1]] > DECISIVE_DOUBT or len(ranked) == 1:
                 return [kept[place] for place in ranked], [gains[place] for place in ranked], rest
             rest.append(kept.pop(ranked[-1]))
-            whole = self.spectra.fit([*self.free, *kept], whole.energy)
+            whole = self._fit(kept, whole.energy)
 
-    def best(self, chosen: int) -> tuple[ForceTerm | SensorTerm, float]:
+    def best(self, chosen: int) -> tuple[Lacking, float]:
         """The term that makes the record most probable beside the first ones, and its gain."""
-        before = self.fits(chosen)[-1]
+        before, gains = self.fits(chosen)[-1], []
         named = {(candidate.term.kind, candidate.term.of) for candidate in self.terms[:chosen]}
         tried = Counter(candidate.term.kind for candidate in self.terms[chosen:])
-        gains = [
-            -np.inf
-            if (candidate.term.kind, candidate.term.of) in named
-            else self._gain(chosen, place, candidate.term, before)
-            for candidate, place in zip(self.terms[chosen:], self.places[chosen:], strict=True)
-        ]
-        # Of many that are tried, some are probable by chance.
-        gains = [
-            gain - np.log(tried[candidate.term.kind])
-            for gain, candidate in zip(gains, self.terms[chosen:], strict=True)
-        ]
+        for candidate, place in zip(self.terms[chosen:], self.places[chosen:], strict=True):
+            term = candidate.term
+            gain = -np.inf if (term.kind, term.of) in named else self._gain(chosen, place, term, before)
+            gains.append(gain - np.log(tried[term.kind]))  # of many that are tried, some are probable by chance
         best = int(np.argmax(gains))
         return self.terms[chosen + best], float(gains[best])
 
     def _gain(self, chosen: int, place: int, term: Term, before: Fit) -> float:
         """Logarithm of how many times as probable the record is with a term more."""
-        fit = self.spectra.fit([*self.free, *self.places[:chosen], place], before.energy)
+        fit = self._fit([*self.places[:chosen], place], before.energy)
         x, information = fit.step[place], max(fit.information[place], 1.0)
         # Equations of which nothing is left hold for any motion: without a measured force, a mass that goes to zero
         # with all that is unknown explains everything.
@@ -377,32 +363,33 @@ class _Asked:
         # whatever is wrong.
         wrong |= float(self.grown @ fit.step) < -HALF
         # Nor does a linear step tell of a structure with half of a stiffness.
-        wrong |= any(abs(fit.step[i]) > half for i, half in self.half.items())
+        wrong |= any(abs(fit.step[i]) > half for i, half in self.solution.half_parameters.items())
         # What comes late is more usual than what comes early: where all sensors are early, the load cell is late.
         early = EARLY * gain if term.kind == DELAY and x < 0.0 else 0.0
         return -np.inf if wrong else float(gain - early)
 
     def doubt(self, number: int, gain: float, fits: list[Fit], moved: tuple[float, str]) -> Doubt:
         """Of one of the terms; the last fit has all of them."""
-        term, place, last = self.terms[number].term, self.places[number], fits[-1]
+        lacking, place, last = self.terms[number], self.places[number], fits[-1]
+        term, shape = lacking.term, lacking.term.shape
         value, std = term.scale * last.step[place], term.scale / last.information[place] ** 0.5
+        if term.kind == MODE and isinstance(lacking, ForceTerm):
+            shape = self.solution.frequency_of_whole(lacking, float(value), last.step)
         energies = [float(fit.energy[self.spectra.moving].sum()) for fit in fits]
         share = (energies[number] - energies[number + 1]) / energies[0]
-        return Doubt(term.kind, term.of, float(value), float(std), term.unit, gain, *moved, term.shape, share)
+        return Doubt(term.kind, term.of, float(value), float(std), term.unit, gain, *moved, shape, share)
 
 
 def _softened(evidence: RecordEvidence, noise: NoiseModel, force: float) -> NoiseModel:
     """Noise levels of which none is below `LEAST_LEVEL`; ``force`` is that of the connections, N, rms."""
     largest: defaultdict[str, float] = defaultdict(float)
-    all_channels = evidence.equations.channels
-    for sensor in (sensor for channels in all_channels for sensor in channels.sensors if sensor is not None):
-        quantity, measured = sensor.channel.quantity, sensor.channel.measured
-        largest[quantity] = max(largest[quantity], float(measured.std()))
+    for sensor in evidence.sensors.values():
+        quantity = sensor.channel.quantity
+        largest[quantity] = max(largest[quantity], float(sensor.channel.measured.std()))
     response = dict(noise.response)
-    for channels in all_channels:
-        least = [
-            np.nan if sensor is None else LEAST_LEVEL * largest[sensor.channel.quantity] for sensor in channels.sensors
-        ]
+    for channels in evidence.equations.channels:
+        kinds = [None if sensor is None else sensor.channel.quantity for sensor in channels.sensors]
+        least = [np.nan if kind is None else LEAST_LEVEL * largest[kind] for kind in kinds]
         response[channels.name] = np.maximum(noise.response[channels.name], least)
     return replace(noise, discrepancy=max(noise.discrepancy, LEAST_LEVEL * force), response=response)
 

@@ -191,11 +191,8 @@ class _Forces:
         )
         if len(kind.shapes) == 1:
             return plain
-
-        def again(shape: float) -> Iterator[ForceTerm]:
-            yield self.of_connection(shape, kind, of, state)
-
-        return replace(plain, reshaped=again, ratio=kind.shapes[1] / kind.shapes[0])
+        ratio = kind.shapes[1] / kind.shapes[0]
+        return replace(plain, reshaped=lambda shape: [self.of_connection(shape, kind, of, state)], ratio=ratio)
 
     def of_masses(self) -> Iterator[ForceTerm]:
         """More or less mass on a DOF, but where its mass is a parameter that may move."""
@@ -219,11 +216,8 @@ class _Forces:
         moved = self.acceleration[:, dof]
         lying = Term(SLIDING, f"DOF {self.equations.problem.record.dof_name(dof)}", "kg", 1.0, at, least=0.0)
         plain = self.term(lying, self.place[dof], sliding(moved, self.step, at), self.mass[dof] * rms(moved))
-
-        def again(at: float) -> Iterator[ForceTerm]:
-            yield self.of_sliding_mass(at, dof)
-
-        return replace(plain, reshaped=again, ratio=SLIDES_AT[1] / SLIDES_AT[0])
+        ratio = SLIDES_AT[1] / SLIDES_AT[0]
+        return replace(plain, reshaped=lambda at: [self.of_sliding_mass(at, dof)], ratio=ratio)
 
     def of_modes(self) -> Iterator[ForceTerm]:
         """More or less damping of a mode, but where its ratio is a parameter that may move."""
@@ -284,10 +278,7 @@ class _Forces:
         mode = Term(MODE, f"DOF {record.dof_name(dof)}", "kg", 1.0, frequency)
         driven = self.carried.oscillator(dof, frequency, damping)
         plain = self.term(mode, self.place[dof], driven, self.mass[dof] * rms(moved))
-
-        def again(finer: float) -> Iterator[ForceTerm]:
-            yield from (self.of_oscillator(finer, dof, ratio, at) for at in DAMPED)
-
+        again = lambda finer: [self.of_oscillator(finer, dof, ratio, at) for at in DAMPED]  # noqa: E731
         return replace(plain, reshaped=again, ratio=ratio, below=self.highest / ratio**0.5)
 
     @cached_property
@@ -331,8 +322,7 @@ def connection_force(equations: NormalEquations, point: Point, motion: Jet) -> t
     """Elongation, its rate, and force of all connections, each (P, C)."""
     dynamics, structure = equations.dynamics, equations.dynamics.structure
     e, de = (structure.elongation(dynamics.stretching(x)) for x in (motion.value, motion.rate))
-    z = motion.value[:, dynamics.hidden] if len(structure.memory) else None
-    force = structure.connection_force(e, de, equations.parameters(point), z)
+    force = structure.connection_force(e, de, equations.parameters(point), motion.value[:, dynamics.hidden])
     return tuple(x.numpy() for x in (e, de, force))
 
 

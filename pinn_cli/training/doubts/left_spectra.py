@@ -40,8 +40,6 @@ SIGNAL = 10.0
 MOVING = 0.95
 # Rounds of weighted least squares at most, and the change of minus the logarithm that ends them.
 WEIGHTED_ROUNDS, WEIGHTED_SETTLED = 8, 0.01
-# Of a record, from its beginning to its end.
-WHOLE_RECORD = (0.0, 1.0)
 # Added to the diagonal of scaled normal equations: columns may be the same.
 SINGULAR = 1e-13
 
@@ -127,13 +125,13 @@ def _inverse(matrix: np.ndarray) -> np.ndarray:
     return inverse
 
 
-def bands_of(length: float, highest: float, least: int) -> np.ndarray:
-    """Edges, Hz, of bands of a record so long, s; each has at least so many of its cosines."""
-    edges, step = [0.75 / length], 0.5 / length
+def bands_of(length: float, highest: float) -> np.ndarray:
+    """Edges, Hz, of bands of a record so long, s."""
+    edges, least = [0.75 / length], FEWEST_IN_BAND * (0.5 / length)
     while edges[-1] < highest:
-        edges.append(max(edges[-1] * BAND_RATIO, edges[-1] + least * step))
+        edges.append(max(edges[-1] * BAND_RATIO, edges[-1] + least))
     edges[-1] = highest
-    if len(edges) > 2 and edges[-1] - edges[-2] < least * step:
+    if len(edges) > 2 and edges[-1] - edges[-2] < least:
         del edges[-2]
     return np.array(edges)
 
@@ -156,7 +154,7 @@ def left_spectra(
     terms: tuple[Sequence[ForceTerm], Sequence[SensorTerm]],
     moved: np.ndarray,
     believed: np.ndarray,
-    part: tuple[float, float] = WHOLE_RECORD,
+    part: tuple[float, float],
 ) -> LeftSpectra:
     """Of the parameters and of forces and of what sensors may show, in this order.
 
@@ -208,7 +206,7 @@ def highest_seen(equations: NormalEquations, channels: Sequence[ChannelAtPoint])
 def _edges(equations: NormalEquations, length: float) -> np.ndarray:
     """Of the bands of a part of the record so long, s."""
     highest = 0.5 * min(equations.network.free_intervals, 1.0 / equations.problem.record.step)
-    return bands_of(length, highest, FEWEST_IN_BAND)
+    return bands_of(length, highest)
 
 
 def _part(histories: np.ndarray, part: tuple[float, float]) -> np.ndarray:

@@ -48,9 +48,7 @@ class DampingDoubt:
 def with_other_damping(problem: Problem, values: Mapping[str, np.ndarray]) -> Problem | None:
     """The problem with the damping that its model lacks, unknown and at zero; None where that is not asked.
 
-    Args:
-        problem: Of a linear structure of masses and connections.
-        values: Every parameter by kind at its solution.
+    It is asked of a linear structure of masses and connections, with every parameter by kind at its solution.
     """
     structure = problem.structure
     plain = not structure.is_modal and structure.nonlinearity_name == "linear" and problem.prior is None
@@ -78,24 +76,16 @@ def damping_doubt(
         distances: Of its p uncertain parameters from where they are prescribed, in their own units, before and after.
         log_odds: Of the extended problem over the other, as a natural logarithm.
     """
-    structure = extended.structure
-    modes = [
-        NaturalModes.of(
-            structure.with_values(
-                {
-                    p: p.prescribed + x
-                    for p, x in zip(extended.uncertain, distance.tolist(), strict=True)
-                    if p.kind not in OUTSIDE_THE_EQUATIONS
-                }
-            )
-        )
-        for distance in distances
-    ]
-    if modes[0] is None or modes[1] is None or len(modes[0].squares) != len(modes[1].squares):
+    modes = []
+    for distance in distances:
+        moved = zip(extended.uncertain, distance.tolist(), strict=True)
+        values = {p: p.prescribed + x for p, x in moved if p.kind not in OUTSIDE_THE_EQUATIONS}
+        modes.append(NaturalModes.of(extended.structure.with_values(values)))
+    own, other = modes
+    if own is None or other is None or len(own.squares) != len(other.squares):
         return None
-    seen = modes[0].frequencies < record_band(extended.record)
+    seen = own.frequencies < record_band(extended.record)
     # A step may go beyond no damping at all.
-    other_ratios = np.maximum(modes[1].damping_ratios[modes[0].partners(modes[1])], 0.0)
-    return DampingDoubt(
-        log_odds, RATIO not in problem.structure.parameters, modes[0].damping_ratios[seen], other_ratios[seen]
-    )
+    other_ratios = np.maximum(other.damping_ratios[own.partners(other)], 0.0)
+    of_modes = RATIO not in problem.structure.parameters
+    return DampingDoubt(log_odds, of_modes, own.damping_ratios[seen], other_ratios[seen])

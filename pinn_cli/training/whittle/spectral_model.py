@@ -20,7 +20,7 @@ of a sensor leaks likewise. Taken off line by line as G f it leaves, with Q the 
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -62,15 +62,9 @@ def is_spectral(problem: Problem) -> bool:
     """
     inputs, structure, record = problem.inputs, problem.structure, problem.record
     linear = all(isinstance(group.nonlinearity, Linear) for group in structure.groups)
-    alone = (
-        not inputs.measures_ground
-        and not inputs.supports
-        and not inputs.loads
-        and not len(structure.memory)
-        and not record.calibrated
-    )
+    beside = inputs.measures_ground or inputs.supports or inputs.loads or len(structure.memory) or record.calibrated
     plain = record.intersample == "band_limited" and record.repeats is None and not problem.priors
-    return inputs.unmeasured and linear and alone and plain
+    return inputs.unmeasured and linear and not beside and plain
 
 
 def band_lines(record: Record) -> list[int] | None:
@@ -90,23 +84,6 @@ def spectra_in_band(record: Record) -> CrossSpectra[Channel] | None:
         return None
     sensors, loads = channels(record), channels(record, (FORCE,))
     return CrossSpectra.of_bands(record, sensors, loads, edges, len(sensors) + len(loads), TAPERED)
-
-
-@dataclass(frozen=True, eq=False)
-class Covariance:
-    """Of the response sensors' spectra at every frequency, with its derivatives.
-
-    Attributes:
-        value: (G, S, S).
-        slopes: (q, G, S, S), by every unknown.
-        seen: (G, S, L), from measured forces to the sensors.
-        seen_slopes: (p, G, S, L), by the structure's parameters.
-    """
-
-    value: np.ndarray
-    slopes: np.ndarray
-    seen: np.ndarray
-    seen_slopes: np.ndarray
 
 
 class SpectralModel:
@@ -141,11 +118,16 @@ class SpectralModel:
         samples = [SensorSamples(sensor, problem.record) for sensor in sensors]
         self.first_noise = np.array([sample.first for sample in samples])
         self.load_noise = starting_levels(problem.record, FORCE)[loads]
-        self.knots = _knots(spectrum.omega)
+        # Logarithms of frequencies, (J,), between which the logarithm of the forces' power is linear.
+        first, last = spectrum.omega[0], spectrum.omega[-1]
+        number = max(2, 1 + round(np.log(last / first) / np.log(KNOT_RATIO)))
+        self.knots = np.linspace(np.log(first), np.log(last), number)
         self._look_at(spectrum)
 
     def _look_at(self, spectrum: CrossSpectra[Channel]) -> None:
-        self.spectrum, self.shape = spectrum, _hats(spectrum.omega, self.knots)
+        # Functions of frequency that are 1 at one knot and 0 at all others, linear in the logarithm between.
+        hats = [np.interp(np.log(spectrum.omega), self.knots, unit) for unit in np.eye(len(self.knots))]
+        self.spectrum, self.shape = spectrum, np.stack(hats, axis=1)
         self.sensing = spectrum.differentiation[:, :, None] * self.sensed
 
     def at(self, frequency: np.ndarray) -> SpectralModel:
@@ -230,8 +212,11 @@ class SpectralModel:
         value = at_sensors @ weighed + np.diag(np.exp(2.0 * x[places["noise"]]))
         return value, at_sensors, weighed, common
 
-    def covariance(self, x: np.ndarray) -> Covariance:
-        """At the unknowns (q,)."""
+    def covariance(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Of the sensors' spectra at the unknowns (q,) (G, S, S), and its derivatives by these (q, G, S, S).
+
+        From measured forces to the sensors (G, S, L), and its derivatives by the parameters (p, G, S, L).
+        """
         response, places, omega = self._response(x), self.places, self.spectrum.omega[:, None]
         value, at_sensors, weighed, common = self._value(x, response)
         noise = np.exp(2.0 * x[places["noise"]])
@@ -242,9 +227,8 @@ class SpectralModel:
             moved = response.slope(mass, stiffness + 1j * omega * damping)
             product = moved @ weighed
             slopes[i], seen_slopes[i] = product + product.conj().transpose(0, 2, 1), moved[:, :, seen]
-        by_force = (
-            at_sensors[:, :, : self.unknown_forces, None] * weighed[:, None, : self.unknown_forces]
-        )  # (G, S, U, S)
+        unknown = slice(self.unknown_forces)
+        by_force = at_sensors[:, :, unknown, None] * weighed[:, None, unknown]  # (G, S, U, S)
         by_force = by_force + by_force.conj().transpose(0, 3, 2, 1)
         slopes[places["shape"]] = self.shape.T[:, :, None, None] * by_force.sum(2)
         slopes[places["forces"]] = by_force.transpose(2, 0, 1, 3)
@@ -252,38 +236,18 @@ class SpectralModel:
         slopes[places["noise"]] = 0.0
         for i, variance in enumerate(noise):
             slopes[places["noise"].start + i, :, i, i] = 2.0 * variance
-        return Covariance(value, slopes, at_sensors[:, :, seen], seen_slopes)
-
-
-def _knots(omega: np.ndarray) -> np.ndarray:
-    """(J,), logarithms of frequencies, between which the logarithm of the forces' power is linear."""
-    octaves = np.log(omega[-1] / omega[0])
-    return np.linspace(np.log(omega[0]), np.log(omega[-1]), max(2, 1 + round(octaves / np.log(KNOT_RATIO))))
-
-
-def _hats(omega: np.ndarray, knots: np.ndarray) -> np.ndarray:
-    """(G, J), functions of frequency that are 1 at one knot and 0 at all others, linear in the logarithm between."""
-    return np.stack([np.interp(np.log(omega), knots, unit) for unit in np.eye(len(knots))], axis=1)
+        return value, slopes, at_sensors[:, :, seen], seen_slopes
 
 
 class ExpectedSpectra:
-    """Of one record and its taper, for any model of it.
-
-    Args:
-        model: Of the spectra in the record's band.
-
-    Raises:
-        ValueError: The band holds too little for a model.
-    """
+    """Of one record and its taper, for any model of the spectra in its band."""
 
     def __init__(self, model: SpectralModel) -> None:
         edges, samples = band_lines(model.problem.record), len(model.spectrum.values)
-        if edges is None:
-            raise ValueError("there is no model of a band without lines")
+        assert edges is not None  # or there were no model
         self.edges, self.is_long, stop = edges, samples > LONG, edges[-1]
-        half = np.arange(
-            min(2 * (stop + LINES_BESIDE), samples) + 1
-        )  # two to a line: as many lags as the samples have pairs
+        # Two to a line: as many lags as the samples have pairs.
+        half = np.arange(min(2 * (stop + LINES_BESIDE), samples) + 1)
         half[0] = 1  # what is asked at a frequency of zero has no logarithm
         self.frequency = half / (2.0 * samples * model.spectrum.step)
         self.mean = Leakage(taper(samples, TAPERED), stop)

@@ -21,7 +21,6 @@ from scipy.special import chdtrc
 
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.modal_fit import IMPROBABLE_PART
-from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.doubts.other_damping import DampingDoubt, damping_doubt, with_other_damping
 from pinn_cli.training.noise_model import updated_spread
@@ -78,25 +77,6 @@ class Scored:
     information: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class Whitened:
-    """Spectra in units in which S is the identity.
-
-    Attributes:
-        log_determinant: (G,), of S.
-        power: (G, S, S), of what measured forces leave of the responses; the identity on average.
-        slopes: (q, G, S, S), of S.
-        seen: (p, G, S, L), of what measured forces make of the responses.
-        crossed: (G, L, S), measured forces times what they leave of the responses, negative.
-    """
-
-    log_determinant: np.ndarray
-    power: np.ndarray
-    slopes: np.ndarray
-    seen: np.ndarray
-    crossed: np.ndarray
-
-
 class Whittle:
     """Whittle's likelihood of a model, with Gaussian priors of its unknowns.
 
@@ -112,7 +92,8 @@ class Whittle:
         self.lower = np.full(model.size, -np.inf)
         self.lower[model.places["parameters"]] = lower
         self.lower[model.places["together"]] = 0.0
-        self.centre, self.leaked = model.start(), np.zeros((1, 1, 1))
+        self.centre, self.has_centre, self.leaked = model.start(), np.zeros(model.size), np.zeros((1, 1, 1))
+        self.has_centre[model.places["noise"]] = 1.0
         knots = model.shape.shape[1]
         self.bends = np.zeros((max(knots - 2, 0), model.size))
         self.bends[:, model.places["shape"]] = np.diff(np.eye(knots), 2, axis=0)
@@ -139,44 +120,32 @@ class Whittle:
 
     def scored(self, x: np.ndarray, precision: np.ndarray) -> Scored | None:
         """At unknowns (q,); None where the covariance is not positive definite."""
-        whitened = self._whitened(x)
-        if whitened is None:
+        (covariance, slopes, seen, seen_slopes), count = self.model.covariance(x), self.spectrum.count
+        try:
+            root = np.linalg.cholesky(covariance + self.leaked)
+        except np.linalg.LinAlgError:
             return None
-        power, slopes, seen, count = whitened.power, whitened.slopes, whitened.seen, self.spectrum.count
-        away = x - self.centre * self._has_centre
-        value = float(count @ (whitened.log_determinant + np.einsum("gss->g", power).real)) + 0.5 * float(
-            away @ precision @ away
-        )
+        residual, crossed = self._residual_spectra(seen)
+        # All that follows is in units in which S is the identity, as the power is then on average.
+        unit = np.linalg.inv(root)
+        hermitian = unit.conj().transpose(0, 2, 1)
+        power, crossed = unit @ residual @ hermitian, crossed @ hermitian
+        slopes, seen = unit @ slopes @ hermitian, unit @ seen_slopes
+        log_determinant = 2.0 * np.log(np.einsum("gss->gs", root).real).sum(1)
+        away = x - self.centre * self.has_centre
+        prior = 0.5 * float(away @ precision @ away)
+        value = float(count @ (log_determinant + np.einsum("gss->g", power).real)) + prior
         excess = (np.eye(power.shape[-1]) - power) * count[:, None, None]
         gradient = np.einsum("qgst,gts->q", slopes, excess, optimize=True).real + precision @ away
         flat = (slopes * np.sqrt(count)[:, None, None]).reshape(len(x), -1)
         information = (flat @ flat.conj().T).real + precision
         p = len(seen)
-        if seen.shape[-1]:
-            gradient[:p] += 2.0 * np.einsum("g,pgsl,gls->p", count, seen, whitened.crossed, optimize=True).real
-            information[:p, :p] += self._of_measured(seen)
+        if seen.shape[-1]:  # of measured forces
+            loads = self.spectrum.of_acting * count[:, None, None]
+            gradient[:p] += 2.0 * np.einsum("g,pgsl,gls->p", count, seen, crossed, optimize=True).real
+            products = np.einsum("pgsl,glm,qgsm->pq", seen, loads, seen.conj(), optimize=True).real
+            information[:p, :p] += 2.0 * products
         return Scored(value, gradient, information)
-
-    @property
-    def _has_centre(self) -> np.ndarray:
-        mask = np.zeros(self.model.size)
-        mask[self.model.places["noise"]] = 1.0
-        return mask
-
-    def _whitened(self, x: np.ndarray) -> Whitened | None:
-        """At unknowns (q,); None where the covariance is not positive definite."""
-        model = self.model.covariance(x)
-        try:
-            root = np.linalg.cholesky(model.value + self.leaked)
-        except np.linalg.LinAlgError:
-            return None
-        unit = np.linalg.inv(root)
-        residual, crossed = self._residual_spectra(model.seen)
-        logs = 2.0 * np.log(np.einsum("gss->gs", root).real).sum(1)
-        hermitian = unit.conj().transpose(0, 2, 1)
-        crossed = crossed @ hermitian
-        slopes = unit @ model.slopes @ hermitian
-        return Whitened(logs, unit @ residual @ hermitian, slopes, unit @ model.seen_slopes, crossed)
 
     @cached_property
     def _expected(self) -> ExpectedSpectra:
@@ -200,10 +169,6 @@ class Whittle:
         cross, back = self.spectrum.cross[:, sensors:, :sensors], seen.conj().transpose(0, 2, 1)
         residual = responses - seen @ cross - cross.conj().transpose(0, 2, 1) @ back + seen @ loads @ back
         return residual, loads @ back - cross
-
-    def _of_measured(self, seen: np.ndarray) -> np.ndarray:
-        loads = self.spectrum.of_acting * self.spectrum.count[:, None, None]
-        return 2.0 * np.einsum("pgsl,glm,qgsm->pq", seen, loads, seen.conj(), optimize=True).real
 
     def updated(self, spreads: np.ndarray, x: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """(3,), the most probable spreads of :meth:`precision` at a solution."""
@@ -277,15 +242,15 @@ class Whittle:
 def known_parameters(whole: JointProblem, learn_spread: bool = True) -> KnownParameters | None:
     """What the spectra of a record tell of a problem's parameters; None where they are not all that it tells.
 
-    Args:
-        whole: With its record; several have no spectra together.
-        learn_spread: See :class:`Whittle`.
+    Of ``learn_spread`` see :class:`Whittle`.
     """
-    if len(whole) > 1:
+    if len(whole) > 1:  # they have no spectra together
         return None
     problem = whole.alone
-    if problem.spectral is not None:
-        return _already_estimated(problem)
+    if problem.spectral is not None:  # what somebody else has found already
+        spectral, unit = problem.spectral, np.array([parameter.prior_std for parameter in problem.uncertain])
+        covariance = spectral.covariance / np.outer(unit, unit)
+        return KnownParameters(np.zeros(len(unit)), covariance, spectral.log_likelihood, True, spectral.misfit, 1.0)
     # What a measured force does at the ends of a record leaks: beside it held parameters would be doubted for nothing.
     if not is_spectral(problem) or (not problem.uncertain and problem.record.sensors(FORCE).any()):
         return None
@@ -314,14 +279,6 @@ def known_parameters(whole: JointProblem, learn_spread: bool = True) -> KnownPar
     )
 
 
-def _already_estimated(problem: Problem) -> KnownParameters:
-    """What somebody else has found already."""
-    spectral, unit = problem.spectral, np.array([parameter.prior_std for parameter in problem.uncertain])
-    assert spectral is not None
-    covariance = spectral.covariance / np.outer(unit, unit)
-    return KnownParameters(np.zeros(len(unit)), covariance, spectral.log_likelihood, True, spectral.misfit, 1.0)
-
-
 def _scored_damping(whittle: Whittle, x: np.ndarray, spreads: np.ndarray) -> DampingDoubt | None:
     """See `other_damping`: the most probable unknowns beside the solution (q,), which a step alone does not reach."""
     model = whittle.model
@@ -341,8 +298,7 @@ def _scored_damping(whittle: Whittle, x: np.ndarray, spreads: np.ndarray) -> Dam
     moved, scored, _ = maximum
     volume = np.linalg.slogdet(without.information)[1] - np.linalg.slogdet(scored.information)[1]
     log_odds = without.value - scored.value + 0.5 * float(volume)
-    unit = more.model.spread
-    distances = start[: p + new] * unit, moved[: p + new] * unit
+    distances = start[: p + new] * more.model.spread, moved[: p + new] * more.model.spread
     return damping_doubt(problem, extended, distances, log_odds)
 
 
