@@ -255,57 +255,24 @@ def energy_table(energy: Estimates) -> pd.DataFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class OtherModes:
-    """What another structure does in the modes that are most like those of the estimated one; NaN where it has none.
-
-    Attributes:
-        mac: (modes,), modal assurance criterion.
-        frequencies: (modes,), Hz.
-        damping_ratios: (modes,).
-        shapes: (dofs, modes), with the sign of the estimated ones.
-    """
-
-    mac: np.ndarray
-    frequencies: np.ndarray
-    damping_ratios: np.ndarray
-    shapes: np.ndarray
-
-    @classmethod
-    def of(cls, structure: Structure | None, modes: NaturalModes) -> OtherModes:
-        """Of a structure with as many modes as those that were found."""
-        other = None if structure is None else NaturalModes.of(structure)
-        if other is None or other.of_dofs.shape != modes.of_dofs.shape:
-            nothing = np.full(len(modes.squares), np.nan)
-            return cls(nothing, nothing, nothing, np.full(modes.of_dofs.shape, np.nan))
-        to, index = modes.partners(other), np.arange(len(modes.squares))
-        sign = np.where(np.sum(modes.shapes * other.shapes[:, to], axis=0) < 0, -1.0, 1.0)
-        mac = modes.assurance(other)[index, to]
-        return cls(mac, other.frequencies[to], other.damping_ratios[to], sign * other.shapes[:, to])
-
-
-@dataclass(frozen=True, eq=False)
 class ModeEstimates:
     """Modes of the estimated structure, linearised about rest, beside those of two others.
 
     Attributes:
         dofs: Names of the DOFs; their numbers from 1 where they have none.
         is_chain: Whether each DOF follows the one before.
-        frequencies, damping_ratios: (modes,), Hz.
-        frequency_interval, damping_interval: (2, modes), central 90 % intervals; NaN where nothing is uncertain.
-        shapes: (dofs, modes), the largest displacement being one.
-        prescribed: Of the model that the estimator was given.
-        true: Of the structure that a simulated record comes from.
+        table: One row per mode, the lowest frequency first (the content of ``modes.csv``). Frequencies are in Hz and
+            undamped; ``lower_90`` and ``upper_90`` are of the frequency. ``mac`` is the modal assurance criterion
+            against the prescribed mode that is most alike, whose frequency and damping follow; ``true_mac`` the same of
+            the structure that a simulated record comes from. A column ``shape_<dof>`` per DOF is its displacement where
+            the mode's largest is one. Cells of what is not known are empty (NaN).
+        shapes: (dofs, modes) of the ``estimate``, the ``prescribed`` and the ``true`` structure, all with one sign.
     """
 
     dofs: tuple[str, ...]
     is_chain: bool
-    frequencies: np.ndarray
-    damping_ratios: np.ndarray
-    frequency_interval: np.ndarray
-    damping_interval: np.ndarray
-    shapes: np.ndarray
-    prescribed: OtherModes
-    true: OtherModes
+    table: pd.DataFrame
+    shapes: Mapping[str, np.ndarray]
 
     @classmethod
     def of(cls, prescribed: Structure, estimate: Estimate, true: Structure | None = None) -> ModeEstimates | None:
@@ -324,51 +291,48 @@ class ModeEstimates:
             below, above = half_widths_90(slope, estimate.parameters, estimate.correlation)
             intervals.append(np.stack((values - below, values + above)))
         squares, ratios = intervals
-        return cls(
-            tuple(structure.dof_name(i) for i in range(structure.ndof)),
-            not structure.is_modal and not structure.labels.connections,
-            modes.frequencies,
-            modes.damping_ratios,
-            frequency(np.where(squares < 0, 0.0, squares)),
-            ratios,
-            modes.shapes,
-            OtherModes.of(prescribed, modes),
-            OtherModes.of(true, modes),
-        )
+        lower, upper = frequency(np.where(squares < 0, 0.0, squares))
+        mac, given_frequencies, given_ratios, given_shapes = _most_alike(prescribed, modes)
+        true_mac, true_frequencies, true_ratios, true_shapes = _most_alike(true, modes)
+        columns: dict[str, np.ndarray] = {
+            "mode": np.arange(1, len(modes.squares) + 1),
+            "frequency": modes.frequencies,
+            "lower_90": lower,
+            "upper_90": upper,
+            "damping_ratio": modes.damping_ratios,
+            "damping_ratio_lower_90": ratios[0],
+            "damping_ratio_upper_90": ratios[1],
+            "mac": mac,
+            "prescribed_frequency": given_frequencies,
+            "prescribed_damping_ratio": given_ratios,
+            "true_frequency": true_frequencies,
+            "true_damping_ratio": true_ratios,
+            "frequency_error_percent": error_percent(modes.frequencies, true_frequencies),
+            "damping_ratio_error_percent": error_percent(modes.damping_ratios, true_ratios),
+            "true_mac": true_mac,
+        }
+        dofs = tuple(structure.dof_name(i) for i in range(structure.ndof))
+        columns |= {f"shape_{dof}": row for dof, row in zip(dofs, modes.shapes, strict=True)}
+        is_chain = not structure.is_modal and not structure.labels.connections
+        shapes = {"true": true_shapes, "prescribed": given_shapes, "estimate": modes.shapes}
+        return cls(dofs, is_chain, pd.DataFrame(columns), shapes)
 
-    @property
-    def count(self) -> int:
-        """Of modes."""
-        return len(self.frequencies)
 
+def _most_alike(
+    structure: Structure | None, modes: NaturalModes
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """MAC, frequencies (Hz) and damping ratios (modes,), and shapes (dofs, modes), of the modes of another structure.
 
-def mode_table(modes: ModeEstimates) -> pd.DataFrame:
-    """One row per mode, the lowest frequency first (the content of ``modes.csv``).
-
-    Frequencies are in Hz and undamped; ``lower_90`` and ``upper_90`` are of the frequency. ``mac`` is the modal
-    assurance criterion against the prescribed mode that is most alike, whose frequency and damping follow; ``true_mac``
-    the same of the true one. A column ``shape_<dof>`` per DOF is its displacement where the mode's largest is one.
-    Cells of what is not known are empty (NaN).
+    They are those that are most like the given ones, and have their sign; NaN where it has not as many.
     """
-    prescribed, true = modes.prescribed, modes.true
-    columns: dict[str, np.ndarray] = {
-        "mode": np.arange(1, modes.count + 1),
-        "frequency": modes.frequencies,
-        "lower_90": modes.frequency_interval[0],
-        "upper_90": modes.frequency_interval[1],
-        "damping_ratio": modes.damping_ratios,
-        "damping_ratio_lower_90": modes.damping_interval[0],
-        "damping_ratio_upper_90": modes.damping_interval[1],
-        "mac": prescribed.mac,
-        "prescribed_frequency": prescribed.frequencies,
-        "prescribed_damping_ratio": prescribed.damping_ratios,
-        "true_frequency": true.frequencies,
-        "true_damping_ratio": true.damping_ratios,
-        "frequency_error_percent": error_percent(modes.frequencies, true.frequencies),
-        "damping_ratio_error_percent": error_percent(modes.damping_ratios, true.damping_ratios),
-        "true_mac": true.mac,
-    }
-    return pd.DataFrame(columns | {f"shape_{dof}": row for dof, row in zip(modes.dofs, modes.shapes, strict=True)})
+    other = None if structure is None else NaturalModes.of(structure)
+    if other is None or other.of_dofs.shape != modes.of_dofs.shape:
+        nothing = np.full(len(modes.squares), np.nan)
+        return nothing, nothing, nothing, np.full(modes.of_dofs.shape, np.nan)
+    to, index = modes.partners(other), np.arange(len(modes.squares))
+    sign = np.where(np.sum(modes.shapes * other.shapes[:, to], axis=0) < 0, -1.0, 1.0)
+    mac = modes.assurance(other)[index, to]
+    return mac, other.frequencies[to], other.damping_ratios[to], sign * other.shapes[:, to]
 
 
 @dataclass(frozen=True, eq=False)

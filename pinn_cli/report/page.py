@@ -14,7 +14,7 @@ import pandas as pd
 from markupsafe import Markup
 
 from pinn_cli.report import text
-from pinn_cli.report.estimates import ModeEstimates, mode_table
+from pinn_cli.report.estimates import ModeEstimates
 from pinn_cli.report.figures.structure import moving_modes
 from pinn_cli.report.results import Results
 from pinn_cli.report.sheet import Cell, Row, Sheet, render
@@ -117,7 +117,7 @@ def run_page(
     moving: list[str] = []
     if modes is not None:
         note = "Of the estimated structure, linearised about rest; the shapes stand in modes.csv."
-        rows = mode_table(modes).head(text.SENSORS_SHOWN)
+        rows = modes.table.head(text.SENSORS_SHOWN)
         sheets.append(sheet_of("modes", "Natural modes", Shown.of(_MODES, rows, note)))
         moving = list(moving_modes(results.prescribed, modes))
     return Page(results.run.case, verdict, sheets, warnings, next_steps(results, verdict), moving)

@@ -358,7 +358,7 @@ def write_tables(results: Results, parameter_table: pd.DataFrame, directory: Pat
     files = {"parameters": parameter_table, "history": estimate.history}
     modes = estimates.ModeEstimates.of(results.prescribed, estimate, results.true)
     if modes is not None:
-        files["modes"] = with_labels(estimates.mode_table(modes), labels)
+        files["modes"] = with_labels(modes.table, labels)
     if results.score is not None:
         files["score"] = results.score.table
     if any(p.unknown for p in estimate.parameters):

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from small_estimates import Case, make_estimate, results_of
 from structures import braced, hysteretic
@@ -19,7 +20,6 @@ from pinn_cli.report.estimates import (
     drift_table,
     drifts,
     energy_table,
-    mode_table,
 )
 from pinn_cli.report.figures.connections import Discrepancy, discrepancy_figure, drift_figure
 from pinn_cli.report.figures.parameters import interval_text, modes_figure
@@ -228,7 +228,8 @@ def test_intervals_are_those_of_draws():
     poles = np.sort_complex(1j * poles)[:, :3]  # those above the real axis, the fastest first
     poles = -1j * poles[:, ::-1]
     drawn_modes = (np.abs(poles) / (2.0 * np.pi), -poles.real / np.abs(poles))
-    for every, interval in zip(drawn_modes, (modes.frequency_interval, modes.damping_interval), strict=True):
+    for every, name in zip(drawn_modes, ("", "damping_ratio_"), strict=True):
+        interval = modes.table[[f"{name}lower_90", f"{name}upper_90"]].to_numpy().T
         drawn = np.quantile(every, (0.05, 0.95), axis=0)
         width = drawn[1] - drawn[0]
         np.testing.assert_allclose(interval / width, drawn / width, atol=0.06)
@@ -239,20 +240,20 @@ def test_beside_a_bound_an_interval_is_lopsided_and_a_sensor_has_no_part_in_it()
     estimate = estimated(structure, {"c": 0.5})
     beside = replace(estimate.parameters[0], lower_90=3.9, upper_90=8.0)
     modes = ModeEstimates.of(structure, replace(estimate, parameters=[beside]))
-    np.testing.assert_allclose(modes.damping_interval[:, 0], np.array([3.9, 8.0]) / (2 * np.sqrt(2.0 * 800.0)))
+    ends = modes.table.loc[0, ["damping_ratio_lower_90", "damping_ratio_upper_90"]].to_numpy(float)
+    np.testing.assert_allclose(ends, np.array([3.9, 8.0]) / (2 * np.sqrt(2.0 * 800.0)))
     structure = chain()
     estimate = estimated(structure, {"k": 0.01})
     gain = ParameterEstimate(Parameter("gain", 0, 1.0, label="a1"), 1.1, 0.1, 0.9, 1.3)
     beside = replace(estimate, parameters=[gain, *estimate.parameters], correlation=np.eye(4))
-    alone, together = (ModeEstimates.of(structure, each) for each in (estimate, beside))
-    np.testing.assert_array_equal(alone.frequency_interval, together.frequency_interval)
-    np.testing.assert_array_equal(alone.frequencies, together.frequencies)
+    alone, together = (ModeEstimates.of(structure, each).table for each in (estimate, beside))
+    pd.testing.assert_frame_equal(alone, together, check_exact=True)
 
 
 def test_the_table_of_modes():
     structure, true = chain(), chain(882.0)
     estimate = estimated(structure, {"k": 0.01})
-    table = mode_table(ModeEstimates.of(structure, estimate, true))
+    table = ModeEstimates.of(structure, estimate, true).table
     assert list(table)[-3:] == ["shape_1", "shape_2", "shape_3"]
     assert table["mode"].tolist() == [1, 2, 3]
     assert (table["lower_90"] < table["frequency"]).all()
@@ -265,12 +266,12 @@ def test_the_table_of_modes():
     assert table[["damping_ratio_lower_90"]].notna().all(axis=None)  # zeta goes with 1 / sqrt(k)
     structure = chain()
     nothing = replace(make_estimate().estimate, parameters=[], correlation=None)
-    held = mode_table(ModeEstimates.of(structure, nothing))
+    held = ModeEstimates.of(structure, nothing).table
     assert held[["lower_90", "upper_90", "true_frequency", "true_mac"]].isna().all(axis=None)
     alone = replace(estimated(structure, {"k": 0.01}), correlation=None)
-    assert mode_table(ModeEstimates.of(structure, alone))["lower_90"].isna().all()
+    assert ModeEstimates.of(structure, alone).table["lower_90"].isna().all()
     blank = structure.with_parameters(k=structure.parameters["k"] * np.nan)
-    table = mode_table(ModeEstimates.of(blank, estimated(structure, {"k": 0.01})))
+    table = ModeEstimates.of(blank, estimated(structure, {"k": 0.01})).table
     assert table["prescribed_frequency"].isna().all()
     assert table["frequency"].notna().all()
     assert ModeEstimates.of(blank, nothing) is None

@@ -48,7 +48,7 @@ def run_figures(results: Results) -> Builders:
     parameters, modes = estimate.parameters, ModeEstimates.of(prescribed, estimate, results.true)
     builders: Builders = {}
     if modes is not None:
-        builders["modes"] = modes.count, partial(of_parameters.modes_figure, modes, results.run.truth_label)
+        builders["modes"] = len(modes.table), partial(of_parameters.modes_figure, modes, results.run.truth_label)
     if prescribed.labels.connections and not prescribed.is_modal:
         builders["structure"] = 2, partial(structure_figure, prescribed)
     if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):

@@ -234,7 +234,8 @@ def modes_figure(modes: ModeEstimates, truth_label: str = "truth") -> Figure:
     Of a chain the shape begins at the fixed end, and DOF 1 is the lowest. The DOFs of another structure stand in their
     own order, as points. Of more than `MODES_DRAWN` modes the lowest are drawn.
     """
-    dofs, shown = modes.dofs, min(modes.count, MODES_DRAWN)
+    dofs, count = modes.dofs, len(modes.table)
+    shown = min(count, MODES_DRAWN)
     columns = min(shown, IN_A_ROW)
     width = style.PAGE_WIDTH if columns > 2 else 2.6 + 1.3 * columns
     left = 0.42 + 0.055 * min(max(map(len, dofs)), 16)  # inch, with room for the names of the DOFs
@@ -251,16 +252,15 @@ def modes_figure(modes: ModeEstimates, truth_label: str = "truth") -> Figure:
         axes.set_yticks(list(places), [dofs[i - 1] for i in places])
         axes.set_ylabel("DOF", labelpad=2)
     style.legend(figure)
-    if shown < modes.count:
-        style.note(figure, f"the {shown} lowest of {modes.count} modes")
+    if shown < count:
+        style.note(figure, f"the {shown} lowest of {count} modes")
     return figure
 
 
 def _draw_shape(axes: Axes, modes: ModeEstimates, mode: int, truth_label: str) -> None:
-    place = np.arange(1, len(modes.dofs) + 1)
+    place, row = np.arange(1, len(modes.dofs) + 1), modes.table.iloc[mode]
     axes.axvline(0.0, color="#BFBFBF", linewidth=0.5, zorder=1.0)
-    by_source = {"true": modes.true.shapes, "prescribed": modes.prescribed.shapes, "estimate": modes.shapes}
-    for order, (source, shapes) in enumerate(by_source.items()):
+    for order, (source, shapes) in enumerate(modes.shapes.items()):
         shape, look = shapes[:, mode], {"label": truth_label, "zorder": 2.0 + 0.1 * order, **_SHAPES[source]}
         if np.isfinite(shape).all() and modes.is_chain:
             axes.plot([0.0, *shape], [0, *place], **look, markevery=slice(1, None))
@@ -271,10 +271,10 @@ def _draw_shape(axes: Axes, modes: ModeEstimates, mode: int, truth_label: str) -
     axes.set_xlim(-1.15, 1.15)
     axes.set_ylim((0.0 if modes.is_chain else 0.4), len(modes.dofs) + 0.4)
     axes.set_xticks([-1, 0, 1])
-    frequency = interval_text(modes.frequencies[mode], modes.frequency_interval[:, mode], "Hz")
-    damping = interval_text(100.0 * modes.damping_ratios[mode], 100.0 * modes.damping_interval[:, mode], "%")
-    mac = modes.prescribed.mac[mode]
-    mac_text = f"\nMAC {mac:.4f}" if np.isfinite(mac) else ""
+    frequency = interval_text(row["frequency"], row[["lower_90", "upper_90"]].to_numpy(), "Hz")
+    ends = row[["damping_ratio_lower_90", "damping_ratio_upper_90"]].to_numpy()
+    damping = interval_text(100.0 * row["damping_ratio"], 100.0 * ends, "%")
+    mac_text = f"\nMAC {row['mac']:.4f}" if np.isfinite(row["mac"]) else ""
     axes.set_title(
         f"mode {mode + 1}: {frequency}\n" + rf"$\zeta$ = {damping}" + mac_text, pad=3, fontsize=7, linespacing=1.15
     )

@@ -98,11 +98,12 @@ def moving_modes(structure: Structure, modes: ModeEstimates) -> Iterator[str]:
     x, y = (places[:, 0] - places[:, 0].min()) * 2.0 * _LAYER_STEP + _MARGIN, (highest - places[:, 1]) * step + _MARGIN
     width, base = x.max() + _MARGIN, y.max() + step
     lines = [(row.indices[0], row.indices[-1] if len(row.indices) > 1 else None) for row in matrix if row.nnz]
-    for mode in range(min(modes.count, MOST_MOVING)):
-        reach = _REACH * modes.shapes[:, mode]
+    frequencies = modes.table["frequency"].to_numpy()
+    for mode, frequency in enumerate(frequencies[:MOST_MOVING]):
+        reach = _REACH * modes.shapes["estimate"][:, mode]
         if not np.isfinite(reach).all():
             continue
-        ratio = modes.frequencies[0] / modes.frequencies[mode] if modes.frequencies[mode] > 0.0 else 1.0
+        ratio = frequencies[0] / frequency if frequency > 0.0 else 1.0
         look = f'dur="{max(_SLOWEST_S * ratio, _FASTEST_S):.2f}s"'
         parts = [f'<path class="ground" d="M4 {base:.1f}H{width - 4:.1f}"/>'] if grounded else []
         for first, second in lines:
