@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import legends
 import numpy as np
 import pandas as pd
 import pytest
@@ -97,10 +98,6 @@ def test_histories_are_written_by_connection(structure):
         assert dataset[name].attrs["units"] == "m"
 
 
-def texts(figure) -> list[str]:
-    return [text.get_text() for text in figure.legends[0].get_texts()]
-
-
 def test_the_figure_of_drifts_shows_histories_and_peaks_of_the_largest():
     figure = drift_figure(found(std=np.full(STILL.shape, 2e-4)))
     histories, peaks = figure.axes[:-1], figure.axes[-1]
@@ -108,8 +105,8 @@ def test_the_figure_of_drifts_shows_histories_and_peaks_of_the_largest():
     assert all(len(axes.collections) == 1 for axes in histories)  # the band
     np.testing.assert_allclose(peaks.get_lines()[0].get_xdata(), [1.1, 2.2, 4.4])  # mm
     assert peaks.get_xlim() == (0.0, pytest.approx(1.06 * max(line.get_xdata()[-1] for line in peaks.get_lines())))
-    assert texts(figure) == ["truth", "estimate", "95 % band", "peak, 90 % interval"]
-    assert texts(drift_figure(found(known=()))) == ["estimate", "peak"]
+    assert legends.texts(figure) == ["truth", "estimate", "95 % band", "peak, 90 % interval"]
+    assert legends.texts(drift_figure(found(known=()))) == ["estimate", "peak"]
     time, size = np.linspace(0.0, 400.0, 40001), np.linspace(1.0, 2.0, 30)
     waves = 1e-3 * size * np.sin(2.0 * np.pi * time)[:, None] * np.exp(-(((time - 300.0) / 60.0) ** 2))[:, None]
     names = tuple(f"storey_{i}" for i in range(1, 31))

@@ -30,16 +30,24 @@ arviz = pytest.importorskip("arviz")
 
 
 @pytest.fixture
-def written(make_case, tmp_path):
-    case = make_case(ndof=3, observed=2)
-    place = write_dataset(response_dataset(results_of(case)), tmp_path / "response.nc")
+def case(make_case):
+    return make_case(ndof=3, observed=2)
+
+
+@pytest.fixture
+def dataset(case):
+    return response_dataset(results_of(case))
+
+
+@pytest.fixture
+def read(dataset, tmp_path):
+    place = write_dataset(dataset, tmp_path / "response.nc")
     assert list(tmp_path.iterdir()) == [place]
-    with xr.open_dataset(place, engine="h5netcdf") as read:
-        yield case, read
+    with xr.open_dataset(place, engine="h5netcdf") as written:
+        yield written
 
 
-def test_every_quantity_comes_in_four_with_its_labels(written):
-    case, read = written
+def test_every_quantity_comes_in_four_with_its_labels(case, read):
     for quantity in QUANTITIES:
         sources = {"": case.estimate.response, "_std": case.estimate.std, "_true": case.truth.response}
         for suffix, source in sources.items():
@@ -114,16 +122,6 @@ def test_units_attributes_and_what_there_is_not(tmp_path):
     assert data.posterior.attrs["tuning_steps"] == 100
     groups = posterior_groups(make_result(make_samples(("k_1",))), make_record(), [Parameter("k", 0)], LABELS)
     assert "units" not in groups["posterior"]["k_1"].attrs
-
-
-@pytest.fixture
-def case(make_case):
-    return make_case(ndof=3, observed=2)
-
-
-@pytest.fixture
-def dataset(case):
-    return response_dataset(results_of(case))
 
 
 def test_every_format_has_every_quantity_of_every_dof(case, dataset, tmp_path):

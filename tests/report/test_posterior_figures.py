@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import legends
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
@@ -55,10 +56,6 @@ def _trace(samples=None, **changes):
     return trace_figure(draws, statistics, parameters, len(parameters))
 
 
-def _texts(figure: Figure) -> list[str]:
-    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-
-
 def _notes(figure: Figure) -> list[str]:
     return [text.get_text() for text in figure.texts if text.get_text()]
 
@@ -102,7 +99,7 @@ def test_pairs_show_truth_correlation_and_units():
     assert panels[2, 0].get_ylabel() == "$k_{1}$ (N/m)"
     assert len(panels[4, 2].lines) == 2
     assert len(panels[0, 0].lines) == 1
-    assert "true value" in _texts(figure)
+    assert "true value" in legends.texts(figure)
     assert _notes(figure) == []
     assert panels[4, 2].get_xlim() == panels[2, 2].get_xlim() == panels[5, 2].get_xlim()
 
@@ -137,18 +134,18 @@ def test_draws_that_do_not_move():
 def test_axes_show_the_truth_unless_it_is_far():
     near, far = (_pairs({"k": np.array([value])}, names=("k_1",)) for value in (15.4, 40.0))
     assert near.axes[0].get_xlim()[1] > 15.4
-    assert "true value" in _texts(near)
+    assert "true value" in legends.texts(near)
     assert far.axes[0].get_xlim()[1] < 16.0
-    assert "true value" not in _texts(far)
+    assert "true value" not in legends.texts(far)
 
 
 def test_divergent_iterations_are_marked():
     samples = make_samples(warmup=100)
     samples.statistics["diverging"][1, [10, 20]] = True
     figure = _trace(samples)
-    assert "2 divergent" in _texts(figure)
+    assert "2 divergent" in legends.texts(figure)
     np.testing.assert_array_equal(figure.axes[1].lines[-1].get_xdata(), [111, 121])
-    assert _texts(_trace()) == [f"chain {i}" for i in range(1, 5)]
+    assert legends.texts(_trace()) == [f"chain {i}" for i in range(1, 5)]
 
 
 @pytest.mark.parametrize("dofs", [1, 2, 8])
@@ -159,7 +156,7 @@ def test_force_predictive(dofs):
     assert figure.axes[-1].get_ylabel() == f"DOF {dofs}"
     text = figure.axes[0].texts[0].get_text()
     assert 84 <= int(text.split()[2]) <= 96
-    assert set(_texts(figure)) == {"observed", "predictive median", "90 % band"}
+    assert set(legends.texts(figure)) == {"observed", "predictive median", "90 % band"}
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import legends
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
@@ -25,22 +26,10 @@ from pinn_cli.system.structure import Structure
 from pinn_cli.system.topology import build_structure
 
 
-def results(case, estimate=None):
-    return results_of(case, estimate=estimate or case.estimate)
-
-
-def unknown(case):
-    return Truth(Response.unknown(case.record.time, case.record.ndof), None)
-
-
-def _texts(figure):
-    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-
-
 def test_all_figures_are_written(make_case, tmp_path):
     case = make_case(ndof=2, observed=1)
     before = dict(mpl.rcParams)
-    paths = [path for part in range(3) for path in write_figures(results(case), tmp_path, part, 3)]
+    paths = [path for part in range(3) for path in write_figures(results_of(case), tmp_path, part, 3)]
     figures = ("response", "residuals", "error_map", "drift", "modes", "history", "parameters")
     names = [f"{name}.{kind}" for name in figures for kind in ("png", "pdf")]
     assert sorted(path.name for path in paths) == sorted(names)
@@ -71,7 +60,7 @@ def test_rows_and_asterisks(make_case):
     titles = [axes.get_title() for axes in figure.axes[:4]]
     assert [title.split()[0] for title in titles] == [quantity.capitalize() for quantity in QUANTITIES]
     assert titles[2].endswith("(m/s²)")
-    assert _texts(figure) == ["truth", "estimate", "95 % band", "observations"]
+    assert legends.texts(figure) == ["truth", "estimate", "95 % band", "observations"]
 
 
 def test_what_is_unknown_is_not_drawn(make_case):
@@ -80,7 +69,7 @@ def test_what_is_unknown_is_not_drawn(make_case):
     truth = replace(Response.unknown(case.record.time, 3), velocity=velocity)
     std = Response.unknown(case.record.time, 3)
     figure = response_figure(results_of(case, estimate=replace(case.estimate, std=std), truth=Truth(truth, None)))
-    assert set(_texts(figure)) == {"truth", "estimate", "observations"}
+    assert set(legends.texts(figure)) == {"truth", "estimate", "observations"}
     panels = np.reshape(figure.axes, (3, 4))
     drawn = [[style.BLACK in {line.get_color() for line in axes.lines} for axes in row] for row in panels]
     assert drawn == [[False] * 4, [False, True, False, False], [False] * 4]
@@ -128,7 +117,7 @@ def test_what_an_estimate_was_given_has_no_residuals(make_case):
 def test_history_of_terms_without_a_value_of_many_iterations_and_of_any_name(tmp_path, recwarn):
     steps = np.arange(5)
     history = pd.DataFrame({"iteration": steps, "loss_physics": 1.0 + steps, "loss_ridge": 0.0 * steps})
-    assert _texts(history_figure(history)) == ["equation of motion"]
+    assert legends.texts(history_figure(history)) == ["equation of motion"]
     steps = np.arange(50_000)
     figure = history_figure(pd.DataFrame({"iteration": steps, "loss_physics": np.exp(-steps / 1e4)}))
     assert len(figure.axes) == 1
@@ -168,12 +157,10 @@ def test_unknown_parameters_are_drawn_in_their_units_above_the_prescribed(make_c
     assert [axes.get_title() for axes in figure.axes] == titles
     np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), 1.01 * 15.0)
     np.testing.assert_array_equal(figure.axes[0].get_xticks(), [2, 4])
-    upper, lower = (_texts(place) for place in figure.subfigs)
+    upper, lower = (legends.texts(place) for place in figure.subfigs)
     assert upper == ["truth", "start, off the scale", "estimate, 90 % interval"]
     one_kind = parameters_figure(_identified(case, "k_2", "k_4")[:8], case.truth.parameters)
-    one_kind.draw_without_rendering()
-    for legend in (legend for place in one_kind.subfigs or [one_kind] for legend in place.legends):
-        assert 0.0 < legend.get_window_extent().x0 < legend.get_window_extent().x1 < one_kind.bbox.x1
+    assert legends.fit(one_kind)
     assert lower == ["prescribed", "truth", "estimate, 90 % interval"]
 
 
@@ -188,10 +175,10 @@ def test_parameters_have_their_places_and_scales(make_case):
     figure = parameters_figure(far, None)
     assert figure.axes[0].get_ylim()[1] < 17.0
     assert [text.get_text() for text in figure.axes[0].texts] == ["4e+04"]
-    assert _texts(figure) == ["start, off the scale", "estimate, 90 % interval"]
+    assert legends.texts(figure) == ["start, off the scale", "estimate, 90 % interval"]
     figure = parameters_figure(near, None)
     assert figure.axes[0].get_ylim()[0] < 14.5
-    assert _texts(figure) == ["start", "estimate, 90 % interval"]
+    assert legends.texts(figure) == ["start", "estimate, 90 % interval"]
     (given,) = [p for p in make_case(ndof=1).estimate.parameters if p.name == "k_1"]
     bounded = other_estimate(given, unknown=True, prescribed=0.0, estimate=0.0, lower_90=0.1, upper_90=2.0)
     axes = parameters_figure([bounded], None).axes[0]
@@ -238,12 +225,9 @@ def test_the_legend_of_everything_fits_the_page(make_case):
     case = make_case(ndof=2, observed=1, samples=4096)
     baseline = replace(case.estimate, response=case.truth.response)
     figure = response_figure(results_of(case, linear_response=case.truth.response, baseline=baseline))
-    figure.draw_without_rendering()
-    extent = figure.legends[0].get_window_extent()
-    assert len(_texts(figure)) == 6
-    assert "kalman smoother" in _texts(figure)
-    assert extent.x0 > 0
-    assert extent.x1 < figure.bbox.x1
+    assert legends.fit(figure)
+    assert len(legends.texts(figure)) == 6
+    assert "kalman smoother" in legends.texts(figure)
 
 
 LINE = {"law": "linear", "c": 1.0, "k": 5.0}
@@ -302,8 +286,7 @@ def test_every_mass_and_every_connection_is_named():
     structure = frame(brace={"between": ["ground", "x2"], **LINE}, lever=lever, twin=STOREYS["storey_1"])
     texts = drawn(structure)
     assert {"x1\n2000 kg", "x2\n2000 kg", "x3\n1500 kg", "0.8", "-0.6", *structure.labels.connections} == set(texts)
-    legend = [text.get_text() for text in structure_figure(structure).legends[0].texts]
-    assert legend == ["linear", "friction"]
+    assert legends.texts(structure_figure(structure)) == ["linear", "friction"]
     assert set(truss().labels.connections) <= set(drawn(truss()))
 
 
