@@ -79,12 +79,11 @@ class Plots:
 
     @cached_property
     def _builders(self) -> dict[str, Callable[[], Figure]]:
-        return self._showing(None)
+        return self._builders_of(self._results)
 
-    def _showing(self, between: tuple[float, float] | None) -> dict[str, Callable[[], Figure]]:
-        """How each is built, with histories between two times, s."""
+    def _builders_of(self, results: Results) -> dict[str, Callable[[], Figure]]:
+        """How each is built."""
         place = self._directory
-        results = self._results if between is None else replace(self._results, shown=between)
         with undamaged("directory", place):
             drawn = record_figures(results) | run_figures(results)
             builders: dict[str, Callable[[], Figure]] = {name: build for name, (_, build) in drawn.items()}
@@ -110,12 +109,13 @@ class Plots:
     def _drawn(self, name: str, between: tuple[float, float] | None = None) -> Figure:
         if name not in self._builders:
             raise InputError(f"plot.{name}", "()", f"one of {', '.join(self.names)}", "the run has nothing for it")
+        builders = self._builders
         if between is not None:
             if name not in OF_TIME:
                 raise InputError(f"plot.{name}, between", between, "left out", f"{' and '.join(OF_TIME)} take it")
-            between = checked_times(f"plot.{name}, between", between, self._results.record.time)
-        figure = (self._builders if between is None else self._showing(between))[name]()
-        return for_notebooks(figure)
+            shown = checked_times(f"plot.{name}, between", between, self._results.record.time)
+            builders = self._builders_of(replace(self._results, shown=shown))
+        return for_notebooks(builders[name]())
 
 
 def stored_results(directory: Path) -> Results:
@@ -126,8 +126,7 @@ def stored_results(directory: Path) -> Results:
     """
     true, prescribed, simulated = _structures(directory)
     data, run = read_histories(directory / "response.nc"), read_record(directory)
-    files = {name: directory / f"{name}.csv" for name in DRAWN_TABLES}
-    tables = {name: read_table(file) for name, file in files.items() if file.is_file()}
+    tables = {name: read_table(file) for name in DRAWN_TABLES if (file := directory / f"{name}.csv").is_file()}
     history, parameters = tables["history"], _parameters(tables, prescribed)
     correlation = None
     if "correlation" in tables:

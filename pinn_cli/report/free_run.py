@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -37,6 +38,7 @@ from pinn_cli.system.quantities import FORCE, GROUND, UNITS
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.calibrated_record import as_felt, compared_record
 from pinn_cli.training.estimate import Estimate, estimated_structure
+from pinn_cli.training.noise_model import FoundNoise
 from pinn_cli.training.prediction import drawn_structures, parameter_draws
 
 REFERENCES = ("truth", "sensors", "estimate")
@@ -183,6 +185,7 @@ class ValidationRun:
 
     Attributes:
         record: The data, in SI units, with the calibrations that were found.
+        noise: Of the sensors, as it was found.
         first: Sample from which on they are compared.
         at_rest: Whether the run begins at rest.
         response: Of the identified system, (N, n) each; None where there is none.
@@ -191,6 +194,7 @@ class ValidationRun:
     """
 
     record: Record
+    noise: FoundNoise
     first: int
     at_rest: bool
     response: Response | None
@@ -221,10 +225,11 @@ class ValidationRun:
         try:
             response = motion_of(structure, record, start)
         except NoFreeRunError as error:
-            return cls(record, data.first, at_rest, None, None, str(error))
+            return cls(record, estimate.noise, data.first, at_rest, None, None, str(error))
         members = _members(structure, estimate, (seen, record), data.begins, draws, seed)
         std = None if members is None else spread_of(members, structure, record, response)
-        return cls(compared_record(record, estimate.parameters, response), data.first, at_rest, response, std)
+        compared = compared_record(record, estimate.parameters, response)
+        return cls(compared, estimate.noise, data.first, at_rest, response, std)
 
     def of_channel(self, channel: Channel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Measured, NaN where no sample was taken, simulated, and its deviation, from the first sample compared on."""
@@ -239,33 +244,33 @@ class ValidationRun:
         there = channel.there[self.first :]
         return measured[there], run[there], std[there]
 
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """One row per response sensor of the other data (the content of ``validation.csv``): `VALIDATION_COLUMNS`.
 
-def validation_table(run: ValidationRun, estimate: Estimate) -> pd.DataFrame:
-    """One row per response sensor of the other data (the content of ``validation.csv``): `VALIDATION_COLUMNS`.
-
-    ``dof`` is counted from 1. ``begins`` is ``rest`` or ``estimate``. In the sensor's ``unit``: ``signal_rms`` (about
-    the mean), ``error_rms`` of measured less simulated, ``band_rms`` (the deviation of what is simulated, root mean
-    square over time) and ``sigma`` (the sensor's noise, as it was found). ``nmse_percent``: 100 mean square error over
-    the signal's variance. ``inside_95_percent``: samples within 1.96 deviations, noise included. What is not known is
-    empty (NaN).
-    """
-    rows, time = [], run.record.time
-    for channel in channels(run.record, RESPONSE_QUANTITIES):
-        measured, simulated, std = run.compared(channel)
-        error, sigma = measured - simulated, estimate.noise.of(channel)
-        reach, spread = HALF_WIDTH_95 * np.hypot(std, sigma), std[np.isfinite(std)]
-        finite = np.isfinite(reach) & np.isfinite(error)
-        inside = np.abs(error[finite]) <= reach[finite]
-        rows.append(
-            (
-                channel.quantity, channel.dof + 1, UNITS[channel.quantity], float(time[run.first]), float(time[-1]),
-                "rest" if run.at_rest else "estimate", len(measured), float(np.std(measured)),
-                float(np.sqrt(np.mean(error**2))), nmse_percent(error, measured),
-                float(np.sqrt(np.mean(spread**2))) if spread.size else np.nan, sigma,
-                100.0 * float(np.mean(inside)) if inside.size else np.nan,
-            )
-        )  # fmt: skip
-    return pd.DataFrame(rows, columns=list(VALIDATION_COLUMNS))
+        ``dof`` is counted from 1. ``begins`` is ``rest`` or ``estimate``. In the sensor's ``unit``: ``signal_rms``
+        (about the mean), ``error_rms`` of measured less simulated, ``band_rms`` (the deviation of what is simulated,
+        root mean square over time) and ``sigma`` (the sensor's noise, as it was found). ``nmse_percent``: 100 mean
+        square error over the signal's variance. ``inside_95_percent``: samples within 1.96 deviations, noise included.
+        What is not known is empty (NaN).
+        """
+        rows, time = [], self.record.time
+        for channel in channels(self.record, RESPONSE_QUANTITIES):
+            measured, simulated, std = self.compared(channel)
+            error, sigma = measured - simulated, self.noise.of(channel)
+            reach, spread = HALF_WIDTH_95 * np.hypot(std, sigma), std[np.isfinite(std)]
+            finite = np.isfinite(reach) & np.isfinite(error)
+            inside = np.abs(error[finite]) <= reach[finite]
+            rows.append(
+                (
+                    channel.quantity, channel.dof + 1, UNITS[channel.quantity], float(time[self.first]),
+                    float(time[-1]), "rest" if self.at_rest else "estimate", len(measured), float(np.std(measured)),
+                    float(np.sqrt(np.mean(error**2))), nmse_percent(error, measured),
+                    float(np.sqrt(np.mean(spread**2))) if spread.size else np.nan, sigma,
+                    100.0 * float(np.mean(inside)) if inside.size else np.nan,
+                )
+            )  # fmt: skip
+        return pd.DataFrame(rows, columns=list(VALIDATION_COLUMNS))
 
 
 def with_noise_of(estimate: Estimate, records: Sequence[Estimate]) -> Estimate:

@@ -98,13 +98,12 @@ class Page:
 
 def run_page(
     results: Results, verdict: Verdict | None, tables: tuple[pd.DataFrame, pd.DataFrame],
-    residuals: Sequence[Sequence[pd.DataFrame]], warnings: Sequence[str],
-    tried: tuple[ValidationRun, pd.DataFrame] | None,
+    residuals: Sequence[Sequence[pd.DataFrame]], warnings: Sequence[str], tried: ValidationRun | None,
 ) -> Page:  # fmt: skip
     """Of a run; tables are those of its files, fitness and parameters.
 
     ``residuals`` are as :func:`pinn_cli.report.text.sensors_text` has them; ``tried`` is the identified system on other
-    data, with its table.
+    data.
     """
     fitness, parameters = tables
     modes = ModeEstimates.of(results.prescribed, results.estimate, results.true)
@@ -112,8 +111,8 @@ def run_page(
     sensors = text.sensors_shown(residuals, results.run.baseline)
     if len(sensors.rows):
         sheets.append(sheet_of("sensors", "Sensors", sensors))
-    if tried is not None and tried[0].response is not None:
-        sheets.append(sheet_of("validation", "Validation on other data", text.validation_shown(*tried)))
+    if tried is not None and tried.response is not None:
+        sheets.append(sheet_of("validation", "Validation on other data", text.validation_shown(tried)))
     moving: list[str] = []
     if modes is not None:
         note = "Of the estimated structure, linearised about rest; the shapes stand in modes.csv."

@@ -112,8 +112,7 @@ class Results:
     @property
     def by_record(self) -> tuple[Results, ...]:
         """Those of every record, this one's first."""
-        first = replace(self, further=(), estimate=self.estimate.by_record[0]) if self.further else self
-        return (first, *self.further)
+        return (replace(self, further=(), estimate=self.estimate.by_record[0]), *self.further)
 
 
 def checked_times(setting: str, between: Any, time: np.ndarray) -> tuple[float, float]:

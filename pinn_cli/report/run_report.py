@@ -19,7 +19,7 @@ from pinn_cli.record.response import MEASURED_QUANTITIES, Response
 from pinn_cli.report import estimates, parameters, text
 from pinn_cli.report.export import Export
 from pinn_cli.report.fitness import FORMULAS, fitness_table, published_fitness_of, residual_table
-from pinn_cli.report.free_run import FreeRun, ValidationRun, free_run, free_run_table, validation_table, with_noise_of
+from pinn_cli.report.free_run import FreeRun, ValidationRun, free_run, free_run_table, with_noise_of
 from pinn_cli.report.results import Results, RunDescription, record_folder, with_labels
 from pinn_cli.report.run_record import run_record, write_run_model
 from pinn_cli.runs.side_by_side import in_a_copy, side_by_side
@@ -172,23 +172,19 @@ class RunReport:
         return self.records.each(attrgetter("residuals"))
 
     @cached_property
-    def validation(self) -> tuple[ValidationRun, pd.DataFrame] | None:
-        """The identified system on other data, and its table; None without such data."""
+    def validation(self) -> ValidationRun | None:
+        """The identified system on other data; None without such data.
+
+        Of several records it is that from which it goes on, and has the noise of all sensors.
+        """
         results, data = self.results, self.results.validation
         if data is None:
             return None
         draws = None if results.posterior is None else results.posterior.samples.pooled
         with self.stages("validation_data"):
-            seen = results.by_record[data.of].record
-            run = ValidationRun.of(results.prescribed, self._tried, seen, data, draws, results.run.seed)
-            return run, validation_table(run, self._tried)
-
-    @property
-    def _tried(self) -> Estimate:
-        """What is tried on other data: of several records that from which it goes on, and the noise of all sensors."""
-        assert self.results.validation is not None
-        found = [of_record.estimate for of_record in self.results.by_record]
-        return with_noise_of(found[self.results.validation.of], found)
+            seen, found = results.by_record[data.of].record, [of_record.estimate for of_record in results.by_record]
+            tried = with_noise_of(found[data.of], found)
+            return ValidationRun.of(results.prescribed, tried, seen, data, draws, results.run.seed)
 
     @cached_property
     def over_time(self) -> pd.DataFrame | None:
@@ -214,7 +210,7 @@ class RunReport:
             text.free_run_text(*free, results.run.truth_label) if scored else text.free_run_line(*free),
             text.stories_text(estimate.stories),
             "" if posterior is None else text.diagnostics_text(posterior.diagnostics, posterior.verdict),
-            "" if self.validation is None else text.validation_text(*self.validation),
+            "" if self.validation is None else text.validation_text(self.validation),
             text.changes_text(estimate.changes),
             text.peaks_text(estimate.peaks),
             "" if their_fitness is None else text.comparison_text(fitness, their_fitness, self.stages.seconds),
@@ -282,7 +278,7 @@ class RunReport:
             rows = zip(results.by_record, [tables[0] for tables in self.residuals], self.verdicts, strict=True)
             write_table(with_labels(records_table(list(rows)), self.labels), directory / "records.csv")
         if self.validation is not None:
-            write_table(with_labels(self.validation[1], self.labels), directory / "validation.csv")
+            write_table(with_labels(self.validation.table, self.labels), directory / "validation.csv")
         if self.over_time is not None:
             write_table(self.over_time, directory / parameters.OVER_TIME)
         if peaks:
@@ -297,8 +293,8 @@ class RunReport:
         from pinn_cli.report.figures.style import save
 
         place = self.directory / "figures"
-        if self.validation is not None and self.validation[0].response is not None:
-            save(validation_figure(self.validation[0], self._tried), place, "validation")
+        if self.validation is not None and self.validation.response is not None:
+            save(validation_figure(self.validation), place, "validation")
         if self.over_time is not None:
             save(over_time_figure(self.over_time), place, "parameters_over_time")
 

@@ -188,19 +188,19 @@ def sensors_shown(records: Sequence[Sequence[pd.DataFrame]], baseline: str = "")
     return Shown.of_sensors(columns, rows, more="more: residuals.csv")
 
 
-def validation_text(run: ValidationRun, table: pd.DataFrame) -> str:
-    """Sensor by sensor how far the identified system is from other data, with the table of its run on them."""
+def validation_text(run: ValidationRun) -> str:
+    """Sensor by sensor how far the identified system is from other data."""
     if run.response is None:
         return f"no validation on other data: {run.finding}"
-    return validation_shown(run, table).sensors_text("validation.csv")
+    return validation_shown(run).sensors_text("validation.csv")
 
 
-def validation_shown(run: ValidationRun, table: pd.DataFrame) -> Shown:
+def validation_shown(run: ValidationRun) -> Shown:
     """The same to be laid out."""
     times = f"{run.record.time[run.first]:.6g} to {run.record.time[-1]:.6g} s"
     begins = "at rest" if run.at_rest else "where the estimate ends"
     says = f"the identified system under the measured force, {times}, beginning {begins}"
-    rows = table.assign(sensor=table["quantity"] + " " + table["dof"].astype(str))
+    rows = run.table.assign(sensor=run.table["quantity"] + " " + run.table["dof"].astype(str))
     return Shown.of_sensors(_VALIDATION, rows, says)
 
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import legends
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,7 +18,7 @@ from pinn_cli.record.simulation import simulate
 from pinn_cli.record.validation_data import ValidationRecord
 from pinn_cli.report.figures.sensors import WITH_NOISE, WITHOUT_NOISE, validation_figure
 from pinn_cli.report.fitness import FORMULAS, fitness_percent
-from pinn_cli.report.free_run import REFERENCES, ValidationRun, free_run, free_run_table, validation_table
+from pinn_cli.report.free_run import REFERENCES, ValidationRun, free_run, free_run_table
 from pinn_cli.report.text import free_run_text, validation_text
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Gap, Linear
@@ -236,13 +237,14 @@ def tried(error: float = 0.0, std: float = 0.05, nonlinearity: str = "duffing", 
     return structure, estimate, record, data
 
 
-def table_of(**settings: float) -> pd.DataFrame:
+def run_of(changes: dict[str, object] | None = None, draws: np.ndarray | None = None, **settings) -> ValidationRun:
+    """That of :func:`tried`, of an estimate with some changes."""
     structure, estimate, record, data = tried(**settings)
-    return validation_table(ValidationRun.of(structure, estimate, record, data), estimate)
+    return ValidationRun.of(structure, replace(estimate, **changes or {}), record, data, draws)
 
 
 def test_the_right_system_makes_no_error():
-    table = table_of()
+    table = run_of().table
     assert table[["quantity", "dof", "unit", "begins"]].values.tolist() == [
         ["acceleration", 1, "m/s^2", "rest"], ["acceleration", 3, "m/s^2", "rest"],
     ]  # fmt: skip
@@ -254,21 +256,16 @@ def test_the_right_system_makes_no_error():
 def test_an_error_of_the_size_that_is_believed_lies_in_the_band():
     inside = []
     for error in (-0.08, -0.05, -0.02, 0.02, 0.05, 0.08):
-        table = table_of(error=error)
+        table = run_of(error=error).table
         assert table["nmse_percent"].between(0.05, 30.0).all()
         inside += table["inside_95_percent"].tolist()
     assert np.mean(inside) > 90.0
-    assert (table_of(error=0.05, std=0.005)["inside_95_percent"] < 50.0).all()
+    assert (run_of(error=0.05, std=0.005).table["inside_95_percent"] < 50.0).all()
 
 
 def test_the_discrepancy_and_the_load_cell_widen_the_band():
-    structure, estimate, record, data = tried(std=1e-6)
-    plain = ValidationRun.of(structure, estimate, record, data)
-    cells = {"force": np.array([0.2, np.nan, np.nan])}
-    wide, cell = (
-        ValidationRun.of(structure, replace(estimate, noise=noise), record, data)
-        for noise in (FoundNoise(cells, 0.1), FoundNoise(cells))
-    )
+    plain, cells = run_of(std=1e-6), {"force": np.array([0.2, np.nan, np.nan])}
+    wide, cell = (run_of({"noise": noise}, std=1e-6) for noise in (FoundNoise(cells, 0.1), FoundNoise(cells)))
     for dof in range(3):
         assert np.mean(wide.std.displacement[50:, dof]) > np.mean(cell.std.displacement[50:, dof])
         assert np.mean(cell.std.displacement[50:, dof]) > 10.0 * np.mean(plain.std.displacement[50:, dof])
@@ -281,10 +278,10 @@ def test_it_begins_where_the_estimate_was():
     estimate = replace(believed(structure, record, 0.0, 0.01), response=truth)
     later = replace(record, **{name: getattr(record, name)[100:] for name in ("time", *RESPONSE_QUANTITIES, "force")})
     run = ValidationRun.of(structure, estimate, record, ValidationRecord(later, 10, 100))
-    assert validation_table(run, estimate)["begins"].tolist() == ["estimate"]
-    assert validation_table(run, estimate)["nmse_percent"][0] < 1e-3
+    assert run.table["begins"].tolist() == ["estimate"]
+    assert run.table["nmse_percent"][0] < 1e-3
     from_rest = ValidationRun.of(structure, estimate, record, ValidationRecord(later, 10, None))
-    assert validation_table(from_rest, estimate)["nmse_percent"][0] > 1.0
+    assert from_rest.table["nmse_percent"][0] > 1.0
     uncertain = replace(estimate, std=replace(estimate.std, displacement=np.full((257, 3), 0.01)))
     wide = ValidationRun.of(structure, uncertain, record, ValidationRecord(later, 10, 100))
     np.testing.assert_allclose(wide.std.displacement[0], 0.01, rtol=0.35)
@@ -299,7 +296,7 @@ def test_a_load_cell_s_gain_that_was_found_is_used():
     parameters = [*estimate.parameters, gain]
     with_gain = replace(estimate, parameters=parameters, correlation=np.eye(4))
     run = ValidationRun.of(structure, with_gain, record, ValidationRecord(shown, 20, None))
-    assert (validation_table(run, with_gain)["nmse_percent"] < 1e-4).all()
+    assert (run.table["nmse_percent"] < 1e-4).all()
 
 
 def test_what_a_tilt_that_was_found_adds_is_no_error():
@@ -314,31 +311,23 @@ def test_what_a_tilt_that_was_found_adds_is_no_error():
     estimate = believed(structure, record, 0.0, 0.01)
     found = replace(estimate, parameters=[*estimate.parameters, tilt], correlation=np.eye(4))
     data = ValidationRecord(replace(shown, calibrated=(tilts,)), 20, None)
-    assert (validation_table(ValidationRun.of(structure, found, record, data), found)["nmse_percent"] < 1e-3).all()
+    assert (ValidationRun.of(structure, found, record, data).table["nmse_percent"] < 1e-3).all()
 
 
 def test_without_deviations_there_is_no_band():
-    structure, estimate, record, data = tried()
-    blank = replace(estimate, correlation=None)
-    run = ValidationRun.of(structure, blank, record, data)
-    table = validation_table(run, blank)
+    run = run_of({"correlation": None})
     assert run.std is None
-    assert table[["band_rms", "inside_95_percent"]].isna().all(axis=None)
-    assert "acceleration 3" in validation_text(run, table)
-    assert "inside" not in validation_text(run, table).splitlines()[0]
-    assert len(validation_figure(run, blank).axes) == 4
+    assert run.table[["band_rms", "inside_95_percent"]].isna().all(axis=None)
+    assert "acceleration 3" in validation_text(run)
+    assert "inside" not in validation_text(run).splitlines()[0]
+    assert len(validation_figure(run).axes) == 4
 
 
 def test_the_noise_of_a_sensor_that_was_held_out_is_unknown():
-    structure, estimate, record, data = tried(sigma=0.1)
-    held_out = replace(estimate, noise=FoundNoise({"acceleration": np.array([0.1, np.nan, np.nan])}))
-    run = ValidationRun.of(structure, held_out, record, data)
-    figure = validation_figure(run, held_out)
-    texts = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert texts[-2:] == [WITH_NOISE, WITHOUT_NOISE]
-    figure.draw_without_rendering()
-    extent = figure.legends[0].get_window_extent()
-    assert 0.0 < extent.x0 < extent.x1 < figure.bbox.x1
+    noise = FoundNoise({"acceleration": np.array([0.1, np.nan, np.nan])})
+    figure = validation_figure(run_of({"noise": noise}, sigma=0.1))
+    assert legends.texts(figure)[-2:] == [WITH_NOISE, WITHOUT_NOISE]
+    assert legends.fit(figure)
 
 
 def test_a_system_that_runs_away_is_told():
@@ -346,16 +335,13 @@ def test_a_system_that_runs_away_is_told():
     run = ValidationRun.of(structure.linearised(), estimate, record, data)
     stiff = ValidationRun.of(structure, believed(structure, record, 1e9, 0.01), record, data)
     assert stiff.response is None
-    assert "too stiff" in validation_text(stiff, validation_table(stiff, estimate))
+    assert "too stiff" in validation_text(stiff)
     assert run.finding == "" or "unstable" in run.finding
 
 
 @pytest.mark.parametrize("draws", [30, 500])
 def test_draws_of_a_posterior_make_the_band(draws):
-    structure, estimate, record, data = tried()
-    values = np.array([p.estimate for p in estimate.parameters])
+    values = np.array([p.estimate for p in tried()[1].parameters])
     wide = values * (1.0 + 0.1 * np.random.default_rng(0).standard_normal((draws, 1)))
-    run = ValidationRun.of(structure, estimate, record, data, wide)
-    own = ValidationRun.of(structure, estimate, record, data)
-    ratio = np.mean(run.std.displacement[50:]) / np.mean(own.std.displacement[50:])
+    ratio = np.mean(run_of(draws=wide).std.displacement[50:]) / np.mean(run_of().std.displacement[50:])
     assert 1.4 < ratio < 2.8

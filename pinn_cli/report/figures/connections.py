@@ -184,7 +184,7 @@ class Discrepancy:
     elongation: np.ndarray
     velocity: np.ndarray
     natural: np.ndarray
-    missing: tuple[float, ...] = ()
+    missing: tuple[float, ...]
 
     @classmethod
     def of(cls, results: Results) -> Discrepancy | None:

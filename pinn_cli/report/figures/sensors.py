@@ -92,7 +92,7 @@ def compared_channels(estimate: Estimate, record: Record) -> list[Channel]:
 
 
 @style.look()
-def validation_figure(run: ValidationRun, estimate: Estimate) -> Figure:
+def validation_figure(run: ValidationRun) -> Figure:
     """A row for each response sensor: its history beside the run's with its 95 % band, and what is between them.
 
     The band of the error holds the sensor's noise as well, of a sensor that the estimator has seen. Of a record with
@@ -117,7 +117,7 @@ def validation_figure(run: ValidationRun, estimate: Estimate) -> Figure:
         histories.draw(history, compared, 0, window, factor, looks)
         history.set_title(f"({style.unit(name, prefix)})", loc="left", fontsize=7, pad=2)
         residual, sampled = (measured - response)[:, 0], np.isfinite(measured[:, 0])
-        noise = estimate.noise.of(channel)
+        noise = run.noise.of(channel)
         edge = HALF_WIDTH_95 * np.hypot(std[:, 0], np.nan_to_num(noise))
         labels = "error", WITH_NOISE if np.isfinite(noise) else WITHOUT_NOISE
         factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(residual), initial=0.0)))

@@ -123,9 +123,9 @@ def head(axes: Axes, title: str) -> None:
     )  # fmt: skip
 
 
-def ticks(axes: Axes, across: int = 5) -> None:
+def ticks(axes: Axes) -> None:
     """A few round numbers on either axis."""
-    axes.xaxis.set_major_locator(MaxNLocator(across))
+    axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10], min_n_ticks=3))
 
 
