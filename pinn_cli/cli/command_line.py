@@ -17,6 +17,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+import shlex
 import sys
 import traceback
 from argparse import Namespace
@@ -39,7 +40,7 @@ from pinn_cli.runs.reading import printable, stamp
 from pinn_cli.runs.resume import FORMAT, StoredRun, check_sound, going_on, how_to_go_on
 from pinn_cli.runs.writing import OUTPUT, WriteError, refused_by_disk
 from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
-from pinn_cli.sweep.collect import Collection, asked_for, collect_command
+from pinn_cli.sweep.collect import asked_for, collected
 from pinn_cli.sweep.jobs import DEFECT, FAILURE, INPUT, NOT_STARTED, Failure, Sweep, status_of
 from pinn_cli.sweep.running import ended_sweep, leave_sweep
 
@@ -257,7 +258,7 @@ def _begin(jobs: Jobs, options: Namespace) -> None:
     directory = asked_for(options)
     if directory is not None:
         sweep = Sweep.read(directory)
-        jobs.tell(Collection.of(sweep, sweep.jobs()).text(), directory)
+        jobs.tell(collected(sweep, sweep.jobs())[1], directory)
         return
     jobs.stored = StoredRun.asked_for(options)
     if jobs.stored is not None:
@@ -285,7 +286,8 @@ def _note_how_to_go_on(jobs: Jobs) -> None:
     """What is to be said where a run or the wait for a sweep was broken off."""
     ended = ended_sweep()
     if ended is not None:
-        jobs.hint = f"to go on: the same command again; for what there is: {collect_command(ended.sweep.directory)}"
+        command = shlex.join(["pinn-run", f"collect={ended.sweep.directory}"])
+        jobs.hint = f"to go on: the same command again; for what there is: {command}"
         return
     jobs.hint = how_to_go_on(jobs.directory, jobs.goes_on_by) if jobs.directory and jobs.begun else ""
     jobs.refused = not jobs.begun
@@ -327,10 +329,10 @@ def _collect(jobs: Jobs, cut_off: bool = False) -> None:
         return
     if all(job.status == NOT_STARTED for job in all_jobs):
         return
-    collection = Collection.of(sweep, all_jobs)
+    ended_jobs, text = collected(sweep, all_jobs)
     if not sweep.is_search:  # in which trials may fail
-        jobs.status = max(jobs.status, collection.exit_status)
-    jobs.tell(collection.text(), sweep.directory)
+        jobs.status = max(jobs.status, *(job.exit_status for job in ended_jobs))
+    jobs.tell(text, sweep.directory)
 
 
 def _is_verbose() -> bool:

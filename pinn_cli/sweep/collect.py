@@ -6,25 +6,18 @@ The tables are those of its jobs, one below the other, with the swept settings a
 from __future__ import annotations
 
 import csv
-import shlex
 from argparse import Namespace
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pinn_cli.runs.reading import DamagedError, small_text
 from pinn_cli.runs.writing import replacing
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.sweep.jobs import FAILED, FINISHED, FITNESS, INPUT, REASON, STATUS, STATUSES, Job, Sweep
-
-if TYPE_CHECKING:
-    import pandas
-
-    from pinn_cli.sweep.summary import Comparison
 
 PARAMETERS, JOBS = "parameters.csv", "jobs.csv"
 # In these a job without results is a row as well.
@@ -48,57 +41,32 @@ FAILURES_SHOWN = 20
 Table = tuple[list[str], list[list[str]]]
 
 
-@dataclass(frozen=True, eq=False)
-class Collection:
-    """What has become of a sweep.
+def collected(sweep: Sweep, jobs: list[Job]) -> tuple[list[Job], str]:
+    """Write what the sweep's directory holds about all its jobs, and say what has become of them.
 
-    Attributes:
-        jobs: All of it, in its order.
-        summary: As `summary.csv` has it; None while no job has a fitness.
-        models: Those that the jobs differ in, compared; None where they differ in none.
+    Returns:
+        The jobs, as :func:`write_tables` has them; and how many there are of which kind, why some failed, the mean
+        fitness by setting, and the models that the jobs differ in, compared.
     """
-
-    jobs: list[Job]
-    summary: pandas.DataFrame | None
-    models: Comparison | None = None
-
-    @classmethod
-    def of(cls, sweep: Sweep, jobs: list[Job]) -> Collection:
-        """Write what the sweep's directory holds about all its jobs."""
-        if not any(job.ended for job in jobs):
-            return cls(jobs, None)
+    texts: list[str] = []
+    if any(job.ended for job in jobs):
         # Two seconds of imports, not for --help.
-        from pinn_cli.sweep.summary import compared, write_models, write_summary
+        from pinn_cli.sweep.summary import compared, models_text, summary_text, write_models, write_summary
 
         jobs = write_tables(sweep, jobs)
         swept = list(dict.fromkeys(setting for job in jobs for setting in sweep.columns(job)))
         summary, models = write_summary(sweep.directory, swept), compared(sweep, jobs)
+        if summary is not None:
+            texts += ["", summary_text(summary)]
         if models is not None:
             write_models(models, sweep.directory)
-        return cls(jobs, summary, models)
-
-    @property
-    def exit_status(self) -> int:
-        """The worst of the jobs'; 0 if none failed."""
-        return max((job.exit_status for job in self.jobs), default=0)
-
-    def text(self) -> str:
-        """How many jobs there are of which kind, why some failed, and the mean fitness by setting."""
-        counts = Counter(job.status for job in self.jobs)
-        counted = [f"{counts[status]} {status}" for status in STATUSES if counts[status]]
-        lines = [f"{len(self.jobs)} jobs: {', '.join(counted)}"]
-        failed = [job for job in self.jobs if job.status == FAILED]
-        lines += [f"  {job.directory.name}: {job.reason}" for job in failed[:FAILURES_SHOWN]]
-        lines += [f"  and {len(failed) - FAILURES_SHOWN} more: jobs.csv"] if len(failed) > FAILURES_SHOWN else []
-        if self.summary is not None:
-            from pinn_cli.sweep.summary import summary_text
-
-            lines += ["", summary_text(self.summary)]
-        if self.models is not None:
-            from pinn_cli.sweep.summary import models_text
-
-            lines += ["", models_text(self.models)]
-        return "\n".join(lines)
+            texts += ["", models_text(models)]
+    counts = Counter(job.status for job in jobs)
+    counted = [f"{counts[status]} {status}" for status in STATUSES if counts[status]]
+    failed = [f"  {job.directory.name}: {job.reason}" for job in jobs if job.status == FAILED]
+    more = [f"  and {len(failed) - FAILURES_SHOWN} more: jobs.csv"] if len(failed) > FAILURES_SHOWN else []
+    lines = [f"{len(jobs)} jobs: {', '.join(counted)}", *failed[:FAILURES_SHOWN], *more, *texts]
+    return jobs, "\n".join(lines)
 
 
 def write_tables(sweep: Sweep, jobs: Sequence[Job]) -> list[Job]:
@@ -189,8 +157,3 @@ def asked_for(options: Namespace) -> Path | None:
     if others:
         raise InputError("collect", directory, "given alone", f"drop {' '.join(others)}")
     return Path(directory)
-
-
-def collect_command(directory: Path) -> str:
-    """What a user types to put together what a sweep has so far."""
-    return shlex.join(["pinn-run", f"collect={directory}"])

@@ -158,7 +158,7 @@ class Sweep:
         directory: Of the sweep.
         overrides: As typed for the whole sweep (`seed=0,1`).
         expected: The jobs' names and overrides in their order; empty if only its sweeper knows them.
-        is_search: See :func:`is_search`.
+        is_search: Whether Optuna chooses its jobs by their scores.
     """
 
     directory: Path
@@ -178,10 +178,11 @@ class Sweep:
         params = config.hydra.sweeper.get("params") or {}
         arguments = [*(f"{name}={value}" for name, value in params.items()), *overrides]
         most = whole_number("hydra.sweeper.max_jobs", config.hydra.sweeper.get("max_jobs", MOST_JOBS), least=1)
-        jobs = combinations(arguments, most) if named and _sweeper(config) == GRID else []
+        sweeper = str(config.hydra.sweeper.get("_target_")).rpartition(".")[2]
+        jobs = combinations(arguments, most) if named and sweeper == GRID else []
         swept = swept_settings(arguments, map(str, params))
         expected = {job_name(job, swept): tuple(job) for job in jobs}
-        return cls(directory, tuple(arguments), expected, is_search(config))
+        return cls(directory, tuple(arguments), expected, is_search=sweeper == SEARCH)
 
     @classmethod
     def read(cls, directory: Path) -> Sweep:
@@ -223,15 +224,6 @@ class Sweep:
         """The job's swept settings and their values, as text."""
         swept = [override for override in job.overrides if setting_of(override) not in self.fixed]
         return {setting_of(override): parse(override).get_value_element_as_str() for override in swept}
-
-
-def is_search(config: Any) -> bool:
-    """Whether the sweep of a configuration, with its `hydra` node, is one whose jobs Optuna chooses by their scores."""
-    return _sweeper(config) == SEARCH
-
-
-def _sweeper(config: Any) -> str:
-    return str(config.hydra.sweeper.get("_target_")).rpartition(".")[2]
 
 
 def written_since(directory: Path, moment: float, signs: Sequence[Path | str] = SIGNS) -> bool:

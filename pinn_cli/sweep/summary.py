@@ -309,24 +309,20 @@ def models_text(comparison: Comparison) -> str:
 
 def write_models(models: Comparison, directory: Path) -> None:
     """Write the table and the figure; where models are not compared, those of an earlier look go."""
-    figure = models_figure(models)
-    if models.table is None or figure is None:
+    if models.table is None:
         (directory / MODELS).unlink(missing_ok=True)
         return
     write_table(models.table, directory / MODELS)
-    style.save(figure, directory / "figures", "models")
+    style.save(models_figure(models.table, models.settings), directory / "figures", "models")
 
 
-def models_figure(comparison: Comparison) -> Figure | None:
-    """A bar for each model; None where they are not compared.
+def models_figure(table: pd.DataFrame, settings: Sequence[str]) -> Figure:
+    """A bar for each model of :func:`compared`, which the settings tell apart.
 
     Left: the logarithm of the Bayes factor against the most probable model of the same other settings, on a logarithmic
     axis; the shaded part is open. Right: the normalised mean square error of the free run, where there is validation
     data.
     """
-    table = comparison.table
-    if table is None:
-        return None
     validated = bool(table["validation_nmse_percent"].notna().any())
     with style.look():
         size = (style.PAGE_WIDTH if validated else 4.6, 0.75 + _ROW * len(table))
@@ -334,7 +330,7 @@ def models_figure(comparison: Comparison) -> Figure | None:
         panels = figure.subplots(1, 1 + validated, squeeze=False, sharey=True)[0]
         place = np.arange(len(table))[::-1]
         _draw_evidence(panels[0], table, place)
-        panels[0].set_yticks(place, [_label(row, comparison) for _, row in table.iterrows()])
+        panels[0].set_yticks(place, [_label(row, settings) for _, row in table.iterrows()])
         if validated:
             panels[1].barh(place, table["validation_nmse_percent"], color=style.GREY, height=0.6)
             panels[1].set_xscale("log")
@@ -355,8 +351,7 @@ def _draw_evidence(axes: Axes, table: pd.DataFrame, place: np.ndarray) -> None:
     axes.set_xlabel("behind the most probable model (nats), and probability p")
 
 
-def _label(row: pd.Series, comparison: Comparison) -> str:
-    others = [name for name in row.index[: list(row.index).index("log_evidence")] if name not in comparison.settings]
-    shown = [*comparison.settings, *others]
-    values = [str(row[name]) for name in shown if name in row and row[name] == row[name]]
+def _label(row: pd.Series, settings: Sequence[str]) -> str:
+    others = [name for name in row.index[: list(row.index).index("log_evidence")] if name not in settings]
+    values = [str(row[name]) for name in (*settings, *others) if name in row and row[name] == row[name]]
     return style.literal(", ".join(values))

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from sweeps import made_sweep
 
 from pinn_cli import InputError, Structure, run
-from pinn_cli.sweep.collect import Collection
+from pinn_cli.sweep.collect import collected
 from pinn_cli.sweep.jobs import Sweep
 from pinn_cli.sweep.summary import (
     compared,
@@ -125,7 +125,7 @@ def test_probabilities_follow_from_evidence(tmp_path: Path) -> None:
     np.testing.assert_allclose(table["effective_parameters"], [0.99, 0.99, 0.99])
     assert table["unknown"].tolist() == [1, 2, 1]
     assert "0.750" in models_text(found)
-    assert isinstance(models_figure(found), Figure)
+    assert isinstance(models_figure(found.table, found.settings), Figure)
 
 
 def test_what_else_is_swept_keeps_models_apart(tmp_path: Path) -> None:
@@ -154,8 +154,8 @@ def test_what_cannot_be_compared_is_told_in_one_line(tmp_path: Path, other: dict
         tmp_path, "system=linear,duffing", {"system=linear": {"evidence": 1.0}, "system=duffing": other}
     )  # fmt: skip
     (tmp_path / "models.csv").write_text("of an earlier look")
-    collection = Collection.of(sweep, sweep.jobs())
-    assert f"models are not compared: {reason}" in collection.text()
+    _, text = collected(sweep, sweep.jobs())
+    assert f"models are not compared: {reason}" in text
     assert not (tmp_path / "models.csv").exists()
 
 
