@@ -51,9 +51,7 @@ def parse(override: str) -> Override:
 def combinations(overrides: Iterable[str], most: int = MOST_JOBS) -> list[list[str]]:
     """The overrides of each job: each setting's values with all others' values, the last one's next to each other.
 
-    Args:
-        overrides: As typed (`seed=0,1`); of those for one setting the last counts.
-        most: How many jobs there may be.
+    Of overrides for one setting, as typed (`seed=0,1`), the last counts.
 
     Raises:
         InputError: There are more, or a setting is given an interval, which has no list of values.
@@ -137,7 +135,7 @@ class Composer:
 
     def __init__(self, loader: ConfigLoader, sweep: DictConfig) -> None:
         self.loader, self.sweep = loader, sweep
-        self._without_numbers: dict[tuple[str, ...], DictConfig] = {}
+        self._without_numbers = lru_cache(_KEPT)(self._composed)
 
     def job(self, overrides: Sequence[str]) -> DictConfig:
         """The configuration of the job with these overrides.
@@ -145,23 +143,21 @@ class Composer:
         Raises:
             Exception: Whatever Hydra says of overrides that cannot be composed.
         """
-        numbers = own_numbers(overrides)
-        with suppress(OmegaConfBaseException, _NotASettingError):
-            if numbers:
-                return self._copy_with(numbers, overrides)
+        numbers, copied = own_numbers(overrides), None
+        with suppress(OmegaConfBaseException):
+            copied = self._copy_with(numbers, overrides) if numbers else None
+        return self._composed(tuple(overrides)) if copied is None else copied
+
+    def _composed(self, overrides: tuple[str, ...]) -> DictConfig:
         return self.loader.load_sweep_config(self.sweep, list(overrides))
 
-    def _copy_with(self, numbers: list[str], overrides: Sequence[str]) -> DictConfig:
-        others = tuple(override for override in overrides if override not in numbers)
-        if others not in self._without_numbers:
-            if len(self._without_numbers) == _KEPT:
-                del self._without_numbers[next(iter(self._without_numbers))]
-            self._without_numbers[others] = self.loader.load_sweep_config(self.sweep, list(others))
-        config, parsed = copy.deepcopy(self._without_numbers[others]), [parse(override) for override in overrides]
+    def _copy_with(self, numbers: list[str], overrides: Sequence[str]) -> DictConfig | None:
+        without = self._without_numbers(tuple(override for override in overrides if override not in numbers))
+        config, parsed = copy.deepcopy(without), [parse(override) for override in overrides]
         for override in parsed:
             if override.input_line in numbers:
                 if OmegaConf.is_config(OmegaConf.select(config, override.key_or_group)):
-                    raise _NotASettingError  # but a group, whose options are words: Hydra says so
+                    return None  # it is no setting but a group, whose options are words: Hydra says so
                 OmegaConf.update(config, override.key_or_group, override.value(), merge=True)
         of_task = [override for override in parsed if not override.is_hydra_override()]
         config.hydra.overrides.task = [override.input_line for override in of_task]
@@ -170,10 +166,6 @@ class Composer:
         config.hydra.job.override_dirname = named.item_sep.join(lines).replace("=", named.kv_sep)
         OmegaConf.copy_cache(from_config=self.sweep, to_config=config)
         return config
-
-
-class _NotASettingError(Exception):
-    pass
 
 
 def is_number(override: str) -> bool:
@@ -195,25 +187,20 @@ def own_numbers(overrides: Sequence[str]) -> list[str]:
     ]  # fmt: skip
 
 
-def register() -> None:
-    """Make the resolvers `sweep_name`, `swept_settings` and `job_name` known to OmegaConf.
-
-    The first two are cached, as Hydra's `${now:}` is: the jobs have overrides of their own and get them from the sweep,
-    where :func:`pinn_cli.sweep.running.note_sweep` has them resolved.
-    """
-
-    def of_sweep(overrides: ListConfig, params: DictConfig | None) -> str:
-        return sweep_name(map(str, overrides), {str(k): str(v) for k, v in (params or {}).items()})
-
-    def of_swept(overrides: ListConfig, params: DictConfig | None) -> str:
-        return " ".join(swept_settings(map(str, overrides), map(str, params or ())))
-
-    def of_job(overrides: ListConfig, swept: str) -> str:
-        return job_name(map(str, overrides), swept.split())
-
-    OmegaConf.register_new_resolver("sweep_name", of_sweep, use_cache=True, replace=True)
-    OmegaConf.register_new_resolver("swept_settings", of_swept, use_cache=True, replace=True)
-    OmegaConf.register_new_resolver("job_name", of_job, replace=True)
+def _sweep_name(overrides: ListConfig, params: DictConfig | None) -> str:
+    return sweep_name(map(str, overrides), {str(k): str(v) for k, v in (params or {}).items()})
 
 
-register()
+def _swept_settings(overrides: ListConfig, params: DictConfig | None) -> str:
+    return " ".join(swept_settings(map(str, overrides), map(str, params or ())))
+
+
+def _job_name(overrides: ListConfig, swept: str) -> str:
+    return job_name(map(str, overrides), swept.split())
+
+
+# The first two are cached, as Hydra's `${now:}` is: the jobs have overrides of their own and get them from the sweep,
+# where `pinn_cli.sweep.running.note_sweep` has them resolved.
+OmegaConf.register_new_resolver("sweep_name", _sweep_name, use_cache=True, replace=True)
+OmegaConf.register_new_resolver("swept_settings", _swept_settings, use_cache=True, replace=True)
+OmegaConf.register_new_resolver("job_name", _job_name, replace=True)

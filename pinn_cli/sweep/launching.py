@@ -14,6 +14,7 @@ import time
 import uuid
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache, cached_property
@@ -26,7 +27,6 @@ from hydra.core.singleton import Singleton
 from hydra.core.utils import JobReturn, JobStatus, run_job, setup_globals
 from hydra.types import HydraContext, TaskFunction
 from joblib import Parallel, delayed, effective_n_jobs
-from joblib.externals.loky.process_executor import BrokenProcessPool
 from omegaconf import DictConfig, open_dict, read_write
 
 from pinn_cli.runs.process import environment, usable_cores
@@ -195,11 +195,7 @@ class WorkLauncher(ABC):
 
 @contextmanager
 def usable_settings(settings: Mapping[str, Any]) -> Iterator[None]:
-    """Tell of settings that the library behind a launcher cannot use; what a job raises does not come here.
-
-    Raises:
-        InputError: It cannot.
-    """
+    """Refuse settings that the library behind a launcher cannot use; what a job raises does not come here."""
     try:
         yield
     except InputError:
