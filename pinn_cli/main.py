@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 def carry_out(job: Job, watch: Watch) -> None:
     """From a job's problem to its report, whose text is printed before its files are written."""
-    config, stages, problem = job.config, job.stages, job.prepared.problem
+    config, stages, problem = job.config, job.start.stages, job.prepared.problem
     with stages("imports"):
         from pinn_cli.baseline import baseline_estimate
         from pinn_cli.posterior.posterior import posterior_result
@@ -45,8 +45,8 @@ def carry_out(job: Job, watch: Watch) -> None:
     with stages("baseline"):
         baseline = baseline_estimate(config.baseline, problem, job.context)
     results = results_of(job, problem, estimate, posterior=posterior, score=score, baseline=baseline)
-    report = RunReport(results, job.directory, stages, config.exports)
-    with report.drawing() if job.draws else nullcontext(), shown(report.text, stages, job.terminal):
+    report = RunReport(results, job.start.directory, stages, config.exports)
+    with report.drawing() if job.draws else nullcontext(), shown(report.text, stages, job.start.terminal):
         report.write()
 
 

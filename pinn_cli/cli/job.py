@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
@@ -39,30 +40,20 @@ class Job:
     """A run whose input has been found good.
 
     Attributes:
+        start: Where and how it runs.
         config: Its settings.
         prepared: What it solves, and what that is scored against.
         context: What its estimators are given.
         setup: Of its validation.
-        directory: Where it leaves what it finds.
-        stages: Their seconds.
-        terminal: Who is told.
         draws: Whether there are figures.
     """
 
+    start: Start
     config: RunConfig
     prepared: PreparedProblem
     context: RunContext
     setup: Setup
-    directory: Path
-    stages: Stages
-    terminal: Terminal
     draws: bool
-
-    @property
-    def outdated(self) -> list[str]:
-        """Files of an earlier run whose place this one takes: its result, and checkpoints that it does not use."""
-        checkpoints = self.context.checkpoints
-        return [resume.RESULT, *([] if checkpoints is None or checkpoints.taken_up else resume.CHECKPOINTS)]
 
 
 class Start:
@@ -98,7 +89,7 @@ class Start:
             from pinn_cli.runs.checkpoint import open_checkpoints
             from pinn_cli.training.estimate import RunContext
             from pinn_cli.validation.validation import Setup
-        progress = terminal.shows_progress and not self.in_sweep
+        progress = terminal.bar and sys.stderr.isatty() and not self.in_sweep
         context = RunContext(config.device, config.seed, directory, progress=progress)
         draws = not self.in_sweep if config.figures is None else config.figures
         if config.source.windows is not None:
@@ -121,7 +112,7 @@ class Start:
                 checked_times("report.between", config.between, problem.record.time)
         check_records(prepared.problem, config.estimator, config.baseline, config.validation)
         config.validation.check(prepared.problem, setup)
-        return Job(config, prepared, context, setup, directory, stages, terminal, draws)
+        return Job(self, config, prepared, context, setup, draws)
 
     def tracked(
         self, config: RunConfig, prepared: Job | WindowedRun | None, carry_out: Callable[[Job, Watch], None]
@@ -138,7 +129,9 @@ class Start:
                 current().take()
                 text = f"finished before; tracking={tracked.state.tracking} has it now"
             elif isinstance(prepared, Job):
-                current().take(prepared.outdated)
+                checkpoints = prepared.context.checkpoints
+                unused = () if checkpoints is None or checkpoints.taken_up else resume.CHECKPOINTS
+                current().take([resume.RESULT, *unused])
                 carry_out(prepared, tracked.row)
             else:
                 current().take([resume.RESULT])
@@ -153,10 +146,6 @@ def run_job(start: Start, carry_out: Callable[[Job, Watch], None]) -> float | No
     """Run one job, or go on with it: what it leaves behind lies in Hydra's run directory, the last line printed.
 
     Its input is checked before it takes the directory (:mod:`pinn_cli.runs.claim`); until then it writes nothing.
-
-    Args:
-        start: Which.
-        carry_out: From the prepared problem to the report.
 
     Returns:
         Its validation score, for a sweeper that looks for the least; None without one.
@@ -250,8 +239,7 @@ def look_and_tell(word: str, composed: DictConfig, terminal: Terminal | None = N
 def look(word: str, composed: DictConfig) -> LookReport:
     """What a look finds, which this word on the command line asks for; nothing is written.
 
-    Raises:
-        InputError: Records cannot be read, or are none; or runs are none.
+    Records that cannot be read, and runs that are none, are refused.
     """
     hydra, stages = HydraConfig.get(), Stages()
     runtime = hydra.runtime

@@ -49,11 +49,6 @@ class Terminal:
         if self.last is not None:
             print(self.last(directory))
 
-    @property
-    def shows_progress(self) -> bool:
-        """Whether somebody looks at a bar."""
-        return self.bar and sys.stderr.isatty()
-
 
 def json_of(directory: Path) -> str:
     """The directory; of a run verdict, reasons, parameters and modes, of a look at a record what it shows.

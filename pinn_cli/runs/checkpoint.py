@@ -44,15 +44,7 @@ class DamagedCheckpointError(ValueError):
 
 
 class OtherRunError(ValueError):
-    """A checkpoint of another run.
-
-    Attributes:
-        changes: What differs, setting by setting.
-    """
-
-    def __init__(self, changes: list[str]) -> None:
-        super().__init__("; ".join(changes))
-        self.changes = changes
+    """A checkpoint of another run; says what differs, setting by setting."""
 
 
 class Resumable(Protocol):
@@ -68,9 +60,7 @@ class Resumable(Protocol):
 class CheckpointFiles:
     """`checkpoint.pt` and the one before it in a run's directory.
 
-    Args:
-        directory: Of the run.
-        device: Where tensors that were saved on a GPU are put; those of the CPU stay there.
+    Tensors that were saved on a GPU are put on the device, those of the CPU stay there.
     """
 
     def __init__(self, directory: Path, device: str = "cpu") -> None:
@@ -157,9 +147,9 @@ class Checkpoints:
             identity, kept, states = Identity(**content["identity"]), list(content["trainings"]), content["random"]
             changes = self.identity.changes_from(identity)
         except FORGED as error:
-            raise OtherRunError([f"a checkpoint that pinn-run did not write ({error!r})"]) from error
+            raise OtherRunError(f"a checkpoint that pinn-run did not write ({error!r})") from error
         if changes:
-            raise OtherRunError(changes)
+            raise OtherRunError("; ".join(changes))
         self._kept, self._random, self.taken_up = kept, states, bool(kept)
         return True
 

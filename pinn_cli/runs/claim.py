@@ -77,6 +77,16 @@ def check_destination(directory: Path, setting: str) -> None:
             raise InputError(setting, entry.parent, DIRECTORIES_ALLOWED, f"{entry.name} there is no regular file")
 
 
+@contextmanager
+def writing_into(directory: Path, setting: str) -> Iterator[None]:
+    """Refuse a directory that the disk takes no file into, as the block finds out."""
+    try:
+        yield
+    except (OSError, WriteError) as error:
+        said = getattr(error, "reason", "") or getattr(error, "strerror", "") or str(error)
+        raise InputError(setting, directory, "a directory that can be written to", said) from error
+
+
 def _carries_mark(file: Path) -> bool:
     try:
         return MARK_OF_OURS in small_text(file)
@@ -261,7 +271,7 @@ class Claim:
         if self.locked:
             return
         check_destination(self.directory, self.setting)
-        with self._one_line():
+        with writing_into(self.directory, self.setting):
             self._held.enter_context(held(self.directory))
         self.locked = True
 
@@ -279,7 +289,7 @@ class Claim:
         self.lock()
         written = {self.directory / SETTINGS / name: content for name, content in self.settings.items()}
         try:
-            with self._one_line():
+            with writing_into(self.directory, self.setting):
                 tidy(self.directory)
                 self._before = {place: content_of(place) for place in (*written, self.directory / LOG)}
                 with ExitStack() as files:  # all, or none: the mark of the directory is there at any moment
@@ -323,19 +333,6 @@ class Claim:
         self.settle()
         self.log.close()
         self._held.close()
-
-    @contextmanager
-    def _one_line(self) -> Iterator[None]:
-        try:
-            yield
-        except (OSError, WriteError) as error:
-            allowed = "a directory that can be written to"
-            raise InputError(self.setting, self.directory, allowed, reason(error)) from error
-
-
-def reason(error: BaseException) -> str:
-    """What the system says, without the number of the error."""
-    return getattr(error, "reason", "") or getattr(error, "strerror", "") or str(error)
 
 
 # Of this process, which makes one run at a time.

@@ -12,7 +12,7 @@ import logging
 import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, chdir, contextmanager
 from functools import cache
 
 from hydra.core.global_hydra import GlobalHydra
@@ -42,7 +42,7 @@ def borrowed(arguments: Sequence[str]) -> Iterator[None]:
 
     with ExitStack() as stack:
         stack.callback(setattr, sys, "argv", sys.argv)
-        stack.callback(_enter, os.getcwd())
+        stack.enter_context(chdir("."))  # a run that goes on enters the folder that it was started in
         stack.callback(set_random_states, random_states())
         stack.enter_context(_hydra())
         stack.enter_context(_logs())
@@ -64,7 +64,9 @@ def prepare_process(threads: int) -> None:
         _borrowed.enter_context(environment(variables))
         _borrowed.enter_context(threadpool_limits(threads, "blas"))
     else:
-        _leave_without_collecting()
+        # It looks for no garbage when it ends, for half a second: the system takes all memory back anyway.
+        atexit.unregister(gc.freeze)
+        atexit.register(gc.freeze)
     os.environ.update(variables)
     import torch
 
@@ -100,17 +102,6 @@ def keep_imported() -> None:
     """Have Python look for garbage as usual again, but not among the objects that there are."""
     gc.set_threshold(_USUAL)
     gc.freeze()
-
-
-@cache  # once is enough, however many jobs a process runs
-def _leave_without_collecting() -> None:
-    """Have the process not look for garbage when it ends: half a second. The system takes all memory back anyway."""
-    atexit.register(gc.freeze)
-
-
-def _enter(folder: str) -> None:
-    if os.getcwd() != folder:  # a run that goes on enters the folder that it was started in
-        os.chdir(folder)
 
 
 @contextmanager

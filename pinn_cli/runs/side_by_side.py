@@ -110,32 +110,30 @@ class SharedOutItems(Items[T]):
 
     def begin(self, function: Callable[..., R], *arguments: Sequence[Any]) -> Callable[[], list[R]]:
         """See :meth:`Items.begin`; what the copies do meanwhile goes on at once."""
-        self._ask(function, (self.held, *arguments), [None] * len(self.items))
-        return self._answers
+        return self._ask(function, (self.held, *arguments), [None] * len(self.items))
 
     def map(self, function: Callable[..., R], *arguments: Sequence[Any]) -> list[R]:
         """See :meth:`Items.map`."""
-        self._ask(function, arguments, [None] * len(self.items))
-        return self._answers()
+        return self._ask(function, arguments, [None] * len(self.items))()
 
     def keep(self, function: Callable[..., Any], *arguments: Sequence[Any]) -> list[Any]:
         """See :meth:`Items.keep`."""
         kept = [Kept(next(self._numbers)) for _ in self.items]
         for item in kept:
             weakref.finalize(item, self._forgotten.append, item.number).atexit = False
-        self._ask(function, arguments, [item.number for item in kept])
-        self._answers()
+        self._ask(function, arguments, [item.number for item in kept])()
         return kept
 
     def _ask(
         self, function: Callable[..., Any], arguments: Sequence[Sequence[Any]], numbers: Sequence[int | None]
-    ) -> None:
-        """Ask the copies, and tell them what to forget; what has a number is kept."""
+    ) -> Callable[[], list[Any]]:
+        """Ask the copies, and tell them what to forget; what has a number is kept. What is returned waits for it."""
         tasks = list(zip(range(len(self.items)), zip(*arguments, strict=True), numbers, strict=True))
         forgotten = [self._forgotten.pop() for _ in range(len(self._forgotten))]
         with self._answering():
             for end, share in zip(self.ends, self.shares, strict=True):
                 end.send_bytes(pickle.dumps((function, [tasks[i] for i in share], forgotten), pickle.HIGHEST_PROTOCOL))
+        return self._answers
 
     def _answers(self) -> list[Any]:
         answers: dict[int, Any] = {}

@@ -14,7 +14,7 @@ from typing import Any, TextIO
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from pinn_cli.runs.claim import EVERY_S, SWEEP_LOCK, check_destination, held, is_prepared, reason
+from pinn_cli.runs.claim import EVERY_S, SWEEP_LOCK, check_destination, held, is_prepared, writing_into
 from pinn_cli.runs.reading import printable
 from pinn_cli.runs.resume import RESULT
 from pinn_cli.runs.writing import WriteError, content_of, put_back, write_text
@@ -159,14 +159,12 @@ def begin_sweep(config: Any) -> None:
     sweep = Sweep.of(config, directory)
     check_destination(directory, setting)
     stored = directory / STORED
-    try:
+    with writing_into(directory, setting):
         _held.enter_context(held(directory, SWEEP_LOCK))
         early = (*(directory / name for name in _EARLY), *(job / FAILURE for job in job_directories(directory)))
         entries, contents = _entries(directory), {file: content_of(file) for file in early}
         write_text(OmegaConf.to_yaml(config), stored)
         since = stored.stat().st_mtime
-    except (OSError, WriteError) as error:
-        raise InputError(setting, directory, "a directory that can be written to", reason(error)) from error
     _running = RunningSweep(sweep, entries, contents, since, Progress(sweep, since))
 
 
