@@ -178,7 +178,7 @@ UNUSABLE = {
     "scheme=state_parameter scheme.positive=[k,z]": "no connection has z",
     "scheme=state_parameter +scheme.initial.c_1=3": "scheme.initial.c_1=3: must be of an unknown parameter",
     "training.iterations=0": "training.iterations=0",
-    "training.checkpoint_every_s=0": "training.checkpoint_every_s=0",
+    "training.checkpoint_every_s=0": "training.checkpoint_every_s=0: must be a finite number > 0",
     "report.export=[zip]": "report.export=",
 }
 

@@ -206,21 +206,6 @@ def test_quiet_and_json(pinn_run: PinnRun) -> None:
     assert line.endswith("failed: seed=x: must be a whole number >= 0")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (["--quite"], "option=--quite: must be one that pinn-run --help lists; did you mean --quiet?"),
-        (["--jsn"], "did you mean --json?"),
-        (["--conf=x"], "did you mean --config?"),
-        (["--json", "--multirun", "seed=1,2"], "--json=given: must be left out with --multirun"),
-        (["--help", "netwrk"], "did you mean network?"),
-        (["--help", "network=splin"], "did you mean spline?"),
-    ],
-)
-def test_options_that_cannot_be_used(pinn_run: PinnRun, arguments, expected) -> None:
-    pinn_run(*arguments).refused(expected)
-
-
 def test_help_of_a_group(pinn_run: PinnRun) -> None:
     text = pinn_run("--help", "network").out
     assert "--- network=spline" in text

@@ -191,7 +191,6 @@ REFUSED = {
     "only printed": (["--cfg", "job", "resume=empty"], ["resume=empty:", "--cfg"]),
     "a directory of its own": (["resume=auto"], ["resume=auto:", "fixed hydra.run.dir"]),
     "no word": (["resume=3"], ["resume=3:", "no such directory"]),
-    "no interval": (["training.checkpoint_every_s=0"], ["training.checkpoint_every_s=0:", "> 0"]),
 }
 
 

@@ -120,16 +120,12 @@ def test_jobs_of_an_earlier_sweep_in_that_directory_follow(tmp_path: Path) -> No
     assert [job.directory.name for job in Sweep.read(tmp_path).jobs()] == ["seed=1", "seed=9", "seed=10"]
 
 
-@pytest.mark.parametrize(
-    ("content", "told"),
-    [(None, "multirun.yaml"), ("a: [", "cannot be read"), ("- 1", "cannot be read"), ("", "cannot be read")],
-)
-def test_what_is_no_sweep(tmp_path: Path, content: str | None, told: str) -> None:
-    if content is not None:
-        (tmp_path / "multirun.yaml").write_text(content)
+@pytest.mark.parametrize("content", ["a: [", "- 1", ""])
+def test_what_is_no_sweep(tmp_path: Path, content: str) -> None:
+    (tmp_path / "multirun.yaml").write_text(content)
     with pytest.raises(InputError, match="collect=.*the directory of a sweep") as refused:
         Sweep.read(tmp_path)
-    assert told in str(refused.value)
+    assert "multirun.yaml cannot be read" in str(refused.value)
 
 
 @pytest.mark.parametrize(
