@@ -38,11 +38,7 @@ class DeferredLauncher(Launcher):
         self.settings = settings
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
-        """See :class:`hydra.plugins.launcher.Launcher`.
-
-        Raises:
-            InputError: What it needs is not installed.
-        """
+        """See :class:`hydra.plugins.launcher.Launcher`; one whose packages are not installed is refused."""
         try:
             launcher = getattr(importlib.import_module(f"pinn_cli.sweep.{self.module}"), type(self).__name__)
         except ModuleNotFoundError as error:

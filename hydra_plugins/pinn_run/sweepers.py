@@ -83,11 +83,7 @@ class SearchSweeper(Sweeper):
         self.settings = settings
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
-        """See :class:`hydra.plugins.sweeper.Sweeper`.
-
-        Raises:
-            InputError: Optuna is not installed, or a setting is none.
-        """
+        """See :class:`hydra.plugins.sweeper.Sweeper`; without Optuna, or with a setting that is none, it is refused."""
         try:
             from pinn_cli.sweep.search import Search
         except ModuleNotFoundError as error:

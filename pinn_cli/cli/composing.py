@@ -211,13 +211,7 @@ class Callbacks:
 
 
 def start(task: TaskFunction, overrides: Sequence[str], config_dir: str | None, multirun: bool) -> None:
-    """Run one job, or all jobs of a sweep.
-
-    Args:
-        task: Called with the composed configuration, without its `hydra` node.
-        overrides: As typed.
-        config_dir: A folder of more configurations.
-        multirun: Whether a sweep is asked for.
+    """Run one job, or all jobs of a sweep: call the task with its configuration, without its `hydra` node.
 
     Raises:
         Exception: Whatever Hydra says of overrides that do not compose, or the task raises.
@@ -246,8 +240,7 @@ def start(task: TaskFunction, overrides: Sequence[str], config_dir: str | None, 
 def configuration_text(options: Namespace, overrides: Sequence[str], config_dir: str | None) -> str:
     """What `--cfg` prints, as YAML: settings of the job, of Hydra, or all; or a package of them.
 
-    Raises:
-        InputError: The configuration is one that would be refused if it were run, or has no such package.
+    A configuration that would be refused if it were run, and a package that it has not, is refused.
     """
     with checked_hydra() as loader:
         config = _as_typed(loader, overrides, config_dir)

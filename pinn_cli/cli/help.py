@@ -148,9 +148,7 @@ def _names(node: Any, prefix: str = "") -> Iterator[str]:
 def help_text(config_dir: str | None = None, asked: Sequence[str] = ()) -> str:
     """The help, its long lines folded; or that of groups and options, `network` and `network=mlp`: their files.
 
-    Args:
-        config_dir: A folder of more configs, whose options are listed too.
-        asked: What is asked for; nothing: all of it.
+    A folder of more configs has its options listed too.
 
     Raises:
         InputError: There is no such group or option.
@@ -168,12 +166,12 @@ def _help_of(word: str, config_dir: str | None) -> str:
     name, _, chosen = word.partition("=")
     group, _, setting = name.partition(".")
     chosen = "" if setting else chosen
-    if group not in group_names(config_dir):
-        names = group_names(config_dir)
+    names = group_names(config_dir)
+    if group not in names:
         raise InputError("--help", group, f"a group: {', '.join(names)}", suggestion(group, names))
-    options = [name for name in option_names(group, config_dir) if chosen in ("", name)]
+    all_options = list(option_names(group, config_dir))
+    options = [name for name in all_options if chosen in ("", name)]
     if not options:
-        all_options = list(option_names(group, config_dir))
         raise InputError(group, chosen, f"one of {', '.join(all_options)}", suggestion(chosen, all_options))
     if len(options) > _MOST_SHOWN:
         return f"{group}: {', '.join(options)}\n`pinn-run --help {group}={options[0]}` shows one of them."

@@ -58,11 +58,7 @@ class Inspected:
     def read(cls, config: DictConfig, base: Path, command: str, said: Said | None = None) -> list[Inspected]:
         """Of all records that a composed configuration, without its `hydra` node, has.
 
-        Args:
-            config: As composed.
-            base: The folder that relative paths start from.
-            command: The word that asks for it; `inspect` looks at one record.
-            said: Overrides and options of the command; None: there are none.
+        Relative paths start from ``base``. The command is the word that asks for it; `inspect` looks at one record.
 
         Raises:
             InputError: A record cannot be read, or there are several for `inspect`.
@@ -108,11 +104,7 @@ class Inspected:
 
 
 def inspected_record(config: DictConfig, base: Path, said: Said) -> InspectionReport:
-    """Look at the record of a composed configuration; arguments and errors as of :meth:`Inspected.read`.
-
-    Raises:
-        InputError: It has too few samples, or no column varies.
-    """
+    """Look at the record of a composed configuration; one of too few samples, or where no column varies, is refused."""
     from pinn_cli.inspection.inspection import contradictions, inspect_record
 
     (record,) = Inspected.read(config, base, "inspect", said)
@@ -123,11 +115,7 @@ def inspected_record(config: DictConfig, base: Path, said: Said) -> InspectionRe
 
 
 def modes_of_records(config: DictConfig, base: Path, said: Said) -> ModesReport:
-    """Modes that the records of a composed configuration show; arguments and errors as of :meth:`Inspected.read_all`.
-
-    Raises:
-        InputError: One has too few samples, or no sensor that varies.
-    """
+    """Modes that records show; one of too few samples, or without a sensor that varies, is refused."""
     from pinn_cli.inspection.mode_report import ModesReport
     from pinn_cli.inspection.modes import ModalRecord
 
@@ -139,11 +127,7 @@ def modes_of_records(config: DictConfig, base: Path, said: Said) -> ModesReport:
 
 
 def population_of_runs(config: DictConfig, base: Path, said: Said) -> PopulationReport:
-    """The structures of the finished runs that a composed configuration names as models.
-
-    Raises:
-        InputError: They are no such runs, too few, or have no parameters in common.
-    """
+    """Of the finished runs that a configuration names as models; too few, or such as differ in all, are refused."""
     from pinn_cli.sweep.population import PopulationReport
 
     return PopulationReport.of(list(config.model or ()), base)

@@ -71,10 +71,7 @@ class _Parser(ArgumentParser):
 
 
 def read_options(arguments: Sequence[str]) -> Namespace:
-    """Check the process's arguments.
-
-    Args:
-        arguments: Without the name of the program.
+    """Check the process's arguments, without the name of the program.
 
     Returns:
         The options as Hydra names them; `overrides` is the list of `setting=value`, and `subcommand` the word among
@@ -131,8 +128,7 @@ def _take_out(options: Namespace, word: str) -> None:
 def settings_of_files(files: Sequence[str], others: Sequence[str]) -> list[str]:
     """What has a record read from files on one clock, whose format is recognised unless another override says it.
 
-    Raises:
-        InputError: A file is missing, or in no format that anybody here reads.
+    A file that is missing, or in no format that anybody here reads, is refused.
     """
     from pinn_cli.record.clock import recognised  # not for other commands: it imports NumPy
 

@@ -86,11 +86,7 @@ def _structures(config: RunConfig) -> tuple[Structure, Structure]:
 def check_records(
     problem: JointProblem, estimator: TrainedNetwork, baseline: Estimator | None, validation: Validation
 ) -> None:
-    """Refuse what has one record at a time, where there are several.
-
-    Raises:
-        InputError: Naming the setting.
-    """
+    """Refuse what has one record at a time, where there are several."""
     if len(problem) == 1:
         return
     several = f"with the {len(problem)} records of {RECORDS_SETTING}"
@@ -105,11 +101,7 @@ def check_records(
 
 
 def check_windows(config: RunConfig) -> None:
-    """Refuse what is about a record as a whole, where it is solved by windows.
-
-    Raises:
-        InputError: Naming the setting.
-    """
+    """Refuse what is about a record as a whole, where it is solved by windows."""
     source = config.source
     refused = (
         (not config.scheme.has_windows, "scheme", config.scheme.name, "sparse_recovery, state_parameter or update",
@@ -142,16 +134,9 @@ def prepare_windows(
     drawn: bool,
     follows: bool = False,
 ) -> WindowedRun:
-    """A run by windows whose first window has been found good.
+    """A run by windows whose first window has been found good; its context has the run's directory.
 
-    Args:
-        config: Of the run.
-        context: What its estimators are given; it has the run's directory.
-        stages: Of the run.
-        say: Called with a line for every window.
-        goes_on: Whether it goes on with windows that are there.
-        drawn: Whether there are figures.
-        follows: Whether its record may still grow.
+    It says a line for every window, goes on with windows that are there or not, and follows a record that still grows.
 
     Raises:
         InputError: No run can use the record, or the windows that are there are another run's.

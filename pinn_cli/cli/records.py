@@ -78,11 +78,7 @@ def of_record(number: int, records: int) -> Iterator[None]:
 def numbered(config: DictConfig, labels: Labels) -> DictConfig:
     """The configuration with the number, from 1, of every DOF that it names; as it is where DOFs have no names.
 
-    What is no list or map is left to what reads it.
-
-    Args:
-        config: Of the run, without interpolations.
-        labels: Of the structure.
+    It has no interpolations. What is no list or map is left to what reads it.
 
     Raises:
         InputError: Naming the setting: there is no such DOF, or it is there twice.

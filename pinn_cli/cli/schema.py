@@ -98,10 +98,7 @@ def explained(file: Path) -> SettingsFile:
 
 
 def json_schema(config_dir: str | None = None) -> Schema:
-    """The schema of a file for `--config`, and of an experiment.
-
-    Args:
-        config_dir: A folder of more options.
+    """The schema of a file for `--config`, and of an experiment; a folder may have more options.
 
     Raises:
         InputError: One of its files cannot be read, or chooses a class that is not registered.

@@ -65,11 +65,7 @@ class Source:
 
 
 def chosen_model(config: DictConfig, model_error: ModelError, base: Path | None) -> Model | None:
-    """The finished run that ``model=RUN`` names; None where it names none.
-
-    Raises:
-        InputError: It is none, or something is asked for that does not go with one.
-    """
+    """The finished run that ``model=RUN`` names, None: it names none; what does not go with one is refused."""
     if config.get("model") is None:
         return None
     from pinn_cli.model.file import read_model
@@ -81,11 +77,7 @@ def chosen_model(config: DictConfig, model_error: ModelError, base: Path | None)
 
 
 def check_use(model: Model | None, scheme: Any, validation: Any, given: Any) -> None:
-    """See that a scheme has a use for the model.
-
-    Raises:
-        InputError: It has none.
-    """
+    """Refuse a model that a scheme has no use for, and a validation where nothing is estimated."""
     if model is not None and "model" not in inspect.signature(type(scheme)).parameters:
         hint = "leave scheme out for the response to a new record, or ask for scheme=update"
         raise InputError("model", given, f"null with scheme={scheme.name}", hint)
@@ -168,11 +160,7 @@ def _is_simulated(config: DictConfig) -> bool:
 
 
 def modes_sought(config: DictConfig, scheme: Scheme, validation: Validation) -> ModesSought | None:
-    """Which modes a record is asked for; None: the structure says it all.
-
-    Raises:
-        InputError: They are not asked for as unknown parameters of one record.
-    """
+    """Which modes a record is asked for, as unknown parameters of it alone; None: the structure says it all."""
     if config.system.get("kind") != MODAL:
         for node in data_of_records(config.data) if config.data.get("band") is not None else []:
             hint = "the noise of other estimators is white, and a filter leaves none beside its band: data.decimate"

@@ -67,11 +67,7 @@ def read_histories(file: Path, group: str = "/") -> xr.Dataset:
 
 
 def read_tree(file: Path) -> xr.DataTree:
-    """All groups of a file of labelled arrays.
-
-    Raises:
-        DamagedError: See :func:`read_histories`.
-    """
+    """All groups of a file of labelled arrays; damage is told as by :func:`read_histories`."""
     import xarray as xr
 
     return xr.DataTree.from_dict(_decoded(file, None))
@@ -88,9 +84,7 @@ def _decoded(file: Path, names: Sequence[str] | None) -> dict[str, xr.Dataset]:
 def read_groups(files: Sequence[Path], names: Sequence[str] | None = ("/",)) -> Iterator[dict[str, Group]]:
     """Groups of files by name, file after file, as they are stored; one other process reads all files.
 
-    Args:
-        files: To be read.
-        names: Of groups; "/": what is in none; None: all.
+    Of the names of groups "/" is what is in none; None: all groups.
 
     Raises:
         DamagedError: The next file cannot be read, or unfolds to more than its size.

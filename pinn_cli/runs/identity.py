@@ -43,10 +43,7 @@ class Identity:
     def of(cls, config: DictConfig, base: Path | None = None, grows: bool = False) -> Identity:
         """Of a composed configuration, resolvable and without its `hydra` node.
 
-        Args:
-            config: Which.
-            base: The folder that relative paths of data start from; None: the current one.
-            grows: Whether the record does: it then goes by its name.
+        Relative paths of data start from ``base``, None: the current folder. A record that grows goes by its name.
         """
         from omegaconf import ListConfig, OmegaConf
 

@@ -63,8 +63,7 @@ def stamp(number: int) -> dict[str, Any]:
 def check_layout(content: Mapping[str, Any], newest: int, file: Path, oldest: int = 1) -> None:
     """Refuse a file in a later layout than the ``newest`` one known here; one without a number is as old as can be.
 
-    Raises:
-        InputError: It is; the release that reads it is told.
+    The release that reads it is told.
     """
     number = content.get(NUMBER, oldest)
     if isinstance(number, int) and oldest <= number <= newest:
@@ -87,11 +86,7 @@ def check_regular(file: Path, most: float = MOST_BYTES) -> None:
 
 
 def small_text(file: Path, most: float = MOST_BYTES) -> str:
-    """Text of a regular file.
-
-    Raises:
-        OSError: See :func:`check_regular`.
-    """
+    """Text of a file, where :func:`check_regular` finds no fault with it."""
     check_regular(file, most)
     return file.read_text(encoding="utf-8", errors="replace")
 

@@ -17,8 +17,7 @@ FIRST_S, MOST_S = 20.0, 600.0
 class Stages:
     """Wall-clock seconds by stage and the processor's in all, for run.json and, as they end, for the log.
 
-    Args:
-        began: When the run did, as `time.perf_counter` has it; None: now. What has passed since is its ``start_up``.
+    The run ``began`` at that time of `time.perf_counter`; None: now. What has passed since is its ``start_up``.
 
     Example:
         >>> stages = Stages()

@@ -143,11 +143,7 @@ def _write(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, str]]
 
 
 def asked_for(options: Namespace) -> Path | None:
-    """The directory that `pinn-run collect=DIRECTORY` names; None where the command line has none.
-
-    Raises:
-        InputError: Something else is asked for along with it.
-    """
+    """The directory that `pinn-run collect=DIRECTORY`, given alone, names; None: the command line names none."""
     named = [override for override in options.overrides if setting_of(override) == "collect"]
     if not named:
         return None

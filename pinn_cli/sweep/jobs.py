@@ -168,11 +168,7 @@ class Sweep:
 
     @classmethod
     def of(cls, config: Any, directory: Path) -> Sweep:
-        """From the sweep's configuration as Hydra composed it, with its `hydra` node.
-
-        Raises:
-            InputError: It has no list of jobs, or one that is too long.
-        """
+        """From the sweep's configuration as Hydra composed it, with its `hydra` node; too many jobs are refused."""
         overrides = [str(override) for override in OmegaConf.select(config, "hydra.overrides.task") or ()]
         named = "job_name" in str(OmegaConf.to_container(config.hydra.sweep, resolve=False))
         params = config.hydra.sweeper.get("params") or {}
@@ -186,11 +182,7 @@ class Sweep:
 
     @classmethod
     def read(cls, directory: Path) -> Sweep:
-        """From the file that Hydra left in it.
-
-        Raises:
-            InputError: It is no sweep's.
-        """
+        """From the file that Hydra left in it; a directory that is no sweep's is refused."""
         allowed = "the directory of a sweep"
         if not directory.is_dir():
             raise InputError("collect", directory, allowed, "there is no such directory")

@@ -182,11 +182,7 @@ def _places(given: Sequence[str], base: Path) -> Iterator[tuple[str, Path, bool]
 
 
 def _usable(directory: Path) -> Model:
-    """What a run knows of its parameters.
-
-    Raises:
-        InputError: It has not finished, or tells no standard deviations.
-    """
+    """What a run knows of its parameters; one that has not finished, or tells no standard deviations, is refused."""
     try:
         model = finished_model(str(directory), without=_UNREAD)
     except InputError as error:

@@ -32,11 +32,7 @@ class RayLauncher(WorkLauncher):
         self.init, self.remote = settings.get("init") or {}, settings.get("remote") or {}
 
     def run(self, jobs: list[PendingJob]) -> dict[int, JobReturn]:
-        """See :meth:`WorkLauncher.run`.
-
-        Raises:
-            InputError: There is no Ray at the address that is given.
-        """
+        """See :meth:`WorkLauncher.run`; an address where there is no Ray is refused."""
         address = self.init.get("address") or os.environ.get("RAY_ADDRESS")
         if address is None and not self.init.get("object_store_memory"):  # which a Ray that runs refuses
             self.init["object_store_memory"] = _OBJECT_STORE

@@ -141,17 +141,22 @@ class Search:
                 trial.datetime_start, trial.datetime_complete = began, datetime.now()
                 rows.append(self._row(len(trials), trial, result))
                 trials.append(trial)
-                self._announce(trials)
+                ended = "failed" if score is None else f"score {score:.5g}"
+                scores = [trial.value for trial in trials if trial.value is not None]
+                tell(f"{len(trials)} of {self.n_trials}  {ended}{f'  best {min(scores):.5g}' if scores else ''}")
             write_table(pd.DataFrame(rows), self.directory / TABLE)
-        scores = {number: trial.value for number, trial in enumerate(trials) if trial.value is not None}
-        if trials and not scores:
+        scored = {number: trial.value for number, trial in enumerate(trials) if trial.value is not None}
+        if trials and not scored:
             allowed = "given settings under which a trial ends with a score"
             reason = next((f": {row['reason']}" for row in rows if row["reason"]), "")
             raise InputError("hydra/sweeper", "search", allowed, f"every trial failed{reason}")
         if trials:
-            _export(trials, self.directory / SEARCH_FILE)
+            # As Optuna keeps them, for its own tools: nothing here reads them.
+            logging.getLogger("alembic").setLevel(logging.WARNING)  # it tells of every table that Optuna makes
+            with replacing(self.directory / SEARCH_FILE) as temporary:
+                optuna.create_study(study_name="search", storage=f"sqlite:///{temporary}").add_trials(trials)
             # A value that needs no quotes in Hydra's grammar may need them in the shell's.
-            command = shlex.join(["pinn-run", *commands[min(scores, key=lambda number: scores[number])]])
+            command = shlex.join(["pinn-run", *commands[min(scored, key=lambda number: scored[number])]])
             tell(printable(report_search(pd.DataFrame(rows), command, self.directory)), sys.stdout)
 
     def _check_same(self) -> None:
@@ -207,21 +212,6 @@ class Search:
             "reason": None if scored else reason,
             **trial.params,
         }
-
-    def _announce(self, trials: Sequence[FrozenTrial]) -> None:
-        """Tell of the trial that has ended in one line."""
-        scores, last = [trial.value for trial in trials if trial.value is not None], trials[-1].value
-        ended = "failed" if last is None else f"score {last:.5g}"
-        best = f"  best {min(scores):.5g}" if scores else ""
-        tell(f"{len(trials)} of {self.n_trials}  {ended}{best}")
-
-
-def _export(trials: Sequence[FrozenTrial], file: Path) -> None:
-    """Write the trials as Optuna keeps them, for its own tools: nothing here reads them."""
-    logging.getLogger("alembic").setLevel(logging.WARNING)  # it tells of every table that Optuna makes
-    with replacing(file) as temporary:
-        study = optuna.create_study(study_name="search", storage=f"sqlite:///{temporary}")
-        study.add_trials(trials)
 
 
 def _score(result: JobReturn) -> float | None:
@@ -290,12 +280,7 @@ def within(distribution: BaseDistribution, value: Any) -> Any:
 
 
 def report_search(trials: pd.DataFrame, command: str, directory: Path) -> str:
-    """Write the report of a search.
-
-    Args:
-        trials: As `search.csv` has them; at least one has a score.
-        command: That makes a run with the settings of the best.
-        directory: Of the search.
+    """Write the report of a search: trials as `search.csv` has them, one of which has a score, and the best's command.
 
     Returns:
         The best settings as a command, in a line or two for the terminal.
@@ -364,9 +349,7 @@ def _markdown(table: pd.DataFrame) -> list[str]:
 def search_figure(trials: pd.DataFrame, importances: Mapping[str, float]) -> Figure:
     """Draw the score of every trial that has one above the best, in the order of the trials and against every setting.
 
-    Args:
-        trials: As `search.csv` has them; at least one has a score.
-        importances: By searched setting, NaN where unknown.
+    One trial at least has a score; an importance is NaN where it is unknown.
     """
     done = trials[trials["score"].notna()]
     above = done["score"] - done["score"].min()

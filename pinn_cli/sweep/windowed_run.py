@@ -78,12 +78,9 @@ class WindowSolver:
     earlier: int = 0
 
     def posed(self, window: Window, before: Model | None) -> tuple[JointProblem, Measurements]:
-        """The problem of a window, and what was measured in it.
+        """The problem of a window, and what was measured in it; one that cannot be solved is refused.
 
         It begins with what the window before handed over; None: it is the first.
-
-        Raises:
-            InputError: It cannot be solved.
         """
         measured = self.measure(window)
         record = self.observe(measured.record)
@@ -171,11 +168,7 @@ def _goes_on(problem: Problem) -> bool:
 
 
 def _check_sensors(problem: Problem) -> None:
-    """Refuse what is one number of all windows, and would be learned in each anew.
-
-    Raises:
-        InputError: Naming the channel.
-    """
+    """Refuse, naming the channel, what is one number of all windows and would be learned in each anew."""
     for parameter in problem.uncertain:
         if parameter.kind in CALIBRATION_UNITS and parameter.kind not in OF_ONE_CHANNEL:
             setting = f"data.channels.{parameter.label}.{parameter.kind}"

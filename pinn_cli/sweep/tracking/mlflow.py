@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from sqlite3 import DatabaseError, connect
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 from urllib.request import getproxies
 
@@ -165,13 +165,14 @@ class MlflowTracker(Tracker):
             run = client.create_run(experiment, tags=tags, run_name=self.run.name).info.run_id
             client.set_terminated(run, HALF_TOLD)
             settings = {n.replace("[", ".").replace("]", ""): value for n, value in self.run.settings.items()}
-            for params in _parts([Param(name, value[:LONGEST_TEXT]) for name, value in settings.items()], MOST_PARAMS):
-                client.log_batch(run, params=params)
+            params = [Param(name, value[:LONGEST_TEXT]) for name, value in settings.items()]
+            for first in range(0, len(params), MOST_PARAMS):
+                client.log_batch(run, params=params[first : first + MOST_PARAMS])
             now, rows = int(1000 * time.time()), [(row, int(row["iteration"])) for row in self._rows]
             rows += [] if outcome is None else [(outcome.metrics, 0)]
             metrics = [Metric(n, float(v), now, step) for row, step in rows for n, v in row.items() if n != "iteration"]
-            for part in _parts(metrics, MOST_METRICS):
-                client.log_batch(run, metrics=part)
+            for first in range(0, len(metrics), MOST_METRICS):
+                client.log_batch(run, metrics=metrics[first : first + MOST_METRICS])
             for file in outcome.files if outcome is not None and self.tracking.files else ():
                 log, place = (client.log_artifacts, file.name) if file.is_dir() else (client.log_artifact, None)
                 log(run, str(file), artifact_path=place)
@@ -202,17 +203,8 @@ def _make_tables(database: Path) -> None:
     draft.unlink()
 
 
-def _parts(items: list[Any], most: int) -> Iterator[list[Any]]:
-    for first in range(0, len(items), most):
-        yield items[first : first + most]
-
-
 def _check_database(uri: str, database: Path) -> None:
-    """Refuse a file that is no database of MLflow's, and a place where none can be made.
-
-    Raises:
-        InputError: It is one of these, or another program has it locked; nothing in it was changed.
-    """
+    """Refuse what is no database of MLflow's, is locked, or cannot be made; nothing is changed."""
     fault, folder = "", next(place for place in database.parents if place.exists())
     if not os.path.lexists(database):  # nor need its folder be there
         if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
@@ -232,11 +224,7 @@ def _check_database(uri: str, database: Path) -> None:
 
 
 def _check_server(uri: str, address: tuple[str, int]) -> None:
-    """Refuse a server where nothing answers.
-
-    Raises:
-        InputError: Nothing does.
-    """
+    """Refuse a server where nothing answers."""
     if urlsplit(uri).scheme in getproxies():
         return
     try:

@@ -131,11 +131,7 @@ class Tracking(ABC):
 
 
 def require(package: str, choice: str) -> None:
-    """Refuse a choice of the group whose package is not installed.
-
-    Raises:
-        InputError: It is not.
-    """
+    """Refuse a choice of the group whose package is not installed."""
     if importlib.util.find_spec(package) is None:
         allowed = "none, or a choice whose packages are installed"
         raise InputError("tracking", choice, allowed, f"pip install 'pinn-cli[{choice}]'")
