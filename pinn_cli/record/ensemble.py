@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from pinn_cli.record.inputs import SupportErrors, support_motion
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import runge_kutta
+from pinn_cli.record.simulation import StateEquation
 from pinn_cli.record.steps import (
     TURNS_OVER,
     follower_masses,
@@ -153,8 +153,9 @@ class _Ensemble:
     """The members' common equation of motion, in a structure's coordinates, with the parameters of each."""
 
     def __init__(self, structure: Structure, parameters: Mapping[str, np.ndarray], record: Record) -> None:
-        self.structure, self.parameters, self.record = structure, parameters, record
-        self.n = structure.coordinates
+        self.structure, self.record, self.n = structure, record, structure.coordinates
+        # How far the ground moves each coordinate is in the load.
+        self.equation = StateEquation(replace(structure, influence=None), parameters, shaken=True)
         force = structure.shapes.onto_coordinates(record.force)
         ground = record.ground_acceleration
         # Of the ground's motion, what it takes away from the accelerations; beside the force.
@@ -176,52 +177,34 @@ class _Ensemble:
         sampled = self._with_supports(time, self.load[part])[:, None] + deviations
         hold = self.between.hold
         if method == "rk4":
-            return runge_kutta(self._slope, load, time, sampled, hold, substeps, state, None), sampled
+            return runge_kutta(self.equation.slope, load, time, sampled, hold, substeps, state, None), sampled
         # A stiff law has each member take its own steps, many of them.
         grid = np.linspace(time[0], time[-1], STRAIGHT_PARTS * (len(time) - 1) + 1)
         table, histories = sampled if hold == "zero_order" else load(grid), []
         for i in range(len(state)):
             member_load = table[:, i : i + 1]
             acting = lambda at, member_load=member_load: _between(member_load, (at - time[0]) / (grid[1] - grid[0]))  # noqa: E731
-            member, shown, start = copy(self), sampled[:, i : i + 1], state[i : i + 1]
-            member.parameters = {kind: values[i : i + 1] for kind, values in self.parameters.items()}
-            size = made_in_a_sample(member._slope, shown, start, float(time[1] - time[0]), self.n)
-            member.structure = self.structure.turning_over(TURNS_OVER * float(size[self.n]))
-            histories.append(implicit_steps(member._slope, acting, time, shown, hold, start, size))
+            shown, start = sampled[:, i : i + 1], state[i : i + 1]
+            own = {kind: values[i : i + 1] for kind, values in self.equation.parameters.items()}
+            member = replace(self.equation, parameters=own)
+            size = made_in_a_sample(member.slope, shown, start, float(time[1] - time[0]), self.n)
+            member = replace(member, structure=member.structure.turning_over(TURNS_OVER * float(size[self.n])))
+            histories.append(implicit_steps(member.slope, acting, time, shown, hold, start, size))
         return np.concatenate(histories, axis=1), sampled
 
     def motion(self, states: np.ndarray, load: np.ndarray, ground: np.ndarray | None) -> dict[str, np.ndarray]:
         """Quantity to (M, H, dofs), in the record's frame, under the ground's acceleration (M,)."""
-        u, v, z = self._split(states)
-        a = self.structure.acceleration(*self._stretching(u, v, load), load[..., 0, : self.n], self.parameters, z)
+        u, v, z = self.equation.split(states)
+        a = self.equation.acceleration(*self.equation.stretching(u, v, load), load, z)
         shapes = self.structure.shapes
-        u, v, a = (shapes.of_dofs(x) for x in (u, v, a - load[..., 1, : self.n]))
+        u, v, a = (shapes.of_dofs(x) for x in (u, v, a))
         if ground is not None and self.record.frame == "absolute":
             a = a + ground[:, None, None] * shapes.with_ground
         return {"displacement": u, "velocity": v, "acceleration": a}
 
-    def _slope(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
-        u, v, z = self._split(state)
-        structure, p, n = self.structure, self.parameters, self.n
-        x, dx = self._stretching(u, v, load)
-        acceleration = structure.acceleration(x, dx, load[..., 0, :n], p, z) - load[..., 1, :n]
-        if z is None:
-            return np.concatenate((v, acceleration), axis=-1)
-        rate = structure.hidden_rate(structure.elongation(x), structure.elongation(dx), z, p)
-        return np.concatenate((v, acceleration, rate), axis=-1)
-
-    def _split(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        u, v, z = state[..., : self.n], state[..., self.n : 2 * self.n], state[..., 2 * self.n :]
-        return u, v, z if z.shape[-1] else None
-
     def _with_supports(self, at: np.ndarray, load: np.ndarray) -> np.ndarray:
         """(M, 2, n + S), a load with the motion of the supports at times (M,)."""
         return load if self.supports is None else np.concatenate((load, self.supports(at)[:, :2]), axis=2)
-
-    def _stretching(self, u: np.ndarray, v: np.ndarray, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(..., n + S), displacement and velocity of coordinates and supports."""
-        moved = load[..., self.n :]
-        return np.concatenate((u, moved[..., 0, :]), axis=-1), np.concatenate((v, moved[..., 1, :]), axis=-1)
 
     def load_deviations(self, noise: np.ndarray, errors: np.ndarray) -> np.ndarray:
         """(M, H + 1, 2, n + S), members' own forces (M, H, n) and errors (M, H, 3, S) of supports as loads."""

@@ -56,7 +56,7 @@ def runge_kutta(
         left, middle, right = left[:-1], force(starts[:-1] + 0.5 * h), left[1:]
     else:
         left = middle = right = np.repeat(sampled[:-1], substeps, axis=0)
-    if corners is None and steps >= MANY_STEPS and start.ndim == 2 == left.ndim:
+    if corners is None and steps >= MANY_STEPS and left.ndim == 2 and start.shape == (2 * left.shape[1],):
         followed = shot(slope, start, (left, middle, right), h)
         if followed is not None:
             return followed[::substeps]
@@ -92,9 +92,9 @@ def _in_parts(slope: Slope, force: Force, corners: Corners, z: np.ndarray, begin
 def runge_kutta_step(
     slope: Slope, z: np.ndarray, left: np.ndarray, middle: np.ndarray, right: np.ndarray, step: float
 ) -> np.ndarray:
-    """Displacement and velocity z (2, ..., ndof) a ``step`` (s) later, by the classical method of order four.
+    """The state z (...) a ``step`` (s) later, by the classical method of order four.
 
-    ``left``, ``middle`` and ``right`` are the forces (..., ndof) at the step's beginning, middle and end, N.
+    ``left``, ``middle`` and ``right`` are the loads at the step's beginning, middle and end.
     """
     k1 = slope(z, left)
     k2 = slope(z + (0.5 * step) * k1, middle)
@@ -106,34 +106,34 @@ def runge_kutta_step(
 def shot(
     slope: Slope, start: np.ndarray, loads: tuple[np.ndarray, np.ndarray, np.ndarray], step: float
 ) -> np.ndarray | None:
-    """The states at the ends of all steps (steps + 1, 2, n), the start included; None where single steps serve better.
+    """The states at the ends of all steps (steps + 1, 2 n), the start included; None where single steps serve better.
 
-    The slope is of states (2, ..., n) under loads (..., n), and smooth; the start is displacement and velocity (2, n).
+    The slope is of states (..., 2 n) under loads (..., n), and smooth; the start is displacement and velocity (2 n,).
     Loads are those at the beginnings, middles and ends of the steps, each (steps, n).
     """
     steps, n = loads[0].shape
     pieces = max(1, min(AT_ONCE // n, steps // LEAST_STEPS))
     length = math.ceil(steps / pieces)
     record = _Pieces.of(loads, steps // length, length, slope, step)
-    at = np.zeros((2, record.count, n))
-    at[:, 0] = start
+    at = np.zeros((record.count, 2 * n))
+    at[0] = start
     states = record.followed(at)
     derivative, before = None, np.inf
     for _ in range(PIECE_ROUNDS):
-        size = np.abs(states).max(axis=(0, 2, 3))[:, None, None] + np.finfo(float).tiny
-        gaps = states[-1][:, :-1] - at[:, 1:]
+        size = np.repeat(np.abs(states).reshape(-1, 2, n).max(axis=(0, 2)) + np.finfo(float).tiny, n)
+        gaps = states[-1, :-1] - at[1:]
         distance = _largest(gaps / size)
         if distance <= CLOSE:
             return _joined(record, states, loads)
         if derivative is None or distance > SLOW * before:
-            derivative = record.derivative(states, size[:, 0, 0])
+            derivative = record.derivative(states, size)
             if derivative is None:
                 return None
         move, before = _move(gaps, derivative), distance
         for share in MOVE_SHARES:
             trial = at + share * move
             states = record.followed(trial)
-            if _largest((states[-1][:, :-1] - trial[:, 1:]) / size) < distance:
+            if _largest((states[-1, :-1] - trial[1:]) / size) < distance:
                 break
         else:
             return None
@@ -168,7 +168,7 @@ class _Pieces:
         return self.loads[0].shape[1]
 
     def followed(self, at: np.ndarray) -> np.ndarray:
-        """(length + 1, 2, count, n), from the states (2, count, n) that the pieces begin with."""
+        """(length + 1, count, 2 n), from the states (count, 2 n) that the pieces begin with."""
         states = np.empty((len(self.loads[0]) + 1, *at.shape))
         states[0] = at
         for i, (left, middle, right) in enumerate(zip(*self.loads, strict=True)):
@@ -182,7 +182,7 @@ class _Pieces:
         another round, and no error. A linear equation is the same everywhere: the series of one step is the method's
         own, and its power serves all pieces. None where following the steps one by one is no slower.
         """
-        steps, n = len(self.loads[0]), states.shape[-1]
+        steps, n = len(self.loads[0]), self.loads[0].shape[-1]
         begin, later = (self._tangent(states, at, size) for at in (0, steps // 2))
         identity = np.eye(2 * n)[None]
         if _largest(np.stack((begin, later)) - begin[0]) <= ALIKE_WITHIN * _largest(begin):
@@ -207,15 +207,14 @@ class _Pieces:
 
     def _tangent(self, states: np.ndarray, at: int, size: np.ndarray) -> np.ndarray:
         """(count, n, 2 n), derivative of the accelerations by the state before a step, by differences."""
-        n, z, load = states.shape[-1], states[at], self.loads[0][at]
-        by = CHANGE * np.repeat(size, n)
+        z, load, by = states[at], self.loads[0][at], CHANGE * size
+        n = load.shape[-1]
         out = np.empty((self.count, n, 2 * n))
         together = max(1, AT_ONCE // (2 * n * n))
-        changes = np.diag(by).reshape(2 * n, 2, n).swapaxes(0, 1)[:, :, None]  # (2, 2 n, 1, n)
         for first in range(0, self.count, together):
             part = slice(first, first + together)
-            begin = self.slope(z[:, part], load[part])[1]
-            moved = self.slope(z[:, None, part] + changes, load[part])[1]
+            begin = self.slope(z[part], load[part])[..., n:]
+            moved = self.slope(z[part] + np.diag(by)[:, None], load[part])[..., n:]
             out[part] = (moved - begin).transpose(1, 2, 0) / by
         return out
 
@@ -228,12 +227,10 @@ class _Pieces:
 
 
 def _move(gaps: np.ndarray, derivative: np.ndarray) -> np.ndarray:
-    """Of the beginnings (2, count, n), to where the gaps (2, count - 1, n) would be closed, were the pieces linear."""
-    out = np.zeros((2, gaps.shape[1] + 1, gaps.shape[2]))
-    move = np.zeros(2 * gaps.shape[2])
-    for i, gap in enumerate(gaps.swapaxes(0, 1)):
-        move = derivative[i] @ move + gap.reshape(-1)
-        out[:, i + 1] = move.reshape(2, -1)
+    """Of the beginnings (count, 2 n), to where the gaps (count - 1, 2 n) would be closed, were the pieces linear."""
+    out = np.zeros((len(gaps) + 1, gaps.shape[1]))
+    for i, gap in enumerate(gaps):
+        out[i + 1] = derivative[i] @ out[i] + gap
     return out
 
 
@@ -241,9 +238,9 @@ def _joined(record: _Pieces, states: np.ndarray, loads: tuple[np.ndarray, ...]) 
     """All states one after the other, and those of the steps behind the last piece."""
     steps, n = loads[0].shape
     length, count = len(states) - 1, record.count
-    out = np.empty((steps + 1, 2, n))
-    out[: length * count] = states[:-1].transpose(2, 0, 1, 3).reshape(-1, 2, n)
-    z = out[length * count] = states[-1][:, -1]
+    out = np.empty((steps + 1, 2 * n))
+    out[: length * count] = states[:-1].swapaxes(0, 1).reshape(-1, 2 * n)
+    z = out[length * count] = states[-1, -1]
     for i in range(length * count, steps):
         z = out[i + 1] = runge_kutta_step(record.slope, z, loads[0][i], loads[1][i], loads[2][i], record.step)
     return out

@@ -14,7 +14,7 @@ from pinn_cli.record.excitation.excitation import Excitation
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Measurements, Record, Truth, check_frame
 from pinn_cli.record.response import MEASURED_QUANTITIES, QUANTITIES, Repeats, Response
 from pinn_cli.record.simulation import Simulation
-from pinn_cli.record.steps import at_rest, fastest_rates
+from pinn_cli.record.steps import at_rest, rates
 from pinn_cli.runs.process import of_this_machine
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import LARGEST_LEGACY_SEED, is_finite_number, one_of, whole_number
@@ -69,7 +69,6 @@ class Noise:
                 raise InputError("noise.seeds", self.seeds, allowed)
             for quantity, seed in self.seeds.items():
                 whole_number(f"noise.seeds.{quantity}", seed, most=LARGEST_LEGACY_SEED)
-
         whole_number("noise.repeats", self.repeats, least=1)
         one_of("noise.repeat_streams", self.repeat_streams, STREAMS)
         if self.repeat_streams == "shared" and self.seeds is None:
@@ -201,7 +200,7 @@ def _check_steps(simulation: Simulation, structure: Structure, most: int) -> Non
     steps = intervals * simulation.steps_per_sample(structure)
     if steps <= most:
         return
-    oscillation, decay = fastest_rates(structure)
+    oscillation, decay = rates(structure).max(axis=1)
     name, rate = "k" if oscillation >= decay else "c", simulation.step_times_rate * most / simulation.duration
     sizes = at_rest(structure)[0 if name == "k" else 1]
     parameter, least = structure.parameter(name, int(np.argmax(sizes))), float(structure.parameters["m"].min())

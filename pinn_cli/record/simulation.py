@@ -6,7 +6,7 @@ for one time step is four times faster than with tensors (20 DOFs, 4096 steps of
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated
@@ -39,24 +39,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class StateEquation:
-    """Of a structure under a load: the force (n,), or, where ground or supports move, force and what moves (2, n + S).
+    """Of a structure under a load: the force (..., n), or, where ground or supports move, force and what moves.
 
-    The first row of that holds the force and behind it the displacement of the supports, the second row the ground's
-    acceleration beside every coordinate and the velocity of the supports. All of it is in the structure's coordinates.
-
-    Its state is {u, v}, (2, n); with hidden forces z it is {u, v, z} in a row, (2 n + h,).
+    The latter is (..., 2, n + S). Its first row holds the force and behind it the displacement of the supports, the
+    second row the ground's acceleration beside every coordinate and the velocity of the supports. All of it is in the
+    structure's coordinates. States hold displacement, velocity and hidden forces in a row, (..., 2 n + h).
 
     Attributes:
-        structure: Whose parameters are detached.
+        structure: Whose laws and connections these are.
+        parameters: Kind to the numbers of its members, (..., members of the kind).
         shaken: Whether its ground or a support moves.
     """
 
     structure: Structure
+    parameters: Mapping[str, np.ndarray]
     shaken: bool
-
-    @cached_property
-    def _parameters(self) -> dict[str, np.ndarray]:
-        return self.structure.parameters_like(np.empty(0))
 
     def start(self, initial: npt.ArrayLike | None) -> np.ndarray:
         """The state at the first time, from displacement, velocity and hidden forces; rest where None.
@@ -66,65 +63,66 @@ class StateEquation:
         """
         n, hidden = self.structure.coordinates, len(self.structure.memory)
         if initial is None:
-            return np.zeros(2 * n + hidden) if hidden else np.zeros((2, n))
+            return np.zeros(2 * n + hidden)
         parts = [np.array(part, dtype=np.float64) for part in initial]  # type: ignore[union-attr]
         sizes = [part.shape for part in parts]
         if sizes not in ([(n,), (n,), (hidden,)], [(n,), (n,)]) or not all(np.isfinite(part).all() for part in parts):
             also = f", and ({hidden},) hidden forces" if hidden else ""
             raise ValueError(f"the initial state must be {{displacement, velocity}}, (2, {n}) finite numbers{also}")
-        if not hidden:
-            return np.array(parts[:2])
         return np.concatenate((*parts, np.zeros(2 * n + hidden - sum(map(len, parts)))))
 
     @cached_property
     def slope(self) -> Slope:
         """From a state and a load to d(state)/dt."""
-        structure = self.structure
+        structure, mass = self.structure, self.parameters[MASS]
         products = structure.incidence.products()
         if self.shaken or products is None:
             return self._slope
-        (elongation, pull), n, mass = products, structure.coordinates, self._parameters[MASS]
-        force, hidden_rate = structure.laws_of(self._parameters)
+        (elongation, pull), n, remembers = products, structure.coordinates, len(structure.memory) > 0
+        force, hidden_rate = structure.laws_of(self.parameters)
 
         # The same operations as `Structure.acceleration` in the same order, to the same bits: a simulation takes them
         # ten thousand times, and half of its time was finding out again which they are.
         def slope(state: np.ndarray, load: np.ndarray) -> np.ndarray:
             rate = np.empty_like(state)
-            rate[0] = velocity = state[1]
-            np.divide(
-                load - force(state[0].dot(elongation), velocity.dot(elongation), None).dot(pull), mass, out=rate[1]
-            )
+            rate[..., :n] = velocity = state[..., n : 2 * n]
+            e, de, z = state[..., :n].dot(elongation), velocity.dot(elongation), None
+            if remembers:
+                z = state[..., 2 * n :]
+                rate[..., 2 * n :] = hidden_rate(e, de, z)
+            np.divide(load - force(e, de, z).dot(pull), mass, out=rate[..., n : 2 * n])
             return rate
 
-        def slope_with_memory(state: np.ndarray, load: np.ndarray) -> np.ndarray:
-            rate = np.empty_like(state)
-            rate[:n] = velocity = state[n : 2 * n]
-            e, de, z = state[:n].dot(elongation), velocity.dot(elongation), state[2 * n :]
-            np.divide(load - force(e, de, z).dot(pull), mass, out=rate[n : 2 * n])
-            rate[2 * n :] = hidden_rate(e, de, z)
-            return rate
-
-        return slope_with_memory if len(structure.memory) else slope
+        return slope
 
     def _slope(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
-        structure, p = self.structure, self._parameters
-        n, hidden = structure.coordinates, len(structure.memory)
-        u, v, z = (state[:n], state[n : 2 * n], state[2 * n :]) if hidden else (*state, None)
-        x, dx = (np.concatenate(pair) for pair in ((u, load[0, n:]), (v, load[1, n:]))) if self.shaken else (u, v)
-        acceleration = structure.acceleration(x, dx, load[0, :n] if self.shaken else load, p, z)
-        if self.shaken:
-            acceleration = acceleration - structure.with_ground * load[1, :n]
-        if z is None:
-            return np.array((v, acceleration))
-        rate = structure.hidden_rate(structure.elongation(x), structure.elongation(dx), z, p)
-        return np.concatenate((v, acceleration, rate))
+        u, v, z = self.split(state)
+        x, dx = self.stretching(u, v, load)
+        rates = [v, self.acceleration(x, dx, load, z)]
+        if z is not None:
+            e, de = self.structure.elongation(x), self.structure.elongation(dx)
+            rates.append(self.structure.hidden_rate(e, de, z, self.parameters))
+        return np.concatenate(rates, axis=-1)
+
+    def acceleration(self, x: np.ndarray, dx: np.ndarray, load: np.ndarray, z: np.ndarray | None) -> np.ndarray:
+        """(..., n), relative to the ground, by what stretches connections (..., n + S) and hidden forces (..., h)."""
+        if not self.shaken:
+            return self.structure.acceleration(x, dx, load, self.parameters, z)
+        n = self.structure.coordinates
+        unshaken = self.structure.acceleration(x, dx, load[..., 0, :n], self.parameters, z)
+        return unshaken - self.structure.with_ground * load[..., 1, :n]
+
+    def stretching(self, u: np.ndarray, v: np.ndarray, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(..., n + S), displacement and velocity of coordinates and supports."""
+        if not self.shaken:
+            return u, v
+        moved = load[..., self.structure.coordinates :]
+        return np.concatenate((u, moved[..., 0, :]), axis=-1), np.concatenate((v, moved[..., 1, :]), axis=-1)
 
     def split(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """Displacement and velocity (N, n), and hidden forces (N, h) where there are any, of states (N, ...)."""
+        """Displacement and velocity (..., n), and hidden forces (..., h) where there are any."""
         n = self.structure.coordinates
-        if len(self.structure.memory):
-            return states[:, :n], states[:, n : 2 * n], states[:, 2 * n :]
-        return states[:, 0], states[:, 1], None
+        return states[..., :n], states[..., n : 2 * n], states[..., 2 * n :] if len(self.structure.memory) else None
 
 
 HOLDS = ("exact", "zero_order")
@@ -270,7 +268,7 @@ def simulate(
     if structure.is_modal and ground is not None:
         structure.shapes.check_ground()
     shaken = ground is not None or supports is not None
-    equation = StateEquation(structure, shaken)
+    equation = StateEquation(structure, structure.parameters_like(np.empty(0)), shaken)
     start, slope = equation.start(initial), equation.slope
 
     def acting(time: np.ndarray) -> np.ndarray:
@@ -283,14 +281,14 @@ def simulate(
             n, step = structure.coordinates, float(time[1] - time[0])
             size = made_in_a_sample(slope, sampled, start, step, n)
             structure = structure.turning_over(TURNS_OVER * float(size[n]))
-            slope = StateEquation(structure, shaken).slope
+            slope = replace(equation, structure=structure).slope
             states = implicit_steps(slope, load, time, sampled, hold, start, size)
         elif method == "rk4":
             substeps = substeps or substeps_needed(structure, time[1] - time[0])
             states = runge_kutta(slope, load, time, sampled, hold, substeps, start, Corners.of(structure))
         else:
             states = _dop853(slope, load, time, sampled, hold, start)
-    finite = (np.abs(states) < LARGEST_STATE).reshape(len(states), -1).all(axis=1)  # NaN compares false too
+    finite = (np.abs(states) < LARGEST_STATE).all(axis=1)  # NaN compares false too
     if not finite.all():
         raise OverflowsError(float(time[np.argmin(finite)]), len(time), structure.nonlinearity_name)
     u, v, hidden = equation.split(states)
@@ -335,18 +333,17 @@ def _loads(force: Force, ground: Ground | None, supports: Ground | None) -> Forc
 def _dop853(
     slope: Slope, force: Force, time: np.ndarray, sampled: np.ndarray, hold: str, start: np.ndarray
 ) -> np.ndarray:
-    """(N, 2, ndof): scipy's DOP853."""
+    """The states at all samples (N, ...), by scipy's DOP853."""
     from scipy.integrate import solve_ivp
 
-    shape = start.shape
-    states = np.full((len(time), *shape), np.nan)
+    states = np.full((len(time), len(start)), np.nan)
     states[0] = start
 
     def integrate(force_at: Callable[[float], np.ndarray], first: int, last: int, longest: float) -> None:
         solution = solve_ivp(
-            lambda t, y: slope(y.reshape(shape), force_at(t)).ravel(),
+            lambda t, y: slope(y, force_at(t)),
             (time[first], time[last]),
-            states[first].ravel(),
+            states[first],
             method="DOP853",
             t_eval=time[first : last + 1],
             max_step=longest,
@@ -354,7 +351,7 @@ def _dop853(
             atol=1e-14,
         )
         # A solver that gives up returns the times up to there.
-        states[first : first + len(solution.t)] = solution.y.T.reshape(-1, *shape)
+        states[first : first + len(solution.t)] = solution.y.T
 
     if hold == "exact":
         # At rest an adaptive step grows without bound and would leap over a later pulse.

@@ -54,7 +54,7 @@ def substeps_needed(structure: Structure, step: float, step_times_rate: float = 
     Of modes, those above the Nyquist frequency follow what acts on them at once: they need no more than to stay stable.
     No number of steps is enough where a mass is zero.
     """
-    angle = step * _rates(structure).max(axis=0)
+    angle = step * rates(structure).max(axis=0)
     beyond = (angle > math.pi) & structure.is_modal
     steps = angle / np.where(beyond, STABLE_STEP_OVER_STEP * step_times_rate, step_times_rate)
     return max(1, math.ceil(steps.max()))
@@ -69,7 +69,7 @@ def follower_masses(structure: Structure, step: float) -> np.ndarray:
     if not structure.is_modal:
         return np.ones(structure.coordinates)
     fastest = FASTEST_FOLLOWER * math.pi / step
-    oscillation, decay = _rates(structure) / fastest
+    oscillation, decay = rates(structure) / fastest
     return np.maximum(1.0, np.maximum(oscillation**2, decay))
 
 
@@ -82,14 +82,8 @@ def with_slow_followers(structure: Structure, step: float) -> Structure:
     return replace(slower, influence=structure.with_ground / masses)
 
 
-def fastest_rates(structure: Structure) -> tuple[float, float]:
-    """Bounds of the structure's highest natural frequency, rad/s, and strongest damping, 1/s, at rest."""
-    oscillation, decay = _rates(structure).max(axis=1)
-    return float(oscillation), float(decay)
-
-
-def _rates(structure: Structure) -> np.ndarray:
-    """(2, n), rad/s and 1/s, the same coordinate by coordinate.
+def rates(structure: Structure) -> np.ndarray:
+    """(2, n), rad/s and 1/s: natural frequencies and damping at rest are at most the largest of all coordinates'.
 
     Gershgorin bounds the eigenvalues of M^-1 K (and of M^-1 C alike) by the sums over the connections at a mass, of a
     chain by 2 (|k_i| + |k_i+1|) / |m_i|; an estimated one may have negative ones.
@@ -169,7 +163,7 @@ class Corners:
         carried = [self.by_supports @ load[1, -moved:] if moved else 0.0 for load in loads]
         first, last = (
             np.concatenate((self.rate @ state + by_supports, state[self.hidden]))
-            for state, by_supports in zip((before.reshape(-1), after.reshape(-1)), carried, strict=True)
+            for state, by_supports in zip((before, after), carried, strict=True)
         )
         sharp, wide = self._sharp & (first * last < 0.0), self._across(first, last)
         if not sharp.any() and not wide.any():
