@@ -49,6 +49,12 @@ def coloured(random: np.random.Generator, samples: int, rate: float, low: float,
     return x / x.std()
 
 
+def low_passed(seed: int, count: int, cutoff: float = 0.5) -> np.ndarray:
+    """Band-limited, with content up to a frequency per sample."""
+    spectrum = np.fft.rfft(np.random.default_rng(seed).standard_normal(count))
+    return np.fft.irfft(np.where(np.fft.rfftfreq(count) <= cutoff, spectrum, 0.0), count)
+
+
 def noisy(random: np.random.Generator, values: np.ndarray, part: float) -> np.ndarray:
     """With white noise of this part of every channel's rms."""
     return values + part * values.std(axis=0) * random.normal(size=values.shape)

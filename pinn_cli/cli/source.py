@@ -219,7 +219,7 @@ def read_source(
 def _measured_source(
     config: DictConfig, structure: Structure, responds: bool, base: Path | None, follows: bool
 ) -> Source:
-    from pinn_cli.record.validation_data import validation_of
+    from pinn_cli.record.validation_data import ValidationData
 
     nodes, labels = data_of_records(config.data), structure.labels
     measured: list[Any] = []
@@ -228,7 +228,7 @@ def _measured_source(
             measured.append(build(node, "data", base=base, responds=responds))
     connections = [labels.connection(i) for i in range(len(structure.parameters["k"]))]
     with in_names(labels):
-        held = validation_of(measured)
+        held = ValidationData.among(measured)
     seen = measured if held is None else held.seen
 
     def measure(data: Any, true: Structure) -> Measurements:

@@ -12,7 +12,7 @@ import numpy as np
 
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.excel import ExcelFormat
-from pinn_cli.record.files.file_format import ArrayFormat, FileFormat, looks_like_text, read_bytes
+from pinn_cli.record.files.file_format import FIRST_BYTES, ArrayFormat, FileFormat, looks_like_text, read_bytes
 from pinn_cli.record.files.hdf5 import Hdf5Format
 from pinn_cli.record.files.mat import MatFormat
 from pinn_cli.record.files.netcdf import NetcdfFormat
@@ -39,9 +39,6 @@ DAY_NUMBERS, FASTEST_CLOCK = ((25569, 73051), (719529, 767011)), 5e4
 LATEST_BEGIN = 6.3e8
 # Stands for the column of times, whatever it is called.
 BY_NAME = ""
-
-# Of a file, bytes that tell what it is.
-FIRST_BYTES = 4096
 
 # Times are printed with few digits: let each be off the regular axis by this part of a step, or by its last digit.
 TIME_TOLERANCE = 0.01

@@ -66,11 +66,6 @@ class DataChannel:
         return cls(setting, column, Channel(column, quantity, weights, NOTHING, NOTHING))
 
     @property
-    def group(self) -> str:
-        """The setting that lists it."""
-        return self.setting.removeprefix("data.").rpartition(".")[0] or self.setting.removeprefix("data.")
-
-    @property
     def is_plain(self) -> bool:
         """Whether its samples, calibrated as is known, are what the structure does at their times."""
         return self.sensor.is_column and all(

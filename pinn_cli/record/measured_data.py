@@ -21,7 +21,7 @@ from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.file_format import FileFormat
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Measurements, Record, Truth, check_frame, dof_mask
 from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, Response
-from pinn_cli.record.sampled import Sampled, sampled
+from pinn_cli.record.sampled import sampled
 from pinn_cli.record.spectrum import BandPass, checked_band
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import (
@@ -129,13 +129,8 @@ class MeasuredData:
         """What does not go together, one after the other: whether it is so, setting, value, what is allowed, a hint."""
         paths = [self.path] if isinstance(self.path, str) else entries(self.path)
         named = bool(paths) and all(isinstance(path, str) and path for path in paths)
-        yield (
-            not named,
-            "data.path",
-            self.path,
-            f"given: data={self.kind} reads a file of yours, or a list of files",
-            "",
-        )
+        allowed = f"given: data={self.kind} reads a file of yours, or a list of files"
+        yield not named, "data.path", self.path, allowed, ""
         for setting, instead in (("time", "null"), (GROUND, f"null, {UNMEASURED}")):
             column = getattr(self, setting)
             named = column is None or (isinstance(column, str) and bool(column))
@@ -185,8 +180,13 @@ class MeasuredData:
                 sensor that reads one value throughout.
         """
         self._check_dofs(ndof)
-        sampled = self._read(connections, self.clock() if clock is None else clock)
-        time = sampled.time
+        clock = self.clock() if clock is None else clock
+        window = self._window(clock.time)
+        thinned: int | BandPass = self.decimate
+        if self.band is not None:
+            thinned = BandPass.of(self.band, len(clock.time), clock.step(*window))
+        taken = sampled(self._every_channel, clock, window, thinned, connections, self.intersample)
+        time = taken.time
         seen, truth = Response.unknown(time, ndof), Response.unknown(time, ndof)
         sensors = [channel.sensor for channel in self.channels]
         forced = [*self.force, *(dof + 1 for sensor in sensors if sensor.quantity == FORCE for dof in sensor.weights)]
@@ -194,22 +194,22 @@ class MeasuredData:
         seen.force[:, unforced] = 0.0
         supports: dict[str, np.ndarray] = {}
         moving = max((sensor.dof + 1 for sensor in sensors if sensor.quantity in SUPPORT), default=0)
-        for (quantity, number), column in sampled.columns.items():
+        for (quantity, number), column in taken.columns.items():
             if quantity in SUPPORT:
                 supports.setdefault(quantity, np.full((len(time), moving), np.nan))[:, number] = column
             elif quantity != GROUND:
                 getattr(seen, quantity)[:, number] = column
         nobody_knows = np.full(len(time), np.nan) if self.ground_acceleration == UNMEASURED else None
-        seen = replace(seen, ground_acceleration=sampled.columns.get((GROUND, 0), nobody_knows))
+        seen = replace(seen, ground_acceleration=taken.columns.get((GROUND, 0), nobody_knows))
         record = Record(
             **seen.measurable,
             unforced=unforced,
-            intersample=sampled.intersample,
-            assumed=sampled.assumed,
+            intersample=taken.intersample,
+            assumed=taken.assumed,
             frame=self.frame,
-            calibrated=sampled.calibrated,
+            calibrated=taken.calibrated,
             responds=self.responds,
-            band=sampled.band,
+            band=taken.band,
             supports=supports,
             support_names=tuple(str(i + 1) for i in range(moving)),
         )
@@ -256,14 +256,6 @@ class MeasuredData:
     def used(self, clock: Clock) -> np.ndarray:
         """(N,), s, the times between start and stop; too few are refused."""
         return clock.time[slice(*self._window(clock.time))]
-
-    def _read(self, connections: Sequence[str], clock: Clock) -> Sampled:
-        """The channels of the window after decimation."""
-        window = self._window(clock.time)
-        thinned: int | BandPass = self.decimate
-        if self.band is not None:
-            thinned = BandPass.of(self.band, len(clock.time), clock.step(*window))
-        return sampled(self._every_channel, clock, window, thinned, connections, self.intersample)
 
     @property
     def _files(self) -> MeasuredFiles:

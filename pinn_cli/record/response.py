@@ -53,17 +53,19 @@ class Response:
 
     def state(self, sample: int) -> list[np.ndarray]:
         """Displacement and velocity of the coordinates at a sample, and hidden forces (h,) where there are any."""
-        motion = (self.displacement[sample], self.velocity[sample])
-        if self.coordinates is not None:
-            motion = self.coordinates[sample, 0], self.coordinates[sample, 1]
-        return [*motion] if self.hidden is None else [*motion, self.hidden[sample]]
+        hidden = () if self.hidden is None else (self.hidden,)
+        return [history[sample] for history in (*self._of_coordinates, *hidden)]
+
+    @property
+    def _of_coordinates(self) -> tuple[np.ndarray, np.ndarray]:
+        if self.coordinates is None:
+            return self.displacement, self.velocity
+        return self.coordinates[:, 0], self.coordinates[:, 1]
 
     @property
     def stretching(self) -> tuple[np.ndarray, np.ndarray]:
         """Displacement and velocity of coordinates and, behind them, of supports: what stretches connections."""
-        motion = self.displacement, self.velocity
-        if self.coordinates is not None:
-            motion = self.coordinates[:, 0], self.coordinates[:, 1]
+        motion = self._of_coordinates
         if self.supports is None:
             return motion
         return np.hstack((motion[0], self.supports[:, 0])), np.hstack((motion[1], self.supports[:, 1]))

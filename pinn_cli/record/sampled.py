@@ -185,7 +185,9 @@ def _check_samples(channel: DataChannel, column: np.ndarray) -> None:
         raise InputError(channel.setting, repr(channel.column), allowed, f"it has {len(there)}")
     # A response sensor that reads one value throughout has seen nothing; a force may well be zero.
     if channel.sensor.quantity != FORCE and np.ptp(there) == 0.0:
-        hint = f"every sample of it is {there[0]:g}: a dead sensor? Leave it out of data.{channel.group}"
+        own = channel.setting.removeprefix("data.")
+        listed = own.rpartition(".")[0] or own
+        hint = f"every sample of it is {there[0]:g}: a dead sensor? Leave it out of data.{listed}"
         raise InputError(channel.setting, repr(channel.column), "a column that varies", hint)
 
 

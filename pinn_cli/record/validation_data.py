@@ -59,18 +59,18 @@ class ValidationData:
     settle: float
 
     @classmethod
-    def among(cls, records: Sequence[MeasuredData]) -> ValidationData | None:
-        """From ``data.validation``; None where there is none.
+    def among(cls, measured: Sequence[Any]) -> ValidationData | None:
+        """From ``data.validation``; None where there is none, or of objects that have no such setting.
 
         Args:
-            records: Of the estimator, which all have that setting. What it does not say is as in the one whose file it
-                is a segment of, or else as in the first.
+            measured: What a data option built, record by record of the estimator; all have that setting. What it does
+                not say is as in the one whose file it is a segment of, or else as in the first.
 
         Raises:
             InputError: Naming ``data.validation.<setting>``; or the estimator sees the segment as well.
         """
-        given = records[0].validation
-        if given is None:
+        records = [record for record in measured if isinstance(record, MeasuredData)]
+        if len(records) < len(measured) or (given := records[0].validation) is None:
             return None
         settings = [setting.name for setting in fields(MeasuredData) if setting.name not in NOT_ITS_OWN]
         if not isinstance(given, Mapping) or not given:
@@ -146,9 +146,3 @@ def _seen(data: MeasuredData, segment: MeasuredData) -> tuple[MeasuredData, bool
     allowed = f"outside of what the estimator sees, data.start={data.start} to data.stop={data.stop}"
     hint = "a segment that the estimator has seen says nothing; give data.start and data.stop"
     raise InputError("data.validation.start, data.validation.stop", given, allowed, hint)
-
-
-def validation_of(given: Sequence[Any]) -> ValidationData | None:
-    """Of the objects that a data option built; None of those that have no such setting."""
-    records = [record for record in given if isinstance(record, MeasuredData)]
-    return ValidationData.among(records) if len(records) == len(given) else None

@@ -166,7 +166,6 @@ class MeasuredWindows(RecordWindows):
     def __init__(self, data: MeasuredData, connections: list[str], length: float, overlap: float | None) -> None:
         super().__init__(length, overlap)
         self.data, self.connections = data, connections
-
         self.grid: Grid | None = None
 
     @cached_property

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from vibrating_records import low_passed
 
 from pinn_cli.record.between_samples import (
     BandLimited,
@@ -96,12 +97,6 @@ def test_a_held_history_keeps_its_samples():
     np.testing.assert_array_equal(history.within(np.array([0.0, 0.5, 1.0])), np.stack([values[:-1]] * 3))
 
 
-def noise(seed: int, count: int, cutoff: float = 0.5) -> np.ndarray:
-    """Band-limited, with content up to a frequency per sample."""
-    spectrum = np.fft.rfft(np.random.default_rng(seed).standard_normal(count))
-    return np.fft.irfft(np.where(np.fft.rfftfreq(count) <= cutoff, spectrum, 0.0), count)
-
-
 def interpolated(values: np.ndarray, every: int) -> np.ndarray:
     places = np.arange(every * (len(values) - 1) + 1) / every
     return np.interp(places, np.arange(len(values)), values)
@@ -110,7 +105,7 @@ def interpolated(values: np.ndarray, every: int) -> np.ndarray:
 @pytest.mark.parametrize("every", [1, 2, 5])
 def test_what_lines_hold_below_the_nyquist_frequency_moves_a_slow_mass_as_the_lines_do(every: int):
     """Against the lines themselves, a hundred times as dense, behind an ideal low-pass filter."""
-    samples = interpolated(noise(0, 600), every)
+    samples = interpolated(low_passed(0, 600), every)
     dense = interpolated(samples, 100)
     spectrum = np.fft.rfft(dense * np.hanning(len(dense)))
     spectrum[np.fft.rfftfreq(len(dense), 0.01) > 0.5] = 0.0
@@ -124,7 +119,7 @@ def test_what_lines_hold_below_the_nyquist_frequency_moves_a_slow_mass_as_the_li
 @pytest.mark.parametrize("every", [2, 3, 5])
 @pytest.mark.parametrize("snr_db", [30.0, 60.0])
 def test_lines_over_several_samples_are_found_in_noise(every: int, snr_db: float):
-    lines = interpolated(noise(1, 400), every)
+    lines = interpolated(low_passed(1, 400), every)
     noisy = lines + 10 ** (-snr_db / 20) * lines.std() * np.random.default_rng(2).standard_normal(len(lines))
     assert samples_per_line(noisy) == every
 
@@ -132,7 +127,7 @@ def test_lines_over_several_samples_are_found_in_noise(every: int, snr_db: float
 @pytest.mark.parametrize("cutoff", [0.02, 0.1, 0.3, 0.5])
 def test_a_signal_without_lines_has_none(cutoff: float):
     for seed in range(40):
-        signal = noise(seed, 1000, cutoff) * np.exp(-np.linspace(0.0, 6.0, 1000))
+        signal = low_passed(seed, 1000, cutoff) * np.exp(-np.linspace(0.0, 6.0, 1000))
         white = np.random.default_rng(seed).standard_normal(1000)
         assert samples_per_line(signal + 0.01 * signal.std() * white) == 1
     assert samples_per_line(np.zeros(1000)) == 1

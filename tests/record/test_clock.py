@@ -156,12 +156,7 @@ TIME = np.arange(64) / 128.0
 @pytest.fixture
 def folder(tmp_path) -> Path:
     pd.DataFrame({"t": TIME, "f": np.sin(TIME), "note": "x"}).to_csv(tmp_path / "force.csv", index=False)
-    pd.DataFrame({"t": 1e3 * TIME, "a": np.cos(TIME), "note": "y"}).to_csv(tmp_path / "roof.csv", index=False)
     return tmp_path
-
-
-def files(folder: Path, *names: str, **settings) -> MeasuredFiles:
-    return MeasuredFiles(tuple(folder / name for name in names), CsvFormat(), **settings)
 
 
 def measured(folder: Path, *names: str, **settings):
@@ -171,7 +166,8 @@ def measured(folder: Path, *names: str, **settings):
 def test_a_file_of_another_rate_is_empty_between_its_samples(folder):
     slow = TIME[::4] + 1e-7  # printed by another logger
     pd.DataFrame({"t": slow, "a": np.cos(slow)}).to_csv(folder / "slow.csv", index=False)
-    clock = files(folder, "force.csv", "slow.csv").read({"data.force.1": "f", "data.acceleration.1": "a"})
+    files = MeasuredFiles((folder / "force.csv", folder / "slow.csv"), CsvFormat())
+    clock = files.read({"data.force.1": "f", "data.acceleration.1": "a"})
     np.testing.assert_allclose(clock.time, TIME, atol=1e-6)
     np.testing.assert_array_equal(clock.table.columns["a"][::4], np.cos(slow))
     assert np.isnan(clock.table.columns["a"]).sum() == 48

@@ -18,7 +18,7 @@ from pinn_cli.system.quantities import MOTION
 STEP, ROWS = 0.01, 200
 TIME = np.round(STEP * np.arange(ROWS), 2)
 A1, A2, U, F = np.sin(20 * TIME), np.cos(13 * TIME), 1e-3 * np.sin(9 * TIME), 500 * np.cos(7 * TIME)
-ROOF = {"sensor": "acceleration", "dof": 2}
+FLOOR, ROOF = ({"sensor": "acceleration", "dof": dof} for dof in (1, 2))
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def test_every_key(rig):
 def test_short_and_long_form_are_the_same_record(rig):
     short = MeasuredData("rig.csv", force={3: "f"}, acceleration={1: "a1", 2: "a2"}, base=rig).measure(3).record
     force, roof = {"sensor": "force", "dof": 3}, {**ROOF, "column": "a2"}
-    long = record_of(rig, f=force, a1={"sensor": "acceleration", "dof": 1}, roof=roof)
+    long = record_of(rig, f=force, a1=FLOOR, roof=roof)
     for quantity in ("time", "force", "acceleration", "velocity", "displacement"):
         np.testing.assert_array_equal(getattr(long, quantity), getattr(short, quantity))
     assert long.calibrated == ()
@@ -218,8 +218,8 @@ def test_the_header_tells_the_unit_where_nobody_else_does():
 class TestHoldout:
     """A DOF that is held out scores the estimate: only by what was measured there."""
 
-    def measured(self, rig: Path, **keys: Any):
-        channels = {"a1": {"sensor": "acceleration", "dof": 1}, "a2": {**ROOF, **keys}}
+    def measured(self, rig: Path, more: dict | None = None, **keys: Any):
+        channels = {"a1": FLOOR, "a2": {**ROOF, **keys}, **(more or {})}
         return measured(rig, channels, holdout=[2]).measure(3)
 
     def test_a_known_calibration_is_taken_out(self, rig):
@@ -241,20 +241,17 @@ class TestHoldout:
         np.testing.assert_array_equal(shown[61:], A2[61:])
 
     def test_a_second_sensor_of_the_dof_is_not_shown_either(self, rig):
-        channels = {"a1": {"sensor": "acceleration", "dof": 1}, "a2": ROOF, "f": {**ROOF, "gain": 2.0}}
-        found = measured(rig, channels, holdout=[2]).measure(3)
+        found = self.measured(rig, {"f": {**ROOF, "gain": 2.0}})
         assert found.record.calibrated == ()
         np.testing.assert_array_equal(found.truth.response.acceleration[:, 1], A2)
 
     def test_a_load_cell_of_the_dof_stays(self, rig):
-        channels = {"a1": {"sensor": "acceleration", "dof": 1}, "a2": ROOF, "f": {"sensor": "force", "dof": 2}}
         for calibration in ({}, {"gain": "unknown"}):
-            channels["f"] |= calibration
-            found = measured(rig, channels, holdout=[2]).measure(3).record
+            found = self.measured(rig, {"f": {"sensor": "force", "dof": 2, **calibration}}).record
             assert np.isfinite(found.force[:, 1]).all()
             assert [channel.key for channel in found.calibrated] == (["f"] if calibration else [])
 
     def test_a_sensor_that_feels_another_dof_too_is_refused(self, rig):
-        channels = {"a1": {"sensor": "acceleration", "dof": 1}, "u": {"sensor": "displacement", "between": [2, 1]}}
+        channels = {"a1": FLOOR, "u": {"sensor": "displacement", "between": [2, 1]}}
         with pytest.raises(InputError, match="channel u feels others too"):
             measured(rig, channels, holdout=[2]).measure(3)

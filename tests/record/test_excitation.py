@@ -138,7 +138,6 @@ def test_many_evenly_spaced_times_are_transformed(begin, samples, monkeypatch):
         np.testing.assert_allclose(sum_of_sinusoids(other, 60.0, bins, np.ones((len(bins), 1))), expected, atol=1e-9)
 
 
-GROUND_CONF = Path(__file__).parents[2] / "conf" / "excitation" / "ground_motion.yaml"
 SPAN = {"ndof": 3, "duration": 40.0, "samples": 4001}
 TIME = np.linspace(0.0, 40.0, 4001)
 
@@ -151,7 +150,7 @@ def clough_penzien(f: np.ndarray, fg: float, zg: float, ff: float, zf: float) ->
 
 
 def test_the_config_lists_every_setting_and_no_force_acts_that_nobody_asked_for():
-    motion = build(OmegaConf.load(GROUND_CONF), "excitation", **SPAN)
+    motion = build(OmegaConf.load(CONF / "ground_motion.yaml"), "excitation", **SPAN)
     assert np.max(np.abs(motion.ground(TIME))) == pytest.approx(3.0)
     assert not motion.force(TIME).any()
     pushed = GroundMotion(**SPAN, force={"band": [0.5, 5.0], "rms": 100.0, "dofs": [3]})

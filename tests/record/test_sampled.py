@@ -124,13 +124,15 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def data(validation, **settings) -> MeasuredData:
-    return MeasuredData("rig.csv", force={1: "f"}, acceleration={1: "a1", 2: "a2"}, validation=validation, **settings)
+def among(validation, *records):
+    """The data that the system is tried on, and what the estimator is left of some records."""
+    data = MeasuredData("rig.csv", force={1: "f"}, acceleration={1: "a1", 2: "a2"}, validation=validation)
+    held = ValidationData.among([replace(data, **own) for own in records])
+    return held, [each.measure(2).record for each in held.seen]
 
 
 def tried(validation, **settings):
-    held = ValidationData.among([data(validation, **settings)])
-    seen = [each.measure(2).record for each in held.seen]
+    held, seen = among(validation, settings)
     return seen[0], held.read(seen, 2)
 
 
@@ -196,12 +198,6 @@ def test_what_is_refused(folder, validation, setting, allowed):
         tried(validation)
     assert refused.value.setting == setting
     assert allowed in str(refused.value)
-
-
-def among(validation, *records):
-    """What the estimator is left of several records, and the data that the system is tried on."""
-    held = ValidationData.among([replace(data(validation), **own) for own in records])
-    return held, [each.measure(2).record for each in held.seen]
 
 
 def test_a_segment_of_the_file_of_one_of_several_records(folder):

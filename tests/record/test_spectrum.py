@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import csd
 from scipy.signal.windows import tukey
+from vibrating_records import low_passed
 
 from pinn_cli.record.channel import Calibration, Channel
 from pinn_cli.record.channels import channels
@@ -133,12 +134,6 @@ def test_what_is_no_floor():
         assert visible_floor(np.fft.irfft(spectrum, SAMPLES), STEP) is None
     spectrum = np.fft.rfft(white(0.2)[:, 0]) * (frequency < 0.85 * frequency[-1])
     assert white_level(np.fft.irfft(spectrum, SAMPLES), STEP, 5.0) == pytest.approx(0.2, rel=0.1)
-
-
-def low_passed(seed: int, count: int, cutoff: float = 0.5) -> np.ndarray:
-    """Band-limited, with content up to a frequency per sample."""
-    spectrum = np.fft.rfft(np.random.default_rng(seed).standard_normal(count))
-    return np.fft.irfft(np.where(np.fft.rfftfreq(count) <= cutoff, spectrum, 0.0), count)
 
 
 def test_content_at_the_nyquist_frequency_falls_off_and_noise_does_not():

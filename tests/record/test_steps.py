@@ -24,9 +24,9 @@ def sines(t, frequencies, amplitude, seed=0):
     return amplitude * np.sin(2.0 * np.pi * np.multiply.outer(t, frequencies) + phase).sum(-1)
 
 
-def reference(motion, size, time, longest):
+def reference(motion, start, time, longest):
     options = {"rtol": 1e-11, "atol": 1e-15, "max_step": longest}
-    return solve_ivp(motion, (time[0], time[-1]), np.zeros(size), "DOP853", time, **options).y.T
+    return solve_ivp(motion, (time[0], time[-1]), start, "DOP853", time, **options).y.T
 
 
 def relative(found, expected):
@@ -47,7 +47,7 @@ def test_bouc_wen_is_followed_across_its_corners(beta, gamma, n):
         rate = 5e4 * v - beta * abs(v) * abs(z) ** (n - 1) * z - gamma * v * abs(z) ** n
         return [v, (sines(t, frequencies, 13.0) - 10.0 * v - 5e4 * u - z) / 2.0, rate]
 
-    expected = reference(motion, 3, time, 1e-3)
+    expected = reference(motion, np.zeros(3), time, 1e-3)
     found = Simulation(time[-1], len(time)).run(structure, lambda t: sines(t, frequencies, 13.0)[:, None])
     states = np.column_stack((found.displacement, found.velocity, found.hidden))
     assert relative(states, expected) < 1e-6
@@ -80,7 +80,7 @@ def test_a_joint_loses_what_its_energy_costs_it(pinching):
         pulled = (sines(t, frequencies, 40.0) - 10.0 * v - 5e4 * u - z) / 2.0
         return [v, pulled, degrading(pinching, own, energy, z, v), z * v]
 
-    expected = reference(motion, 4, time, 1e-3)
+    expected = reference(motion, np.zeros(4), time, 1e-3)
     assert 1.5 * expected[-1, 3] > 0.5  # of its strength a third is gone
     for size in (1.0, 0.02):
         counted = structure.moving_by(size)
@@ -109,7 +109,7 @@ def test_two_hysteretic_storeys_on_moving_ground():
         h2 = 3e5 * (v2 - v1) - 90.0 * abs(v2 - v1) * z2 - 20.0 * (v2 - v1) * abs(z2)
         return [v1, v2, (upper - lower) / 1500.0 - shaken, -upper / 1000.0 - shaken, h1, h2]
 
-    expected = reference(motion, 6, time, 1e-2)
+    expected = reference(motion, np.zeros(6), time, 1e-2)
     still, shaking = lambda t: np.zeros((len(t), 2)), lambda t: sines(t, frequencies, 0.6)
     found = Simulation(time[-1], len(time)).run(structure, still, shaking)
     assert relative(np.column_stack((found.displacement, found.velocity, found.hidden)), expected) < 1e-6
@@ -125,8 +125,7 @@ def test_a_step_that_begins_just_inside_a_corner(below):
     def motion(t, y):
         return [y[1], (0.6 + 3e4 * t - 10.0 * y[1] - 5e4 * y[0] - 0.5 * math.tanh(y[1] / speed)) / 2.0]
 
-    options = {"rtol": 1e-11, "atol": 1e-15, "max_step": 1e-4}
-    expected = solve_ivp(motion, (time[0], time[-1]), [0.0, start], "DOP853", time, **options).y.T
+    expected = reference(motion, [0.0, start], time, 1e-4)
     push = lambda t: 0.6 + 3e4 * t[:, None]  # noqa: E731
     found = simulate(oscillator(law="friction", speed=speed, F_c=0.5), push, time, initial=([0.0], [start]))
     assert relative(np.column_stack((found.displacement, found.velocity)), expected) < 1e-6
@@ -153,7 +152,7 @@ BEFORE, ENDS, SWINGS = 5.4, 0.6, 3  # in F_c / k: the swings end at -3.4, 1.4 an
 
 
 def rubbing(**law: object) -> Structure:
-    joint = {"between": ["ground", "x"], "c": 0, "k": K, "F_c": F_C, **law}
+    joint = {"between": GROUND_TO_X, "c": 0, "k": K, "F_c": F_C, **law}
     return build_structure(["x"], {"x": M}, {"joint": joint})
 
 
@@ -185,10 +184,7 @@ def test_a_free_decay_under_friction_ends_where_it_sticks(law):
 
 def test_a_held_force_above_friction_moves_and_one_below_does_not():
     push = np.where(np.arange(120) < 60, 0.9, 1.2)[:, None] * F_C
-    structure = build_structure(
-        ["x"], {"x": M}, {"j": {"between": ["ground", "x"], "law": "friction", "c": 0, "k": 0, "F_c": F_C}}
-    )
-    found = Simulation(119 / 200.0, 120, hold="zero_order").run(structure, lambda _: push)
+    found = Simulation(119 / 200.0, 120, hold="zero_order").run(rubbing(law="friction", k=0), lambda _: push)
     since = (np.arange(120) - 60) / 200.0
     np.testing.assert_allclose(found.displacement[:61], 0.0, atol=1e-6)
     np.testing.assert_allclose(found.displacement[60:, 0], 0.2 * F_C / M * since[60:] ** 2 / 2.0, atol=1e-6)

@@ -23,7 +23,7 @@ from pinn_cli.runs.process import of_this_machine
 from pinn_cli.settings.errors import InputError
 
 # Of a file, bytes that tell what it is.
-_START = 4096
+FIRST_BYTES = 4096
 # Of the memory, the part that a file may take: its content, its numbers as stored, as float64 and on their way, a
 # sixteenth each at most.
 _PART_OF_MEMORY = 4
@@ -83,7 +83,7 @@ class ArrayFormat(FileFormat):
 
     def read(self, path: Path, wanted: Mapping[str, str] | None = None) -> Table:
         """See :class:`FileFormat`."""
-        content = read_bytes(path, most=_START)
+        content = read_bytes(path, most=FIRST_BYTES)
         if not self.begins(content):
             raise other_format(path, content, self.expected)
         if self.package and find_spec(self.package) is None:
@@ -147,11 +147,10 @@ def answered(
     file_format = object.__new__(getattr(import_module(module), name))
     vars(file_format).update(settings)
     tables = file_format.tables(Path(path), wanted)
-    hints = ({name: astuple(hint) for name, hint in t.hints.items()} for t in tables)
-    layout = [
-        (list(t.columns), of_table, t.time is not None, t.odd_cells, t.first_line, list(t.notes))
-        for t, of_table in zip(tables, hints, strict=True)
-    ]
+    layout = []
+    for t in tables:
+        hints = {name: astuple(hint) for name, hint in t.hints.items()}
+        layout.append((list(t.columns), hints, t.time is not None, t.odd_cells, t.first_line, list(t.notes)))
     yield layout, [values for t in tables for values in (*t.columns.values(), *(() if t.time is None else (t.time,)))]
 
 

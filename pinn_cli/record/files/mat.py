@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pinn_cli.record.files.file_format import FIRST_BYTES
 from pinn_cli.record.files.hdf5 import Hdf5Format, content_of_node
 from pinn_cli.record.files.variables import Variable, content_of
 
@@ -39,7 +40,7 @@ class MatFormat(Hdf5Format):
     def variables(self, path: Path, wanted: Collection[str] | None) -> Mapping[str, Variable]:
         """See :class:`ArrayFormat`; only variables that are asked for are unpacked."""
         with path.open("rb") as file:
-            if super().begins(file.read(4096)):
+            if super().begins(file.read(FIRST_BYTES)):
                 import h5py
 
                 opened = h5py.File(path, "r")
