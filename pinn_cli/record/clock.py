@@ -297,10 +297,9 @@ def recognised(path: Path) -> FileFormat:
         foreign = by_name or (isinstance(file_format, MatFormat) and not content.startswith(b"MATLAB"))
         if file_format.begins(content) and (type(file_format) in by_name or not foreign):
             return file_format
-    if any(suffix in kind.suffixes for kind in by_name):
-        return next(kind() for kind in by_name if suffix in kind.suffixes)
-    if looks_like_text(content):
-        return CsvFormat()
+    named = next((kind for kind in by_name if suffix in kind.suffixes), None)
+    if named or looks_like_text(content):
+        return (named or CsvFormat)()
     formats = ", ".join(f"{kind.name} ({', '.join(kind.suffixes)})" for kind in FORMATS)
     raise InputError("data.path", path, f"a file in one of the formats {formats}")
 

@@ -114,8 +114,10 @@ def shot(
     steps, n = loads[0].shape
     pieces = max(1, min(AT_ONCE // n, steps // LEAST_STEPS))
     length = math.ceil(steps / pieces)
-    record = _Pieces.of(loads, steps // length, length, slope, step)
-    at = np.zeros((record.count, 2 * n))
+    count = steps // length
+    whole = (x[: count * length].reshape(count, length, n).swapaxes(0, 1) for x in loads)
+    record = _Pieces(tuple(map(np.ascontiguousarray, whole)), slope, step)
+    at = np.zeros((count, 2 * n))
     at[0] = start
     states = record.followed(at)
     derivative, before = None, np.inf
@@ -157,11 +159,6 @@ class _Pieces:
     loads: tuple[np.ndarray, ...]
     slope: Slope
     step: float
-
-    @classmethod
-    def of(cls, loads: tuple[np.ndarray, ...], count: int, length: int, slope: Slope, step: float) -> _Pieces:
-        pieces = (np.ascontiguousarray(x[: count * length].reshape(count, length, -1).swapaxes(0, 1)) for x in loads)
-        return cls(tuple(pieces), slope, step)
 
     @property
     def count(self) -> int:

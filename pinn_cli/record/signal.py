@@ -6,6 +6,7 @@ Where nobody has said what a column measures, its unit and its name do.
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -201,7 +202,7 @@ def guessed(signals: Sequence[Signal]) -> tuple[list[Signal], list[str]]:
         if unknown:
             notes = ["nothing says what the columns measure: they are taken for accelerations in m/s^2"]
     numbers = [number_of(signal) for signal in signals]
-    stems = {re.sub(r"\d+", "#", bare(signal.column)): set[str]() for signal in signals}
+    stems = defaultdict[str, set[str]](set)
     for signal, quantity in zip(signals, quantities, strict=True):
         stems[re.sub(r"\d+", "#", bare(signal.column))].add(quantity)
     channels = any(len(of_stem - {""}) > 1 or _CHANNELS.search(stem) for stem, of_stem in stems.items())
