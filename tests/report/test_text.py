@@ -9,7 +9,7 @@ from fake_posteriors import DUFFING, make_diagnostics, make_samples
 from small_estimates import parameter_estimate, results_of
 
 from pinn_cli.record.response import Response
-from pinn_cli.report.fitness import published, published_fitness_of, residual_table
+from pinn_cli.report.fitness import fitness_table, published, published_fitness_of, residual_table
 from pinn_cli.report.free_run import FreeRun, free_run_table
 from pinn_cli.report.parameters import parameter_table
 from pinn_cli.report.results import with_labels
@@ -74,6 +74,19 @@ def test_published_rows_of_this_case_only(make_case):
     assert fitness_text(tables(case)[0], published=published_fitness_of(labels)).count("published") == 3
     for other in ({"case": "small"}, {"ndof": 7}, {"snr_db": 20.0}):
         assert published_fitness_of(labels | other).empty
+
+
+def test_of_held_out_sensors_only_what_can_be_scored_is_printed(make_case):
+    case = make_case(ndof=3, observed=2)
+    unknown = Response.unknown(case.record.time, 3)
+    table = fitness_table(case.estimate.response, unknown, case.record.observed)
+    assert fitness_text(table) == ""
+    held_out = np.where([False, False, True], case.truth.response.acceleration, np.nan)
+    table = fitness_table(case.estimate.response, replace(unknown, acceleration=held_out), case.record.observed)
+    lines = fitness_text(table, case.record.observed).splitlines()
+    assert lines[1].split() == ["DOFs", "accel.", "accel."]
+    assert [line.split()[:2] for line in lines[3:-1]][-1] == ["dof_3", "*"]
+    assert [line.split()[0] for line in lines[3:-1]] == ["all", "last", "unobserved", "dof_3"]
 
 
 def identified(count: int = 2) -> list[ParameterEstimate]:

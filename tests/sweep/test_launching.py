@@ -1,5 +1,6 @@
 """Jobs in processes of their own or sent elsewhere, and what a user is told who has not what a launcher needs."""
 
+import json
 import multiprocessing
 import os
 import signal
@@ -12,11 +13,12 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 from calls import SMALL, PinnRun
+from hydra.core.utils import JobReturn
 from interrupted_runs import run_in_a_child
 from sweeps import start
 
 from pinn_cli.runs.process import usable_cores
-from pinn_cli.sweep.launching import QUIET_END, JoblibLauncher, pin, shares
+from pinn_cli.sweep.launching import QUIET_END, JoblibLauncher, SerialLauncher, pin, shares
 
 
 @pytest.mark.parametrize(
@@ -53,6 +55,26 @@ def test_a_ray_cluster_that_is_not_there_is_told_in_one_line(pinn_run: PinnRun, 
         "Could not find any running Ray instance.\n"
     )
     assert not Path("sweep").exists()
+
+
+@pytest.mark.slow
+def test_a_finished_trial_of_a_search_returns_its_score_and_is_not_run_again(pinn_run, tmp_path, monkeypatch):
+    """Without its score the search would take it for failed."""
+    sweep = ("--multirun", *SMALL, "scheme.unobserved_fraction=0.3", "hydra.sweep.dir=sweep", "seed=0,1")
+    sweep += ("validation=heldout", "validation.dofs=[1]")
+    pinn_run(*sweep).done()
+    returned: list[JobReturn] = []
+    launch = SerialLauncher.launch
+
+    def noted(launcher, job_overrides, initial_job_idx):
+        returned.extend(launch(launcher, job_overrides, initial_job_idx))
+        return returned
+
+    monkeypatch.setattr(SerialLauncher, "launch", noted)
+    monkeypatch.setattr(SerialLauncher, "run", lambda *_: pytest.fail("they are finished"))
+    assert pinn_run(*sweep).status == 0
+    kept = [json.loads(file.read_text()) for file in sorted((tmp_path / "sweep").glob("seed=*/run.json"))]
+    assert [result.return_value for result in returned] == [run["validation"]["score"] for run in kept]
 
 
 # Two jobs that finish and one that cannot; Adam is trained in steps and so has checkpoints.
