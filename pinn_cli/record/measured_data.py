@@ -185,7 +185,8 @@ class MeasuredData:
         thinned: int | BandPass = self.decimate
         if self.band is not None:
             thinned = BandPass.of(self.band, len(clock.time), clock.step(*window))
-        time, columns, settings = sampled(self._every_channel, clock, window, thinned, connections, self.intersample)
+        taken = sampled(self._every_channel, clock, window, thinned, connections, self.intersample)
+        time = taken.time
         seen, truth = Response.unknown(time, ndof), Response.unknown(time, ndof)
         sensors = [channel.sensor for channel in self.channels]
         forced = [*self.force, *(dof + 1 for sensor in sensors if sensor.quantity == FORCE for dof in sensor.weights)]
@@ -193,19 +194,22 @@ class MeasuredData:
         seen.force[:, unforced] = 0.0
         supports: dict[str, np.ndarray] = {}
         moving = max((sensor.dof + 1 for sensor in sensors if sensor.quantity in SUPPORT), default=0)
-        for (quantity, number), column in columns.items():
+        for (quantity, number), column in taken.columns.items():
             if quantity in SUPPORT:
                 supports.setdefault(quantity, np.full((len(time), moving), np.nan))[:, number] = column
             elif quantity != GROUND:
                 getattr(seen, quantity)[:, number] = column
         nobody_knows = np.full(len(time), np.nan) if self.ground_acceleration == UNMEASURED else None
-        seen = replace(seen, ground_acceleration=columns.get((GROUND, 0), nobody_knows))
+        seen = replace(seen, ground_acceleration=taken.columns.get((GROUND, 0), nobody_knows))
         record = Record(
             **seen.measurable,
-            **settings,
             unforced=unforced,
+            intersample=taken.intersample,
+            assumed=taken.assumed,
             frame=self.frame,
+            calibrated=taken.calibrated,
             responds=self.responds,
+            band=taken.band,
             supports=supports,
             support_names=tuple(str(i + 1) for i in range(moving)),
         )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from pinn_cli.record.between_samples import FIRST_ORDER_HOLD, held_by_lines, samples_per_line
+from pinn_cli.record.between_samples import FIRST_ORDER_HOLD, Intersample, held_by_lines, samples_per_line
 from pinn_cli.record.channel import Channel
 from pinn_cli.record.clock import TIME_TOLERANCE, Clock
 from pinn_cli.record.data_channels import DataChannel
@@ -23,6 +23,24 @@ log = logging.getLogger(__name__)
 NEARLY_EMPTY = 0.1
 
 
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """The channels of a window.
+
+    Attributes:
+        time: (N,), s, uniform: the times of the columns.
+        columns: Quantity and number, counted from 0, to samples (N,); some as they are believed to be.
+        calibrated, intersample, assumed, band: See :class:`pinn_cli.record.record.Record`.
+    """
+
+    time: np.ndarray
+    columns: Mapping[tuple[str, int], np.ndarray]
+    calibrated: tuple[Channel, ...]
+    intersample: Intersample
+    assumed: bool
+    band: BandPass | None
+
+
 def sampled(
     channels: Sequence[DataChannel],
     clock: Clock,
@@ -30,7 +48,7 @@ def sampled(
     thinned: int | BandPass,
     connections: Sequence[str] = (),
     intersample: str | None = None,
-) -> tuple[np.ndarray, dict[tuple[str, int], np.ndarray], dict[str, Any]]:
+) -> Sampled:
     """The channels of a window of a file.
 
     Where all times are even, a channel without gaps whose calibration is known is a column, and nothing else.
@@ -43,10 +61,6 @@ def sampled(
             samples beyond the window where the file has them.
         connections: Names of the structure's connections.
         intersample: See :class:`pinn_cli.record.measured_data.MeasuredData`.
-
-    Returns:
-        Times (N,), s, uniform; quantity and number, counted from 0, to samples (N,), some as they are believed to be;
-        and of a :class:`pinn_cli.record.record.Record` its ``calibrated``, ``intersample``, ``assumed`` and ``band``.
 
     Raises:
         InputError: A cell that is no number, a channel with too few, a sensor that shows one value throughout; gaps
@@ -65,14 +79,10 @@ def sampled(
     values = [held_by_lines(column) if held else column for held, column in zip(lines, values, strict=True)]
     if thinned != 1:
         time, values = with_fewer(thinned, time, values, all(whole))
-    axis, columns, calibrated = _placed(channels, time, values, even, connections)
-    settings = {
-        "calibrated": calibrated,
-        "intersample": "zero_order_hold" if intersample == "zero_order_hold" else "band_limited",
-        "assumed": intersample is None and not any(lines),
-        "band": thinned if isinstance(thinned, BandPass) else None,
-    }
-    return axis, columns, settings
+    placed = _placed(channels, time, values, even, connections)
+    held: Intersample = "zero_order_hold" if intersample == "zero_order_hold" else "band_limited"
+    assumed = intersample is None and not any(lines)
+    return Sampled(*placed, held, assumed, thinned if isinstance(thinned, BandPass) else None)
 
 
 def reached(band: BandPass, window: tuple[int, int], rows: int) -> tuple[int, int]:
@@ -128,7 +138,7 @@ def _on_lines(
 def _placed(
     channels: Sequence[DataChannel], time: np.ndarray, values: list[np.ndarray], even: bool, connections: Sequence[str]
 ) -> tuple[np.ndarray, dict[tuple[str, int], np.ndarray], tuple[Channel, ...]]:
-    """Times (N,), columns and calibrated channels, see :func:`sampled`."""
+    """Times (N,), columns and calibrated channels, see :class:`Sampled`."""
     columns: dict[tuple[str, int], np.ndarray] = {}
     rest: list[tuple[DataChannel, np.ndarray]] = []
     axis = time if even else _even_axis(time, values)
