@@ -24,6 +24,7 @@ from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.normal_matrix.bordered import BorderedFactor, BorderedSystem, SharedSystem
+from pinn_cli.training.normal_matrix.elimination import Diagonals
 from pinn_cli.training.record_evidence import RecordEvidence
 from pinn_cli.training.sensor_samples import starting_levels
 
@@ -56,6 +57,11 @@ def weights_of(equations: NormalEquations, noise: NoiseModel) -> dict[str, torch
     """Of the same."""
     each = [factor for factor in equations.factors if isinstance(factor, ConstantChannels | Residuals)]
     return {factor.name: factor.weight(noise) for factor in each}
+
+
+def diagonals(matrix: np.ndarray, offsets: np.ndarray) -> Diagonals:
+    """Some diagonals of the lower half of a symmetric matrix."""
+    return Diagonals(offsets, np.array([np.pad(np.diag(matrix, -k), (0, k)) for k in offsets]))
 
 
 def shared(system: BorderedSystem, held: np.ndarray | None = None) -> SharedSystem:

@@ -10,6 +10,7 @@ from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Linear, PowerDamping, VanDerPol
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
 
 NONLINEARITIES = {
@@ -47,6 +48,12 @@ def measured(
 def accelerations(record: Record, dofs: tuple[int, ...] = (1, 2)) -> Record:
     """The record with accelerometers on the given DOFs only."""
     return record.keep({"acceleration": dofs})
+
+
+def believed(structure: Structure, *places: tuple[str, int], share: float = 0.1) -> tuple[Parameter, ...]:
+    """Parameters by kind and number, known to a share of what they are."""
+    values = [float(structure.parameters[kind][number]) for kind, number in places]
+    return tuple(Parameter(*place, value, share * value) for place, value in zip(places, values, strict=True))
 
 
 def sped_up(record: Record, speed: float) -> Record:

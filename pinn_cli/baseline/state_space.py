@@ -36,7 +36,7 @@ from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.system.quantities import FORCE
-from pinn_cli.training.factors.feels import Feels, felt_by
+from pinn_cli.training.factors.channel_at_point import Feels, felt_by
 from pinn_cli.training.record_scales import force_and_velocity_scale
 from pinn_cli.training.sensor_samples import SensorSamples
 

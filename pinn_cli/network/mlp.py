@@ -6,7 +6,6 @@ It gets the scaled time itself, as in the paper, or Fourier features of it.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from itertools import islice, pairwise
 from typing import Annotated, Literal, get_args
@@ -47,32 +46,22 @@ MOST_LAYERS = 1000
 LEAST_WIDTH, UNITS_PER_DOF = 20, 3
 
 
-class Embedding(nn.Module, ABC):
-    """Inputs of the first layer as functions of the scaled time s, which runs from 0 to 1 over the record.
+class ScaledTime(nn.Module):
+    """The scaled time s itself, which runs from 0 to 1 over the record, as what the first layer gets.
 
     Attributes:
         count: Number of inputs.
     """
 
-    count: int
-
-    @abstractmethod
-    def jet(self, scaled: Tensor, order: int) -> tuple[Tensor, ...]:
-        """Inputs and their derivatives by s up to ``order`` (0, 1 or 2) at times (N,), each (N, count)."""
-
-
-class ScaledTime(Embedding):
-    """The scaled time itself."""
-
     count = 1
 
     def jet(self, scaled: Tensor, order: int) -> tuple[Tensor, ...]:
-        """See :meth:`Embedding.jet`."""
+        """Inputs and their derivatives by s up to ``order`` (0, 1 or 2) at times (N,), each (N, count)."""
         s = scaled[:, None]
         return (s, torch.ones_like(s), torch.zeros_like(s))[: order + 1]
 
 
-class FourierFeatures(Embedding):
+class FourierFeatures(nn.Module):
     """cos and sin of 2 pi j s / PERIOD_MARGIN, j = 1..harmonics, less of those of high frequency.
 
     Feature j has the amplitude 1 / (1 + (j / corner)^2), which is how a displacement falls off whose acceleration is
@@ -92,13 +81,16 @@ class FourierFeatures(Embedding):
         self.register_buffer("amplitude", (amplitude / amplitude.square().sum().sqrt()).to(dtype))
 
     def jet(self, scaled: Tensor, order: int) -> tuple[Tensor, ...]:
-        """See :meth:`Embedding.jet`."""
+        """See :meth:`ScaledTime.jet`."""
         phase = scaled[:, None] * self.omega
         cosine, sine = self.amplitude * torch.cos(phase), self.amplitude * torch.sin(phase)
         # d/ds turns cos into -omega sin, and sin into omega cos.
         value = torch.cat((cosine, sine), -1)
         rate = torch.cat((-self.omega * sine, self.omega * cosine), -1)
         return (value, rate, -self.omega.repeat(2).square() * value)[: order + 1]
+
+
+Embedding = ScaledTime | FourierFeatures
 
 
 def embedding(name: EmbeddingName, record: Record, dtype: torch.dtype, points: int | None = None) -> Embedding:

@@ -59,11 +59,19 @@ class Network(nn.Module, ABC):
 
     def forward(self, time: Tensor) -> States:
         """Motion at the given times (N,), s."""
+        return self.states(self.jet(time, self.order))
+
+    @property
+    def order(self) -> int:
+        """Of the derivatives of its outputs that make a motion."""
+        return 2 if self.continuity == "exact" else 1
+
+    def states(self, jet: tuple[Tensor, ...]) -> States:
+        """The motion, from its outputs and their derivatives up to this order."""
         if self.continuity == "exact":
-            displacement, velocity, acceleration = self.jet(time, 2)
+            displacement, velocity, acceleration = jet
             return States(displacement, velocity, acceleration, None)
-        value, rate = self.jet(time, 1)
-        n = self.ndof
+        (value, rate), n = jet, self.ndof
         return States(value[:, :n], value[:, n:], rate[:, n:], rate[:, :n] - value[:, n:])
 
 

@@ -59,18 +59,10 @@ class Beginning:
         prescribed = {INITIAL_STATE: torch.as_tensor(state.mean)}
         return cls((*problem.uncertain, *states), prescribed, std, np.linalg.inv(correlation))
 
-    @property
-    def parameters(self) -> int:
-        """How many of the uncertain numbers are parameters, p."""
-        return len(self.uncertain) - len(self.std)
-
     def of_functions(self, motions: int, hidden: slice, functions: int) -> np.ndarray:
         """(functions, 2), which of F numbers is the value of each function, and which its rate; -1 where none is.
 
-        Args:
-            motions: How many functions are motions, the first ones.
-            hidden: Those that are hidden forces.
-            functions: In all.
+        The first functions are motions; others are hidden forces.
         """
         out = np.full((functions, 2), -1)
         out[:motions] = np.arange(2 * motions).reshape(2, motions).T

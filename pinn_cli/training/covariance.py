@@ -7,7 +7,7 @@ with pieces of lines, and no group's own covariance is made.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -107,11 +107,6 @@ class ReadoutPosterior:
         """(p, size), of :attr:`carried`."""
         return np.ascontiguousarray(self.carried.numpy().T)
 
-    @cached_property
-    def solved(self) -> Tensor:
-        """(size, p), how the weights follow each parameter, A^-1 B."""
-        return torch.as_tensor(self.factor.readout.solved_border)
-
     def sensed(self, segments: Segments) -> dict[str, Tensor]:
         """Standard deviation of what sensors of every quantity would show without noise, at the segments' times.
 
@@ -119,28 +114,24 @@ class ReadoutPosterior:
         """
         dynamics = self.equations.dynamics
         functions = dict(zip(RESPONSE_QUANTITIES, self.functions(segments), strict=True))
+        sensing = {quantity: dynamics.sensing(quantity) for quantity in RESPONSE_QUANTITIES}
         if dynamics.structure.is_modal:
-            deviations = self.of_modes(segments, [dynamics.sensing(quantity) for quantity in RESPONSE_QUANTITIES])
-            return dict(zip(RESPONSE_QUANTITIES, deviations, strict=True)) | self._of_ground(functions["displacement"])
-        out = {
-            quantity: std[:, : dynamics.ndof]
-            if dynamics.feels_coordinate(quantity)
-            else self.combined(segments, dynamics.sensing(quantity))
-            for quantity, std in functions.items()
-        }
-        return out | self._of_ground(functions["displacement"])
+            out = dict(zip(RESPONSE_QUANTITIES, self._of_modes(segments, list(sensing.values())), strict=True))
+        else:
+            out = {
+                quantity: std[:, : dynamics.ndof]
+                if dynamics.feels_coordinate(quantity)
+                else self.combined(segments, sensing[quantity])
+                for quantity, std in functions.items()
+            }
+        return out | ({GROUND: functions["displacement"][:, dynamics.ground]} if dynamics.inputs.ground else {})
 
-    def _of_ground(self, values: Tensor) -> dict[str, Tensor]:
-        dynamics = self.equations.dynamics
-        return {GROUND: values[:, dynamics.ground]} if dynamics.inputs.ground else {}
-
-    def of_modes(self, segments: Segments, sensing: Sequence[Sequence[tuple[int, csr_matrix]]]) -> list[Tensor]:
+    def _of_modes(self, segments: Segments, sensing: Sequence[Sequence[tuple[int, csr_matrix]]]) -> list[Tensor]:
         """Standard deviations as of :meth:`combined`, each (N, channels), where every channel feels all functions.
 
         The covariance of all functions is then taken from the band once for all channels.
         """
-        local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))  # (I, functions, B)
-        kinds = segments.orders
+        local, kinds = self._columns(segments), segments.orders
         weights = [[(order, torch.as_tensor(w.toarray())) for order, w in parts] for parts in sensing]
         deviations: list[list[Tensor]] = [[] for _ in sensing]
         for start in range(0, len(local), INTERVALS_AT_ONCE):
@@ -161,65 +152,64 @@ class ReadoutPosterior:
             segments: Of the times.
             sensing: Orders of derivatives, and weights (channels, functions).
         """
-        out = segments.mask.new_zeros((segments.samples, sensing[0][1].shape[0]))
+        channels = sensing[0][1].shape[0]
+        out = segments.mask.new_zeros((segments.samples, channels))
         for part in self._windows(segments):
-            group = segments.part(part)
-            group.place(self._combined(group, sensing), out)
+            group, deviations = segments.part(part), []
+            local, kinds = self._columns(group), group.orders
+            for channel in range(channels):
+                felt = [
+                    (int(function), order, float(weight))
+                    for order, weights in sensing
+                    for function, weight in zip(weights[channel].indices, weights[channel].data, strict=True)
+                ]
+                position = torch.cat([local[:, function] for function, _, _ in felt], -1)
+                rows = torch.cat([weight * kinds[order] for _, order, weight in felt], -1)
+                deviations.append(self._spread(position, rows))
+            group.place(torch.stack(deviations, -1), out)
         return out
 
-    def _combined(self, segments: Segments, sensing: Sequence[tuple[int, csr_matrix]]) -> Tensor:
-        """The same in some groups, (I, S, channels)."""
-        local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))
-        kinds = segments.orders
-        deviations = []
-        for channel in range(sensing[0][1].shape[0]):
-            parts = [
-                (int(function), order, float(weight))
-                for order, weights in sensing
-                for function, weight in zip(weights[channel].indices, weights[channel].data, strict=True)
-            ]
-            position = torch.cat([local[:, function] for function, _, _ in parts], -1)
-            rows = torch.cat([weight * kinds[order] for _, order, weight in parts], -1)
-            deviations.append(self._spread(position, rows))
-        return torch.stack(deviations, -1)
-
-    def functions(self, segments: Segments) -> tuple[Tensor, Tensor, Tensor]:
+    def functions(self, segments: Segments) -> list[Tensor]:
         """Standard deviation of every function and its two derivatives at the segments' times, each (N, functions)."""
-        u, v, a = (segments.mask.new_zeros((segments.samples, self.equations.layout.ndof)) for _ in range(3))
+        count = self.equations.layout.ndof
+        out = [segments.mask.new_zeros((segments.samples, count)) for _ in RESPONSE_QUANTITIES]
         for part in self.equations.windows(segments):
             group = segments.part(part)
-            for out, values in zip((u, v, a), self._functions(group), strict=True):
-                group.place(values, out)
-        return u, v, a
+            local, rows = self._columns(group), torch.cat(group.orders, 1)
+            by_function = [self._spread(local[:, i], rows).chunk(len(out), 1) for i in range(count)]
+            for values, of_kind in zip(out, zip(*by_function, strict=True), strict=True):
+                group.place(torch.stack(of_kind, -1), values)
+        return out
 
-    def _functions(self, segments: Segments) -> list[Tensor]:
-        """The same in some groups, each (I, S, functions)."""
-        local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))
-        kinds = segments.orders
-        results: list[list[Tensor]] = [[] for _ in kinds]
-        for dof in range(self.equations.layout.ndof):
-            spread = self._spread(local[:, dof], torch.cat(kinds, 1))
-            for result, std in zip(results, spread.chunk(len(kinds), 1), strict=True):
-                result.append(std)
-        return [torch.stack(result, -1) for result in results]
+    def _columns(self, segments: Segments) -> Tensor:
+        """(I, functions, B), positions of the weights of every function."""
+        return torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))
 
     def force(self, segments: Segments) -> Tensor:
         """Standard deviation of the force that the estimated motion takes, at the segments' times, (N, n)."""
-        parts = []
-        for part in self._windows(segments):
-            rows = LocalRows(self.equations, segments, self.point, part)
-            by_dof = [self.deviation(*rows.of_dof(dof)) for dof in range(self.equations.dynamics.ndof)]
-            parts.append(torch.stack(by_dof, -1))
-        return segments.scatter(torch.cat(parts))
+        parts = (
+            torch.stack([self.deviation(*rows) for rows in self._rows_of_force(segments, part)], -1)
+            for part in self._windows(segments)
+        )
+        return segments.scatter(torch.cat(list(parts)))
 
     def force_by_parameter(self, segments: Segments) -> Tensor:
         """Change of that force with each parameter, in prior standard deviations, the motion following: (N, n, p)."""
-        parts = []
+        solved, parts = torch.as_tensor(self.factor.readout.solved_border), []  # how the weights follow each parameter
         for part in self.equations.windows(segments):
-            rows = LocalRows(self.equations, segments, self.point, part)
-            by_dof = [self._by_parameter(*rows.of_dof(dof)) for dof in range(self.equations.dynamics.ndof)]
-            parts.append(torch.stack(by_dof, 2))
+            rows = self._rows_of_force(segments, part)
+            parts.append(torch.stack([held - by_weight @ solved[position] for position, by_weight, held in rows], 2))
         return segments.scatter(torch.cat(parts))
+
+    def _rows_of_force(self, segments: Segments, part: slice) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+        """DOF by DOF the linearised equation of motion in some groups of times, as :meth:`deviation` takes rows."""
+        equations, group = self.equations, segments.part(part)
+        rows = equations.motion.rows(segments, self.point, part)
+        local = torch.as_tensor(equations.layout.columns(group.feature))
+        for dof in range(equations.dynamics.ndof):
+            felt = local[0, dof] >= 0  # in every group the same slots
+            by_weight = rows.jacobian(group, slice(dof, dof + 1))[:, 0][..., felt]
+            yield local[:, dof][:, felt], by_weight, equations.pattern.uncertain_columns(rows.parameter[:, :, dof], dof)
 
     def _windows(self, segments: Segments) -> list[slice]:
         """Groups whose rows and whose covariances of all coupled functions are held at once."""
@@ -252,10 +242,6 @@ class ReadoutPosterior:
         variance = row_variance(self.inverse, self._carried_lines, position.numpy(), rows.numpy(), by_parameter)
         return torch.as_tensor(variance).clamp(min=0).sqrt()
 
-    def _by_parameter(self, position: Tensor, jacobian: Tensor, held: Tensor) -> Tensor:
-        """(I, S, p)."""
-        return held - jacobian @ self.solved[position]
-
     def _covariance(self, position: Tensor) -> Tensor:
         """(I, C, C), of the weights at the given positions (I, C), with what the parameters add."""
         carried = self.carried[position]
@@ -273,32 +259,3 @@ def _deviation(rows: Tensor, covariance: Tensor, by_parameter: Tensor | None = N
     if by_parameter is not None:
         variance = variance + by_parameter.square().sum(-1)
     return variance.clamp(min=0).sqrt()
-
-
-class LocalRows:
-    """The linearised equation of motion at the times of segments, DOF by DOF.
-
-    Args:
-        equations: Whose features and parameters the rows are by.
-        segments: I groups of S times.
-        point: Where it is linearised.
-        part: Which groups.
-    """
-
-    def __init__(
-        self,
-        equations: NormalEquations,
-        segments: Segments,
-        point: Point,
-        part: slice = slice(None),
-    ) -> None:
-        self.equations, self.segments = equations, segments.part(part)
-        self.rows = equations.motion.rows(segments, point, part=part)
-        self.local = torch.as_tensor(equations.layout.columns(self.segments.feature))
-
-    def of_dof(self, dof: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Positions (I, C) of the weights that the row feels, rows by these (I, S, C), and by parameter."""
-        felt = self.local[0, dof] >= 0  # in every group the same slots
-        jacobian = self.rows.jacobian(self.segments, slice(dof, dof + 1))[:, 0][..., felt]
-        held = self.equations.pattern.uncertain_columns(self.rows.parameter[:, :, dof], dof)
-        return self.local[:, dof][:, felt], jacobian, held

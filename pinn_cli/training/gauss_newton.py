@@ -1,7 +1,7 @@
 """Gauss-Newton training, with the loss weights inferred from the record.
 
 A network with a linear readout is solved for its readout, one whose features are learned for all its weights, see
-:class:`pinn_cli.training.function_space.training.FunctionSpaceGaussNewton`.
+:func:`pinn_cli.training.function_space.training.solved_in_function_space`.
 """
 
 from __future__ import annotations
@@ -15,17 +15,16 @@ import numpy as np
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.network import NetworkDesign
 from pinn_cli.network.spline import Spline
-from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.estimator import Training, built
-from pinn_cli.training.function_space.training import MOST_RESIDUALS, FunctionSpaceGaussNewton
+from pinn_cli.training.function_space.training import MOST_RESIDUALS, solved_in_function_space
 from pinn_cli.training.history import History
 from pinn_cli.training.inference import infer
-from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.record_scales import force_and_velocity_scale
 from pinn_cli.training.reported.hand_over import handed_over
 from pinn_cli.training.reported.parameter_likelihoods import parameter_likelihoods
@@ -49,7 +48,7 @@ class GaussNewton(Training):
         pooled: Whether the sensors of one quantity share one noise level; otherwise each has its own, as with an MLP.
         learn_spread: Whether the common spread of the prescribed parameters is learned from the record.
         collocation_points, most_residuals: Of an MLP, see
-            :class:`pinn_cli.training.function_space.training.FunctionSpaceGaussNewton`.
+            :func:`pinn_cli.training.function_space.training.solved_in_function_space`.
 
     Raises:
         InputError: A setting outside its range.
@@ -129,14 +128,8 @@ class GaussNewton(Training):
             hint = "an MLP gives no likelihood of its parameters"
             raise InputError("network", design.name, "spline or fourier with scheme=bayesian", hint)
         self._left_alone(design, "has no linear readout", weights={}, pooled=False)
-        training = FunctionSpaceGaussNewton(
-            self.iterations or FunctionSpaceGaussNewton.iterations,
-            self.tolerance or FunctionSpaceGaussNewton.tolerance,
-            self.learn_spread,
-            self.collocation_points,
-            self.most_residuals,
-        )
-        return training.solve(problem, design, run)
+        limits = self.iterations, self.tolerance, self.learn_spread, self.collocation_points, self.most_residuals
+        return solved_in_function_space(problem, design, run, *limits)
 
     def _left_alone(self, design: NetworkDesign, why: str, **unused: Any) -> None:
         """Refuse settings that a network has no use for, unless they have the given defaults."""
@@ -147,29 +140,25 @@ class GaussNewton(Training):
                 raise InputError(f"training.{setting}", value, "left as it is, for this network", hint)
 
     def _weighed(self, problem: JointProblem, solver: Solver) -> Inference:
-        """The solution under weights that the user has fixed."""
+        """The solution under noise levels that weigh the residuals as lambdas do which the user has fixed."""
         evidence = solver.evidence(problem)
         force, velocity = force_and_velocity_scale(problem.alone)
-        starting = starting_noise(evidence.equations.by_record[0])
-        noise = NoiseLevels((self._fixed(starting, problem.alone.record, force, velocity),))
+        starting, record = starting_noise(evidence.equations.by_record[0]), problem.alone.record
+        observation, physics, continuity = (self.weights[name] for name in FIXED_WEIGHTS)
+        fixed = replace(
+            starting,
+            response={q: np.abs(getattr(record, q)).max(axis=0) / np.sqrt(observation) for q in RESPONSE_QUANTITIES},
+            force=np.where(np.isnan(starting.force), np.nan, 0.0),
+            discrepancy=force / np.sqrt(physics),
+            continuity=velocity / np.sqrt(continuity),
+        )
+        noise = NoiseLevels((fixed,))
         trained = evidence.train(noise, evidence.equations.start())
         if trained is None:
             raise InputError(
                 "training.weights", self.weights, "weights of less unequal size", "the normal matrix is singular"
             )
         return Inference(evidence, trained, solver)
-
-    def _fixed(self, noise: NoiseModel, record: Record, force: float, velocity: float) -> NoiseModel:
-        """Noise levels that weigh the residuals as the given lambdas do."""
-        largest = {q: np.abs(getattr(record, q)).max(axis=0) for q in RESPONSE_QUANTITIES}
-        observation, physics, continuity = (self.weights[name] for name in FIXED_WEIGHTS)
-        return replace(
-            noise,
-            response={q: value / np.sqrt(observation) for q, value in largest.items()},
-            force=np.where(np.isnan(noise.force), np.nan, 0.0),
-            discrepancy=force / np.sqrt(physics),
-            continuity=velocity / np.sqrt(continuity),
-        )
 
 
 def _checked_weights(weights: str | Mapping[str, float]) -> dict[str, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -101,7 +102,7 @@ class LeastSquares:
 
     def share_ridges(self, other: LeastSquares) -> None:
         """Have the prior of other equations of the same functions, which hangs on their first weights."""
-        self.members.each(_share_ridge, other.members.each(_ridge))
+        self.members.each(_share_ridge, other.members.each(attrgetter("equations.ridge.value")))
 
     def room_below(self, point: Point) -> np.ndarray:
         """(p,), the most negative step of every parameter that respects its bound; -inf without one."""
@@ -109,11 +110,9 @@ class LeastSquares:
         return np.minimum(room, 0.0)
 
     def moved(self, point: Point, step: tuple[np.ndarray, np.ndarray]) -> Point:
-        """The point after a step; a parameter that the step takes to its bound is at the bound, whatever the rounding.
+        """The point after a step of the readout weights (size,) and of the parameters (p,).
 
-        Args:
-            point: Where the step begins.
-            step: Of the readout weights (size,) and of the parameters (p,).
+        A parameter that the step takes to its bound is at the bound, whatever the rounding.
         """
         unknowns, parameters = (torch.as_tensor(x).to(point.unknowns) for x in step)
         lower = torch.as_tensor(self.lower).to(point.unknowns)
@@ -197,10 +196,6 @@ def joined_parameters(parameters: Sequence[Sequence[Parameter]]) -> tuple[tuple[
 def _point(record: RecordEvidence, unknowns: np.ndarray, parameters: np.ndarray) -> Point:
     like = record.equations.target.force
     return Point(*(torch.as_tensor(x).to(like) for x in (unknowns, parameters)))
-
-
-def _ridge(evidence: RecordEvidence) -> float | np.ndarray | None:
-    return evidence.equations.ridge.value
 
 
 def _share_ridge(evidence: RecordEvidence, ridge: float | np.ndarray | None) -> None:

@@ -9,7 +9,7 @@ share of the variance gives it. A level that is right already stays where it is.
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -105,24 +105,12 @@ def _with_its_spread(evidence: Evidence, trained: Trained) -> Trained:
     return trained if again is None else max(trained, again, key=lambda trained: trained.log_evidence)
 
 
-@dataclass(frozen=True, eq=False)
-class Taken:
-    """How many values the solution has taken up.
+def values_taken(evidence: RecordEvidence, solution: RecordSolution) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """How many values a solution has taken up: by name of channels (channels,), and (functions,) of the equations.
 
-    Attributes:
-        response: Quantity to (channels,).
-        physics: (functions,), of the physics residual.
-    """
-
-    response: dict[str, np.ndarray]
-    physics: np.ndarray
-
-
-def values_taken(evidence: RecordEvidence, solution: RecordSolution) -> Taken:
-    """Effective number of parameters, gamma, of every response channel and equation of motion, by draws.
-
-    Each draw from the posterior gives all of them at once, and scaled to the length that a draw has on average, they
-    add up to what they must; a few draws tell each to some per cent.
+    They are effective numbers of parameters, gamma, by draws. Each draw from the posterior gives all of them at once,
+    and scaled to the length that a draw has on average, they add up to what they must; a few draws tell each to some
+    per cent.
     """
     equations, noise, point = evidence.equations, solution.noise, solution.point
     draws = solution.drawn(DRAWS, of_mean_length=True)
@@ -135,14 +123,14 @@ def values_taken(evidence: RecordEvidence, solution: RecordSolution) -> Taken:
         weight = physics if physics.ndim == 1 else physics[part]
         for force in forces:
             enforced += (force.square() * weight).sum((0, 1)).numpy() / DRAWS
-    return Taken(response, enforced)
+    return response, enforced
 
 
 def updated(evidence: RecordEvidence, solution: RecordSolution, least: NoiseModel) -> NoiseModel:
     """The noise levels that the residuals ask for, none below its floor; those that repeats tell stay."""
     equations, noise = evidence.equations, solution.noise
-    taken = values_taken(evidence, solution)
-    force, discrepancy, innovation = _forces(evidence, solution, taken.physics)
+    taken, of_physics = values_taken(evidence, solution)
+    force, discrepancy, innovation = _forces(evidence, solution, of_physics)
     discrepancy = max(float(_limited(discrepancy, noise.discrepancy)), least.discrepancy)
     if noise.innovation is not None:
         noise = replace(noise, innovation=_limited(innovation, noise.innovation))
@@ -152,15 +140,15 @@ def updated(evidence: RecordEvidence, solution: RecordSolution, least: NoiseMode
     usual_levels = _usual_levels(evidence, noise)
     for channels in equations.channels:
         name, samples, square = channels.name, channels.samples, channels.squares(solution.point)
-        freedom = np.maximum(samples - taken.response[name], FEWEST_LEFT * samples)
-        usual, share = usual_levels[name], np.clip(taken.response[name] / samples, 0.0, 1.0)
+        freedom = np.maximum(samples - taken[name], FEWEST_LEFT * samples)
+        usual, share = usual_levels[name], np.clip(taken[name] / samples, 0.0, 1.0)
         weight = samples * (KINSHIP_UNDER_FORCES if under_forces else KINSHIP * share**OPENNESS)
         variance = np.where(usual > 0, (square + weight * usual**2) / (freedom + weight), square / freedom)
         level = _limited(np.sqrt(variance), noise.response[name])
         response[name] = np.where(channels.present, np.maximum(level, least.response[name]), noise.response[name])
     for (name, i), sensor in evidence.input_channels.items():
         response[name][i] = min(response[name][i], max(sensor.loudest, least.response[name][i]))
-    noise = replace(noise, taken_up=taken.response.get(CALIBRATED))
+    noise = replace(noise, taken_up=taken.get(CALIBRATED))
     most = np.full(len(force), np.inf)
     for dof, cell in evidence.load_cells.items():
         most[dof] = max(cell.loudest, least.force[dof])
@@ -220,10 +208,7 @@ def _forces(
 def _of_force_sensors(noise: NoiseModel, split: ForceResiduals, freedom: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(functions,) squares over the present variance, and values, of the force sensors' noise; 0 of all others.
 
-    Args:
-        noise: That the residuals are divided by.
-        split: The physics residual.
-        freedom: (functions,), values of what the features see that the solution has not taken up.
+    Of what the features see, so many values (functions,) are free: the solution has not taken them up.
     """
     variance, sensor = noise.physics_variance, noise.force_variance
     sensor_share = 1.0 - noise.discrepancy**2 / variance
@@ -241,7 +226,7 @@ def force_noise_statistics(evidence: RecordEvidence, solution: RecordSolution) -
     noise, record, least = solution.noise, evidence.equations.problem.record, floor(evidence, solution)
     sensors = np.flatnonzero(noise.force_variance > 0.0)
     split = evidence.force_residuals(solution.point, noise)
-    freedom = split.count - values_taken(evidence, solution).physics
+    freedom = split.count - values_taken(evidence, solution)[1]
     squares, values = _of_force_sensors(noise, split, np.maximum(freedom, FEWEST_LEFT * split.count))
     squares = np.maximum(squares, values * (least.force / noise.force) ** 2)[sensors]
     totals = float(squares.sum()), float(values[sensors].sum())

@@ -112,10 +112,8 @@ class NoiseModel:
         """(channels,) of what sensors leave, 0 where there is none."""
         return np.nan_to_num(1.0 / self.response[name] ** 2)
 
-    def observation_weight(self, name: str, mass: np.ndarray) -> np.ndarray:
-        """(n,) weight of a residual of :func:`pinn_cli.physics.observation_residuals`, 0 where there is no sensor."""
-        if name != "observer":
-            return self.sensor_weight(name)
+    def observer_weight(self, mass: np.ndarray) -> np.ndarray:
+        """(n,) of accelerations through the equation of motion, which has noise of its own; 0 where there is none."""
         variance = self.response["acceleration"] ** 2 + self.physics_variance / (self.points_per_sample * mass**2)
         return np.nan_to_num(1.0 / variance)
 
@@ -157,33 +155,29 @@ def _pooled(sigma: np.ndarray) -> np.ndarray:
 
 
 class FeatureProjection:
-    """Least-squares projection of time histories onto one kind of a network's features.
+    """Least-squares projection of time histories onto the features of displacements, or onto their derivatives.
 
     Args:
-        segments: The features' groups.
-        features: (I, S, B), the kind: values for forces and displacements, second derivatives for accelerations, ...
+        network: Whose.
+        segments: Of the times.
+        order: Of the derivative: 0 for forces and displacements, 2 for accelerations.
     """
 
-    def __init__(self, segments: Segments, features: Tensor) -> None:
-        self.segments, self.features = segments, features
-        self.index = segments.feature
+    def __init__(self, network: LinearReadout, segments: Segments, order: int = 0) -> None:
+        self.segments, self.features = first_output(network, segments), output_features(network, segments)[order]
+        self.index, count = self.segments.feature, network.count
         gram = self.features.mT @ self.features
         span = int((self.index.amax(1) - self.index.amin(1)).max())
         row, column = self.index[:, :, None].expand_as(gram), self.index[:, None, :].expand_as(gram)
         lower = row >= column
-        band = torch.zeros((span + 1) * segments.count, dtype=gram.dtype)
-        band.index_add_(0, ((row - column) * segments.count + column)[lower], gram[lower])
+        band = torch.zeros((span + 1) * count, dtype=gram.dtype)
+        band.index_add_(0, ((row - column) * count + column)[lower], gram[lower])
         array = band.reshape(span + 1, -1).numpy()
         # Derivatives of splines are one polynomial short of independent: a touch of ridge decides among equals. It is
         # relative to each feature: those that only just reach into the record are small, and features all the same.
         array[0] *= 1.0 + 1e-10
         array[0] += 1e-15 * array[0].max()
         self.factor = cholesky_banded(array, lower=True)
-
-    @classmethod
-    def of_displacements(cls, network: LinearReadout, segments: Segments) -> FeatureProjection:
-        """Onto the features of a displacement output."""
-        return cls(first_output(network, segments), output_features(network, segments)[0])
 
     def no_moments(self, channels: int) -> Tensor:
         """(count, channels) zeros, for :meth:`add_moments`."""
@@ -210,10 +204,8 @@ class FeatureProjection:
 
     def coefficients(self, values: Tensor) -> Tensor:
         """Of the features in the projection of a history (N, n): (count, n)."""
-        return torch.as_tensor(cho_solve_banded((self.factor, True), self._moments(self._gathered(values)).numpy()))
-
-    def _gathered(self, values: Tensor) -> Tensor:
-        return self.segments.gather(values)
+        moments = self._moments(self.segments.gather(values))
+        return torch.as_tensor(cho_solve_banded((self.factor, True), moments.numpy()))
 
     def residual(self, values: Tensor) -> np.ndarray:
         """(N, n) minus its projection: what the features cannot follow."""

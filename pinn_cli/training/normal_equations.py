@@ -15,7 +15,7 @@ from collections import defaultdict
 
 import numpy as np
 import torch
-from scipy.sparse import csr_matrix, identity
+from scipy.sparse import identity
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import LinearReadout
@@ -33,8 +33,8 @@ from pinn_cli.training.factors.known_state import states_known
 from pinn_cli.training.factors.ridge import Ridge
 from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
-from pinn_cli.training.normal_matrix.bordered import BorderedSystem
-from pinn_cli.training.normal_matrix.dissection import FrontTree, InBand, order_of_elimination
+from pinn_cli.training.normal_matrix.bordered import BorderedSystem, order_of_elimination
+from pinn_cli.training.normal_matrix.elimination import Order
 from pinn_cli.training.normal_matrix.row_sums import RowSums
 from pinn_cli.training.normal_matrix.traced_sums import Met, TracedSums
 from pinn_cli.training.whittle.whittle_estimate import KnownParameters
@@ -68,7 +68,7 @@ class Observer(Residuals):
     def weight(self, noise: NoiseModel) -> Tensor:
         """(n,): the force's noise and the discrepancy are in the residual as well."""
         mass = self.frame.prescribed["m"].cpu().numpy()
-        return torch.as_tensor(noise.observation_weight(self.name, mass)).to(self.measured) * self.mask
+        return torch.as_tensor(noise.observer_weight(mass)).to(self.measured) * self.mask
 
     def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
         """See :meth:`Factor.add_to`."""
@@ -82,11 +82,7 @@ class Observer(Residuals):
 
 
 class Continuity(Residuals):
-    """Of every function, at the collocation points.
-
-    Args:
-        frame: Of the record, whose network has them.
-    """
+    """Of every function, at the collocation points."""
 
     name = "continuity"
 
@@ -166,7 +162,7 @@ class NormalEquations(Frame):
         ]
         self.pull: np.ndarray | None = None
         self.pulled_from = torch.zeros_like(self.scale)
-        self._order: FrontTree | InBand | None = None
+        self._order: Order | None = None
 
     def start(self) -> Point:
         """The structure at rest with its prescribed parameters, or with those that are known."""
@@ -204,7 +200,9 @@ class NormalEquations(Frame):
             corner = corner + prior
             slope = slope + (torch.as_tensor(prior).to(self.scale) @ point.parameters).cpu().numpy()
         slope = slope if self.pull is None else slope - self.pull
-        return BorderedSystem(sums.band, border, corner, sums.gradient, slope, self._order_of_elimination(border))
+        if self._order is None or not self._order.suits(border):  # the same parameters mostly touch the same weights
+            self._order = order_of_elimination(self.layout.dissection, border)
+        return BorderedSystem(sums.band, border, corner, sums.gradient, slope, self._order)
 
     def traced(self, factor: Factor, point: Point, noise: NoiseModel, met: Met) -> TracedSums:
         """What a factor adds to the normal matrix of the readout weights, for traces with a matrix."""
@@ -217,12 +215,6 @@ class NormalEquations(Frame):
         """Of sums over rows."""
         alive = self.physics.feature.shape[1]
         return self.network.channels, alive, self.physics.count, self.dynamics.coupling, self.pattern.count
-
-    def _order_of_elimination(self, border: csr_matrix) -> FrontTree | InBand:
-        """See :class:`BorderedSystem`; worked out once for all systems whose parameters touch the same weights."""
-        if self._order is None or not self._order.suits(border):
-            self._order = order_of_elimination(self.layout.dissection, border)
-        return self._order
 
     @property
     def joint_precision(self) -> np.ndarray | None:

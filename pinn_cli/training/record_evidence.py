@@ -144,12 +144,12 @@ class RecordEvidence:
     @cached_property
     def projection(self) -> FeatureProjection:
         """At the collocation points."""
-        return FeatureProjection.of_displacements(self.equations.network, self.equations.physics)
+        return FeatureProjection(self.equations.network, self.equations.physics)
 
     @cached_property
     def observer_projection(self) -> FeatureProjection:
         """At the response's samples, where it differs from :attr:`projection` if the force is held between its own."""
-        return FeatureProjection.of_displacements(self.equations.network, self.equations.observation)
+        return FeatureProjection(self.equations.network, self.equations.observation)
 
     @cached_property
     def load_cells(self) -> dict[int, SensorSamples]:

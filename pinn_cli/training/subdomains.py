@@ -49,7 +49,9 @@ class Subdomains:
         rank = torch.arange(segments.mask.shape[1])
         piece = rank * pieces[:, None] // points.clamp(min=1)[:, None]
         inside = (piece[self.interval] == number[:, None]) * segments.mask[self.interval]
-        self.segments = _regrouped(segments, self.interval, inside)
+        sample, feature, jet = (x[self.interval] for x in (segments.sample, segments.feature, segments.jet))
+        jet = jet * inside[:, None, :, None]
+        self.segments = replace(segments, sample=sample, mask=inside, feature=feature, jet=jet)
         self.points = inside.sum(1)
         self.weight = inside / self.points.sqrt()[:, None]
 
@@ -88,12 +90,6 @@ class Subdomains:
         total.index_add_(0, self.interval, averages[:, 0] * root[:, None])
         points = root.new_zeros(intervals).index_add_(0, self.interval, self.points)
         return total / points.sqrt()[:, None]
-
-
-def _regrouped(segments: Segments, interval: Tensor, inside: Tensor) -> Segments:
-    """Segments with a group for every average (I,), of which only the points ``inside`` (I, S) are left."""
-    index, jet = interval, segments.jet[interval] * inside[:, None, :, None]
-    return replace(segments, sample=segments.sample[index], mask=inside, feature=segments.feature[index], jet=jet)
 
 
 def _pieces(points: list[int], wanted: int) -> list[int]:

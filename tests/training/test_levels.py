@@ -118,7 +118,7 @@ def test_the_evidence_is_greatest_at_the_levels_that_are_found():
 
     samples = len(equations.problem.record.time)
     residual = residuals_of(equations, point)["acceleration"].square().sum((0, 1)).numpy()
-    taken = of_record(values_taken, evidence, once).response["acceleration"]
+    taken = of_record(values_taken, evidence, once)[0]["acceleration"]
     for dof in range(3):
         slope = (log_evidence(dof, step) - log_evidence(dof, -step)) / (2.0 * step)
         chi_square = residual[dof] / own.response["acceleration"][dof] ** 2
@@ -164,7 +164,7 @@ def test_a_projection_keeps_what_features_can_be(measurements, kind, continuity)
     output, features = first_output(network, segments), output_features(network, segments)[0]
     generator = torch.Generator().manual_seed(0)
     weights = torch.randn(network.count, 2, generator=generator, dtype=torch.float64)
-    projection, grouped = FeatureProjection(output, features), features @ weights[output.feature]
+    projection, grouped = FeatureProjection(network, segments), features @ weights[output.feature]
     values = output.scatter(grouped)
     scale = float(values.abs().max())
     np.testing.assert_allclose(projection.residual(values), 0.0, atol=1e-5 * scale)
@@ -175,9 +175,10 @@ def test_a_projection_of_white_noise_keeps_a_share_of_features_over_samples(meas
     network = Spline(intervals=100).build(measurements.record)
     segments = network.segments(torch.as_tensor(measurements.record.time))
     white = torch.as_tensor(np.random.default_rng(0).normal(size=(2049, 20)))
-    found = FeatureProjection(segments, segments.orders[0]).sum_of_squares(segments.gather(white))
+    projection = FeatureProjection(network, segments)
+    found = projection.sum_of_squares(segments.gather(white))
     assert found.mean() == pytest.approx(105, rel=0.1)
-    rest = FeatureProjection(segments, segments.orders[0]).residual(white)
+    rest = projection.residual(white)
     np.testing.assert_allclose(found + (rest**2).sum(0), white.square().sum(0), rtol=1e-6)
 
 
@@ -186,10 +187,8 @@ def test_weights_are_inverse_variances():
     noise = NoiseModel(levels, np.array([0.3, np.nan]), 0.4, 1.0)
     np.testing.assert_allclose(noise.physics_variance, [0.25, 0.16])
     for i, quantity in enumerate(QUANTITIES):
-        np.testing.assert_allclose(noise.observation_weight(quantity, np.ones(2)), [1.0 / (0.5 * (i + 1)) ** 2, 0.0])
-    np.testing.assert_allclose(
-        noise.observation_weight("observer", np.array([10.0, 10.0])), [1 / (1.5**2 + 0.0025), 0.0]
-    )
+        np.testing.assert_allclose(noise.sensor_weight(quantity), [1.0 / (0.5 * (i + 1)) ** 2, 0.0])
+    np.testing.assert_allclose(noise.observer_weight(np.array([10.0, 10.0])), [1 / (1.5**2 + 0.0025), 0.0])
 
 
 CHAIN = small_chain()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from one_record import evidence_of, levels_of, problem_of, residuals_of, weights_of
-from small_problems import accelerations, measured, small_chain
+from small_problems import accelerations, believed, measured, small_chain
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
@@ -21,14 +21,11 @@ from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.normal_matrix.bordered import SharedSystem
 
 
-def stiffnesses(structure) -> tuple[Parameter, ...]:
-    return tuple(Parameter("k", dof, float(k), 0.075 * float(k)) for dof, k in enumerate(structure.parameters["k"]))
-
-
 def posed(nonlinearity: str, ndof: int = 3, uncertain: bool = False) -> tuple[NormalEquations, NoiseModel]:
     structure = small_chain(nonlinearity, ndof)
     record = accelerations(measured(structure, snr_db=40.0, duration=6.0, samples=65).record, tuple(range(1, ndof + 1)))
-    problem = Problem(structure, record, stiffnesses(structure) if uncertain else ())
+    stiffnesses = believed(structure, *(("k", dof) for dof in range(ndof)), share=0.075)
+    problem = Problem(structure, record, stiffnesses if uncertain else ())
     nothing = np.full(ndof, np.nan)
     levels = {"displacement": nothing, "velocity": nothing, "acceleration": np.full(ndof, 0.01)}
     noise = NoiseModel(levels, np.where(record.sensors("force"), 0.02, np.nan), 0.03, 1.0)
@@ -261,9 +258,7 @@ def test_a_start_far_from_rest_counts_the_ridge_that_hangs_on_its_own_first_matr
     equations, noise = posed("linear")
     before = solved(equations, noise)
     again, _ = posed("linear")  # has no ridge yet
-    options = {"iterations": 30, "tolerance": 1e-12, "watch": lambda terms: None}
-    found = minimised(again, replace(noise, discrepancy=0.029), before.point, **options)
+    noise = replace(noise, discrepancy=0.029)
+    found = minimised(again, noise, before.point, 30, 1e-12, lambda terms: None)
     assert found.converged
-    assert found.loss == pytest.approx(
-        sum(problem_of(again).losses(found.point, levels_of(replace(noise, discrepancy=0.029))).values())
-    )
+    assert found.loss == pytest.approx(sum(problem_of(again).losses(found.point, levels_of(noise)).values()))

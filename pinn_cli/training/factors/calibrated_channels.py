@@ -9,7 +9,7 @@ over every knot interval, as the equation of motion does.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,9 +21,8 @@ from pinn_cli.network.linear_readout import Segments
 from pinn_cli.record.channel import CALIBRATED, DELAYS_ALLOWED, Channel, filter_polynomial
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.quantities import CALIBRATION_UNITS, HIGH_PASS
-from pinn_cli.training.factors.channel_at_point import ChannelAtPoint, Part
+from pinn_cli.training.factors.channel_at_point import ChannelAtPoint, Feels, Part, WeightedSum, felt_by, weighted
 from pinn_cli.training.factors.factor import Channels, Factor, Piece
-from pinn_cli.training.factors.feels import Feels, WeightedSum, felt_by, weighted
 from pinn_cli.training.factors.frame import Frame
 from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
@@ -40,16 +39,12 @@ class Moment(NamedTuple):
     Attributes:
         delay: s.
         segments: I groups of S samples.
-        third: (I, S, B), third derivative of the features.
+        features: (I, S, B), and three derivatives.
     """
 
     delay: float
     segments: Segments
-    third: Tensor
-
-    def features(self, order: int) -> Tensor:
-        """(I, S, B), of a derivative."""
-        return (*self.segments.orders, self.third)[order]
+    features: tuple[Tensor, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +70,6 @@ class Shown:
 
 class CalibratedChannel:
     """One of them.
-
-    Args:
-        channel: Which.
-        frame: Of the record.
 
     Attributes:
         places: Kind of a number of its calibration that is uncertain to its place among all parameters.
@@ -134,7 +125,7 @@ class CalibratedChannel:
             time, network = self.time - delay, self.frame.network
             sample, mask, feature, jet = network.groups(time, 3)
             segments = Segments(sample, mask, feature, torch.stack(jet[:3], 1), None, network.count, len(time))
-            self._moment = Moment(delay, segments, jet[3])
+            self._moment = Moment(delay, segments, (*segments.orders, jet[3]))
         return self._moment
 
     @property
@@ -168,24 +159,20 @@ class CalibratedChannel:
         jet, gain, shows = frame.jet(moment.segments, point), self.value("gain", parameters), self.shows
         measurand, (parts, by) = shows.value(jet, parameters), shows.linearised(jet, parameters)
         by = {place: gain * column for place, column in by.items()}
-        by |= {self.places[kind]: column for kind, column in self._by_number(moment, measurand, gain).items()}
+        numbers = {"gain": measurand, "offset": torch.ones_like(measurand), "drift": moment.segments.gather(self.since)}
+        by |= {self.places[kind]: column for kind, column in numbers.items() if kind in self.places}
         if "delay" in self.places:
             by[self.places["delay"]] = -gain * self._changed(moment, parts, point, more=1)
         spread, mask = frame.spread_by_place, moment.segments.mask
         columns = {place: spread[place] * column * mask for place, column in by.items()}
         return Shown(moment, measurand, gain, self._residual(moment, measurand, parameters), parts, columns)
 
-    def _by_number(self, moment: Moment, measurand: Tensor, gain: Tensor) -> dict[str, Tensor]:
-        """Kind of an uncertain number to what it does to what is shown."""
-        by = {"gain": measurand, "offset": torch.ones_like(measurand), "drift": moment.segments.gather(self.since)}
-        return {kind: column for kind, column in by.items() if kind in self.places}
-
     def _changed(self, moment: Moment, parts: list[Part], step: Point, more: int = 0) -> Tensor:
         """(I, S), change of what it feels with a step of the readout weights, or with one derivative more."""
         local = self.frame.layout.weights(step.unknowns)[moment.segments.feature]  # (I, B, functions)
         out = local.new_zeros(moment.segments.mask.shape)
         for function, order, weight in parts:
-            out = out + weight * (moment.features(order + more) @ local[..., function, None])[..., 0]
+            out = out + weight * (moment.features[order + more] @ local[..., function, None])[..., 0]
         return out
 
     def moved(self, shown: Shown, step: Point) -> Tensor:
@@ -215,7 +202,7 @@ class CalibratedChannel:
             channel.name,
             channel.quantity,
             segments,
-            {order: shown.moment.features(order) for order in range(3)},
+            shown.moment.features,
             shown.parts,
             flat(shown.measurand),
             displacement,
@@ -229,11 +216,7 @@ class CalibratedChannel:
 
 
 class CalibratedChannels(Channels):
-    """All of them.
-
-    Args:
-        frame: Of the record.
-    """
+    """All of them."""
 
     name = CALIBRATED
 
@@ -285,10 +268,6 @@ class Gains(Factor):
 
     Smaller motions are more probable by their prior. Over all motions the density of a gain has a factor gain^-taken,
     with the values of its sensor that the motion has taken up (the determinant of the motion's Hessian).
-
-    Args:
-        frame: Of the record.
-        channels: Those whose gain is uncertain.
     """
 
     name = "gain"
@@ -328,7 +307,7 @@ def add_products(
 
     Args:
         sums: What they are added to.
-        segments: Of their times, I groups of S.
+        segments: Of their times.
         features: Function to what its features are in the rows (I, S, B).
         residual: (I, S).
         columns: Place of a parameter to what that does to the rows (I, S), per prior deviation.
@@ -344,31 +323,23 @@ def add_products(
     sums.add(Rows(segments.feature, touched, places, by[..., None].numpy()))
 
 
-def summed_features(
-    parts: Sequence[Part], features: Callable[[int], Tensor], gain: Tensor | float = 1.0
-) -> dict[int, Tensor]:
+def summed_features(parts: Sequence[Part], features: Sequence[Tensor], gain: Tensor | float = 1.0) -> dict[int, Tensor]:
     """Function to the sum of its features (I, S, B) in rows that are made of some parts.
 
     Args:
         parts: Of the rows.
-        features: Order of a derivative to the features (I, S, B).
+        features: (I, S, B), and derivatives of them.
         gain: Of all of them.
     """
     by_function: dict[int, Tensor] = {}
     for function, order, factor in parts:
-        added = (factor[..., None] if isinstance(factor, Tensor) and factor.ndim else factor) * features(order)
+        added = (factor[..., None] if isinstance(factor, Tensor) and factor.ndim else factor) * features[order]
         by_function[function] = by_function[function] + added if function in by_function else added
     return {function: gain * phi for function, phi in by_function.items()}
 
 
 class SensorFilter(Factor):
-    """That of one channel.
-
-    Args:
-        frame: Of the record.
-        channel: Which has a state.
-        state: The function that is.
-    """
+    """That of one channel, whose state is a function of time."""
 
     name = "filter"
 
@@ -416,5 +387,5 @@ class SensorFilter(Factor):
             of_state = WeightedSum([Part(self.state, order, 2.0 * math.pi * a) for order, a in enumerate(slope)])
             by[self.channel.places[HIGH_PASS]] = of_state.value(jet, parameters)
         columns = {place: spread[place] * column for place, column in by.items()}
-        features = summed_features(parts, self.features.__getitem__)
+        features = summed_features(parts, self.features)
         add_products(sums, self.segments, features, self._residual(jet, parameters), columns, self.weight)

@@ -15,9 +15,8 @@ from torch import Tensor
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.network.network import States
 from pinn_cli.system.functions import Jet
-from pinn_cli.training.factors.channel_at_point import ChannelAtPoint
+from pinn_cli.training.factors.channel_at_point import ChannelAtPoint, weighted
 from pinn_cli.training.factors.factor import Channels, Piece
-from pinn_cli.training.factors.feels import weighted
 from pinn_cli.training.factors.frame import EVERY, Frame
 from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
@@ -44,14 +43,7 @@ class ConstantRows:
         self._features = FeatureWindows(features)
 
     def add_to(self, sums: RowSums, residual: Tensor, weight: Tensor, part: slice = EVERY) -> None:
-        """Add their weighted products.
-
-        Args:
-            sums: What they are added to.
-            residual: (I, S, channels).
-            weight: (channels,), 0 where there is none.
-            part: Which groups the residual is of.
-        """
+        """Add their products, in some groups, with residuals (I, S, channels) there; weights (channels,), some 0."""
         by = residual[..., None].cpu().numpy()
         touching, places = np.any(self.weights, axis=0), np.full((by.shape[2], 1), sums.places)
         features, weights = self._features(part), weight.cpu().numpy()
@@ -59,12 +51,7 @@ class ConstantRows:
 
 
 class ConstantChannels(Channels):
-    """The channels of one quantity, K of them, those without a sensor included.
-
-    Args:
-        frame: Of the record.
-        quantity: What they measure.
-        mask: (K,) bool, those that are compared.
+    """The channels of one quantity, K of them, those without a sensor included: ``mask`` (K,) bool has none of these.
 
     Attributes:
         segments: Features where they are compared.
@@ -145,13 +132,12 @@ class ResponseChannels(ConstantChannels):
         displacement = frame.dynamics.sensed("displacement", Jet(*states[:3])).cpu().numpy()
         measurands = self.measurands(states).cpu().numpy()
         residual = measurands - frame.target.response[self.name].cpu().numpy()
-        features = dict(enumerate(segments.orders))
         for dof in np.flatnonzero(self.present).tolist():
             yield ChannelAtPoint(
                 frame.problem.record.column(self.name, dof).name,
                 self.name,
                 segments,
-                features,
+                segments.orders,
                 weighted(frame.dynamics, self.name, {dof: 1.0}),
                 measurands[:, dof],
                 displacement[:, dof],

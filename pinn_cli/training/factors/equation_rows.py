@@ -242,11 +242,7 @@ def own_by_parameter(
 ) -> Tensor:
     """(I, S, carriers), what its parameter does to every connection or mass that has one, per prior standard deviation.
 
-    Args:
-        structure: Whose connections.
-        slope: Derivatives of the internal forces.
-        acceleration: What a mass parameter multiplies.
-        spread: Kind to prior standard deviations of all its members, 0 of those that are held fixed.
+    Arguments as of :meth:`EquationRows.of`.
     """
     none = acceleration.new_zeros((*acceleration.shape[:-1], 1))
     blocks = []
@@ -262,9 +258,6 @@ def own_by_parameter(
 
 class EquationsOfMotion(Residuals):
     """Force that the motion takes minus the force that acts, N (paper, eq. 10c).
-
-    Args:
-        frame: Of the record.
 
     Attributes:
         averages: Over the knot intervals; None: the equations hold at every point.
@@ -328,12 +321,7 @@ class EquationsOfMotion(Residuals):
         return LocalFeatures(self.segments.feature[part], averaged.transpose(1, 2))
 
     def moved(self, point: Point, steps: Sequence[Point]) -> Iterator[tuple[slice, list[Tensor]]]:
-        """Window by window which groups, and how the residual changes with small steps.
-
-        Args:
-            point: Where it is linearised.
-            steps: Whose ``unknowns`` and ``parameters`` are changes.
-        """
+        """Window by window which groups, and how the residual, linearised at a point, changes with small steps."""
         for part in self.frame.windows(self.segments):
             rows, segments = self.rows(self.segments, point, part), self.segments.part(part)
             averages = None if self.averages is None else self.averages.part(part)

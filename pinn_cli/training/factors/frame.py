@@ -37,11 +37,6 @@ FEWEST_COVARIANCES = 64
 EVERY = slice(None)
 
 
-def _by_interval(network: LinearReadout) -> bool:
-    """Whether the equation of motion can be averaged over the intervals of local features."""
-    return isinstance(network, SplineNetwork) and network.channels == 1 and network.degree % 2 == 0
-
-
 def collocation_refinement(network: LinearReadout, record: Record) -> int:
     """Collocation points for every sample, so that each knot interval has its own.
 
@@ -83,12 +78,13 @@ class Frame:
         self.network = network
         self.observation = network.segments(self.target.observation_time)
         self.physics = network.segments(self.target.physics_time)
-        self.averages = Subdomains(self.physics) if _by_interval(network) else None
-        self.physics = self.physics if self.averages is None else self.averages.segments
-        if self.averages is not None and problem.turning_points is not None:
-            assert isinstance(network, SplineNetwork)
-            near = problem.turning_points.near(self.averages.times(self.target.physics_time), network.spacing)
-            self.averages = self.averages.loosened(torch.as_tensor(near), problem.turning_points.looser)
+        self.averages: Subdomains | None = None
+        if isinstance(network, SplineNetwork) and network.channels == 1 and network.degree % 2 == 0:
+            self.averages = Subdomains(self.physics)
+            self.physics, turns = self.averages.segments, problem.turning_points
+            if turns is not None:
+                near = turns.near(self.averages.times(self.target.physics_time), network.spacing)
+                self.averages = self.averages.loosened(torch.as_tensor(near), turns.looser)
         self.beginning = Beginning.of(problem)
         prescribed = problem.structure.parameters | calibrations(problem.record.calibrated)
         prescribed |= {} if self.beginning is None else self.beginning.prescribed
@@ -129,9 +125,7 @@ class Frame:
     def windows(self, segments: Segments, width: int = 0) -> list[slice]:
         """Groups whose linearised equations of motion are held at once, one range after the other.
 
-        Args:
-            segments: The groups.
-            width: Of the covariance that each group needs besides.
+        With a width each group needs a covariance of that width besides.
         """
         groups, samples = segments.mask.shape
         places = self.pattern.places[0].size
@@ -165,12 +159,10 @@ class Frame:
 
     def flat_states(self, segments: Segments, point: Point) -> States:
         """Motion at a point in the order of the times, each (N, n)."""
-        flat: list[Tensor] = []
+        shape = segments.samples, self.dynamics.size
+        displacement, velocity, acceleration = flat = [point.unknowns.new_zeros(shape) for _ in range(3)]
         for part in self.windows(segments):
             group = segments.part(part)
-            motion = self.fresh_states(group, point)[:3]
-            flat = flat or [values.new_zeros((segments.samples, values.shape[-1])) for values in motion]
-            for out, values in zip(flat, motion, strict=True):
+            for out, values in zip(flat, self.fresh_states(group, point)[:3], strict=True):
                 group.place(values, out)
-        displacement, velocity, acceleration = flat
         return States(displacement, velocity, acceleration, None)

@@ -25,7 +25,6 @@ from scipy.ndimage import minimum_filter1d
 from scipy.sparse import csr_matrix
 from torch import Tensor
 
-from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.network import States
 from pinn_cli.record.between_samples import refined, refined_times
 from pinn_cli.record.spectrum import noise_level
@@ -34,7 +33,7 @@ from pinn_cli.training.factors.channel_at_point import ChannelAtPoint, Part
 from pinn_cli.training.factors.constant_channels import ConstantChannels, ConstantRows
 from pinn_cli.training.factors.frame import Frame
 from pinn_cli.training.minimise import Point
-from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
+from pinn_cli.training.noise_model import FeatureProjection, NoiseModel
 
 # Corner of the errors' filter over the Nyquist frequency.
 CORNER = 1.2
@@ -76,7 +75,7 @@ class InputChannels(ConstantChannels):
         # the samples stand alone.
         near = 2 * FROM_THE_END * refinement + 1
         resolved = minimum_filter1d((left_open <= noise).all(axis=1), near, mode="constant", cval=False)
-        target = self._filtered(network, torch.as_tensor(values).to(like), factors)
+        target = self._filtered(torch.as_tensor(values).to(like), factors)
         alone = self.gain * refinement**0.5 * (np.arange(len(resolved)) % refinement == 0)
         of_value, of_rates = (
             torch.as_tensor(x).to(like) for x in (np.where(resolved, 1.0, alone), resolved.astype(float))
@@ -88,15 +87,15 @@ class InputChannels(ConstantChannels):
         jet = self.segments.orders
         self.rows = ConstantRows(self.segments, list(zip(jet[order:], weights, strict=True)))
 
-    def _filtered(self, network: LinearReadout, values: Tensor, factors: Sequence[float]) -> Tensor:
+    def _filtered(self, values: Tensor, factors: Sequence[float]) -> Tensor:
         """(P, K), B applied: to as much as the features follow, the rest stays."""
         if len(factors) == 1:
             return values / self.gain
-        segments, features = first_output(network, self.points), output_features(network, self.points)
-        weights = FeatureProjection(segments, features[0]).coefficients(values).to(values)[segments.feature]
-        rates = sum(factor * (phi @ weights) for factor, phi in zip(factors[1:], features[1:], strict=False))
+        points = self.points
+        weights = FeatureProjection(self.frame.network, points).coefficients(values).to(values)[points.feature]
+        rates = sum(factor * (phi @ weights) for factor, phi in zip(factors[1:], points.orders[1:], strict=False))
         assert isinstance(rates, Tensor)
-        return (values + segments.scatter(rates)) / self.gain
+        return (values + points.scatter(rates)) / self.gain
 
     def measurands(self, states: States) -> Tensor:
         """(..., K), what they feel, through the filter: white where the input is what was measured."""
@@ -134,7 +133,6 @@ class InputChannels(ConstantChannels):
     def at(self, point: Point, noise: NoiseModel) -> Iterator[ChannelAtPoint]:
         """See :meth:`Channels.at`."""
         points, record = self.points, self.frame.problem.record
-        features = dict(enumerate(points.orders))
         measurands = self.measurands(self.frame.flat_states(points, point)).numpy()
         residual = points.scatter(self.residual(point)).numpy()
         for i in np.flatnonzero(self.present).tolist():
@@ -142,7 +140,7 @@ class InputChannels(ConstantChannels):
                 record.column(self.name, i).name,
                 self.name,
                 points,
-                features,
+                points.orders,
                 [
                     Part(int(function), order, float(weight[function, i]))
                     for order, weight in enumerate(self._weights, start=self.order)

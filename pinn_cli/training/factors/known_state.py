@@ -179,7 +179,6 @@ def _first(problem: Problem, beginning: Beginning | None) -> State | None:
         return State.about_zero(0, std)
     numbers = beginning.of_functions(dynamics.ndof, dynamics.hidden, dynamics.size)
     std[numbers >= 0] = TIE * beginning.std[numbers[numbers >= 0]]
-    before = beginning.parameters
-    column = np.where(numbers >= 0, before + numbers, -1)
+    column = np.where(numbers >= 0, len(problem.uncertain) + numbers, -1)
     value, unit = (np.array([getattr(p, name) for p in beginning.uncertain]) for name in ("prescribed", "prior_std"))
     return State(0, std, column, value, unit)

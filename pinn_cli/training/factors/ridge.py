@@ -22,9 +22,6 @@ class Ridge(Factor):
 
     Modes may be a million times as stiff as the lowest one is, whose ridge would then be no weak prior.
 
-    Args:
-        frame: Of the record.
-
     Attributes:
         value: A number, or (functions,); None until the first normal matrix, on which it hangs, has been added up.
     """

@@ -159,11 +159,6 @@ class NetworkSystem:
 
     |r + J dw + J_p (x' - x)|^2 + precision |w + dw - w_0|^2 + damping |dw|^2 + |x'|^2
 
-    Args:
-        equations: Whose.
-        point: Where.
-        noise: The levels that residuals are divided by.
-
     Attributes:
         linear: The residuals, by the parameters in their deviations under these levels.
     """

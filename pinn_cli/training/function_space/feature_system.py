@@ -11,6 +11,7 @@ from the factor: the linear model of the units, which is the better the smaller 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import reduce
 
 import numpy as np
 import torch
@@ -19,7 +20,7 @@ from torch import Tensor
 from pinn_cli.network.mlp import MlpNetwork
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.function_space.block_cholesky import BlockCholesky, BlockPattern, Blocks, entry
-from pinn_cli.training.function_space.system import TRACE_PROBES, Block, Linearised, System, probes, pull, push, sum_of
+from pinn_cli.training.function_space.system import TRACE_PROBES, Block, Linearised, System, probes, pull, push
 
 Operator = Callable[[Tensor], Tensor]
 """From (M, k) to (M, k), symmetric and positive definite."""
@@ -132,8 +133,10 @@ class FeatureSystem(System):
         variance, coupling = [], []
         for part in row_features(block.linear):
             pairs = ((i, left, j, right) for i, left in part.items() for j, right in part.items())
-            variance.append(sum_of([((left @ entry(inverse, i, j)) * right).sum(1) for i, left, j, right in pairs]))
-            coupling.append(sum_of([c @ follows[i] for i, c in part.items()]))
+            variance.append(
+                reduce(torch.add, (((left @ entry(inverse, i, j)) * right).sum(1) for i, left, j, right in pairs))
+            )
+            coupling.append(reduce(torch.add, (c @ follows[i] for i, c in part.items())))
         return torch.cat(variance), torch.cat(coupling)
 
     def missed_unknowns(self) -> float:
@@ -161,9 +164,7 @@ def follows_features(network: MlpNetwork) -> bool:
 def coefficient_prior(network: MlpNetwork, time: Tensor) -> Tensor:
     """(outputs, F): variance of the outputs' coefficients of the features under weights of unit variance.
 
-    Args:
-        network: Embedded.
-        time: (P,), s, over which slopes of the hidden units are averaged.
+    Slopes of the hidden units are averaged over times (P,), s.
     """
     slopes, means = network.mean_slopes(time)
     first = slopes[0].square().sum(1)
@@ -196,7 +197,7 @@ def row_features(block: Block) -> Iterator[dict[int, Tensor]]:
         for output in outputs:
             by = layer.sensitivity[:, row, :, output]
             derivatives = [q for q in range(by.shape[1]) if output in layer.active[row][q]]
-            part[output] = sum_of([layer.inputs[q] * by[:, q, None] for q in derivatives])
+            part[output] = reduce(torch.add, (layer.inputs[q] * by[:, q, None] for q in derivatives))
         yield part
 
 

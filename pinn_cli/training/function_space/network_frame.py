@@ -138,12 +138,7 @@ class NetworkFrame(Frame):
 
 
 class FirstMotion(Residuals):
-    """Displacement and velocity of every DOF where the record begins.
-
-    Args:
-        frame: Of the record.
-        deviation: Their prior standard deviations, m and m/s.
-    """
+    """Displacement and velocity of every DOF where the record begins; prior standard deviations in m and m/s."""
 
     name = "initial"
 

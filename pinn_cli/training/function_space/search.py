@@ -80,7 +80,10 @@ class FunctionSpaceSearch(Stepwise):
             self.stop_reason = "no step improves it"
         elif after < AS_PROMISED * promised or after > (1.0 - SETTLED_ENOUGH) * before:
             settled = self._settle(descent.chord, losses)
-            self._judge(after > least, promised > least, settled)
+            # The end: the levels stay and the residuals promise nothing, or nothing was gained for long.
+            self.idle = self.idle + 1 if after > least else 0
+            if self.idle >= IDLE_STEPS or (promised > least and settled):
+                self.stop_reason = "converged"
         if self.iteration == self.iterations and not self.stop_reason:
             self.stop_reason = "iteration limit"
         self._note(losses)
@@ -131,12 +134,6 @@ class FunctionSpaceSearch(Stepwise):
         spread = before * max(change**2 if change < 1.0 else change, LARGEST_FALL)
         # How far off a search has the parameters that is far from its end says nothing about how far off they are.
         return min(spread, max(1.0, before)) if is_far else spread
-
-    def _judge(self, gained_nothing: bool, nothing_to_gain: bool, settled: bool) -> None:
-        """End once the levels stay and the residuals promise nothing, or nothing was gained for long."""
-        self.idle = self.idle + 1 if gained_nothing else 0
-        if self.idle >= IDLE_STEPS or (nothing_to_gain and settled):
-            self.stop_reason = "converged"
 
     @property
     def _finest(self) -> float:

@@ -16,7 +16,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 import torch
@@ -103,40 +103,29 @@ class Block:
     @property
     def variance(self) -> Tensor:
         """(R, P), the diagonal of the kernel of the block with itself."""
-        return sum_of(
-            [
-                torch.einsum("prqo,prso,qsp->rp", d, d, torch.einsum("qpi,spi->qsp", a, a))
-                for a, d in ((layer.inputs, layer.sensitivity) for layer in self.layers)
-            ]
+        by_layer = (
+            torch.einsum("prqo,prso,qsp->rp", d, d, torch.einsum("qpi,spi->qsp", a, a))
+            for a, d in ((layer.inputs, layer.sensitivity) for layer in self.layers)
         )
+        return reduce(torch.add, by_layer)
 
 
 def pull(blocks: Sequence[Block], values: Tensor) -> list[Tensor]:
     """J' times (M, k): by layer (O, I, k)."""
     pieces = values.split([block.size for block in blocks])
     by_block = [[layer.backward(piece) for layer in block.layers] for block, piece in zip(blocks, pieces, strict=True)]
-    return [sum_of(list(layer)) for layer in zip(*by_block, strict=True)]
+    return [reduce(torch.add, layer) for layer in zip(*by_block, strict=True)]
 
 
 def push(blocks: Sequence[Block], weights: Sequence[Tensor]) -> Tensor:
     """J times changes of the weights of every layer, (O, I, k): (M, k)."""
-    return torch.cat(
-        [sum_of([layer.forward(w) for layer, w in zip(block.layers, weights, strict=True)]) for block in blocks]
-    )
-
-
-def sum_of(tensors: Sequence[Tensor]) -> Tensor:
-    """Their sum."""
-    total = tensors[0]
-    for tensor in tensors[1:]:
-        total = total + tensor
-    return total
+    by_layer = ((layer.forward(w) for layer, w in zip(block.layers, weights, strict=True)) for block in blocks)
+    return torch.cat([reduce(torch.add, of_block) for of_block in by_layer])
 
 
 def forward(network: MlpNetwork, time: Tensor) -> tuple[list[Tensor], list[Tensor], States]:
     """What every layer gets, with a constant, what it gives, (Q, P, width) each and with a graph, and the motion."""
-    order = 2 if network.continuity == "exact" else 1
-    activation = ACTIVATIONS[network.activation]
+    order, activation = network.order, ACTIVATIONS[network.activation]
     arriving = torch.stack(network.input_jet(time, order))
     constant = functional.pad(torch.ones_like(arriving[:1, :, :1]), (0, 0, 0, 0, 0, order))
     inputs, outputs = [], []
@@ -145,11 +134,8 @@ def forward(network: MlpNetwork, time: Tensor) -> tuple[list[Tensor], list[Tenso
         given = functional.linear(arriving, weight.detach().requires_grad_())
         outputs.append(given + functional.pad(bias.detach()[None, None], (0, 0, 0, 0, 0, order)))
         arriving = torch.stack(propagate(activation, tuple(outputs[-1].unbind())))
-    jet = [network.amplitude / network.span**q * x for q, x in enumerate(outputs[-1].unbind())]
-    if network.continuity == "exact":
-        return inputs, outputs, States(jet[0], jet[1], jet[2], None)
-    (u, v), (du, dv) = (x.tensor_split(2, -1) for x in jet)
-    return inputs, outputs, States(u, v, dv, du - v)
+    jet = tuple(network.amplitude / network.span**q * x for q, x in enumerate(outputs[-1].unbind()))
+    return inputs, outputs, network.states(jet)
 
 
 def block_of(inputs: Sequence[Tensor], outputs: Sequence[Tensor], residuals: Tensor) -> Block:
@@ -157,19 +143,6 @@ def block_of(inputs: Sequence[Tensor], outputs: Sequence[Tensor], residuals: Ten
     gradients = [torch.autograd.grad(row.sum(), list(outputs), retain_graph=True) for row in residuals.unbind(1)]
     sensitivity = (torch.stack([g.movedim(1, 0) for g in layer], 1) for layer in zip(*gradients, strict=True))
     return Block([Layer(a, d) for a, d in zip(inputs, sensitivity, strict=True)])
-
-
-def kernel(blocks: Sequence[Block]) -> Blocks:
-    """J J' over all blocks' residuals: its lower triangle, a block for every pair of rows."""
-    out: Blocks = {}
-    starts = [sum(block.rows for block in blocks[:i]) for i in range(len(blocks))]
-    for i, here in enumerate(blocks):
-        for j, there in enumerate(blocks[: i + 1]):
-            pairs = RowPairs(here, there)
-            for row in range(here.rows):
-                for other in range(row + 1 if i == j else there.rows):
-                    out[starts[i] + row, starts[j] + other] = pairs(row, other)
-    return out
 
 
 class RowPairs:
@@ -213,8 +186,16 @@ class Linearised:
 
     @cached_property
     def kernel(self) -> Blocks:
-        """J J', its lower triangle."""
-        return kernel(self.blocks)
+        """J J', its lower triangle: a block for every pair of rows."""
+        out: Blocks = {}
+        starts = np.cumsum([0, *(block.rows for block in self.blocks)]).tolist()
+        for i, here in enumerate(self.blocks):
+            for j, there in enumerate(self.blocks[: i + 1]):
+                pairs = RowPairs(here, there)
+                for row in range(here.rows):
+                    for other in range(row + 1 if i == j else there.rows):
+                        out[starts[i] + row, starts[j] + other] = pairs(row, other)
+        return out
 
 
 class System(ABC):
@@ -286,9 +267,6 @@ def probes(like: Tensor, seed: int) -> Tensor:
 class DenseSystem(System):
     """Of any network, by the Cholesky factor of the whole matrix.
 
-    Args:
-        linear, total: See :class:`System`.
-
     Raises:
         DivergenceError: The system is singular in double precision.
     """
@@ -317,13 +295,13 @@ class DenseSystem(System):
 
     def explained(self, block: Block) -> tuple[Tensor, Tensor]:
         """See :meth:`System.explained`."""
-        across = torch.cat([cross_kernel(rows, block) for rows in self.blocks]) / self.total
+        across = torch.cat([_cross_kernel(rows, block) for rows in self.blocks]) / self.total
         half = torch.cat(self.factor.forward(list(across.split(self.heights))))
         by_parameter = torch.cat(self.factor.forward(list(self.by_parameter.split(self.heights))))
         return block.variance.flatten() / self.total - half.square().sum(0), half.T @ by_parameter
 
 
-def cross_kernel(here: Block, there: Block) -> Tensor:
+def _cross_kernel(here: Block, there: Block) -> Tensor:
     """J_here J_there', (M_here, M_there)."""
     pairs = RowPairs(here, there)
     return torch.cat([torch.cat([pairs(i, j) for j in range(there.rows)], 1) for i in range(here.rows)])

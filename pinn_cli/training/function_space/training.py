@@ -36,14 +36,7 @@ from pinn_cli.training.function_space.network_frame import NetworkFrame, each_of
 from pinn_cli.training.function_space.search import FunctionSpaceSearch
 from pinn_cli.training.history import History, train
 from pinn_cli.training.minimise import Point
-from pinn_cli.training.noise_model import (
-    FeatureProjection,
-    FoundNoise,
-    NoiseLevels,
-    NoiseModel,
-    first_output,
-    output_features,
-)
+from pinn_cli.training.noise_model import FeatureProjection, FoundNoise, NoiseLevels, NoiseModel
 from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE, force_and_velocity_scale
 from pinn_cli.training.reported.parameter_posterior import bounded_estimates
 from pinn_cli.training.reported.posterior_estimate import acting_force
@@ -61,9 +54,6 @@ MOST_RESIDUALS = 8000
 
 class FunctionSpacePosterior:
     """Of a training that has ended.
-
-    Args:
-        search: At its solution.
 
     Raises:
         DivergenceError: The normal matrix there is singular.
@@ -136,57 +126,61 @@ class FunctionSpacePosterior:
         return (held + unknown).view(block.rows, -1)
 
 
-@dataclass(frozen=True)
-class FunctionSpaceGaussNewton:
+def solved_in_function_space(
+    problem: JointProblem,
+    design: NetworkDesign,
+    run: RunContext,
+    iterations: int | None,
+    tolerance: float | None,
+    learn_spread: bool,
+    points: int | None,
+    most_residuals: int,
+) -> Estimate:
     """Damped Gauss-Newton over all weights and physical parameters, with noise levels inferred from the record.
 
     The curvature is the Gauss-Newton matrix of all residuals, solved in the space of the residuals (see
     :mod:`pinn_cli.training.function_space`), so that its cost hardly depends on the number of weights.
 
-    Attributes:
-        iterations: Steps at most.
-        tolerance: Relative decrease of the loss below which training has converged, once the noise levels have settled.
+    Args:
+        problem: Of one record.
+        design: Of the network.
+        run: Seed, device and who watches.
+        iterations: Steps at most; None: 40.
+        tolerance: Relative decrease of the loss below which training has converged, once the noise levels have settled;
+            None: 0.02.
         learn_spread: Whether the common spread of the prescribed parameters is learned from the record.
-        collocation_points: Points at which sensors and equations of motion are compared; None: as many as the record
-            has independent values.
+        points: At which sensors and equations of motion are compared; None: as many as the record has independent
+            values.
         most_residuals: For which the whole matrix of a step is made: its square is the memory, its cube the time. It
             bounds the points of networks that need it, see
             :func:`pinn_cli.training.function_space.feature_system.follows_features`.
     """
-
-    iterations: int = 40
-    tolerance: float = 0.02
-    learn_spread: bool = True
-    collocation_points: int | None = None
-    most_residuals: int = MOST_RESIDUALS
-
-    def solve(self, problem: JointProblem, design: NetworkDesign, run: RunContext) -> Estimate:
-        """See :meth:`pinn_cli.training.estimator.Training.solve`."""
-        if not isinstance(design, Mlp):
-            hint = f"network={design.name} has neither a linear readout nor layers"
-            raise InputError("training", "gauss_newton", "adam or lbfgs for this network", hint)
-        alone = problem.alone
-        all_targets = targets(alone.record, alone.dynamics, run.device)
-        most = None if follows_features(design.build(alone.record)) else self.most_residuals
-        collocation = collocate(alone, all_targets, self.collocation_points, most)
-        network = design.build(alone.record, torch.float64, points=len(collocation.target.physics_time))
-        network.reset(run.seed)
-        gain = network.make_nearly_linear()
-        frame = NetworkFrame(network.to(run.device), alone, collocation.target)
-        force, velocity = force_and_velocity_scale(alone)
-        noise = collocation.noise_model(SOFT * force, CONTINUITY_TOLERANCE * velocity)
-        equations = NetworkEquations(frame, FIRST_PRECISION * gain**2, self.most_residuals)
-        with History(run.progress, run.watch, iterations=self.iterations) as history:
-            limits = self.iterations, self.tolerance
-            search = FunctionSpaceSearch(equations, noise, force, *limits, self.learn_spread, history)
-            train(search, run)
-        response = acting_force(_response(search, all_targets), collocation.filtered_force, search.model)
-        posterior = FunctionSpacePosterior(search)
-        std = posterior.std(all_targets.observation_time, all_targets.physics_time, alone.record.time)
-        estimates, correlation = _parameters(search, posterior)
-        summary = _summary(search) | {"device": run.device}
-        found_noise = FoundNoise(discrepancy=search.noise.discrepancy)
-        return Estimate(response, std, estimates, history.table(), summary, correlation, noise=found_noise)
+    if not isinstance(design, Mlp):
+        hint = f"network={design.name} has neither a linear readout nor layers"
+        raise InputError("training", "gauss_newton", "adam or lbfgs for this network", hint)
+    alone = problem.alone
+    all_targets = targets(alone.record, alone.dynamics, run.device)
+    most = None if follows_features(design.build(alone.record)) else most_residuals
+    collocation = collocate(alone, all_targets, points, most)
+    network = design.build(alone.record, torch.float64, points=len(collocation.target.physics_time))
+    network.reset(run.seed)
+    gain = network.make_nearly_linear()
+    frame = NetworkFrame(network.to(run.device), alone, collocation.target)
+    force, velocity = force_and_velocity_scale(alone)
+    noise = collocation.noise_model(SOFT * force, CONTINUITY_TOLERANCE * velocity)
+    equations = NetworkEquations(frame, FIRST_PRECISION * gain**2, most_residuals)
+    steps = iterations or 40
+    with History(run.progress, run.watch, iterations=steps) as history:
+        limits = steps, tolerance or 0.02
+        search = FunctionSpaceSearch(equations, noise, force, *limits, learn_spread, history)
+        train(search, run)
+    response = acting_force(_response(search, all_targets), collocation.filtered_force, search.model)
+    posterior = FunctionSpacePosterior(search)
+    std = posterior.std(all_targets.observation_time, all_targets.physics_time, alone.record.time)
+    estimates, correlation = _parameters(search, posterior)
+    summary = _summary(search) | {"device": run.device}
+    found_noise = FoundNoise(discrepancy=search.noise.discrepancy)
+    return Estimate(response, std, estimates, history.table(), summary, correlation, noise=found_noise)
 
 
 @torch.no_grad()
@@ -292,11 +286,9 @@ def _points(problem: Problem, points: int | None, most_rows: int | None, feature
 
 def _low_passed(target: Targets, network: LinearReadout) -> Targets:
     segments = network.segments(target.observation_time.cpu())
-    output = first_output(network, segments)
-    features = output_features(network, segments)
 
     def smooth(values: Tensor, order: int) -> Tensor:
-        rest = FeatureProjection(output, features[order]).residual(values.cpu())
+        rest = FeatureProjection(network, segments, order).residual(values.cpu())
         return values - torch.as_tensor(rest).to(values)
 
     response = {

@@ -24,9 +24,6 @@ class Adam(GradientTraining):
         parameter_learning_rate: Step of the uncertain parameters, relative to their prescribed values.
         betas: Decay rates of Adam's two moments.
         weight_decay: Of the network's weights.
-
-    Raises:
-        InputError: A setting outside its range.
     """
 
     name = "adam"

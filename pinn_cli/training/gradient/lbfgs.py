@@ -29,13 +29,11 @@ class Lbfgs(GradientTraining):
     """L-BFGS on every collocation point at once, with a strong-Wolfe line search; it suits networks of any size.
 
     Attributes:
-        warm_up: Iterations of Adam before, 0 for none; ``iterations`` counts them.
+        warm_up: Iterations of Adam before, 0 for none; ``iterations`` counts them. Curvature is not worth learning
+            while a random start still falls apart.
         learning_rate: Of this Adam.
         tolerance: Largest entry of the gradient at which the training ends.
         memory: Steps that the curvature is learned from. Other settings are those of :class:`GradientTraining`.
-
-    Raises:
-        InputError: A setting outside its range.
     """
 
     name = "lbfgs"
@@ -62,14 +60,7 @@ class LbfgsSteps(Optimiser):
     """torch.optim.LBFGS with its strong-Wolfe line search.
 
     It sees the objective of the nearest point within the bounds, whose gradient vanishes in every direction that a
-    bound blocks.
-
-    Args:
-        objective: Whose variables are moved.
-        memory: Steps that the curvature is learned from.
-        tolerance: Largest entry of the gradient at which the training ends.
-        warm_up: Iterations of Adam before: curvature is not worth learning while a random start still falls apart.
-        learning_rate: Of this Adam.
+    bound blocks. Settings as of :class:`Lbfgs`.
     """
 
     def __init__(

@@ -48,14 +48,10 @@ class Evaluation:
 class Objective:
     """What an optimiser makes small.
 
-    Args:
-        losses: The terms.
-        network: Its weights are moved.
-        parameters: Of the chain; the uncertain ones are moved.
-        weights: Of the terms, see :func:`pinn_cli.training.gradient.losses.checked_weights`.
+    The network's weights are moved, and the uncertain parameters of the chain.
 
     Attributes:
-        weights: By term.
+        weights: By term; given as :func:`pinn_cli.training.gradient.losses.checked_weights` returns them.
         physics_factor: On the weights of the equations of motion; a training may raise it as it goes on.
     """
 

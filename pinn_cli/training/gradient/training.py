@@ -89,11 +89,7 @@ class Optimiser(ABC):
 
     @abstractmethod
     def step(self, objective: Objective, evaluation: Evaluation) -> str:
-        """One iteration.
-
-        Args:
-            objective: Its variables are moved.
-            evaluation: The objective where the variables are now.
+        """One iteration from where the variables are now, of which the objective's evaluation is given.
 
         Returns:
             Why no further iteration would help; empty where one may.
@@ -193,13 +189,7 @@ class GradientTraining(Training):
 
 
 class Descent(Stepwise):
-    """A training under way, stage after stage: a reason to stop ends a stage; that of the last one ends the training.
-
-    Args:
-        training: Whose settings it follows.
-        objective: What is made small.
-        history: Takes a row now and then.
-    """
+    """A training under way, stage after stage: a reason to stop ends a stage, that of the last one the training."""
 
     def __init__(self, training: GradientTraining, objective: Objective, history: History) -> None:
         self.training, self.objective, self.history = training, objective, history

@@ -5,6 +5,7 @@ Bordered systems of several records that share their parameters: each record's b
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter, itemgetter
@@ -16,25 +17,27 @@ from scipy.optimize import nnls
 from scipy.sparse import csr_matrix
 
 from pinn_cli.runs.side_by_side import Items
-from pinn_cli.training.normal_matrix.band_elimination import BandElimination
-from pinn_cli.training.normal_matrix.dissection import FrontTree, InBand
-from pinn_cli.training.normal_matrix.elimination import Diagonals, Elimination
-from pinn_cli.training.normal_matrix.front_elimination import FrontElimination
+from pinn_cli.training.normal_matrix.dissection import Dissection
+from pinn_cli.training.normal_matrix.elimination import Diagonals, Elimination, InBand, Order
+from pinn_cli.training.normal_matrix.front_elimination import FrontTree
 
 # Steps that a bounded solution may take per parameter; one or two is the rule.
 NNLS_STEPS = 100
 
 
-def eliminated(
-    order: FrontTree | InBand, band: Diagonals, border: csr_matrix, damping: float = 0.0
-) -> Elimination | None:
-    """The weights of a matrix, its scaled diagonal damped, and of its border (size, p), in some order.
+# The last one that was worked out: problems that are posed anew, from other starts or with other modes, have the same.
+_LAST: deque[tuple[int, FrontTree]] = deque(maxlen=1)
 
-    None if the matrix is not positive definite.
-    """
-    if isinstance(order, InBand):
-        return BandElimination.of(order, band, border, damping)
-    return FrontElimination.of(order, band, border, damping)
+
+def order_of_elimination(dissection: Dissection, border: csr_matrix) -> Order:
+    """Of the weights of a grid and the parameters that a border (size, p) has them touch."""
+    if dissection.cheapest.how == "band":
+        return InBand(dissection.grid, border.shape[1])
+    for largest, tree in _LAST:
+        if largest == dissection.largest and tree.grid == dissection.grid and tree.suits(border):
+            return tree
+    _LAST.append((dissection.largest, FrontTree(dissection.grid, dissection.tree(), border)))
+    return _LAST[0][1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +58,11 @@ class BorderedSystem:
     corner: np.ndarray
     gradient: np.ndarray
     corner_gradient: np.ndarray
-    order: FrontTree | InBand
+    order: Order
 
     def eliminated(self, damping: float = 0.0) -> Eliminated | None:
         """The readout weights eliminated, the diagonal times 1 + ``damping``; None if A is not positive definite."""
-        readout = eliminated(self.order, self.band, self.border, damping)
+        readout = self.order.eliminated(self.band, self.border, damping)
         if readout is None:
             return None
         schur = self.corner - readout.border_gram
@@ -78,7 +81,7 @@ class BorderedSystem:
 
     def _readout_alone(self) -> Elimination | None:
         """A, factored without the border."""
-        return eliminated(self.order.alone, self.band, csr_matrix((self.band.size, 0)))
+        return self.order.alone.eliminated(self.band, csr_matrix((self.band.size, 0)))
 
     def decrease(self, step: tuple[np.ndarray, np.ndarray]) -> float:
         """What the system's own solution (w, x) takes off 2 [g, h] [w, x] + [w, x] H [w, x]."""
@@ -145,22 +148,13 @@ class BorderedFactor(ParameterFactor):
         return self.readout.size + len(self.schur)
 
     def draws(self, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Readout weights (size, count) and parameters (p, count) with the inverse as covariance.
-
-        Args:
-            normals: (size + p, count), independent standard ones.
-        """
+        """Weights (size, count) and parameters (p, count) whose covariance is the inverse, from standard normals."""
         size = self.readout.size
         x = solve_triangular(self.schur, normals[size:], lower=True, trans="T")
         return self.readout.solved(normals[:size], -x), x
 
     def deviations(self, rows: np.ndarray, by_parameter: np.ndarray) -> np.ndarray:
-        """(q,), standard deviations of linear functions of weights and parameters, with the inverse as covariance.
-
-        Args:
-            rows: (size, q), by the readout weights.
-            by_parameter: (p, q).
-        """
+        """(q,), standard deviations of linear functions of weights (size, q) and parameters (p, q)."""
         half, taken = self.readout.half_solved(rows)
         through = solve_triangular(self.schur, by_parameter - taken, lower=True)
         deviation: np.ndarray = np.sqrt(np.sum(half**2, axis=0) + np.sum(through**2, axis=0))

@@ -1,4 +1,7 @@
-"""The readout weights eliminated from normal equations: what every way of doing it gives, and their band."""
+"""The readout weights eliminated from normal equations: what every way of doing it gives, and that along their band.
+
+In the band one weight is eliminated after the other, by LAPACK's banded Cholesky factor.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,62 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg.blas import dtrsm
-from scipy.linalg.lapack import dtrtri
+from scipy.linalg.blas import dtbsv, dtrsm
+from scipy.linalg.lapack import dpbtrf, dtrtri
+from scipy.sparse import csr_matrix
+
+from pinn_cli.training.normal_matrix.dissection import Grid
 
 # Added to the diagonal of the scaled matrix (all ones) in every factorisation: a few times the rounding error of its
 # largest entry.
 ROUNDING_JITTER = 1e-14
+# Weights at least of whose inverse the entries are worked out at once.
+LEAST_PART = 64
+
+
+class Order(ABC):
+    """In which the readout weights are eliminated.
+
+    Attributes:
+        grid: Of the weights.
+    """
+
+    grid: Grid
+
+    @property
+    @abstractmethod
+    def alone(self) -> Order:
+        """The same without a border."""
+
+    @abstractmethod
+    def suits(self, border: csr_matrix) -> bool:
+        """Whether another border may stand in the place of its own."""
+
+    def eliminated(self, band: Diagonals, border: csr_matrix, damping: float = 0.0) -> Elimination | None:
+        """Of a matrix, its scaled diagonal damped, and its border (size, p); None if it is not positive definite.
+
+        Raises:
+            IndexError: The matrix has a diagonal that the grid has not.
+        """
+        with np.errstate(invalid="ignore"):
+            scale: np.ndarray = np.sqrt(band.main)
+        if not (np.all(np.isfinite(scale)) and np.all(scale > 0)):
+            return None
+        unit, offsets, size = 1.0 / scale, self.grid.offsets, len(scale)
+        values = np.zeros((len(offsets), size))
+        places = np.searchsorted(offsets, band.offsets)
+        if places[-1] >= len(offsets) or not np.array_equal(offsets[places], band.offsets):
+            raise IndexError("functions that one row feels stand further apart than the structure's coupling says")
+        for place, offset, line in zip(places, band.offsets.tolist(), band.values, strict=True):
+            if offset < size:
+                values[place, : size - offset] = line[: size - offset] * unit[: size - offset] * unit[offset:]
+        values[0] += damping + ROUNDING_JITTER
+        scaled = border.data * np.repeat(unit, np.diff(border.indptr)), border.indices, border.indptr
+        return self._factored(scale, values, csr_matrix(scaled, border.shape))
+
+    @abstractmethod
+    def _factored(self, scale: np.ndarray, values: np.ndarray, border: csr_matrix) -> Elimination | None:
+        """The same of the matrix by its diagonals (K, size), and of its border, both over the root of its diagonal."""
 
 
 class Elimination(ABC):
@@ -51,23 +104,11 @@ class Elimination(ABC):
 
     @abstractmethod
     def half_solved(self, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """R^-1 right and B^T A^-1 right.
-
-        Args:
-            right: (size,) or (size, count).
-
-        Returns:
-            (size,) and (p,), or (size, count) and (p, count).
-        """
+        """R^-1 right and B^T A^-1 right: of (size,) or (size, count), and (p,) or (p, count)."""
 
     @abstractmethod
     def solved(self, half: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """R^-T (half + R^-1 B x): of half = R^-1 g the solution of A w = g + B x.
-
-        Args:
-            half: (size,) or (size, count), half solved.
-            x: (p,) or (p, count).
-        """
+        """R^-T (half + R^-1 B x): of half = R^-1 g the solution of A w = g + B x, of one or of ``count`` columns."""
 
     @property
     def solved_border(self) -> np.ndarray:
@@ -106,13 +147,6 @@ def root_of_inverse(pivot: np.ndarray, below: np.ndarray, root: np.ndarray) -> n
     return out
 
 
-def root_of(diagonal: np.ndarray) -> np.ndarray | None:
-    """The square root of a diagonal (size,); None where a matrix that has it is not positive definite."""
-    with np.errstate(invalid="ignore"):
-        scale: np.ndarray = np.sqrt(diagonal)
-    return scale if np.all(np.isfinite(scale)) and np.all(scale > 0) else None
-
-
 def triangular_root(root: np.ndarray) -> np.ndarray:
     """(k, k) of the same product R R' as a root (k, r) with more columns; others as they are."""
     if root.shape[1] <= root.shape[0]:
@@ -121,22 +155,108 @@ def triangular_root(root: np.ndarray) -> np.ndarray:
     return upper.T
 
 
-def unit_diagonals(band: Diagonals, offsets: np.ndarray, unit: np.ndarray, damping: float) -> np.ndarray:
-    """(K, size), some diagonals of a matrix, rows and columns multiplied by units (size,), its main one damped.
+@dataclass(frozen=True, eq=False)
+class InBand(Order):
+    """All weights one after the other, as they stand in the band.
 
-    Raises:
-        IndexError: The matrix has another diagonal.
+    Attributes:
+        grid: Of the weights.
+        parameters: In the border.
     """
-    size = len(unit)
-    out = np.zeros((len(offsets), size))
-    places = np.searchsorted(offsets, band.offsets)
-    if places[-1] >= len(offsets) or not np.array_equal(offsets[places], band.offsets):
-        raise IndexError("functions that one row feels stand further apart than the structure's coupling says")
-    for place, offset, line in zip(places, band.offsets.tolist(), band.values, strict=True):
-        if offset < size:
-            out[place, : size - offset] = line[: size - offset] * unit[: size - offset] * unit[offset:]
-    out[0] += damping + ROUNDING_JITTER
-    return out
+
+    grid: Grid
+    parameters: int
+
+    @property
+    def alone(self) -> InBand:
+        """See :attr:`Order.alone`."""
+        return InBand(self.grid, 0)
+
+    def suits(self, border: csr_matrix) -> bool:
+        """See :meth:`Order.suits`."""
+        return bool(border.shape[1] == self.parameters)
+
+    def _factored(self, scale: np.ndarray, values: np.ndarray, border: csr_matrix) -> BandElimination | None:
+        offsets = self.grid.offsets
+        columns = np.zeros((len(scale), offsets[-1] + 1))
+        columns[:, offsets] = values.T
+        lower, refused = dpbtrf(columns.T, lower=1, overwrite_ab=1)
+        if refused:
+            return None
+        half = border.T.toarray(order="C")
+        _forward(lower, half)
+        return BandElimination(offsets, scale, lower.T, half, half @ half.T)
+
+
+@dataclass(frozen=True, eq=False)
+class BandElimination(Elimination):
+    """One weight after the other.
+
+    Attributes:
+        offsets: (K,), ascending, the diagonals that hold something.
+        scale: See :class:`Elimination`.
+        lower: (size, half width + 1), the columns of L from the diagonal down.
+        border: (p, size), the half solved border, transposed.
+        border_gram: See :class:`Elimination`.
+    """
+
+    offsets: np.ndarray
+    scale: np.ndarray
+    lower: np.ndarray
+    border: np.ndarray
+    border_gram: np.ndarray
+
+    @property
+    def _width(self) -> int:
+        return self.lower.shape[1] - 1
+
+    @property
+    def operations(self) -> float:
+        """See :attr:`Elimination.operations`."""
+        return float(self.size * (self._width + 1 + len(self.border)) ** 2)
+
+    @property
+    def _log_pivots(self) -> float:
+        return float(np.log(self.lower[:, 0]).sum())
+
+    def half_solved(self, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See :meth:`Elimination.half_solved`."""
+        lines = np.ascontiguousarray(np.atleast_2d(right.T) / self.scale)
+        _forward(self.lower.T, lines)
+        return lines.T.reshape(right.shape), (self.border @ lines.T).reshape(len(self.border), *right.shape[1:])
+
+    def solved(self, half: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """See :meth:`Elimination.solved`."""
+        lines = np.array(np.atleast_2d(half.T), order="C")
+        lines += x.reshape(len(x), len(lines)).T @ self.border
+        for line in lines:
+            dtbsv(self._width, self.lower.T, line, lower=1, trans=1, overwrite_x=1)
+        return (lines / self.scale).T.reshape(half.shape)
+
+    def inverse(self) -> Diagonals:
+        """See :meth:`Elimination.inverse`."""
+        size, width, part = self.size, self._width, max(LEAST_PART, self._width)
+        out, root = np.zeros((len(self.offsets), size)), np.zeros((0, 0))
+        for start in reversed(range(0, size, part)):
+            stop, end = min(start + part, size), min(start + part + width, size)
+            columns = np.zeros((end - start, stop - start), order="F")
+            for column in range(stop - start):
+                height = min(width + 1, end - start - column)
+                columns[column : column + height, column] = self.lower[start + column, :height]
+            root = root_of_inverse(columns[: stop - start], columns[stop - start :], root)
+            whole = root @ root.T
+            for line, offset in zip(out, self.offsets.tolist(), strict=True):
+                entries = np.diagonal(whole, -offset)[: stop - start]
+                line[start : start + len(entries)] = entries
+            root = triangular_root(root[:width])
+        return Diagonals(self.offsets, out).over(self.scale)
+
+
+def _forward(lower: np.ndarray, lines: np.ndarray) -> None:
+    """L^-1 of every line (size,), in place; functions of the last weights alone begin late."""
+    for line in lines:
+        first = int(np.argmax(line != 0.0))
+        dtbsv(len(lower) - 1, lower[:, first:], line[first:], lower=1, overwrite_x=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,10 +39,7 @@ class BandLayout:
         self.pattern, self.count, self.ndof = pattern, count, len(pattern.coupled)
         self.size, self.half_width = count * self.ndof, span * self.ndof + pattern.reach
         self.dissection = Dissection(Grid(count, self.ndof, span, pattern.reach, pattern.count))
-        self._check_memory()
-
-    def _check_memory(self) -> None:
-        numbers = self.dissection.cheapest.entries + BORDERS * self.size * self.pattern.count
+        numbers = self.dissection.cheapest.entries + BORDERS * self.size * pattern.count
         needed, memory = 8 * numbers, of_this_machine()
         if needed > memory:
             allowed = f"such that a run fits into the memory of this machine, {memory / 2**30:.3g} GiB"

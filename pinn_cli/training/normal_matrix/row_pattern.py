@@ -242,11 +242,8 @@ class RowPattern:
 
     def uncertain_columns(self, parameter: Tensor, dof: int) -> Tensor:
         """Rows of one DOF by every uncertain parameter, (..., kinds, F) to (..., p)."""
-        members = self._member[dof].flatten().to(parameter.device)
-        out = parameter.new_zeros((*parameter.shape[:-2], self.count + 1))
-        out[..., members] = parameter.flatten(-2)
-        out[..., -1] = 0.0
-        return out[..., torch.as_tensor(self.vector.column, device=parameter.device)]
+        every = self.every_parameter(parameter[..., None, :, :], np.array([dof]))[..., 0, :]
+        return every[..., torch.as_tensor(self.vector.column, device=parameter.device)]
 
 
 def _touching(matrix: csr_matrix, branches: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

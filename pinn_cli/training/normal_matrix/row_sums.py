@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -86,9 +87,6 @@ class RowSums:
         count: Of one function in all.
         coupling: The functions' order, and how far those of one row stand apart.
         places: Of parameters.
-
-    Attributes:
-        places: See above.
     """
 
     def __init__(self, stride: int, features: int, count: int, coupling: Coupling, places: int) -> None:
@@ -186,7 +184,11 @@ class RowSums:
     def add(self, rows: Rows) -> None:
         """Add the products of rows with themselves."""
         self._add_corner(rows)
-        pairs = [(one, other) for one in rows.touched for other in rows.touched if _together(one, other)]
+        pairs = [
+            (one, other)
+            for one, other in product(rows.touched, repeat=2)
+            if max(one.row, other.row) < min(one.stop, other.stop)
+        ]
         for part, first in runs(rows.feature[:, 0].numpy(), self._stride):
             place = (first + 1) * self.n
             for touched in rows.touched:
@@ -330,11 +332,6 @@ class RowSums:
         """Some numbers of an array."""
         size = array.itemsize
         return np.ndarray(shape, array.dtype, array, start * size, tuple(size * stride for stride in strides))
-
-
-def _together(one: Touched, other: Touched) -> bool:
-    """Whether some row touches both."""
-    return max(one.row, other.row) < min(one.stop, other.stop)
 
 
 def _products(left: np.ndarray, right: np.ndarray) -> Iterator[tuple[tuple[int, int], np.ndarray]]:

@@ -108,11 +108,7 @@ class LocalFeatures:
 
 
 class FeatureWindows:
-    """Features of the windows of a record; those that were asked for last are kept, and sums over all of them.
-
-    Args:
-        make: From a window of groups to its features.
-    """
+    """Features of the windows of a record; those that were asked for last are kept, and sums over all of them."""
 
     def __init__(self, make: Callable[[slice], LocalFeatures]) -> None:
         self._make, self._kept = make, dict[tuple[int | None, int | None], LocalFeatures]()

@@ -20,9 +20,7 @@ Where = tuple[int, bytes | None]
 class Met:
     """A symmetric matrix of the readout weights, and what of it meets the features of one factor's rows.
 
-    Args:
-        matrix: It holds every diagonal that rows have.
-        coupling: The functions' order.
+    It holds every diagonal that rows have.
     """
 
     def __init__(self, matrix: Diagonals, coupling: Coupling) -> None:
@@ -58,11 +56,7 @@ class Met:
 
 
 class TracedSums(RowSums):
-    """Sums of which traces of products with a matrix are asked alone.
-
-    Args:
-        met: The matrix.
-        shape: See :class:`RowSums`.
+    """Sums of which traces of products with a matrix are asked alone; arguments but that as of :class:`RowSums`.
 
     Attributes:
         products: Of coefficients, of rows that stand in no band.

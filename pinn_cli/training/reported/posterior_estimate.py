@@ -92,7 +92,7 @@ def record_estimate(evidence: RecordEvidence, solution: RecordSolution) -> Estim
         "features_per_dof": equations.network.count,
         "operations_per_factorisation": solution.factor.readout.operations,
     }
-    taken = values_taken(evidence, solution).response
+    taken, _ = values_taken(evidence, solution)
     noise = FoundNoise(
         {FORCE: solution.noise.force[: equations.problem.record.ndof], **_noise_felt(equations, solution)},
         solution.noise.discrepancy / equations.refinement**0.5,

@@ -47,7 +47,7 @@ def simulated_start(equations: NormalEquations) -> Point | None:
     supports = None if motion.supports is None else motion.supports[:, 0]
     functions = [coordinates, *(x for x in (motion.hidden, supports, motion.ground_acceleration) if x is not None)]
     histories = np.column_stack([*functions, problem.record.force[:, list(problem.inputs.loads)]])
-    projection = FeatureProjection.of_displacements(equations.network, equations.observation)
+    projection = FeatureProjection(equations.network, equations.observation)
     like = equations.target.force
     weights = projection.coefficients(torch.as_tensor(histories).to(like))
     return Point(equations.layout.unknowns(weights.to(like)), equations.start().parameters)

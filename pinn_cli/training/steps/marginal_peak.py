@@ -22,8 +22,8 @@ from torch import Tensor
 
 from pinn_cli.system.quantities import MOTION, OUTSIDE_THE_EQUATIONS
 from pinn_cli.training.evidence import converged, model_log_evidence, of_motion
+from pinn_cli.training.factors.channel_at_point import weighted
 from pinn_cli.training.factors.factor import Factor
-from pinn_cli.training.factors.feels import weighted
 from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations

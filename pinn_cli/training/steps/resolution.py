@@ -152,5 +152,5 @@ def carried_over(point: Point, coarse: NormalEquations, fine: NormalEquations) -
         turn = torch.as_tensor(before.onto(after)).to(motion)
         n = len(turn)
         motion = torch.cat([motion[:, :n] @ turn.T, motion[:, n:]], 1)
-    weights = FeatureProjection.of_displacements(fine.network, segments).coefficients(motion).to(motion)
+    weights = FeatureProjection(fine.network, segments).coefficients(motion).to(motion)
     return Point(fine.layout.unknowns(weights), point.parameters)

@@ -18,7 +18,7 @@ from pinn_cli.system.connection import Linear
 from pinn_cli.training.estimator import built
 from pinn_cli.training.factors.input_channels import InputChannels
 from pinn_cli.training.minimise import Point
-from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
+from pinn_cli.training.noise_model import FeatureProjection, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.solver import starting_noise
 
@@ -119,7 +119,7 @@ def left(equations: NormalEquations, ground) -> torch.Tensor:
     network, rows, at = equations.network, of_ground(equations), equations.dynamics.ground.start
     time = np.arange(GROUND_TIME[0], GROUND_TIME[-1], 1.0 / RATE / 12.0)
     segments = network.segments(torch.as_tensor(time))
-    projection = FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
+    projection = FeatureProjection(network, segments)
     weights = torch.zeros(network.count, equations.dynamics.size, dtype=torch.float64)
     weights[:, at] = projection.coefficients(torch.as_tensor(ground(time))[:, None])[:, 0]
     point = equations.start()

@@ -23,7 +23,7 @@ from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.factors.factor import Factor
-from pinn_cli.training.function_space.training import FunctionSpaceGaussNewton
+from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.gradient.losses import LearnedParameters, Losses
 from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
@@ -100,7 +100,7 @@ def test_a_multilayer_perceptron_begins_where_it_is_told():
     record = accelerations(measured(small_chain(), snr_db=20.0).record)
     problem = posed(record, "rest", ndof=3)
     design = Mlp(1, 32, "sine", embedding="fourier")
-    estimate = FunctionSpaceGaussNewton(iterations=4).solve(JointProblem.of(problem), design, RunContext())
+    estimate = GaussNewton(iterations=4).solve(JointProblem.of(problem), design, RunContext())
     deviation = problem.initial_deviation
     assert deviation is not None
     for motion, known in zip(("displacement", "velocity"), deviation, strict=True):

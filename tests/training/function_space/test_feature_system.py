@@ -6,13 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import torch
-from small_problems import accelerations, measured, small_chain
+from small_problems import accelerations, believed, measured, small_chain
 
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.physics import targets
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.function_space import equations
 from pinn_cli.training.function_space.block_cholesky import BlockCholesky, BlockPattern, Blocks, entry
@@ -48,11 +47,7 @@ class Small:
     def __post_init__(self) -> None:
         structure = small_chain()
         record = accelerations(measured(structure, snr_db=40.0).record, (1, 3))
-        uncertain = tuple(
-            Parameter(kind, dof, float(structure.parameters[kind][dof]), 0.1 * float(structure.parameters[kind][dof]))
-            for kind, dof in (("c", 0), ("k", 2), ("kappa", 1))
-        )
-        self.problem = Problem(structure, record, uncertain)
+        self.problem = Problem(structure, record, believed(structure, ("c", 0), ("k", 2), ("kappa", 1)))
         collocation = collocate(self.problem, targets(record, self.problem.dynamics), 60, None)
         self.network = self.design.build(record, points=60)
         self.network.reset(0)

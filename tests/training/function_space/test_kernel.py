@@ -5,13 +5,12 @@ from functools import cached_property
 import numpy as np
 import pytest
 import torch
-from small_problems import accelerations, measured, small_chain
+from small_problems import accelerations, believed, measured, small_chain
 
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.physics import observation_residuals, physics_residual, targets
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.dynamics import Dynamics
-from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.function_space.equations import NetworkEquations
 from pinn_cli.training.function_space.network_frame import NetworkFrame
 from pinn_cli.training.function_space.system import DenseSystem, pull, push
@@ -41,10 +40,7 @@ class Dense:
     def __init__(self, design: str = "fourier-sine", through: str = "derivative", hold: str = "exact") -> None:
         structure = small_chain()
         record = accelerations(measured(structure, hold, snr_db=40.0).record, (1, 3))
-        uncertain = tuple(
-            Parameter(kind, dof, float(structure.parameters[kind][dof]), 0.1 * float(structure.parameters[kind][dof]))
-            for kind, dof in (("m", 1), ("c", 0), ("k", 2), ("kappa", 1))
-        )
+        uncertain = believed(structure, ("m", 1), ("c", 0), ("k", 2), ("kappa", 1))
         problem = Problem(structure, record, uncertain, through)
         network = DESIGNS[design].build(record)
         with torch.no_grad():
@@ -84,7 +80,7 @@ class Dense:
         mass = frame.prescribed["m"].numpy()
         rows = []
         for name, residual in observation_residuals(seen, frame.target, frame.dynamics, values, through).items():
-            weight = torch.as_tensor(model.observation_weight(name, mass))
+            weight = torch.as_tensor(model.observer_weight(mass) if name == "observer" else model.sensor_weight(name))
             rows.append((residual * weight.sqrt())[:, weight > 0].T.flatten())
         force = physics_residual(felt, frame.target, frame.dynamics, values)
         rows.append((force / torch.as_tensor(model.physics_variance).sqrt()).T.flatten())

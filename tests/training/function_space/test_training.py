@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from calls import Compose
-from small_problems import QUANTITIES, accelerations, measured, relative_error, small_chain, sped_up
+from small_problems import QUANTITIES, accelerations, believed, measured, relative_error, small_chain, sped_up
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.mlp import Mlp
@@ -27,11 +27,7 @@ from pinn_cli.training.history import train
 SMALL = Mlp(1, 12, "sine", "exact", "fourier")
 
 
-def uncertain(structure, share: float = 0.05) -> tuple[Parameter, ...]:
-    values = {
-        kind: float(structure.parameters[kind][1]) for kind in ("c", "k", "kappa") if kind in structure.parameters
-    }
-    return tuple(Parameter(kind, 1, value, share * value) for kind, value in values.items())
+UNCERTAIN = ("c", 1), ("k", 1), ("kappa", 1)
 
 
 def problem(hold: str = "exact", snr_db: float = 40.0, seed: int = 0, **settings) -> Problem:
@@ -96,7 +92,7 @@ def test_uncertain_parameters_are_learned_with_their_standard_deviations():
     wrong = replace(
         structure, parameters={**structure.parameters, "k": structure.parameters["k"] * torch.tensor([1.0, 1.06, 1.0])}
     )
-    given = Problem(wrong, problem().record, uncertain(wrong, 0.1))
+    given = Problem(wrong, problem().record, believed(wrong, *UNCERTAIN))
     estimate = solved(given)
     k = next(p for p in estimate.parameters if p.name == "k_2")
     assert abs(k.estimate - 15.0) < 0.1
@@ -117,7 +113,8 @@ def test_an_unknown_parameter_is_identified():
 
 def test_a_training_that_was_stopped_goes_on_with_the_same_numbers(monkeypatch):
     """Every state on the way is taken from one training and given to a fresh one."""
-    whole = solved(problem(uncertain=uncertain(small_chain())), iterations=6)
+    given = problem(uncertain=believed(small_chain(), *UNCERTAIN, share=0.05))
+    whole = solved(given, iterations=6)
     states: list[dict[str, Any]] = []
 
     def stop_after_two(training: FunctionSpaceSearch, run: RunContext) -> None:
@@ -131,7 +128,7 @@ def test_a_training_that_was_stopped_goes_on_with_the_same_numbers(monkeypatch):
 
     for replacement in (stop_after_two, go_on):
         monkeypatch.setattr("pinn_cli.training.function_space.training.train", replacement)
-        estimate = solved(problem(uncertain=uncertain(small_chain())), iterations=6)
+        estimate = solved(given, iterations=6)
     np.testing.assert_array_equal(estimate.response.displacement, whole.response.displacement)
     assert [p.estimate for p in estimate.parameters] == [p.estimate for p in whole.parameters]
     columns = [name for name in whole.history if name != "seconds"]
@@ -177,7 +174,7 @@ def covered(estimate: Estimate, quantity: str) -> float:
 def test_bands_cover_under_a_wrong_model():
     """A linear chain, where the true one is Duffing's."""
     structure = small_chain("linear")
-    given = Problem(structure, problem(snr_db=50.0).record, uncertain(structure, 0.075)[:2])
+    given = Problem(structure, problem(snr_db=50.0).record, believed(structure, *UNCERTAIN[:2], share=0.075))
     estimate = solved(given)
     assert all(covered(estimate, quantity) > 0.85 for quantity in QUANTITIES)
     k = next(p for p in estimate.parameters if p.name == "k_2")
@@ -212,11 +209,11 @@ def test_low_passing_takes_as_much_noise_out_as_it_says():
     noisy, clean = long_problem(), long_problem(snr_db=None)
     collocation = collocated(noisy, 150, 10000)
     samples = torch.linspace(0, 2048, 150).round().long()
-    truth = targets(clean.record, Dynamics(clean.structure)).at(samples)
+    expected = targets(clean.record, Dynamics(clean.structure)).at(samples)
     for dof in range(2):
-        error = (collocation.target.response["acceleration"] - truth.response["acceleration"])[:, dof]
+        error = (collocation.target.response["acceleration"] - expected.response["acceleration"])[:, dof]
         assert float(error.square().mean().sqrt()) == pytest.approx(collocation.response["acceleration"][dof], rel=0.35)
-    force = (collocation.target.force - truth.force)[:, 0]
+    force = (collocation.target.force - expected.force)[:, 0]
     assert float(force.square().mean().sqrt()) == pytest.approx(collocation.force[0], rel=0.35)
     assert np.isnan(collocation.force[1:]).all()
 
@@ -225,5 +222,5 @@ def test_a_clean_record_stays_as_it_is():
     clean = long_problem(snr_db=None)
     collocation = collocated(clean, 150, 10000)
     whole = targets(clean.record, Dynamics(clean.structure)).at(torch.linspace(0, 2048, 150).round().long())
-    for quantity in ("acceleration",):
-        assert relative_error(collocation.target.response[quantity].numpy(), whole.response[quantity].numpy()) < 1e-3
+    found, expected = (each.response["acceleration"].numpy() for each in (collocation.target, whole))
+    assert relative_error(found, expected) < 1e-3

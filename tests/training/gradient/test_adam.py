@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from small_problems import QUANTITIES, accelerations, measured, relative_error, small_chain, sped_up
+from small_problems import QUANTITIES, accelerations, believed, measured, relative_error, small_chain, sped_up
 
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.mlp import Mlp
@@ -15,8 +15,7 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
-from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.estimate import RunContext
+from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gradient.adam import Adam
 from pinn_cli.training.gradient.losses import LearnedParameters, Losses
 from pinn_cli.training.gradient.objective import Objective
@@ -35,9 +34,8 @@ def small_problem(hold: str = "exact", **settings) -> Problem:
     return Problem(structure, accelerations(measured(structure, hold, snr_db=40.0).record), **settings)
 
 
-def uncertain(structure, kind: str, dof: int, relative: float) -> Parameter:
-    value = float(structure.parameters[kind][dof])
-    return Parameter(kind, dof, value, relative * value)
+def trained(training: Adam, name: str = "mlp", problem: Problem | None = None, seed: int = 0) -> Estimate:
+    return training.solve(JointProblem.of(problem or small_problem()), DESIGNS[name], RunContext(seed=seed))
 
 
 def short(**settings) -> Adam:
@@ -47,7 +45,7 @@ def short(**settings) -> Adam:
 @pytest.mark.parametrize(("name", "hold"), [*zip(DESIGNS, itertools.cycle(("exact", "zero_order")), strict=False)])
 def test_the_loss_falls(name, hold):
     training = short(iterations=150, stages=1, learning_rate=5e-3)
-    estimate = training.solve(JointProblem.of(small_problem(hold)), DESIGNS[name], RunContext())
+    estimate = trained(training, name, small_problem(hold))
     losses = estimate.history.filter(like="loss_").sum(axis=1).to_numpy()
     assert losses[-1] < 0.3 * losses[0]
     assert estimate.summary["loss"] == pytest.approx(losses[-1])
@@ -61,9 +59,7 @@ def test_the_loss_falls(name, hold):
 
 def test_the_same_seed_gives_the_same_numbers():
     before = torch.get_rng_state()
-    estimates = [
-        short().solve(JointProblem.of(small_problem()), DESIGNS["mlp"], RunContext(seed=seed)) for seed in (5, 5, 6)
-    ]
+    estimates = [trained(short(), seed=seed) for seed in (5, 5, 6)]
     assert torch.equal(before, torch.get_rng_state())
     for quantity in (*QUANTITIES, "force"):
         first, same, other = (getattr(estimate.response, quantity) for estimate in estimates)
@@ -74,9 +70,7 @@ def test_the_same_seed_gives_the_same_numbers():
 
 
 def test_the_history_has_a_row_every_so_often_and_at_the_end():
-    history = (
-        short(iterations=12, stages=2).solve(JointProblem.of(small_problem()), DESIGNS["mlp"], RunContext()).history
-    )
+    history = trained(short(iterations=12, stages=2)).history
     assert history["iteration"].tolist() == [0, 10, 20, 24]
     assert history["seconds"].is_monotonic_increasing
     names = ("observation", "continuity", "forced", "unforced")
@@ -88,15 +82,13 @@ def test_the_history_has_a_row_every_so_often_and_at_the_end():
 
 
 def test_a_network_with_exact_continuity_has_no_such_term():
-    history = short().solve(JointProblem.of(small_problem()), DESIGNS["mlp-exact"], RunContext()).history
+    history = trained(short(), "mlp-exact").history
     assert not [name for name in history if "continuity" in name]
 
 
 def test_unforced_dofs_may_have_a_weight_of_their_own():
-    histories = [
-        short(stages=1, weights=weights).solve(JointProblem.of(small_problem()), DESIGNS["mlp"], RunContext()).history
-        for weights in ({}, {"unforced": 2.0}, {"physics": 50.0})
-    ]
+    weights = {}, {"unforced": 2.0}, {"physics": 50.0}
+    histories = [trained(short(stages=1, weights=given)).history for given in weights]
     assert [history["weight_unforced"][0] for history in histories] == [100.0, 2.0, 50.0]
     assert [history["weight_forced"][0] for history in histories] == [100.0, 100.0, 50.0]
     plain, lighter = (history["loss_unforced"][0] for history in histories[:2])
@@ -108,7 +100,7 @@ def test_accelerations_are_observed_as_the_problem_says(through):
     weights = {"observation": 1.0, "continuity": 0.0, "physics": 0.0}
     training = short(iterations=150, stages=1, learning_rate=1e-2, weights=weights, dtype="float64")
     problem = small_problem(acceleration_through=through)
-    estimate = training.solve(JointProblem.of(problem), DESIGNS["mlp-exact"], RunContext())
+    estimate = trained(training, "mlp-exact", problem)
     by_derivative = relative_error(estimate.response.acceleration[:, :2], problem.record.acceleration[:, :2])
     # Without physics the derivative is bound to the sensors only if it is what is compared with them.
     assert (by_derivative < 0.7) == (through != "observer")
@@ -120,7 +112,7 @@ def test_accelerations_are_observed_as_the_problem_says(through):
 def test_divergence_says_where_and_what_to_try(learning_rate, dtype):
     training = short(learning_rate=learning_rate, dtype=dtype, iterations=200)
     with pytest.raises(DivergenceError) as error:
-        training.solve(JointProblem.of(small_problem()), DESIGNS["mlp"], RunContext())
+        trained(training)
     assert "loss_" in str(error.value)
     assert "at iteration" in str(error.value)
     assert f"training.learning_rate below {learning_rate:g}" in str(error.value)
@@ -133,10 +125,10 @@ def test_nothing_rests_on_the_time_scale(name):
     record = accelerations(measured(slow, snr_db=40.0).record)
     training = short(dtype="float64")
     problems = [
-        Problem(structure, given, (uncertain(structure, "k", 1, 0.1), uncertain(structure, "c", 2, 0.1)))
+        Problem(structure, given, believed(structure, ("k", 1), ("c", 2)))
         for structure, given in ((slow, record), (fast, sped_up(record, 30.0)))
     ]
-    expected, given = (training.solve(JointProblem.of(problem), DESIGNS[name], RunContext()) for problem in problems)
+    expected, given = (trained(training, name, problem) for problem in problems)
     scale = np.abs(expected.response.displacement).max()
     np.testing.assert_allclose(given.response.displacement, expected.response.displacement, atol=1e-5 * scale)
     for mine, theirs in zip(given.parameters, expected.parameters, strict=True):
@@ -149,7 +141,7 @@ def test_clock_times_do_no_harm_in_float32(name):
     step = 2.0**-4  # clock times near 1.7e9 s hold it exactly
     early = replace(problem, record=replace(problem.record, time=step * np.arange(257)))
     late = replace(problem, record=replace(problem.record, time=1.7e9 + step * np.arange(257)))
-    expected, given = (short().solve(JointProblem.of(each), DESIGNS[name], RunContext()) for each in (early, late))
+    expected, given = (trained(short(), name, each) for each in (early, late))
     assert np.array_equal(given.response.displacement, expected.response.displacement)
     assert given.response.time[0] == 1.7e9
 
@@ -160,26 +152,19 @@ def test_the_progress_bar_is_quiet_where_there_is_no_terminal(capfd):
     assert captured.out == captured.err == ""
 
 
-def test_points_that_cannot_follow_the_record_are_refused():
-    with pytest.raises(InputError, match=r"training\.collocation_points=8: must be a whole number >= \d+, or null"):
-        short(collocation_points=8).solve(JointProblem.of(small_problem()), DESIGNS["mlp"], RunContext())
-
-
 @pytest.mark.parametrize("snr_db", [None, 10.0])
 def test_points_are_judged_by_the_signal_and_not_by_its_noise(snr_db):
     structure = small_chain()
     # 15 periods of the highest frequency of the force: two points in each, and a little more.
     problem = Problem(structure, accelerations(measured(structure, snr_db=snr_db).record))
-    short(collocation_points=40).solve(JointProblem.of(problem), DESIGNS["mlp"], RunContext())
-    with pytest.raises(InputError):
-        short(collocation_points=20).solve(JointProblem.of(problem), DESIGNS["mlp"], RunContext())
+    trained(short(collocation_points=40), problem=problem)
+    with pytest.raises(InputError, match=r"training\.collocation_points=20: must be a whole number >= \d+, or null"):
+        trained(short(collocation_points=20), problem=problem)
 
 
 def objective() -> Objective:
-    structure = small_chain()
-    record = accelerations(measured(structure, snr_db=40.0).record)
-    problem = Problem(structure, record)
-    network = Mlp(1, 16, "sine").build(record)
+    problem = small_problem()
+    network = Mlp(1, 16, "sine").build(problem.record)
     parameters = LearnedParameters(problem, torch.float64)
     return Objective(Losses(problem, 128, "cpu", torch.float64), network, parameters, "equalised")
 
@@ -202,10 +187,8 @@ def test_equalised_terms_pull_equally_hard_at_the_start():
 
 
 def test_the_history_has_the_weights_that_were_found():
-    structure = small_chain()
-    problem = Problem(structure, accelerations(measured(structure, snr_db=40.0).record))
-    training = Adam(iterations=10, stages=2, weights="equalised", collocation_points=128, history_every=5)
-    history = training.solve(JointProblem.of(problem), Mlp(1, 16, "sine"), RunContext()).history
+    training = short(iterations=10, weights="equalised", history_every=5)
+    history = training.solve(JointProblem.of(small_problem()), Mlp(1, 16, "sine"), RunContext()).history
     assert history["iteration"].tolist() == [0, 5, 10, 15, 20]
     # The row at the border of two stages has the second one's weights.
     expected = history["weight_unforced"][0] * np.array([1.0, 1.0, 10.0, 10.0, 10.0])

@@ -9,7 +9,7 @@ import pytest
 import scipy.optimize
 import torch
 from calls import SMALL, Compose
-from small_problems import QUANTITIES, accelerations, measured, relative_error, small_chain
+from small_problems import QUANTITIES, accelerations, believed, measured, relative_error, small_chain
 from torch import Tensor, nn
 
 from pinn_cli.cli.config import RunConfig
@@ -17,7 +17,6 @@ from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
 from pinn_cli.training.gradient.lbfgs import GRADIENT_VANISHED, NOTHING_LOWER, Lbfgs, LbfgsSteps
@@ -30,8 +29,8 @@ NETWORK = Mlp(1, 12, "sine", "exact")
 
 def small_problem() -> Problem:
     structure = small_chain()
-    stiffness = Parameter("k", 1, 15.0, 1.5)
-    return Problem(structure, accelerations(measured(structure, snr_db=40.0).record), (stiffness,))
+    record = accelerations(measured(structure, snr_db=40.0).record)
+    return Problem(structure, record, believed(structure, ("k", 1)))
 
 
 @pytest.mark.parametrize("weights", [None, "equalised"])

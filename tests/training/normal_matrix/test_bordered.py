@@ -5,12 +5,12 @@ from itertools import product
 
 import numpy as np
 import pytest
-from one_record import factored, shared
+from one_record import diagonals, factored, shared
 from scipy.sparse import csr_matrix
 
 from pinn_cli.training.normal_matrix.bordered import BorderedSystem
-from pinn_cli.training.normal_matrix.dissection import Dissection, FrontTree, Grid
-from pinn_cli.training.normal_matrix.elimination import Diagonals
+from pinn_cli.training.normal_matrix.dissection import Dissection, Grid
+from pinn_cli.training.normal_matrix.front_elimination import FrontTree
 
 # Half-width, size, border: diagonal, narrow, size no multiple of the width, band as wide as the matrix.
 SHAPES = [(0, 7, 0), (0, 7, 2), (1, 9, 3), (2, 23, 0), (3, 24, 1), (5, 31, 4), (7, 8, 2), (4, 4, 0), (1, 1, 1)]
@@ -37,13 +37,9 @@ def random_system(half_width: int, size: int, border: int) -> tuple[BorderedSyst
     scale = 10.0 ** rng.uniform(-2.0, 2.0, size + border)
     whole *= scale[:, None] * scale
     gradient = rng.normal(size=size + border) * scale
-    width = min(half_width, size - 1)
-    band = np.zeros((width + 1, size))
-    for k in range(width + 1):
-        band[k, : size - k] = np.diag(whole[:size, :size], -k)
+    band = diagonals(whole[:size, :size], np.arange(min(half_width, size - 1) + 1))
     corner, order = whole[size:, size:], in_slabs(half_width, whole[:size, size:])
-    diagonals = Diagonals(np.arange(width + 1), band)
-    return BorderedSystem(diagonals, order.border, corner, gradient[:size], gradient[size:], order), whole
+    return BorderedSystem(band, order.border, corner, gradient[:size], gradient[size:], order), whole
 
 
 def solved(system: BorderedSystem, lower: np.ndarray | None = None, damping: float = 0.0):
@@ -73,13 +69,6 @@ def test_determinant_covariance_and_draws(half_width, size, border):
     np.testing.assert_allclose(factor.corner_covariance / own / own[:, None], correlation[size:, size:], atol=1e-8)
     root = np.vstack(factored(system).draws(np.eye(size + border)))
     np.testing.assert_allclose(root @ root.T / unit / unit[:, None], correlation, atol=1e-8)
-
-
-def test_damping_scales_the_diagonal():
-    system, whole = random_system(3, 24, 0)
-    damped = whole + 0.5 * np.diag(np.diag(whole))
-    expected = -np.linalg.solve(damped, system.gradient)
-    np.testing.assert_allclose(solved(system, damping=0.5)[0], expected, rtol=1e-8)
 
 
 @pytest.mark.parametrize("spoil", ["indefinite band", "indefinite corner", "zero", "nan"])

@@ -1,18 +1,16 @@
 """Elimination in a band, and by fronts in orders that are chosen by counting, against dense linear algebra."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from one_record import shared
+from one_record import diagonals
 from scipy.interpolate import BSpline
 from scipy.sparse import csr_matrix
 
 from pinn_cli.training.covariance import ENOUGH, is_alike, row_variance
-from pinn_cli.training.normal_matrix.bordered import BorderedSystem
-from pinn_cli.training.normal_matrix.bordered import eliminated as eliminated_in
-from pinn_cli.training.normal_matrix.dissection import Dissection, FrontTree, Grid, InBand, order_of_elimination
-from pinn_cli.training.normal_matrix.elimination import Diagonals, Elimination
+from pinn_cli.training.normal_matrix.bordered import order_of_elimination
+from pinn_cli.training.normal_matrix.dissection import Dissection, Grid
+from pinn_cli.training.normal_matrix.elimination import Diagonals, Elimination, InBand
+from pinn_cli.training.normal_matrix.front_elimination import FrontTree
 
 # Parameters of a function, and the grids: cut across the functions first, across the features first, in slabs along
 # either; functions that are coupled further, no parameters, one function, all in one front.
@@ -41,14 +39,11 @@ def matrices(grid: Grid) -> tuple[Diagonals, csr_matrix]:
     matrix += np.diag(np.abs(matrix).sum(axis=1) * rng.uniform(1.01, 2.0, size))
     scale = 10.0 ** rng.uniform(-2.0, 2.0, size)
     matrix *= scale[:, None] * scale
-    offsets = np.unique(np.abs(np.subtract(*np.nonzero(near))))
-    values = np.zeros((len(offsets), size))
-    for line, offset in zip(values, offsets, strict=True):
-        line[: size - offset] = np.diag(matrix, -offset)
+    band = diagonals(matrix, np.unique(np.abs(np.subtract(*np.nonzero(near)))))
     touched = np.minimum(function[:, None] + np.arange(2), grid.functions - 1)[:, :, None] * OWN + np.arange(OWN)
     border = np.zeros((size, grid.functions * OWN))
     border[np.arange(size)[:, None], touched.reshape(size, -1)] = rng.normal(size=(size, 2 * OWN)) * scale[:, None]
-    return Diagonals(offsets, values), csr_matrix(border[:, : grid.parameters])
+    return band, csr_matrix(border[:, : grid.parameters])
 
 
 def in_fronts(grid: Grid, border: csr_matrix, largest: int = 40) -> FrontTree:
@@ -62,7 +57,7 @@ in_every_order = pytest.mark.parametrize("order", ORDERS)
 def eliminated(grid: Grid, order: str, damping: float = 0.0) -> tuple[Elimination, np.ndarray, np.ndarray]:
     """With the same as dense matrices."""
     band, border = matrices(grid)
-    found = eliminated_in(ORDERS[order](grid, border), band, border, damping)
+    found = ORDERS[order](grid, border).eliminated(band, border, damping)
     assert found is not None
     dense = band.dense()
     return found, dense + damping * np.diag(np.diag(dense)), border.toarray()
@@ -131,12 +126,12 @@ def test_operations_are_those_of_elimination_entry_by_entry(name):
     """Of one front, which is dense: of every entry that a column changes an addition and a multiplication."""
     grid = GRIDS[name]
     band, border = matrices(grid)
-    found, counted = eliminated_in(in_fronts(grid, border, band.size), band, border), 0
+    found, counted = in_fronts(grid, border, band.size).eliminated(band, border), 0
     for pivot, below in zip(found.pivots, found.below, strict=True):
         counted += sum((len(pivot) + len(below) - column) ** 2 for column in range(len(pivot)))
     assert found.operations == pytest.approx(counted, rel=0.1)
     width, parameters = int(grid.offsets[-1]), border.shape[1]
-    in_band = eliminated_in(ORDERS["band"](grid, border), band, border)
+    in_band = ORDERS["band"](grid, border).eliminated(band, border)
     assert in_band.operations == band.size * (1 + width + parameters) ** 2
 
 
@@ -147,10 +142,10 @@ def test_what_is_not_positive_definite_is_refused(name, order):
     for at, value in ((band.size // 2, -1.0), (0, np.nan)):
         main = band.values.copy()
         main[0, at] *= value
-        assert eliminated_in(ORDERS[order](GRIDS[name], border), Diagonals(band.offsets, main), border) is None
+        assert ORDERS[order](GRIDS[name], border).eliminated(Diagonals(band.offsets, main), border) is None
     indefinite = band.values.copy()
     indefinite[0] *= 1e-3
-    assert eliminated_in(ORDERS[order](GRIDS[name], border), Diagonals(band.offsets, indefinite), border) is None
+    assert ORDERS[order](GRIDS[name], border).eliminated(Diagonals(band.offsets, indefinite), border) is None
 
 
 def test_the_cheapest_order_is_taken():
@@ -158,27 +153,6 @@ def test_the_cheapest_order_is_taken():
     for functions, how in ((3, InBand), (40, FrontTree)):
         grid = Grid(600, functions, 6, 2, 3)
         assert isinstance(order_of_elimination(Dissection(grid), csr_matrix((grid.size, 3))), how)
-
-
-@pytest.mark.parametrize("other", ["one front", "band"])
-def test_a_system_gives_the_same_step_in_two_orders(other):
-    grid = GRIDS["functions"]
-    band, border = matrices(grid)
-    rng, p = np.random.default_rng(1), border.shape[1]
-    corner = 2.0 * np.eye(p) + border.T @ np.linalg.solve(band.dense(), border.toarray())
-    gradient = rng.normal(size=band.size) * np.sqrt(band.main)
-    trees = [in_fronts(grid, border, largest) for largest in (40, band.size)]
-    assert len(trees[0].fronts) > len(trees[1].fronts)
-    dissected = BorderedSystem(band, border, corner, gradient, rng.normal(size=p), trees[0])
-    plain = replace(dissected, order=trees[1] if other == "one front" else ORDERS["band"](grid, border))
-    for damping in (0.0, 0.1):
-        expected, given = (system.factor(damping).step(system) for system in map(shared, (plain, dissected)))
-        np.testing.assert_allclose(given[0] * np.sqrt(band.main), expected[0] * np.sqrt(band.main), atol=1e-9)
-        np.testing.assert_allclose(given[1], expected[1], atol=1e-10)
-    np.testing.assert_allclose(dissected.readout_step(), plain.readout_step(), rtol=1e-8)
-    one, other = (shared(system).factor() for system in (plain, dissected))
-    assert other.determinants == pytest.approx(one.determinants, rel=1e-12)
-    assert other.parameter_log_determinant == pytest.approx(one.parameter_log_determinant, rel=1e-12)
 
 
 def test_the_same_tree_serves_another_border_at_the_same_places():
@@ -191,14 +165,14 @@ def test_the_same_tree_serves_another_border_at_the_same_places():
     assert tree.suits(zeros)
     assert not tree.suits(border[:, :3])
     expected = zeros.toarray().T @ np.linalg.solve(band.dense(), zeros.toarray())
-    np.testing.assert_allclose(eliminated_in(tree, band, zeros).border_gram, expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(tree.eliminated(band, zeros).border_gram, expected, rtol=1e-9, atol=1e-12)
 
 
 @in_every_order
 def test_rows_that_reach_further_than_the_coupling_says_are_refused(order):
     band, border = matrices(Grid(60, 12, 3, 3, 24))
     with pytest.raises(IndexError, match="further apart than the structure's coupling"):
-        eliminated_in(ORDERS[order](GRIDS["features"], border), band, border)
+        ORDERS[order](GRIDS["features"], border).eliminated(band, border)
 
 
 def test_operations_grow_as_they_do_for_a_plane_grid():
@@ -217,12 +191,9 @@ def test_a_curvature_that_is_known_far_better_than_the_weights_has_its_variance(
     rows = np.vstack((known * np.kron(curvature, coupling), np.kron(value[::7], np.eye(functions))))
     matrix = rows.T @ rows
     grid = Grid(count, functions, degree, 1, 0)
-    values, border = np.zeros((len(grid.offsets), len(matrix))), csr_matrix((len(matrix), 0))
-    for line, offset in zip(values, grid.offsets, strict=True):
-        line[: len(matrix) - offset] = np.diag(matrix, -offset)
-    band = Diagonals(grid.offsets, values)
+    band, border = diagonals(matrix, grid.offsets), csr_matrix((len(matrix), 0))
     wanted = np.kron(curvature, np.eye(functions)[-1:])
-    factor = eliminated_in(ORDERS[order](grid, border), band, border)
+    factor = ORDERS[order](grid, border).eliminated(band, border)
     half, _ = factor.half_solved(wanted.T)
     variance = np.sum((wanted @ factor.inverse().dense()) * wanted, axis=1)
     assert variance == pytest.approx(np.sum(half**2, axis=0), rel=0.02, abs=0.0)
@@ -236,10 +207,7 @@ def dense_and_band(size: int) -> tuple[np.ndarray, Diagonals]:
     rng = np.random.default_rng(0)
     lower = np.tril(np.triu(rng.normal(size=(size, size)), -WIDTH)) + 6.0 * np.eye(size)
     inverse = np.linalg.inv(lower @ lower.T)
-    values = np.zeros((WIDTH + 1, size))
-    for k in range(WIDTH + 1):
-        values[k, : size - k] = np.diag(inverse, -k)
-    return inverse, Diagonals(np.arange(WIDTH + 1), values)
+    return inverse, diagonals(inverse, np.arange(WIDTH + 1))
 
 
 @pytest.mark.parametrize("evenly", [True, False])

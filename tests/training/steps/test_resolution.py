@@ -15,7 +15,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.minimise import Point
-from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
+from pinn_cli.training.noise_model import FeatureProjection
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.solver import starting_noise
 from pinn_cli.training.steps.discrepancy_search import searched
@@ -44,9 +44,8 @@ def fitted_sine(per_period: float, degree: int = 6) -> tuple[float, float]:
     evidence = posed(Problem(structure, record), Spline(degree=degree, intervals=(SAMPLES + 1) // points))
     (equations,) = evidence.equations.by_record
     segments, time = equations.physics, equations.target.physics_time
-    features = output_features(equations.network, segments)[0]
     sine = AMPLITUDE * torch.sin(omega * time)[:, None]
-    weights = FeatureProjection(first_output(equations.network, segments), features).coefficients(sine)
+    weights = FeatureProjection(equations.network, segments).coefficients(sine)
     at = trained(evidence, Point(equations.layout.unknowns(weights), torch.zeros(0, dtype=torch.float64)))
     found = equations.flat_states(segments, at.solution.point).acceleration + omega**2 * sine
     middle = slice(SAMPLES // 4, 3 * SAMPLES // 4)
