@@ -22,7 +22,7 @@ from benchmarks.plain_step import PlainNetwork
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
-from pinn_cli.training.gradient.objective import Objective
+from pinn_cli.training.gradient.losses import Objective
 
 CASES = {
     "sparse_recovery_6": ["experiment=paper_training", "system.ndof=6"],

@@ -38,9 +38,8 @@ class FunctionSpaceSearch(Stepwise):
         equations: Of the network at the weights that its prior is about.
         noise: Standard deviations of all residuals, where they begin; a large discrepancy makes the physics soft.
         largest: The force that acts, N.
-        iterations: At most.
-        tolerance: Relative decrease of the loss below which training has converged, once the noise levels have settled.
-        learn_spread: Whether the believed parameters' common spread follows them.
+        iterations, tolerance, learn_spread: See
+            :func:`pinn_cli.training.function_space.training.solved_in_function_space`.
         history: Takes a row per iteration.
     """
 

@@ -11,7 +11,7 @@ import torch
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_finite_number, non_negative_number, positive_number
-from pinn_cli.training.gradient.objective import Evaluation, Objective
+from pinn_cli.training.gradient.losses import Evaluation, Objective
 from pinn_cli.training.gradient.training import DTYPES, GradientTraining, Optimiser
 
 

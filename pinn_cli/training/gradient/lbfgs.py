@@ -11,7 +11,7 @@ import torch
 
 from pinn_cli.settings.legal_values import non_negative_number, positive_number, whole_number
 from pinn_cli.training.gradient.adam import AdamSteps
-from pinn_cli.training.gradient.objective import Evaluation, Objective
+from pinn_cli.training.gradient.losses import Evaluation, Objective
 from pinn_cli.training.gradient.training import GradientTraining, Optimiser
 
 # torch's L-BFGS learns no curvature below an absolute 1e-10. Losses get there; a power of two changes no digit. In

@@ -27,8 +27,14 @@ from pinn_cli.settings.legal_values import one_of, positive_number, whole_number
 from pinn_cli.system.quantities import MOTION
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.estimator import Training
-from pinn_cli.training.gradient.losses import LearnedParameters, Losses, checked_weights
-from pinn_cli.training.gradient.objective import Evaluation, Objective, check_finite
+from pinn_cli.training.gradient.losses import (
+    Evaluation,
+    LearnedParameters,
+    Losses,
+    Objective,
+    check_finite,
+    checked_weights,
+)
 from pinn_cli.training.history import History, Stepwise, train
 
 # The features that reach least, of which some lie at the ends of the record and are hardly seen, count as slow.

@@ -25,6 +25,8 @@ CHOLESKY, SOLUTION, ENTRY, FRONT = 2.5, 2.5, 60.0, 4e6
 COLUMN, SQUARE, BORDER, UNBLOCKED, SQUARE_UNBLOCKED = 500.0, 2.0, 40.0, 64, 10.0
 # Weights of a slab, and of a part that is not cut any further, at most.
 LARGEST_SLAB = 400
+# Weights that are eliminated together, as places in the band, and the numbers of those that are eliminated just before.
+Nodes = list[tuple[np.ndarray, list[int]]]
 
 
 @dataclass(frozen=True)
@@ -91,19 +93,6 @@ class Part(NamedTuple):
     above: bool
 
 
-@dataclass(frozen=True)
-class Separated:
-    """Weights that are eliminated together, once all others that stand before them in the tree are.
-
-    Attributes:
-        weights: Their places in the band, in the order of elimination.
-        children: What is eliminated before.
-    """
-
-    weights: np.ndarray
-    children: tuple[Separated, ...]
-
-
 class Choice(NamedTuple):
     """How a part is eliminated.
 
@@ -152,9 +141,11 @@ class Dissection:
         """Of all weights, or all of them in their band."""
         return min(self.best, self.grid.in_band)
 
-    def tree(self) -> Separated:
+    def tree(self) -> Nodes:
         """The order of the best."""
-        return self._tree(self._whole, 0, 0)
+        nodes: Nodes = []
+        self._add_to(nodes, self._whole, 0, 0)
+        return nodes
 
     def _thick(self, axis: str) -> int:
         """What a cut across an axis takes to separate its sides."""
@@ -202,27 +193,30 @@ class Dissection:
         rest = length - thick - first
         return part._replace(**{axis: first, ahead: True}), part._replace(**{axis: rest, behind: True})
 
-    def _tree(self, part: Part, feature: int, function: int) -> Separated:
-        """The order in a part whose first feature and function are given."""
+    def _add_to(self, nodes: Nodes, part: Part, feature: int, function: int) -> int:
+        """Add the order in a part whose first feature and function are given, and say the number of its last node."""
         _, _, how, axis, length = self._best(part)
+        children: list[int] = []
 
         def at(along: int) -> tuple[int, int]:
             return (feature + along, function) if axis == "features" else (feature, function + along)
 
         if how == "leaf":
-            return Separated(self._weights(part, feature, function, by_feature=True), ())
-        if how == "slabs":
-            tree: Separated | None = None
+            nodes.append((self._weights(part, feature, function, by_feature=True), children))
+        elif how == "slabs":
             for start in range(0, getattr(part, axis), length):
                 slab = part._replace(**{axis: min(length, getattr(part, axis) - start)})
-                weights = self._weights(slab, *at(start), by_feature=axis == "features")
-                tree = Separated(weights, () if tree is None else (tree,))
-            assert tree is not None
-            return tree
-        (first, second), thick = self._halves(part, axis), self._thick(axis)
-        cut, middle = getattr(first, axis), part._replace(**dict[str, Any]({axis: thick}))
-        between = self._weights(middle, *at(cut), by_feature=axis == "functions")
-        return Separated(between, (self._tree(first, feature, function), self._tree(second, *at(cut + thick))))
+                nodes.append((self._weights(slab, *at(start), by_feature=axis == "features"), children))
+                children = [len(nodes) - 1]
+        else:
+            (first, second), thick = self._halves(part, axis), self._thick(axis)
+            cut, middle = getattr(first, axis), part._replace(**dict[str, Any]({axis: thick}))
+            children = [
+                self._add_to(nodes, first, feature, function),
+                self._add_to(nodes, second, *at(cut + thick)),
+            ]
+            nodes.append((self._weights(middle, *at(cut), by_feature=axis == "functions"), children))
+        return len(nodes) - 1
 
     def _weights(self, part: Part, feature: int, function: int, by_feature: bool) -> np.ndarray:
         """Places in the band of a part's weights, its longer side outermost, so that halves are contiguous."""

@@ -16,7 +16,7 @@ from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf
 from scipy.sparse import csr_matrix
 
-from pinn_cli.training.normal_matrix.dissection import Grid, Separated
+from pinn_cli.training.normal_matrix.dissection import Grid, Nodes
 from pinn_cli.training.normal_matrix.elimination import (
     Diagonals,
     Elimination,
@@ -92,7 +92,7 @@ class FrontTree(Order):
 
     Args:
         grid: Of the weights.
-        root: The order of elimination.
+        nodes: The order of elimination.
         border: Of the parameters (size, p); of its entries those that are kept count, whatever their value.
 
     Attributes:
@@ -102,10 +102,9 @@ class FrontTree(Order):
         border_target, border_source: The same of the border's.
     """
 
-    def __init__(self, grid: Grid, root: Separated, border: csr_matrix) -> None:
+    def __init__(self, grid: Grid, nodes: Nodes, border: csr_matrix) -> None:
         self.grid, self.border = grid, border
-        nodes = _after_their_children(root)
-        self.order = np.concatenate([node.weights for node, _ in nodes])
+        self.order = np.concatenate([weights for weights, _ in nodes])
         self.rank = np.argsort(self.order)
         self._distances = grid.distances
         distances = np.abs(self._distances[0] * grid.functions + self._distances[1])
@@ -113,8 +112,8 @@ class FrontTree(Order):
         self.fronts: list[Front] = []
         of_band, of_border = [[np.zeros((2, 0), dtype=np.int32)] for _ in range(2)]
         at = first = stop = 0
-        for node, children in nodes:
-            start, stop = stop, stop + len(node.weights)
+        for weights, children in nodes:
+            start, stop = stop, stop + len(weights)
             front, *found = self._front(start, stop, children, at, first)
             self.fronts.append(front)
             at, first = at + front.entries, front.band.stop
@@ -233,18 +232,6 @@ class FrontTree(Order):
                 weights[beyond] += np.searchsorted(front.boundary, child.boundary[beyond])
                 parameters = k + len(front.boundary) + np.searchsorted(front.parameters, child.parameters)
                 child.runs = _runs(np.concatenate((weights, parameters)), k)
-
-
-def _after_their_children(root: Separated) -> list[tuple[Separated, list[int]]]:
-    """All nodes of a tree in such an order, each with the places of its children in it."""
-    order, waiting = [], [root]
-    while waiting:
-        node = waiting.pop()
-        order.append(node)
-        waiting += node.children
-    order.reverse()
-    place = {id(node): i for i, node in enumerate(order)}
-    return [(node, [place[id(child)] for child in node.children]) for node in order]
 
 
 def _runs(places: np.ndarray, end: int) -> Runs:

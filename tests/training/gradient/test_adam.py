@@ -17,8 +17,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gradient.adam import Adam
-from pinn_cli.training.gradient.losses import LearnedParameters, Losses
-from pinn_cli.training.gradient.objective import Objective
+from pinn_cli.training.gradient.losses import LearnedParameters, Losses, Objective
 
 DESIGNS = {
     "mlp": Mlp(2, 32, "sine"),

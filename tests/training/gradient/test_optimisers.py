@@ -20,7 +20,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
 from pinn_cli.training.gradient.lbfgs import GRADIENT_VANISHED, NOTHING_LOWER, Lbfgs, LbfgsSteps
-from pinn_cli.training.gradient.objective import Objective
+from pinn_cli.training.gradient.losses import Objective
 from pinn_cli.training.gradient.training import Optimiser
 
 TRAININGS = {"adam": Adam, "lbfgs": Lbfgs}
