@@ -43,7 +43,10 @@ class ConstantRows:
         self._features = FeatureWindows(features)
 
     def add_to(self, sums: RowSums, residual: Tensor, weight: Tensor, part: slice = EVERY) -> None:
-        """Add their products, in some groups, with residuals (I, S, channels) there; weights (channels,), some 0."""
+        """Add their products in some groups.
+
+        Residuals are (I, S, channels), and their weights (channels,), 0 where there is none.
+        """
         by = residual[..., None].cpu().numpy()
         touching, places = np.any(self.weights, axis=0), np.full((by.shape[2], 1), sums.places)
         features, weights = self._features(part), weight.cpu().numpy()

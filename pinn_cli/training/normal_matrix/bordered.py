@@ -148,13 +148,16 @@ class BorderedFactor(ParameterFactor):
         return self.readout.size + len(self.schur)
 
     def draws(self, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Weights (size, count) and parameters (p, count) whose covariance is the inverse, from standard normals."""
+        """Readout weights (size, count) and parameters (p, count) with the inverse as covariance.
+
+        Drawn from independent standard normals (size + p, count).
+        """
         size = self.readout.size
         x = solve_triangular(self.schur, normals[size:], lower=True, trans="T")
         return self.readout.solved(normals[:size], -x), x
 
     def deviations(self, rows: np.ndarray, by_parameter: np.ndarray) -> np.ndarray:
-        """(q,), standard deviations of linear functions of weights (size, q) and parameters (p, q)."""
+        """(q,), of linear functions of weights (size, q) and parameters (p, q), with the inverse as covariance."""
         half, taken = self.readout.half_solved(rows)
         through = solve_triangular(self.schur, by_parameter - taken, lower=True)
         deviation: np.ndarray = np.sqrt(np.sum(half**2, axis=0) + np.sum(through**2, axis=0))
