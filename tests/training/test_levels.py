@@ -215,8 +215,7 @@ def test_a_velocity_goes_with_the_time_scale():
     )
 
 
-def test_noise_that_shows_is_what_was_added():
-    measurements = small_record(small_chain(), snr_db=25.0, duration=24.0, samples=2049)
+def test_noise_that_shows_is_what_was_added(measurements):
     record, truth = measurements.record, measurements.truth.response
     for quantity in (*record.response_quantities, "force"):
         added = np.std(getattr(record, quantity) - getattr(truth, quantity), axis=0)

@@ -279,11 +279,6 @@ class Diagonals:
         return int(self.values.shape[1])
 
     @property
-    def half_width(self) -> int:
-        """Of the band that holds all diagonals."""
-        return int(self.offsets[-1])
-
-    @property
     def main(self) -> np.ndarray:
         """(size,), the main diagonal."""
         line: np.ndarray = self.values[0]
@@ -305,8 +300,8 @@ class Diagonals:
         Raises:
             IndexError: It is not kept.
         """
-        if offset.size and int(offset.max()) > self.half_width:
-            raise IndexError(f"an entry {int(offset.max())} off the diagonal of a band of {self.half_width}")
+        if offset.size and int(offset.max()) >= len(self._line):
+            raise IndexError(f"an entry {int(offset.max())} off the diagonal of a band of {len(self._line) - 1}")
         line: np.ndarray = self._line[offset]
         if offset.size and int(line.min()) < 0:
             raise IndexError("an entry on a diagonal that is not kept")
@@ -314,7 +309,7 @@ class Diagonals:
 
     @cached_property
     def _line(self) -> np.ndarray:
-        line = np.full(self.half_width + 1, -1)
+        line = np.full(int(self.offsets[-1]) + 1, -1)
         line[self.offsets] = np.arange(len(self.offsets))
         return line
 

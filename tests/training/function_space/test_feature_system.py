@@ -12,7 +12,7 @@ from pinn_cli.network.mlp import Mlp
 from pinn_cli.physics import targets
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.estimate import RunContext
+from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.function_space import equations
 from pinn_cli.training.function_space.block_cholesky import BlockCholesky, BlockPattern, Blocks, entry
 from pinn_cli.training.function_space.equations import NetworkEquations
@@ -56,6 +56,9 @@ class Small:
         self.equations, noise = NetworkEquations(self.frame, PRECISION, 8000), collocation.noise_model(0.05, 0.01)
         self.point = self.equations.start()
         self.linear = self.equations.assemble(self.point, NoiseLevels((noise,))).linear
+
+    def solved(self, **settings) -> Estimate:
+        return GaussNewton(**settings).solve(JointProblem.of(self.problem), self.design, RunContext())
 
     def dense(self) -> DenseSystem:
         return DenseSystem(self.linear, PRECISION)
@@ -106,23 +109,18 @@ def test_units_that_bend_are_solved_with_the_whole_matrix(monkeypatch):
     monkeypatch.setattr(equations, "dense_operations", lambda blocks: float("inf"))
     monkeypatch.setattr("pinn_cli.training.function_space.feature_system.MOST_ITERATIONS", 1)
     small = Small(DESIGNS["sine"])
-    estimate = GaussNewton().solve(JointProblem.of(small.problem), small.design, RunContext())
-    assert estimate.summary["stop_reason"] == "converged"
-    assert estimate.summary["solution"] == "dense"
+    summary = small.solved().summary
+    assert summary["stop_reason"] == "converged"
+    assert summary["solution"] == "dense"
     with pytest.raises(NotNearlyLinearError, match=r"training\.most_residuals"):
-        GaussNewton(most_residuals=100).solve(JointProblem.of(small.problem), small.design, RunContext())
+        small.solved(most_residuals=100)
 
 
 @pytest.mark.slow
 def test_there_may_be_more_residuals_than_a_whole_matrix_has_room_for(monkeypatch):
     monkeypatch.setattr(equations, "dense_operations", lambda blocks: float("inf"))
     monkeypatch.setattr(equations, "DenseSystem", None)
-    small = Small(DESIGNS["sine"])
-    summary = (
-        GaussNewton(most_residuals=100, iterations=2)
-        .solve(JointProblem.of(small.problem), small.design, RunContext())
-        .summary
-    )
+    summary = Small(DESIGNS["sine"]).solved(most_residuals=100, iterations=2).summary
     assert summary["solution"] == "features"
     assert 5 * summary["collocation_points"] > 4 * 100  # two sensors, three equations of motion
 
@@ -131,7 +129,7 @@ def test_both_ways_find_the_same_motion(monkeypatch):
     small, found = Small(DESIGNS["sine"]), {}
     for way, dense in (("features", float("inf")), ("dense", 0.0)):
         monkeypatch.setattr(equations, "dense_operations", lambda blocks, value=dense: value)
-        found[way] = GaussNewton().solve(JointProblem.of(small.problem), small.design, RunContext())
+        found[way] = small.solved()
         assert found[way].summary["solution"] == way
     first, second = found.values()
     for quantity in ("displacement", "acceleration"):
