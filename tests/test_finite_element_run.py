@@ -16,7 +16,7 @@ from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.source import read_structure
 from pinn_cli.record.simulation import simulate
 from pinn_cli.system.finite_elements import build_finite_elements
-from pinn_cli.system.modes import Modes
+from pinn_cli.system.modes import modes_of
 
 DOFS = {"tip": deflection(10), "a": deflection(5), "b": deflection(8), "p": deflection(3)}
 STOP = "{stop: {between: [ground, tip], law: duffing, c: 0, k: 0, kappa: 4e4}}"
@@ -214,7 +214,7 @@ def test_sensors_bend_as_those_of_the_whole_model(tmp_path, monkeypatch):
     structure = read_structure(config, None)
     at = [DOFS[name] - 1 for name in ("tip", "a", "b")]
     shapes = structure.shapes.matrix[:3]
-    found = shapes @ np.linalg.solve(Modes.of(structure).K, shapes.T)
+    found = shapes @ np.linalg.solve(modes_of(structure).K, shapes.T)
     np.testing.assert_allclose(found, np.linalg.inv(K.toarray())[np.ix_(at, at)], rtol=1e-6)
 
 

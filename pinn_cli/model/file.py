@@ -26,7 +26,7 @@ from pinn_cli.settings.legal_values import located
 from pinn_cli.system.building import law_called
 from pinn_cli.system.connection.nonlinearity import Nonlinearity
 from pinn_cli.system.connection_groups import ConnectionGroup
-from pinn_cli.system.damping import MassProportional, ModalRatios, StiffnessProportional, StructuralDamping
+from pinn_cli.system.damping import WHOLE, StructuralDamping
 from pinn_cli.system.incidence import Incidence, Pairs
 from pinn_cli.system.parameters import Labels
 from pinn_cli.system.shapes import Shapes
@@ -45,8 +45,6 @@ _KNOWN = ("structure_", "parameters_mean", "parameters_told", "parameters_weight
 
 # What the law of a finite-element model's parts is called here; no connection can be given it.
 PART = "part"
-# Likewise damping of the whole.
-DAMPING_MODELS = {law.kind: law for law in (ModalRatios, MassProportional, StiffnessProportional)}
 
 
 class ModelFile(TypedDict):
@@ -300,8 +298,8 @@ def _group_words(group: ConnectionGroup) -> dict[str, Any]:
 
 
 def _law(words: Mapping[str, Any]) -> Nonlinearity:
-    if words["law"] in DAMPING_MODELS:
-        return DAMPING_MODELS[words["law"]]()
+    if words["law"] in WHOLE:
+        return StructuralDamping(words["law"])
     return Substructure() if words["law"] == PART else law_called(words["law"], words["settings"], "model")
 
 

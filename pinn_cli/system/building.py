@@ -23,7 +23,7 @@ from pinn_cli.system import connection
 from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.connection.nonlinearity import Nonlinearity
 from pinn_cli.system.connection_groups import ConnectionGroup
-from pinn_cli.system.damping import MassProportional, ModalRatios, StiffnessProportional, StructuralDamping
+from pinn_cli.system.damping import OF_MASS, OF_STIFFNESS, RATIO, StructuralDamping
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Labels
 from pinn_cli.system.shapes import Shapes
@@ -164,12 +164,13 @@ def damped(structure: Structure, damping: Any) -> Structure:
         raise InputError(DAMPING, damping, DAMPING_ALLOWED)
     ((form, given),) = damping.items()
     if form == "ratio":
-        return _with(structure, ModalRatios(), _ratios(given, structure))
+        return _with(structure, RATIO, _ratios(given, structure))
     values = entries(given)
     if len(values) != 2 or not all(x is None or (is_usable_number(x) and x >= 0) for x in values):
         raise InputError(f"{DAMPING}.rayleigh", given, "two numbers >= 0, [a_0, a_1] in 1/s and s, or null")
-    of_mass, of_stiffness = (math.nan if x is None else float(x) for x in values)
-    return _with(_with(structure, MassProportional(), [of_mass]), StiffnessProportional(), [of_stiffness])
+    for kind, value in zip((OF_MASS, OF_STIFFNESS), values, strict=True):
+        structure = _with(structure, kind, [math.nan if value is None else float(value)])
+    return structure
 
 
 def _ratios(given: Any, structure: Structure) -> list[float]:
@@ -181,13 +182,13 @@ def _ratios(given: Any, structure: Structure) -> list[float]:
     return [math.nan if x is None else float(x) for x in values]
 
 
-def _with(structure: Structure, law: StructuralDamping, values: list[float]) -> Structure:
-    """The structure with dampers of a law behind its connections; of springs of one where a stiffness is unknown."""
-    before = structure.incidence.matrix
+def _with(structure: Structure, kind: str, values: list[float]) -> Structure:
+    """The structure with such dampers behind its connections; of springs of one where a stiffness is unknown."""
+    law, before = StructuralDamping(kind), structure.incidence.matrix
     mass = np.nan_to_num(structure.parameters_like(np.empty(0))[MASS], nan=1.0)
     rows = law.rows(mass, before, np.ones(before.shape[0]))
     group = ConnectionGroup(law, Incidence(csr_matrix((0, before.shape[1]))), tuple(range(len(values)))).of_rows(rows)
-    parameters = {**structure.parameters, law.kind: torch.tensor(values, dtype=torch.float64)}
+    parameters = {**structure.parameters, kind: torch.tensor(values, dtype=torch.float64)}
     return replace(structure, parameters=parameters, groups=(*structure.groups, group)).present()
 
 

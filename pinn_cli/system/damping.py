@@ -10,9 +10,7 @@ masses and stiffnesses (:meth:`pinn_cli.system.structure.Structure.present`).
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Mapping
-from typing import ClassVar
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags
@@ -21,16 +19,21 @@ from pinn_cli.system.array_namespace import Array
 from pinn_cli.system.connection.linear import Linear
 
 WHOLE = RATIO, OF_MASS, OF_STIFFNESS = "zeta", "a_0", "a_1"
+_TITLES = {RATIO: "Damping ratio", OF_MASS: "Rayleigh damping", OF_STIFFNESS: "Rayleigh damping"}
+_UNITS = {RATIO: "", OF_MASS: "1/s", OF_STIFFNESS: "s"}
 
 
 class StructuralDamping(Linear):
     """The law of such dampers, r = theta de; they have no spring.
 
-    Attributes:
-        kind: Of their parameter.
+    Args:
+        kind: Of their parameter, in :data:`WHOLE`; of ratios there is one for every mode, the lowest frequency first.
     """
 
-    kind: ClassVar[str]
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+        self.parameters = self.nonnegative = (kind,)
+        self.titles, self.units = {kind: _TITLES[kind]}, {kind: _UNITS[kind]}
 
     def damping_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray | float:
         """See :meth:`Nonlinearity.damping_at_rest`."""
@@ -40,58 +43,23 @@ class StructuralDamping(Linear):
         """See :meth:`Nonlinearity.force`."""
         return parameters[self.kind] * de
 
-    @abstractmethod
     def rows(self, mass: np.ndarray, stretch: csr_matrix, stiffness: np.ndarray) -> csr_matrix:
-        """(C', n), of the incidence.
+        """(C', n), of the incidence: sqrt(2 omega_r) phi_r' M of ratios, sqrt(m_i) of a_0, sqrt(k_j) b_j of a_1.
+
+        Those of a_1 are omega_r phi_r' M where a part is softer than its matrix, as a negative spring.
 
         Args:
             mass: (n,), kg.
             stretch: (C, n), of the connections that hold the structure.
             stiffness: (C,), theirs at rest, N/m.
         """
-
-
-class ModalRatios(StructuralDamping):
-    """A damping ratio for every mode, the lowest frequency first: rows sqrt(2 omega_r) phi_r' M."""
-
-    kind = RATIO
-    parameters = nonnegative = (RATIO,)
-    titles: Mapping[str, str] = {RATIO: "Damping ratio"}
-    units: Mapping[str, str] = {RATIO: ""}
-
-    def rows(self, mass: np.ndarray, stretch: csr_matrix, stiffness: np.ndarray) -> csr_matrix:
-        """See :meth:`StructuralDamping.rows`."""
-        omega, shapes = modes_of_stiffness(mass, stretch, stiffness)
-        return csr_matrix((np.sqrt(2.0 * omega) * shapes).T * mass)
-
-
-class MassProportional(StructuralDamping):
-    """a_0 M: rows sqrt(m_i)."""
-
-    kind = OF_MASS
-    parameters = nonnegative = (OF_MASS,)
-    titles: Mapping[str, str] = {OF_MASS: "Rayleigh damping"}
-    units: Mapping[str, str] = {OF_MASS: "1/s"}
-
-    def rows(self, mass: np.ndarray, stretch: csr_matrix, stiffness: np.ndarray) -> csr_matrix:
-        """See :meth:`StructuralDamping.rows`."""
-        return csr_matrix(diags(np.sqrt(mass)))
-
-
-class StiffnessProportional(StructuralDamping):
-    """a_1 K: rows sqrt(k_j) b_j; omega_r phi_r' M where a part is softer than its matrix, as a negative spring."""
-
-    kind = OF_STIFFNESS
-    parameters = nonnegative = (OF_STIFFNESS,)
-    titles: Mapping[str, str] = {OF_STIFFNESS: "Rayleigh damping"}
-    units: Mapping[str, str] = {OF_STIFFNESS: "s"}
-
-    def rows(self, mass: np.ndarray, stretch: csr_matrix, stiffness: np.ndarray) -> csr_matrix:
-        """See :meth:`StructuralDamping.rows`."""
-        if (stiffness >= 0).all():
+        if self.kind == OF_MASS:
+            return csr_matrix(diags(np.sqrt(mass)))
+        if self.kind == OF_STIFFNESS and (stiffness >= 0).all():
             return csr_matrix(diags(np.sqrt(stiffness)) @ stretch)
         omega, shapes = modes_of_stiffness(mass, stretch, stiffness)
-        return csr_matrix((omega * shapes).T * mass)
+        size = np.sqrt(2.0 * omega) if self.kind == RATIO else omega
+        return csr_matrix((size * shapes).T * mass)
 
 
 def of_ratio(ratio: float, mass: np.ndarray, stretch: csr_matrix, stiffness: np.ndarray) -> dict[str, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+import torch
 
 from pinn_cli.system.array_namespace import Array
 from pinn_cli.system.connection.nonlinearity import Hysteresis
@@ -39,17 +40,15 @@ def stored_by_memory(structure: Structure, z: Array, parameters: Mapping[str, Ar
     stored = 0.0 * z
     for group, part in zip(structure.groups, structure.parts, strict=True):
         if isinstance(group.nonlinearity, Hysteresis):
-            values = {kind: np.asarray(_plain(value)) for kind, value in part.of_group(parameters).items()}
+            values = {
+                kind: torch.as_tensor(value).detach().cpu().numpy() for kind, value in part.of_group(parameters).items()
+            }
             stiffness = np.broadcast_to(group.nonlinearity.stiffness_at_rest(values), (group.incidence.shape[0],))
             forces = part.states[0]
             for column, k in zip(range(forces.start, forces.stop), stiffness.tolist(), strict=True):
                 if k > 0.0:
                     stored[..., column] = 0.5 * z[..., column] ** 2 / k
     return stored
-
-
-def _plain(value: Array) -> object:
-    return value if isinstance(value, np.ndarray) else value.detach().cpu().numpy()
 
 
 def trapezoids(time: np.ndarray) -> np.ndarray:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import torch
-from scipy.sparse import csr_matrix, diags, vstack
+from scipy.sparse import csr_matrix, diags
 
 from pinn_cli.system.array_namespace import Array
 
@@ -59,11 +59,6 @@ class Incidence:
         places = [(i, dof, weight) for i, row in enumerate(rows) for dof, weight in row.items()]
         i, dof, weight = zip(*places, strict=True)
         return cls(csr_matrix((weight, (i, dof)), shape=(len(rows), ndof)))
-
-    @classmethod
-    def stacked(cls, parts: Iterable[Incidence]) -> Incidence:
-        """Of all connections of several, one below the other."""
-        return cls(vstack([part.matrix for part in parts], format="csr"))
 
     def elongation(self, x: Array) -> Array:
         """B x: (..., n) to (..., C), of displacements, velocities or accelerations alike."""
@@ -129,8 +124,8 @@ class Pairs:
         weights: (P, dofs), of the displacements in each drift.
     """
 
-    names: tuple[str, ...] = ()
-    weights: csr_matrix = field(default_factory=lambda: csr_matrix((0, 0)))
+    names: tuple[str, ...]
+    weights: csr_matrix
 
     @classmethod
     def of(cls, names: Sequence[str], weights: Sequence[Mapping[int, float]], dofs: int) -> Pairs:

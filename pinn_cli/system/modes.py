@@ -41,20 +41,6 @@ class Modes:
     inputs: np.ndarray
     structure: Structure
 
-    @classmethod
-    def of(cls, structure: Structure) -> Modes:
-        """Of a structure at rest: hidden forces that follow the elongations are springs, nonlinear dampers do nothing.
-
-        At rest a friction joint sticks, and a Van der Pol damper feeds energy in: neither is what they do in motion.
-        """
-        stretch = structure.incidence.matrix.toarray()
-        m, n = structure.parameters_like(np.empty(0))["m"], structure.coordinates
-        stiffness, damping = structure.at_rest()
-        K, C = (stretch.T @ (values[:, None] * stretch) for values in (stiffness.sum(axis=0), damping[0]))
-        state = np.block([[np.zeros((n, n)), np.eye(n)], [-K / m[:, None], -C / m[:, None]]])
-        poles, vectors = np.linalg.eig(state)
-        return cls(m, K, C, poles, vectors[:n], np.linalg.inv(vectors)[:, n:], structure)
-
     @property
     def shapes(self) -> np.ndarray:
         """(dofs, 2n), displacements of the DOFs in each mode."""
@@ -76,12 +62,21 @@ class Modes:
         root = np.sqrt(self.m)
         squares = np.linalg.eigvalsh(self.K / np.outer(root, root))
         squares[np.abs(squares) <= RIGID * np.abs(squares).max()] = 0.0
-        return np.sqrt(np.where(squares >= 0, squares, np.nan)) / (2 * np.pi)
+        return frequency(squares)
 
 
 def modes_of(structure: Structure) -> Modes:
-    """Of the linear part of a structure."""
-    return Modes.of(structure)
+    """Of a structure at rest: hidden forces that follow the elongations are springs, nonlinear dampers do nothing.
+
+    At rest a friction joint sticks, and a Van der Pol damper feeds energy in: neither is what they do in motion.
+    """
+    stretch = structure.incidence.matrix.toarray()
+    m, n = structure.parameters_like(np.empty(0))[MASS], structure.coordinates
+    stiffness, damping = structure.at_rest()
+    K, C = (stretch.T @ (values[:, None] * stretch) for values in (stiffness.sum(axis=0), damping[0]))
+    state = np.block([[np.zeros((n, n)), np.eye(n)], [-K / m[:, None], -C / m[:, None]]])
+    poles, vectors = np.linalg.eig(state)
+    return Modes(m, K, C, poles, vectors[:n], np.linalg.inv(vectors)[:, n:], structure)
 
 
 @dataclass(frozen=True, eq=False)

@@ -146,10 +146,6 @@ class Labels:
     modes: tuple[str, ...] = ()
     supports: tuple[str, ...] = ()
 
-    def dof(self, index: int) -> str:
-        """What people call a coordinate, counted from 0: its name, or its number from 1."""
-        return self.dofs[index] if self.dofs else str(index + 1)
-
     def connection(self, index: int) -> str:
         """What people call a connection, counted from 0: its name, or its number from 1."""
         return self.connections[index] if self.connections else str(index + 1)
@@ -169,11 +165,9 @@ class Labels:
             return "system.damping_ratio" if parameter.kind == "c" else "system.modes"
         if parameter.kind == FACTOR:
             return f"system.factors.{parameter.label}"
-        return (
-            f"system.mass.{parameter.label}"
-            if parameter.kind == MASS
-            else (f"system.connections.{parameter.label}.{parameter.kind}")
-        )
+        if parameter.kind == MASS:
+            return f"system.mass.{parameter.label}"
+        return f"system.connections.{parameter.label}.{parameter.kind}"
 
 
 def letter(kind: str) -> str:

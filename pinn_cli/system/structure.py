@@ -79,15 +79,12 @@ class Structure:
 
     def __post_init__(self) -> None:
         sizes = {MASS: self.groups[0].incidence.shape[1], **{k: len(m) for k, m in self.members.items()}}
+        article = f"a {self.nonlinearity_name} structure"
         if set(self.parameters) != set(sizes):
-            raise ValueError(f"{self._article} has parameters {tuple(sizes)}, not {tuple(self.parameters)}")
+            raise ValueError(f"{article} has parameters {tuple(sizes)}, not {tuple(self.parameters)}")
         shapes = {name: tuple(value.shape) for name, value in self.parameters.items()}
         if shapes != {name: (sizes[name],) for name in shapes}:
-            raise ValueError(f"the parameters of {self._article} are {sizes} numbers, not {shapes}")
-
-    @property
-    def _article(self) -> str:
-        return f"a {self.nonlinearity_name} structure"
+            raise ValueError(f"the parameters of {article} are {sizes} numbers, not {shapes}")
 
     @property
     def coordinates(self) -> int:
@@ -114,7 +111,7 @@ class Structure:
         """Of all connections."""
         if len(self.groups) == 1:
             return self.groups[0].incidence
-        return Incidence.stacked(group.incidence for group in self.groups)
+        return Incidence(vstack([group.incidence.matrix for group in self.groups], format="csr"))
 
     @property
     def supports(self) -> int:
@@ -140,34 +137,13 @@ class Structure:
         return {k: at[np.unique(which, return_index=True)[1]] for k, (at, which) in self.carriers.items()}
 
     @property
-    def nonlinearity(self) -> Nonlinearity:
-        """That of the connections of a structure that has one law.
-
-        Raises:
-            ValueError: It has several.
-        """
-        if len(self.groups) > 1:
-            raise ValueError(f"{self._article} has no one nonlinearity")
-        return self.groups[0].nonlinearity
-
-    @property
     def nonlinearity_name(self) -> str:
         """What the tables call its laws."""
         return "+".join(dict.fromkeys(group.nonlinearity.name for group in self.groups))
 
-    @property
-    def units(self) -> dict[str, str]:
-        """Unit of each kind of parameter, powers as ``m^3``."""
-        return LINEAR_UNITS | {k: u for group in self.groups for k, u in group.nonlinearity.units.items()}
-
-    @property
-    def titles(self) -> dict[str, str]:
-        """What a figure calls each kind of parameter."""
-        return LINEAR_TITLES | {k: t for group in self.groups for k, t in group.nonlinearity.titles.items()}
-
     def dof_name(self, index: int) -> str:
         """What people call a DOF, counted from 0: its name, or its number from 1."""
-        return self.labels.dof(index)
+        return self.labels.dofs[index] if self.labels.dofs else str(index + 1)
 
     def parameter(self, kind: str, index: int) -> Parameter:
         """The parameter of a kind that a mass or a connection has, counted from 0, with its present value."""
@@ -389,13 +365,8 @@ class Structure:
         if not self.is_damped_as_whole:
             return self
         at = {**self.parameters_like(np.empty(0)), **(values or {})}
-        stiffness = np.concatenate(
-            [g.at_rest(p.of_group(at))[0].sum(axis=0) for g, p in zip(self.groups, self.parts, strict=True)]
-        )
-        mass, holds = (
-            at[MASS],
-            ~np.repeat([g.damps_whole for g in self.groups], [g.incidence.shape[0] for g in self.groups]),
-        )
+        mass, stiffness = at[MASS], self.at_rest(at)[0].sum(axis=0)
+        holds = np.array([not isinstance(law, StructuralDamping) for law in self.laws])
         if not np.isfinite(stiffness[holds]).all() or not (mass > 0).all():
             return self
         stretch = self.incidence.matrix[holds]
@@ -487,12 +458,12 @@ class Structure:
         kinds = (*LINEAR_UNITS, *(kind for group in groups for kind in group.nonlinearity.parameters))
         return replace(self, parameters={kind: self.parameters[kind] for kind in kinds}, groups=groups)
 
-    def at_rest(self) -> tuple[np.ndarray, np.ndarray]:
+    def at_rest(self, parameters: Mapping[str, np.ndarray] | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Stiffness, N/m, and damping, N s/m, of every connection at rest, each (2, C): its own, and by its law.
 
-        The law's includes what a hidden force adds that follows the elongation.
+        The law's includes what a hidden force adds that follows the elongation. ``parameters=None``: the structure's.
         """
-        p = self.parameters_like(np.empty(0))
+        p = self.parameters_like(np.empty(0)) if parameters is None else parameters
         by_group = [group.at_rest(part.of_group(p)) for group, part in zip(self.groups, self.parts, strict=True)]
         stiffness, damping = (np.concatenate(x, axis=1) for x in zip(*by_group, strict=True))
         return stiffness, damping

@@ -19,7 +19,7 @@ from pinn_cli.record.steps import with_slow_followers
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.finite_elements import build_finite_elements
-from pinn_cli.system.modes import Modes
+from pinn_cli.system.modes import modes_of
 from pinn_cli.training.estimate import ParameterEstimate
 from pinn_cli.training.prediction import drawn_structures, parameter_draws
 
@@ -136,7 +136,7 @@ CHAINS = {
 
 
 def moved(structure, load, start=START):
-    modes = Modes.of(structure)
+    modes = modes_of(structure)
     assert has_modes(modes)
     return linear_motion(modes, [(load, np.eye(structure.coordinates) / modes.m)], TIME, start)
 

@@ -7,6 +7,7 @@ import pytest
 from calls import refusal
 from scipy.linalg import expm
 from small_problems import small_chain
+from storeys import chain_matrix
 
 from pinn_cli.record import runge_kutta as one_by_one
 from pinn_cli.record.excitation import BandedNoise, Impulse
@@ -17,7 +18,6 @@ from pinn_cli.record.steps import substeps_needed
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Linear, PowerDamping, VanDerPol
 from pinn_cli.system.structure import Structure
-from tests import paper_matrices as matrices
 
 DURATION = 8.0
 CHAINS = {
@@ -61,8 +61,10 @@ def test_linear_response_is_the_matrix_exponential(method):
     structure = CHAINS["linear"]
     omega = 1.3
     generator = np.zeros((8, 8))
-    generator[:6, :6] = matrices.state(structure).numpy()
-    generator[:6, 6] = matrices.input(structure).numpy()[:, 0]
+    generator[:3, 3:6] = np.eye(3)
+    m, c, k = (structure.parameters[kind].numpy() for kind in "mck")
+    generator[3:6, :3], generator[3:6, 3:6] = -chain_matrix(k) / m[:, None], -chain_matrix(c) / m[:, None]
+    generator[3, 6] = 1.0 / m[0]
     generator[6:, 6:] = [[0.0, omega], [-omega, 0.0]]
     time = np.linspace(0.0, DURATION, 513)
     start = np.array([0.0] * 6 + [0.0, 1.0])

@@ -39,7 +39,8 @@ def test_units():
         (Gap(), {"k_g": "N/m", "gap": "m"}),
         (Spline(speed=0.3, terms=1), {"h_1": "N"}),
     ):
-        assert build_chain(2, kind, m=1.0, c=1.0, k=1.0, **dict.fromkeys(own, 1.0)).units == units | own
+        chain = build_chain(2, kind, m=1.0, c=1.0, k=1.0, **dict.fromkeys(own, 1.0))
+        assert {p.kind: p.unit for p in chain.every_parameter()} == units | own
 
 
 @pytest.mark.parametrize("sides", ["both", "positive", "negative"])

@@ -12,7 +12,7 @@ from scipy.linalg import eigh
 
 from pinn_cli.scheme.unknowns import all_names
 from pinn_cli.system.finite_elements import build_finite_elements
-from pinn_cli.system.modes import Modes
+from pinn_cli.system.modes import modes_of
 
 ELEMENTS = 30
 PARTS = {"base": range(10), "middle": range(10, 20), "top": range(20, 30)}
@@ -51,7 +51,7 @@ def with_factors(structure, factors):
 
 @pytest.mark.parametrize("factors", [[1.0, 1.0, 1.0], [0.85, 1.0, 1.1], [1.3, 0.7, 1.2]])
 def test_frequencies_are_those_of_the_whole_model(folder, factors):
-    found = Modes.of(with_factors(built(folder), factors)).natural_frequencies[:6]
+    found = modes_of(with_factors(built(folder), factors)).natural_frequencies[:6]
     expected = full_frequencies(factors, 6)
     near = max(abs(factor - 1.0) for factor in factors) < 0.2
     np.testing.assert_allclose(found, expected, rtol=5e-5 if near else 4e-4)
@@ -75,13 +75,13 @@ def test_coordinates_at_factors_move_as_the_whole_model(folder, factors):
     first = with_factors(built(folder, dofs={**DOFS, "b": deflection(19)}), factors)
     again = first.reduced_at()
     assert again.coordinates == first.coordinates
-    np.testing.assert_allclose(Modes.of(again).natural_frequencies[:6], full_frequencies(factors, 6), rtol=1e-8)
+    np.testing.assert_allclose(modes_of(again).natural_frequencies[:6], full_frequencies(factors, 6), rtol=1e-8)
     rates = 2.0 * np.pi * np.linspace(0.1, 1.0, 60) * full_frequencies(factors, 5)[-1]
     expected = whole_response(factors, rates)
     off = []
     for structure in (first, again):
         n = structure.coordinates
-        found = receptance(np.eye(n), Modes.of(structure).K, structure.shapes.matrix, rates)[:, : len(DOFS)]
+        found = receptance(np.eye(n), modes_of(structure).K, structure.shapes.matrix, rates)[:, : len(DOFS)]
         off.append(np.linalg.norm(found - expected, axis=0) / np.linalg.norm(expected, axis=0))
     assert off[1].max() < 2e-4, off
     assert (off[1] < 0.1 * off[0]).all(), off
@@ -109,14 +109,14 @@ def test_coordinates_at_factors_keep_what_was_said(folder):
 def test_all_modes_may_be_kept(folder, modes):
     structure = built(folder, modes=modes)
     assert structure.coordinates == 2 * ELEMENTS
-    found = Modes.of(with_factors(structure, [0.7, 1.3, 0.7])).natural_frequencies
+    found = modes_of(with_factors(structure, [0.7, 1.3, 0.7])).natural_frequencies
     np.testing.assert_allclose(found[:50], full_frequencies([0.7, 1.3, 0.7], 50), rtol=1e-6)
 
 
 def test_static_deflections_are_those_of_the_whole_model(folder):
     structure = with_factors(built(folder), [0.8, 1.0, 1.2])
     push = structure.shapes.matrix[0]
-    found = structure.shapes.matrix @ np.linalg.solve(Modes.of(structure).K, push)
+    found = structure.shapes.matrix @ np.linalg.solve(modes_of(structure).K, push)
     K = sum(f * beam_part(ELEMENTS, own) for f, own in zip([0.8, 1.0, 1.2], PARTS.values(), strict=True))
     places = np.array(list(DOFS.values())) - 1
     expected = np.linalg.solve(K.toarray(), np.eye(K.shape[0])[:, places[0]])[places]
@@ -158,7 +158,7 @@ def test_a_forgotten_nonlinearity_leaves_the_parts(folder):
 def test_a_value_is_the_factor_and_a_file_of_several_holds_parts(folder):
     structure = built(folder, {"every": {"value": 0.8}})
     assert structure.parameters["factor"].tolist() == [0.8]
-    frequencies = Modes.of(structure).natural_frequencies[:3]
+    frequencies = modes_of(structure).natural_frequencies[:3]
     np.testing.assert_allclose(frequencies, np.sqrt(0.8) * full_frequencies([1.0] * 3, 3), rtol=1e-6)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
 
 import numpy as np
 
@@ -32,7 +31,7 @@ class BoucWen(Hysteresis):
         "n": "Sharpness",
     }
     units: Mapping[str, str] = {"A": "N/m", "beta": "1/m", "gamma": "1/m", "n": "1"}
-    nonnegative: ClassVar[tuple[str, ...]] = ("c", "k", "A", "n")
+    nonnegative: tuple[str, ...] = ("c", "k", "A", "n")
 
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`: all of it is hidden."""

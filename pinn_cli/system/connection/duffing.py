@@ -13,7 +13,6 @@ class Duffing(Nonlinearity):
 
     name = "duffing"
     parameters = ("kappa",)
-    stiffness_parameter = "kappa"
     titles: Mapping[str, str] = {"kappa": "Duffing"}
     units: Mapping[str, str] = {"kappa": "N/m^3"}
 

@@ -28,7 +28,6 @@ class Friction(Nonlinearity):
 
     name = "friction"
     parameters = ("F_c",)
-    damping_parameter = "F_c"
     titles: Mapping[str, str] = {"F_c": "Friction"}
     units: Mapping[str, str] = {"F_c": "N"}
     nonnegative = ("c", "k", "F_c")

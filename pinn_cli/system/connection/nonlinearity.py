@@ -23,8 +23,6 @@ class Nonlinearity(ABC):
         name: What the tables call it.
         parameters: Names of its parameters, beyond m, c and k.
         states: How many functions of time a connection remembers, see :class:`Hysteresis`.
-        stiffness_parameter: The one that fills the paper's K_n (its force depends on e alone), if there is one.
-        damping_parameter: The one that fills the paper's C_n, if there is one.
         titles: What a figure calls each of its parameters; one that is left out goes by its symbol.
         units: Unit of each of its parameters, powers as ``m^3``; one that is left out is printed without.
         nonnegative: Parameters that make no physical sense below zero.
@@ -38,11 +36,9 @@ class Nonlinearity(ABC):
     name: ClassVar[str]
     parameters: tuple[str, ...]
     states: ClassVar[int] = 0
-    stiffness_parameter: ClassVar[str | None] = None
-    damping_parameter: ClassVar[str | None] = None
     titles: Mapping[str, str] = {}
     units: Mapping[str, str] = {}
-    nonnegative: ClassVar[tuple[str, ...]] = ("c", "k")
+    nonnegative: tuple[str, ...] = ("c", "k")
     optional: ClassVar[tuple[str, ...]] = ()
     spans: Mapping[str, tuple[float, float]] = {}
     reversal_speed: float | None = None

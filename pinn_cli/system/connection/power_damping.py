@@ -22,7 +22,6 @@ class PowerDamping(Nonlinearity):
 
     name = "power_damping"
     parameters = ("mu",)
-    damping_parameter = "mu"
     titles: Mapping[str, str] = {"mu": "Power-law damping"}
     nonnegative = ("c", "k", "mu")
 

@@ -13,7 +13,6 @@ class VanDerPol(Nonlinearity):
 
     name = "van_der_pol"
     parameters = ("mu",)
-    damping_parameter = "mu"
     titles: Mapping[str, str] = {"mu": "Van der Pol"}
     units: Mapping[str, str] = {"mu": "N s/m"}
 
