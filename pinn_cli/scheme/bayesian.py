@@ -21,7 +21,6 @@ from pinn_cli.scheme.problem import FREE, GAUSSIAN_PROCESS, Problem
 from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Sensors, Through, UnknownForce, check_given
 from pinn_cli.scheme.starts import Start, Starts
 from pinn_cli.scheme.unknowns import (
-    at_starts,
     check_used,
     checked_positive,
     parameters_called,
@@ -168,8 +167,8 @@ class Bayesian(EstimationScheme):
         priors = {p: given_priors.get(p, wide[p]) for p in chosen}
         said = (replace(p, said=given.get(p, math.nan)) for p in chosen)
         unknown = tuple(_unknown(p, priors[p], starts[p], p in given_priors) for p in said)
-        structure = at_starts(prescribed, unknown)
-        return JointProblem.of(*map(_with_priors, self.joint_problem(structure, records, unknown)))
+        structure = prescribed.with_values({p: p.prescribed for p in unknown})
+        return JointProblem.of(*map(_with_priors, JointProblem.of_records(structure, records, unknown, *self.settings)))
 
 
 def _unknown(parameter: Parameter, prior: Prior, start: Start, chosen_by_user: bool) -> Parameter:

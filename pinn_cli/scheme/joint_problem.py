@@ -54,13 +54,7 @@ class JointProblem:
     ) -> JointProblem:
         """Each record has the inputs and the calibrations that its own channels leave open.
 
-        Args:
-            structure: See :class:`Problem`.
-            records: One or several.
-            uncertain: Of the structure.
-            acceleration_through: See :class:`Problem`.
-            initial_motion: Likewise.
-            unknown_force: See :func:`pinn_cli.scheme.problem.inputs_of`.
+        See :class:`Problem` and :func:`pinn_cli.scheme.problem.inputs_of`; ``uncertain`` are of the structure.
         """
         believed: dict[tuple[str, str], Parameter] = {}
         return cls.of(
@@ -82,18 +76,11 @@ class JointProblem:
         cls, model: Model, record: Record, updates: bool, acceleration_through: str, initial_motion: str,
         unknown_force: str,
     ) -> JointProblem:  # fmt: skip
-        """The problem of a new record of an identified structure.
+        """The problem of a new record of an identified structure, otherwise as :meth:`of_records`.
 
-        Args:
-            model: What earlier records say.
-            record: The new one.
-            updates: Whether the parameters are to be known better afterwards. What the model leaves out then hides as
-                much of them in this record as in those before, and bounds cut off what they do of all records'
-                posterior; else misfit is one more reason for them to be off, and they are what the earlier run's table
-                says.
-            acceleration_through: See :class:`Problem`.
-            initial_motion: Likewise.
-            unknown_force: See :func:`pinn_cli.scheme.problem.inputs_of`.
+        ``updates`` says whether the parameters are to be known better afterwards. What the model leaves out then hides
+        as much of them in this record as in those before, and bounds cut off what they do of all records' posterior;
+        else misfit is one more reason for them to be off, and they are what the earlier run's table says.
 
         Raises:
             InputError: The run's training did not say how uncertain its parameters are.
@@ -208,9 +195,7 @@ def _as_before(parameter: Parameter, believed: dict[tuple[str, str], Parameter])
     if parameter.unknown and earlier.unknown:
         return replace(parameter, prior_std=earlier.prior_std)
     if (parameter.prescribed, parameter.prior_std) != (earlier.prescribed, earlier.prior_std):
-        said = (
-            f"{parameter.prescribed:g} +- {parameter.prior_std:g} and {earlier.prescribed:g} +- {earlier.prior_std:g}"
-        )
+        said = " and ".join(f"{p.prescribed:g} +- {p.prior_std:g}" for p in (parameter, earlier))
         hint = "a sensor that was calibrated anew has another name"
         raise InputError("data.channels", f"{parameter.name}: {said}", "the same in all records", hint)
     return parameter

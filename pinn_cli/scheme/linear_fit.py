@@ -17,7 +17,6 @@ from pinn_cli.scheme.calibration import ChannelDoubts, Doubt
 from pinn_cli.system.frequency_response import Acting, FrequencyResponse, real_rows
 from pinn_cli.system.parameters import FACTOR
 from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
-from pinn_cli.system.shapes import OfMasses, Shapes
 from pinn_cli.system.structure import Structure
 
 # Frequencies at most: a dense matrix is inverted at each.
@@ -61,42 +60,29 @@ class LinearStructure:
     A damping ratio of the whole structure is half a loss factor of its springs: at every resonance they do the same.
 
     Args:
-        stretch, known, influence: See :class:`pinn_cli.scheme.screening.Screening`.
+        structure: Its connections that are no damping of the whole; that of a part of a finite-element model is one
+            less than its factor.
+        known: See :func:`pinn_cli.scheme.starts.linear_parts`.
         typical: (C,), stiffnesses, of which the median stands for that of a connection without a spring.
-        shapes: How DOFs move with the coordinates; None: they are the DOFs.
-        springs: (C,), the number k that is the stiffness of every connection, and what it is less than that number;
-            None: each has its own.
+
+    Attributes:
+        stretch: (C, n), how the coordinates stretch the connections.
+        by_supports: (C, S), how supports that move do.
+        spring, less: (C,), the number k that is the stiffness of every connection, and what it is less than that.
     """
 
-    def __init__(
-        self,
-        stretch: np.ndarray,
-        known: Mapping[str, np.ndarray],
-        typical: np.ndarray,
-        influence: np.ndarray | None = None,
-        shapes: Shapes | None = None,
-        springs: tuple[np.ndarray, np.ndarray] | None = None,
-    ) -> None:
-        n = len(known["m"])
-        self.known, self.influence = {"loss": np.zeros(1)} | dict(known), np.ones(n) if influence is None else influence
-        self.shapes = OfMasses(self.influence) if shapes is None else shapes
-        self.spring: np.ndarray
-        self.less: np.ndarray
-        self.spring, self.less = (np.arange(len(stretch)), np.zeros(len(stretch))) if springs is None else springs
-        self.stretch, self.by_supports = stretch[:, :n], stretch[:, n:]
+    def __init__(self, structure: Structure, known: Mapping[str, np.ndarray], typical: np.ndarray) -> None:
+        self.known, self.influence, self.shapes = dict(known), structure.with_ground, structure.shapes
+        own = np.arange(len(structure.parameters["k"]))
+        parts, factors = structure.carriers.get(FACTOR, (own[:0], own[:0]))
+        self.spring = np.append(own, len(own) + factors)
+        self.less = (self.spring >= len(own)).astype(float)
+        stretch = structure.stretch.matrix[np.append(own, parts)].toarray()
+        self.stretch, self.by_supports = np.hsplit(stretch, [structure.coordinates])
         self.end, self.typical = last_ends(self.stretch), float(np.median(typical))
         self.free = {kind: np.flatnonzero(np.isnan(self.known[kind])) for kind in ("m", "k", "c", "loss")}
         self.damped, self.lossy = len(self.free["c"]) > 0, len(self.free["loss"]) > 0
         self.count = len(self.free["m"]) + len(self.free["k"]) + self.damped + self.lossy
-
-    @classmethod
-    def of(cls, structure: Structure, known: Mapping[str, np.ndarray], typical: np.ndarray) -> LinearStructure:
-        """The connections that hold a structure, of which :func:`pinn_cli.scheme.starts.linear_parts` is known."""
-        own = np.arange(len(structure.parameters["k"]))
-        parts, factors = structure.carriers.get(FACTOR, (own[:0], own[:0]))
-        stretch, spring = structure.stretch.matrix[np.append(own, parts)].toarray(), np.append(own, len(own) + factors)
-        less = (spring >= len(own)).astype(float)
-        return cls(stretch, known, typical, structure.with_ground, structure.shapes, (spring, less))
 
     def start(self, mass: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
         """The vector of unknowns at given masses (n,) and stiffnesses (C,)."""

@@ -23,7 +23,6 @@ from pinn_cli.system.functions import FLAT, Inputs
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.priors import Prior
 from pinn_cli.system.quantities import FORCE
-from pinn_cli.system.shapes import Shapes
 from pinn_cli.system.structure import Structure
 
 # What measured accelerations can be compared with.
@@ -230,9 +229,16 @@ def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIA
     Raises:
         InputError: A record that a structure in modal coordinates cannot be asked about.
     """
-    if structure.is_modal:
-        _check_modal(structure.shapes, record, unknown_force)
-    left_open = ~record.unforced & ~record.sensors("force")
+    left_open = ~record.unforced & ~record.sensors(FORCE)
+    if structure.is_modal:  # forces on modes are the same ones as on the DOFs
+        if record.intersample != "band_limited":
+            allowed, hint = "band_limited with system=matrices", "a held force is no force of a mode"
+            raise InputError("data.intersample", record.intersample, allowed, hint)
+        if unknown_force == FREE and left_open.any():
+            hint = "the motion of a few modes leaves no force open"
+            raise InputError("scheme.unknown_force", FREE, f"{GAUSSIAN_PROCESS} with system=matrices", hint)
+        if record.ground_acceleration is not None:
+            structure.shapes.check_ground()
     forces = tuple(int(dof) for dof in np.flatnonzero(left_open)) if unknown_force == GAUSSIAN_PROCESS else ()
     if forces and record.misses_ground:
         allowed, hint = "measured where nobody measured the ground", "nothing tells one from the other"
@@ -267,26 +273,12 @@ def with_every_force(problem: Problem) -> Problem:
     """
     band, shapes = record_band(problem.record), problem.structure.shapes.matrix
     dofs = np.sort(qr(shapes.T, mode="r", pivoting=True)[1][: shapes.shape[1]])
-    forces = tuple(int(dof) for dof in dofs)
     inputs = replace(
         problem.inputs,
-        forces=forces,
+        forces=tuple(dofs.tolist()),
         correlation_time=FIRST_CORRELATION / band,
         rate=math.pi * band,
         edge=2.0 * math.pi * band,
         left_out=True,
     )
     return replace(problem, inputs=inputs)
-
-
-def _check_modal(shapes: Shapes, record: Record, unknown_force: str) -> None:
-    """What cannot be said of modes: forces on them are the same ones as on the DOFs."""
-    if record.intersample != "band_limited":
-        allowed, hint = "band_limited with system=matrices", "a held force is no force of a mode"
-        raise InputError("data.intersample", record.intersample, allowed, hint)
-    left_open = ~record.unforced & ~record.sensors("force")
-    if unknown_force == FREE and left_open.any():
-        hint = "the motion of a few modes leaves no force open"
-        raise InputError("scheme.unknown_force", FREE, f"{GAUSSIAN_PROCESS} with system=matrices", hint)
-    if record.ground_acceleration is not None:
-        shapes.check_ground()

@@ -148,17 +148,10 @@ class EstimationScheme(Scheme):
         problem = JointProblem.of_model(model, record, True, self.acceleration_through, FREE, self.unknown_force)
         return JointProblem.of(replace(problem.alone, initial_state=model.end))
 
-    def joint_problem(
-        self, structure: Structure, records: Sequence[Record], uncertain: tuple[Parameter, ...]
-    ) -> JointProblem:
-        """See :meth:`pinn_cli.scheme.joint_problem.JointProblem.of_records`."""
-        settings = self.acceleration_through, self.initial_motion, self.unknown_force
-        return JointProblem.of_records(structure, records, uncertain, *settings)
-
-    def problem_of_model(self, model: Model, record: Record, updates: bool) -> JointProblem:
-        """See :meth:`pinn_cli.scheme.joint_problem.JointProblem.of_model`."""
-        settings = self.acceleration_through, self.initial_motion, self.unknown_force
-        return JointProblem.of_model(model, record, updates, *settings)
+    @property
+    def settings(self) -> tuple[str, str, str]:
+        """``acceleration_through``, ``initial_motion`` and ``unknown_force``, as problems are made with them."""
+        return self.acceleration_through, self.initial_motion, self.unknown_force
 
 
 def check_given(prescribed: Structure, unknown: Collection[Parameter] = ()) -> None:
@@ -218,7 +211,12 @@ def unobserved_dofs(ndof: int, fraction: float, unobserved: str | Sequence[int] 
             raise InputError("scheme.unobserved_fraction", fraction, "less, so that one DOF stays observed", hint)
         return list(range(ndof - hidden + 1, ndof + 1))
     if isinstance(unobserved, str):
-        dofs = _pattern(unobserved, ndof)
+        match = PATTERN.fullmatch(unobserved)
+        every = 0 if match is None else int(match[1])
+        if every < 2:
+            allowed = "null, a list of DOFs, or a pattern such as every_2nd or every_3rd"
+            raise InputError("scheme.unobserved", unobserved, allowed)
+        dofs = list(range(every, ndof + 1, every))
     else:
         dofs = entries(unobserved)
         if not all(is_whole_number(dof) and 1 <= dof <= ndof for dof in dofs):
@@ -236,7 +234,7 @@ class Sensors:
 
     Attributes:
         quantities: Of the response that every observed DOF has a sensor for.
-        load_cells: Whether forced DOFs have one.
+        load_cells: Whether forced DOFs have one: unless ``force`` is false.
         fraction, unobserved: Which DOFs are not observed, see :func:`unobserved_dofs`.
     """
 
@@ -256,10 +254,18 @@ class Sensors:
         """As a scheme's settings say; of ``default`` quantities where they name none.
 
         Raises:
-            InputError: See :func:`sensor_quantities`.
+            InputError: Naming ``scheme.sensors``: an unknown quantity, or none chosen.
         """
-        quantities = sensor_quantities(dict.fromkeys(default, True) if sensors is None else sensors)
-        return cls(quantities, has_load_cells(sensors or {}), fraction, unobserved)
+        said = dict.fromkeys(default, True) if sensors is None else sensors
+        for name, is_chosen in said.items():
+            if name not in (*RESPONSE_QUANTITIES, FORCE) or not isinstance(is_chosen, (bool, np.bool_)):
+                allowed = f"true or false for each of {', '.join((*RESPONSE_QUANTITIES, FORCE))}"
+                raise InputError(f"scheme.sensors.{name}", is_chosen, allowed)
+        quantities = tuple(q for q in RESPONSE_QUANTITIES if said.get(q, False))
+        if not quantities:
+            allowed = "at least one of displacement, velocity, acceleration set to true"
+            raise InputError("scheme.sensors", dict(said), allowed)
+        return cls(quantities, bool(said.get(FORCE, True)), fraction, unobserved)
 
     def observe(self, record: Record) -> Record:
         """See :meth:`pinn_cli.scheme.scheme.Scheme.observe`."""
@@ -267,32 +273,3 @@ class Sensors:
         observed = [dof for dof in range(1, record.ndof + 1) if dof not in hidden]
         kept = record.keep(dict.fromkeys(self.quantities, observed))
         return kept if self.load_cells else kept.without_load_cells()
-
-
-def _pattern(text: str, ndof: int) -> list[int]:
-    match = PATTERN.fullmatch(text)
-    if match is None or int(match[1]) < 2:
-        raise InputError("scheme.unobserved", text, "null, a list of DOFs, or a pattern such as every_2nd or every_3rd")
-    return list(range(int(match[1]), ndof + 1, int(match[1])))
-
-
-def sensor_quantities(sensors: Mapping[str, bool]) -> tuple[str, ...]:
-    """The response quantities that observed DOFs have sensors for.
-
-    Raises:
-        InputError: An unknown quantity, or none chosen.
-    """
-    for name, chosen in sensors.items():
-        if name not in (*RESPONSE_QUANTITIES, FORCE) or not isinstance(chosen, (bool, np.bool_)):
-            allowed = f"true or false for each of {', '.join((*RESPONSE_QUANTITIES, FORCE))}"
-            raise InputError(f"scheme.sensors.{name}", chosen, allowed)
-    quantities = tuple(q for q in RESPONSE_QUANTITIES if sensors.get(q, False))
-    if not quantities:
-        allowed = "at least one of displacement, velocity, acceleration set to true"
-        raise InputError("scheme.sensors", dict(sensors), allowed)
-    return quantities
-
-
-def has_load_cells(sensors: Mapping[str, bool]) -> bool:
-    """Whether forced DOFs have load cells: unless ``force`` is false."""
-    return bool(sensors.get(FORCE, True))

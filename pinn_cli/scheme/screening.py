@@ -22,6 +22,7 @@ from pinn_cli.scheme.calibration import doubts_of
 from pinn_cli.scheme.linear_fit import ABOVE_FLOOR, WIDTHS, JointFit, LinearFit, LinearStructure, what_acts
 from pinn_cli.system.frequency_response import Acting
 from pinn_cli.system.modes import RIGID
+from pinn_cli.system.structure import Structure
 
 # Misfits of linear structures that explain much, so little that nothing can be said, and next to nothing.
 MUCH, HOPELESS, NEARLY_NOTHING = 0.5, 0.9, 0.98
@@ -108,34 +109,29 @@ class Screening:
     """Linear structures that make of what acts what the sensors saw.
 
     Args:
-        record: What was measured.
-        stretch: (C, n + S), row i: which displacements stretch connection i, those of supports that move behind.
-        known: ``m`` to (n,), ``c`` and ``k`` to (C,), ``loss`` to (1,) if there is one, NaN where unknown.
+        structure: How its coordinates and supports stretch its connections, and move with the ground.
+        records: Each of which a candidate must fit; those whose forces are unknown are left out, unless all are.
+        known: ``m`` to (n,), ``c`` and ``k`` to (C,), ``loss`` to (1,), NaN where unknown.
         guess: ``m``, ``k``, where the unknown ones may be: their ratios count, and one start is the guess.
-        influence: (n,), how far each coordinate moves with the ground; None: by one.
-        further: Other records of the same structure, which a candidate must fit as well; those whose forces are unknown
-            are left out, unless all are.
     """
 
     def __init__(
         self,
-        record: Record,
-        stretch: np.ndarray,
+        structure: Structure,
+        records: Sequence[Record],
         known: Mapping[str, np.ndarray],
         guess: Mapping[str, np.ndarray],
-        influence: np.ndarray | None = None,
-        further: Sequence[Record] = (),
     ) -> None:
-        observed = [each for each in (record, *further) if each.observed.any()]
-        records = [each for each in observed if what_acts(each)]
-        doubts = doubts_of(records)
-        self.guess, self.records, self.model = guess, records or observed, None
-        self.is_driven = bool(records)  # by what was measured
+        observed = [each for each in records if each.observed.any()]
+        driven = [each for each in observed if what_acts(each)]
+        doubts = doubts_of(driven)
+        self.guess, self.records, self.model = guess, driven or observed, None
+        self.is_driven = bool(driven)  # by what was measured
         if observed and (doubts or any(np.isnan(known[kind]).any() for kind in ("m", "k"))):
-            structure = LinearStructure(stretch, known, guess["k"], influence)
-            fits = [LinearFit(each, structure, doubts) for each in records]
+            linear = LinearStructure(structure, known, guess["k"])
+            fits = [LinearFit(each, linear, doubts) for each in driven]
             # Where nobody measured what acts, resonances show in the sensors alone.
-            self.model = JointFit(fits or [PowerFit(each, structure) for each in observed])
+            self.model = JointFit(fits or [PowerFit(each, linear) for each in observed])
 
     def candidates(self) -> list[Candidate]:
         """The best first; none where nothing is unknown.

@@ -54,10 +54,10 @@ class SparseRecovery(EstimationScheme):
         if self.model is not None:
             hint = "one run after the other: each is the model of the next with scheme=update"
             (record,) = _calibrated(self.model.structure, [self.only_one(records, "model=...", hint)])
-            return self.problem_of_model(self.model, record, updates=False)
+            return JointProblem.of_model(self.model, record, False, *self.settings)
         check_given(prescribed)
         uncertain = believed_parameters(prescribed, self.parameter_uncertainty)
-        return self.joint_problem(prescribed, _calibrated(prescribed, records), uncertain)
+        return JointProblem.of_records(prescribed, _calibrated(prescribed, records), uncertain, *self.settings)
 
 
 def _calibrated(prescribed: Structure, records: Sequence[Record]) -> list[Record]:

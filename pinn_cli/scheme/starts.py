@@ -19,7 +19,6 @@ from pinn_cli.record.channels import channels, motion_amplitudes
 from pinn_cli.record.cross_spectra import CrossSpectra, misses_samples
 from pinn_cli.record.free_run import NoFreeRunError, affordable, free_run, is_linear
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import Response
 from pinn_cli.scheme.linear_fit import ABOVE_FLOOR, STARTING_RATIO, WIDTHS, last_ends, lines_in_band
 from pinn_cli.scheme.screening import HOPELESS, MUCH, NEARLY_NOTHING, SAME_START, Candidate, Screening, common_factors
 from pinn_cli.settings.errors import InputError
@@ -158,7 +157,9 @@ class Starts:
     @cached_property
     def promising(self) -> list[Candidate]:
         """Linear structures, or what was given, to begin with."""
-        most, candidates, start = self.most, self._linear, Candidate(_unscreened(self._known, self._guess), np.inf)
+        most, candidates, known, guess = self.most, self._linear, self._known, self._guess
+        m, k = (np.where(np.isnan(known[kind]), guess[kind], known[kind]) for kind in ("m", "k"))
+        start = Candidate({"m": m, "k": k, "c": np.where(np.isnan(known["c"]), 0.0, known["c"])}, np.inf)
         if most is None:
             candidates = [c for c in candidates[:MOST_RIVALS] if c.misfit <= RIVAL * candidates[0].misfit]
         start = replace(start, calibration=candidates[0].calibration if candidates else {})
@@ -168,7 +169,8 @@ class Starts:
         if most == 1:
             return among
         own = start if among[0].misfit < MUCH else self._by_own_motion(start)
-        wanted = own is not start or _is_said(self.unknown, self.given)
+        said = [self.given.get(p, np.nan) > 0 for p in self.unknown if p.kind in (MASS, "k")]
+        wanted = own is not start or (bool(said) and all(said))
         if wanted and all(_are_distinct(own, candidate, self.unknown) for candidate in among):
             return [*candidates[: None if most is None else most - 1], own]
         return among
@@ -202,9 +204,7 @@ class Starts:
 
     @cached_property
     def _screening(self) -> Screening:
-        stretch = self.prescribed.stretch.matrix[self.prescribed.added].toarray()
-        record, *further = self.records
-        return Screening(record, stretch, self._known, self._guess, self.prescribed.with_ground, further)
+        return Screening(self.prescribed, self.records, self._known, self._guess)
 
     def _by_own_motion(self, candidate: Candidate) -> Candidate:
         """Of a structure that is no linear one, with the common factor on its unknown springs that its free run tells.
@@ -258,7 +258,11 @@ class Starts:
             if kind == FACTOR:  # the matrix is the start: nobody updates a model that is wrong by orders of magnitude
                 out[parameter] = Start(given.get(parameter, 1.0), 1.0)
                 continue
-            of_law = {} if kind == MASS else _of_law(prescribed, parameter, linear["k"], typical["k"], size)
+            of_law: Mapping[str, tuple[float, ...]] = {}
+            if kind != MASS:  # what the law of its connection has a say in
+                connection = int(prescribed.members[kind][index])
+                stiffness = max(abs(float(linear["k"][connection])), typical["k"])
+                of_law = prescribed.laws[connection].starts(stiffness, size)
             if kind in of_law:
                 value, *sizes = of_law[kind]
                 out[parameter] = Start(given.get(parameter, value), *sizes)
@@ -271,18 +275,11 @@ class Starts:
             else:
                 value = given.get(parameter, 0.0)  # without it the connection is one like any other
                 # A spring as strong as the linear one beside it, at the motion that there is.
-                connection = prescribed.members[kind][index]
                 stiffness = max(float(abs(linear["k"][connection])), float(usual[connection]))
                 per_unit = springs[kind][index]
                 scale = stiffness * size / per_unit if per_unit > 0 else scales[kind]
                 out[parameter] = Start(value, max(abs(value), scale))
         return out
-
-
-def _is_said(unknown: Collection[Parameter], given: Mapping[Parameter, float]) -> bool:
-    """Whether the user says where every unknown mass and spring may be."""
-    said = [given.get(p, np.nan) > 0 for p in unknown if p.kind in (MASS, "k")]
-    return bool(said) and all(said)
 
 
 def _are_distinct(first: Candidate, second: Candidate, unknown: Collection[Parameter]) -> bool:
@@ -318,11 +315,6 @@ def linear_parts(prescribed: Structure, unknown: Collection[Parameter]) -> dict[
     return known | {"loss": np.array([np.nan if prescribed.is_damped_as_whole else 0.0])}
 
 
-def _unscreened(known: Mapping[str, np.ndarray], guess: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    m, k = (np.where(np.isnan(known[kind]), guess[kind], known[kind]) for kind in ("m", "k"))
-    return {"m": m, "k": k, "c": np.where(np.isnan(known["c"]), 0.0, known["c"])}
-
-
 def _of_modes(
     prescribed: Structure, unknown: Collection[Parameter], given: Mapping[Parameter, float]
 ) -> dict[str, np.ndarray]:
@@ -352,38 +344,26 @@ def _median_size(values: np.ndarray, otherwise: float) -> float:
     return float(np.median(sizes)) if sizes.size else otherwise
 
 
-def _of_law(
-    prescribed: Structure, parameter: Parameter, linear: np.ndarray, typical: float, size: float
-) -> Mapping[str, tuple[float, ...]]:
-    """Starts of the parameters of a connection that its law has a say in, by kind."""
-    connection = int(prescribed.members[parameter.kind][parameter.index])
-    return prescribed.laws[connection].starts(max(abs(float(linear[connection])), typical), size)
-
-
 def distance(structure: Structure, records: Sequence[Record]) -> float:
     """Root mean square of the logarithms of power over measured power, of all sensors in the records' bands.
 
-    Returns:
-        Infinity where the structure has no free run under one of the records.
+    They are weighed as the sensors stand out of their noise. Infinity where the structure has no free run under one of
+    the records.
     """
     squares = []
     for record in records:
         part = affordable(structure, record)
         try:
-            squares.append(_logarithms(part, free_run(structure, part)) ** 2)
+            motion = free_run(structure, part)
         except NoFreeRunError:
             return np.inf
+        sensors = channels(part)
+        measured, moved = (
+            CrossSpectra.of_bands(part, shown, [], lines_in_band(part))
+            for shown in (sensors, [replace(sensor, measured=sensor.of(motion)) for sensor in sensors])
+        )
+        kernel = measured.smoothing(WIDTHS[0])
+        power, floor = np.maximum(kernel @ measured.power, 1e-300), ABOVE_FLOOR * measured.floor
+        logarithms = power / (power + floor) * np.log((kernel @ moved.power + floor) / power)
+        squares.append(logarithms.reshape(-1) ** 2)
     return float(np.sqrt(np.mean(np.concatenate(squares))))
-
-
-def _logarithms(record: Record, motion: Response) -> np.ndarray:
-    """Of power over measured power, flat, weighed as the sensors stand out of their noise."""
-    sensors = channels(record)
-    measured, moved = (
-        CrossSpectra.of_bands(record, shown, [], lines_in_band(record))
-        for shown in (sensors, [replace(sensor, measured=sensor.of(motion)) for sensor in sensors])
-    )
-    kernel = measured.smoothing(WIDTHS[0])
-    power, floor = np.maximum(kernel @ measured.power, 1e-300), ABOVE_FLOOR * measured.floor
-    logarithms: np.ndarray = power / (power + floor) * np.log((kernel @ moved.power + floor) / power)
-    return logarithms.reshape(-1)

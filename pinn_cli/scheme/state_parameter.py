@@ -20,7 +20,6 @@ from pinn_cli.scheme.problem import FREE, GAUSSIAN_PROCESS
 from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Sensors, Through, UnknownForce, check_given
 from pinn_cli.scheme.starts import AUTO, Start, Starts, checked_starts
 from pinn_cli.scheme.unknowns import (
-    at_starts,
     believed_parameters,
     check_used,
     checked_positive,
@@ -135,7 +134,8 @@ class StateParameter(EstimationScheme):
             uncertain = tuple(sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.index)))
             values = {parameter: parameter_start.value for parameter, parameter_start in start.items()}
             calibrated = [calibrated_starts(each, values) for each in records]
-            return self.joint_problem(at_starts(prescribed, unknown), calibrated, uncertain)
+            structure = prescribed.with_values({p: p.prescribed for p in unknown})
+            return JointProblem.of_records(structure, calibrated, uncertain, *self.settings)
 
         starts = Starts(prescribed, records, chosen, given, self.starts)
         first, *others = map(posed, starts)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Any
@@ -246,11 +246,6 @@ def check_used(
         if called and not set(called) & set(unknown):
             hint = f"{called[0].name} is prescribed; add it to scheme.unknown to have it estimated"
             raise InputError(f"scheme.initial.{key}", value, "of an unknown parameter", hint)
-
-
-def at_starts(prescribed: Structure, unknown: Iterable[Parameter]) -> Structure:
-    """The prescribed chain with unknown parameters where they start: of a simulated record they were the truth."""
-    return prescribed.with_values({parameter: parameter.prescribed for parameter in unknown})
 
 
 def checked_uncertainty(value: Any) -> float:

@@ -50,4 +50,4 @@ class Update(EstimationScheme):
 
     def pose(self, prescribed: Structure, records: Sequence[Record]) -> JointProblem:
         """See :meth:`Scheme.pose`; what is prescribed is the model's."""
-        return self.problem_of_model(self.model, self.only_one(records), updates=True)
+        return JointProblem.of_model(self.model, self.only_one(records), True, *self.settings)

@@ -259,7 +259,7 @@ class _Fits:
 
     def _fit(self, record: Record, known: dict[str, np.ndarray], doubted: Channel | None = None) -> LinearFit:
         """Of the record's spectra."""
-        structure = LinearStructure.of(self.structure, known, self.guesses[0]["k"])
+        structure = LinearStructure(self.structure, known, self.guesses[0]["k"])
         return LinearFit(record, structure, [] if doubted is None else doubts_about(doubted, record.step))
 
 

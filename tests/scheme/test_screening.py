@@ -11,6 +11,7 @@ from frame_records import measure
 from independent_records import Structure, measured
 from small_problems import small_chain
 from storeys import C, K, M, response
+from structures import braced
 
 from pinn_cli.record.channel import Channel
 from pinn_cli.record.record import Record
@@ -24,9 +25,8 @@ from pinn_cli.system.connection import Linear
 
 # Row i: which displacements stretch connection i of a chain of three.
 STRETCH = np.eye(3) - np.eye(3, k=-1)
-# With a brace from the ground to the second mass, a tie from the first to the third, and a bare damper.
-BRACED = np.vstack([STRETCH, [[0.0, 1.0, 0.0], [-1.0, 0.0, 1.0], [0.8, 0.0, -0.6]]])
-TRUE = {"m": M, "c": C, "k": K}
+CHAIN = small_chain("linear")
+TRUE = {"m": M, "c": C, "k": K, "loss": np.zeros(1)}
 
 
 @cache
@@ -58,7 +58,7 @@ def guess(**factors: float) -> dict[str, np.ndarray]:
     ids=str,
 )
 def test_what_is_unknown_comes_out_from_a_guess_a_decade_off(unknown, factors, sensors):
-    found = Screening(storeys(*sensors), STRETCH, known(*unknown), guess(**factors)).candidates()
+    found = Screening(CHAIN, [storeys(*sensors)], known(*unknown), guess(**factors)).candidates()
     assert found[0].misfit < 0.1
     for kind, values in TRUE.items():
         tolerance = 0.0 if kind not in unknown else 0.6 if kind == "c" else 0.05
@@ -74,7 +74,7 @@ def test_what_is_unknown_comes_out_from_a_guess_a_decade_off(unknown, factors, s
 def test_starts_about_a_structure_that_fits_by_chance_find_the_right_one():
     """The wrong one makes almost what a single sensor saw; the right one lies beyond a hill."""
     wrong = Candidate({}, 1.0, unknowns=np.log(K * np.array([2.0, 0.4, 1.5])))
-    _, best, *_ = Screening(storeys("acceleration", (1,)), STRETCH, known("k"), guess()).others(wrong)
+    _, best, *_ = Screening(CHAIN, [storeys("acceleration", (1,))], known("k"), guess()).others(wrong)
     assert best.misfit < 0.1
     np.testing.assert_allclose(best.parameters["k"], K, rtol=0.05)
 
@@ -82,19 +82,19 @@ def test_starts_about_a_structure_that_fits_by_chance_find_the_right_one():
 def test_a_spring_that_the_spectra_do_not_tell_goes_with_the_others():
     """One that holds the structure like a rock may be any rock; the record in time tells more than its spectra."""
     best = Candidate({}, 0.0, unknowns=np.log(K * np.array([300.0, 1.0, 1.0])))
-    alike, *_ = Screening(storeys("acceleration", (3,)), STRETCH, known("k"), guess(k=10.0)).others(best)
+    alike, *_ = Screening(CHAIN, [storeys("acceleration", (3,))], known("k"), guess(k=10.0)).others(best)
     np.testing.assert_allclose(alike.parameters["k"] / K, 1.0, rtol=0.3)
 
 
 def test_nothing_is_screened_without_anything_unknown():
-    assert Screening(storeys(), STRETCH, known("c"), guess()).candidates() == []
+    assert Screening(CHAIN, [storeys()], known("c"), guess()).candidates() == []
 
 
 def test_what_one_accelerometer_leaves_open_three_records_tell():
     structure = Structure(M, C, K, np.zeros(3))
     made = [measured(structure, response(dof), {"acceleration": (dof,)}, 30.0, dof).record for dof in (1, 2, 3)]
     even = {"m": M, "k": np.full(3, 1.5e5)}
-    best = Screening(made[0], STRETCH, known("c", "k"), even, further=made[1:]).candidates()[0]
+    best = Screening(CHAIN, made, known("c", "k"), even).candidates()[0]
     np.testing.assert_allclose(best.parameters["k"], K, rtol=0.05)
 
 
@@ -107,9 +107,9 @@ def test_resonances_tell_springs_where_nobody_measured_a_force(first_frequency, 
     made = ambient_record(first_frequency, 50.0, 60.0, 20.0, corner, seed=seed)
     assert what_acts(made.record) is None
     values = {kind: made.structure.parameters[kind].numpy() for kind in ("m", "c", "k")}
-    unknown = {"m": values["m"], "c": np.full(3, np.nan), "k": np.full(3, np.nan)}
+    unknown = {"m": values["m"], "c": np.full(3, np.nan), "k": np.full(3, np.nan), "loss": np.zeros(1)}
     guessed = {"m": values["m"], "k": np.full(3, factor * values["k"][0])}
-    best, *_ = Screening(made.record, STRETCH, unknown, guessed).candidates()
+    best, *_ = Screening(CHAIN, [made.record], unknown, guessed).candidates()
     np.testing.assert_allclose(best.parameters["k"], values["k"], rtol=0.2)
     assert np.all(np.abs(np.log(best.parameters["c"] / values["c"])) < np.log(3.0))
 
@@ -141,16 +141,16 @@ def shaken(frame: str) -> Record:
 @pytest.mark.parametrize("frame", ["absolute", "relative"])
 def test_an_earthquake_tells_stiffnesses_as_a_force_does(frame):
     even = {"m": M, "k": np.full(3, 1.0e5)}
-    best = Screening(shaken(frame).keep({"acceleration": [3]}), STRETCH, known("c", "k"), even).candidates()[0]
+    best = Screening(CHAIN, [shaken(frame).keep({"acceleration": [3]})], known("c", "k"), even).candidates()[0]
     np.testing.assert_allclose(best.parameters["k"], K, rtol=0.05)
 
 
 @pytest.mark.parametrize("way", ["braced", "shaken", "in doubt"])
 def test_slopes_of_the_misfit_are_those_of_its_values(way):
-    record, stretch, doubts = storeys(), STRETCH, []
+    record, structure, doubts = storeys(), CHAIN, []
     free, stiffness = known("m", "c", "k"), 1.3 * guess()["k"]
     if way == "braced":
-        stretch, stiffness = BRACED, np.resize(stiffness, 6)
+        structure, stiffness = braced(), np.resize(stiffness, 6)
         free |= {"c": np.full(6, np.nan), "k": np.where(np.arange(6) < 5, np.nan, 0.0)}
     elif way == "shaken":
         record = shaken("absolute")
@@ -158,11 +158,11 @@ def test_slopes_of_the_misfit_are_those_of_its_values(way):
         sensor, *_ = spectra_under(record, what_acts(record)).sensors
         cell = spectra_under(record, what_acts(record)).acting[0]
         doubts = [*doubts_about(sensor, record.step), *doubts_about(cell, record.step)]
-    fit = LinearFit(record, LinearStructure(stretch, free, stiffness), doubts)
+    fit = LinearFit(record, LinearStructure(structure, free, stiffness), doubts)
     x = JointFit([fit]).start(guess()["m"], stiffness)
     x[fit.structure.count :] = 0.2 * np.random.default_rng(0).normal(size=len(doubts))
     slopes = fit.slopes(x)
-    assert slopes.shape[-1] == len(x) == 3 + min(len(stretch), 5) + 1 + len(doubts)
+    assert slopes.shape[-1] == len(x) == 3 + min(len(stiffness), 5) + 1 + len(doubts)
     for i, move in enumerate(1e-6 * np.eye(len(x))):
         rise = (fit.residual(x + move) - fit.residual(x - move)) / 2e-6
         np.testing.assert_allclose(slopes[..., i], rise, atol=1e-6 * np.abs(rise).max())
@@ -171,7 +171,7 @@ def test_slopes_of_the_misfit_are_those_of_its_values(way):
 def stiffnesses(record: Record) -> np.ndarray:
     """Of the best structure, over the true ones."""
     even = {"m": M, "k": np.full(3, 2e5)}
-    return Screening(record, STRETCH, {**TRUE, "k": np.full(3, np.nan)}, even).candidates()[0].parameters["k"] / K
+    return Screening(CHAIN, [record], {**TRUE, "k": np.full(3, np.nan)}, even).candidates()[0].parameters["k"] / K
 
 
 def test_stiffnesses_are_found_from_the_samples_that_are_there():
@@ -252,9 +252,10 @@ def on_isolators(seed: int) -> tuple[Record, np.ndarray]:
 def test_what_stands_on_isolators_that_slip_is_found(seed: int):
     """No linear structure with springs of one size comes near: isolators are far softer, and no spring at all."""
     record, storeys = on_isolators(seed)
-    known = {"m": np.array([95e3, 80e3, 80e3, 70e3]), "c": np.full(4, np.nan), "k": np.full(4, np.nan)}
+    nothing = np.full(4, np.nan)
+    known = {"m": np.array([95e3, 80e3, 80e3, 70e3]), "c": nothing, "k": nothing, "loss": np.zeros(1)}
     guess = {"m": known["m"], "k": np.full(4, 6e5)}
-    best = Screening(record, np.eye(4) - np.eye(4, k=-1), known, guess).candidates()[0]
+    best = Screening(small_chain("linear", 4), [record], known, guess).candidates()[0]
     assert best.misfit < HOPELESS
     assert abs(np.log(best.parameters["k"][1:] / storeys)).max() < np.log(2.0)
     assert best.parameters["k"][0] < 0.3 * storeys.min()

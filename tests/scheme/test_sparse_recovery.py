@@ -17,7 +17,7 @@ from pinn_cli.record.record import Measurements, Record, Truth
 from pinn_cli.record.response import Repeats
 from pinn_cli.scheme.joint_problem import JointProblem, tell_if_unreached, unreached_dofs
 from pinn_cli.scheme.problem import Problem, SpectralEstimate
-from pinn_cli.scheme.scheme import has_load_cells, sensor_quantities, unobserved_dofs
+from pinn_cli.scheme.scheme import Sensors, unobserved_dofs
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
@@ -171,11 +171,10 @@ def test_what_hides_no_dofs_is_refused(fraction, unobserved, told):
 
 
 def test_quantities_come_in_the_records_order():
-    sensors = {"acceleration": True, "velocity": False, "displacement": True}
-    assert sensor_quantities(sensors) == ("displacement", "acceleration")
-    assert sensor_quantities({"velocity": True, "force": False}) == ("velocity",)
-    assert has_load_cells({"velocity": True})
-    assert not has_load_cells({"velocity": True, "force": False})
+    sensors = Sensors.chosen({"acceleration": True, "velocity": False, "displacement": True}, 0.0, None)
+    assert (sensors.quantities, sensors.load_cells) == (("displacement", "acceleration"), True)
+    sensors = Sensors.chosen({"velocity": True, "force": False}, 0.0, None)
+    assert (sensors.quantities, sensors.load_cells) == (("velocity",), False)
 
 
 @pytest.mark.parametrize(
@@ -189,4 +188,4 @@ def test_quantities_come_in_the_records_order():
     ],
 )
 def test_impossible_sensors_are_named(sensors, told):
-    assert refusal(sensor_quantities, sensors).startswith(f"scheme.sensors{told}")
+    assert refusal(Sensors.chosen, sensors, 0.0, None).startswith(f"scheme.sensors{told}")

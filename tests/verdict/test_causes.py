@@ -129,7 +129,7 @@ def test_what_is_not_linear_is_no_fault(cubic_problem):
 
 def test_slopes_by_factors_are_those_of_the_misfit(beam_problem):
     structure, unknown = beam_problem.structure, beam_problem.uncertain
-    linear = LinearStructure.of(structure, linear_parts(structure, unknown), linear_parts(structure, ())["k"])
+    linear = LinearStructure(structure, linear_parts(structure, unknown), linear_parts(structure, ())["k"])
     fit = LinearFit(beam_problem.record, linear)
     x = linear.start(np.ones(structure.coordinates), np.append(np.ones(structure.coordinates), TRUE))
     slopes = fit.slopes(x)
