@@ -78,15 +78,7 @@ def hold_delay(record: Record) -> float:
 def targets(
     record: Record, dynamics: Dynamics, device: str = "cpu", dtype: torch.dtype = torch.float64, refinement: int = 1
 ) -> Targets:
-    """The record as the residuals need it.
-
-    Args:
-        record: What was measured.
-        dynamics: The equations of the prescribed model.
-        device: Of the tensors.
-        dtype: Likewise.
-        refinement: Collocation points for every sample. More than one needs a band-limited force.
-    """
+    """The record as the residuals need it; several collocation points for every sample need a band-limited force."""
 
     def tensor(values: np.ndarray) -> Tensor:
         return torch.as_tensor(values, device=device, dtype=torch.bool if values.dtype == bool else dtype)
@@ -98,9 +90,8 @@ def targets(
     jump = np.zeros_like(force)
     if record.intersample == "zero_order_hold":
         jump = np.diff(force, axis=0, prepend=2 * force[:1] - force[1:2])
-        response["acceleration"] = response["acceleration"] - jump / (
-            2.0 * dynamics.structure.parameters["m"].detach().cpu().numpy()
-        )
+        mass = dynamics.structure.parameters["m"].detach().cpu().numpy()
+        response["acceleration"] = response["acceleration"] - jump / (2.0 * mass)
     points, between = force, None
     if refinement > 1:
         points, between = refined(force, refinement)
@@ -171,15 +162,13 @@ def estimated_response(
 
     Where the force is held between samples, the acceleration of a forced DOF jumps at every sample; the sample holds
     the value after the jump: the smooth acceleration plus half the jump of the estimated force over the mass. This is
-    the inverse of what :func:`targets` does to the measured accelerations.
-
-    Args:
-        record: What was measured.
-        dynamics: The model.
-        parameters: Every parameter of the chain, each (n,).
-        at_observation: Functions at :attr:`Targets.observation_time` of every sample, each (N, functions).
-        at_physics: Functions at :attr:`Targets.physics_time` of every sample, each (N, functions).
+    the inverse of what :func:`targets` does to the measured accelerations. The functions, each (N, functions), are at
+    :attr:`Targets.observation_time` and at :attr:`Targets.physics_time` of every sample.
     """
+
+    def array(x: Tensor) -> np.ndarray:
+        return x.detach().cpu().double().numpy()
+
     felt, seen = Jet(*at_physics[:3]), Jet(*at_observation[:3])
     force = dynamics.external_force(felt, parameters)
     displacement, velocity, acceleration = (dynamics.sensed(quantity, seen) for quantity in RESPONSE_QUANTITIES)
@@ -187,28 +176,19 @@ def estimated_response(
         forced = torch.as_tensor(record.sensors("force"), device=force.device)
         before_and_after = dynamics.external_force(seen, parameters)
         acceleration = acceleration + (force - before_and_after) / parameters["m"] * forced
-    displacement, velocity, acceleration, force = (
-        x.detach().cpu().double() for x in (displacement, velocity, acceleration, force)
-    )
-    ground, hidden = (seen.value[..., at].detach().cpu().double().numpy() for at in (dynamics.ground, dynamics.hidden))
-    supports = torch.stack([x[..., dynamics.supports] for x in seen], 1).detach().cpu().double().numpy()
+    ground, hidden = array(seen.value[..., dynamics.ground]), array(seen.value[..., dynamics.hidden])
+    supports = array(torch.stack([x[..., dynamics.supports] for x in seen], 1))
+    # Where they are not the DOFs: displacement and velocity (N, 2, n).
+    coordinates = array(torch.stack((seen.value, seen.rate), 1)[..., : dynamics.ndof])
     return Response(
         record.time,
-        displacement.numpy(),
-        velocity.numpy(),
-        acceleration.numpy(),
-        force.numpy(),
+        array(displacement),
+        array(velocity),
+        array(acceleration),
+        array(force),
         ground[:, 0] if ground.size else None,
         hidden if hidden.size else None,
-        _coordinates(dynamics, seen),
+        coordinates if dynamics.structure.is_modal else None,
         supports if dynamics.inputs.supports else None,
-        dynamics.connection_force(seen, parameters).detach().cpu().double().numpy(),
+        array(dynamics.connection_force(seen, parameters)),
     )
-
-
-def _coordinates(dynamics: Dynamics, jet: Jet) -> np.ndarray | None:
-    """(N, 2, n), displacement and velocity of the coordinates where they are not the DOFs."""
-    if not dynamics.structure.is_modal:
-        return None
-    motion = torch.stack((jet.value, jet.rate), 1)[..., : dynamics.ndof]
-    return motion.detach().cpu().double().numpy()

@@ -267,15 +267,14 @@ def difference(structure: Structure, other: Structure) -> str:
         return f"{structure.nonlinearity_name} connections of other settings"
     if structure.labels != other.labels:
         return "other names of connections"
-    stretch, other_stretch = (_stretch(side) for side in (structure, other))
+    # Damping of the whole, which stands behind them, is in the modes of each.
+    stretch, other_stretch = (
+        side.stretch.matrix[: sum(g.incidence.shape[0] for g in side.groups if not g.damps_whole)]
+        for side in (structure, other)
+    )
     if stretch.shape != other_stretch.shape or abs(stretch - other_stretch).max() > 1e-9 * abs(other_stretch).max():
         return "other connections"
     return ""
-
-
-def _stretch(structure: Structure) -> csr_matrix:
-    """(C', n + S), of the connections that are no damping of the whole; that stands behind them."""
-    return structure.stretch.matrix[: sum(g.incidence.shape[0] for g in structure.groups if not g.damps_whole)]
 
 
 def other_dofs(structure: Structure, other: Structure) -> str:

@@ -213,6 +213,7 @@ class Spread:
         self._precision = np.eye(base.shift.shape[1]) + base.precision.sum(0) - self._products(self._taken)
         self._shift = base.shift.sum(0) - (self._taken * self._own) @ self._column
         self._base = base
+        self._edges = np.concatenate(([0.0], 0.5 * (tau[1:] + tau[:-1]), tau[-1:]))
         self.mean, self.covariance, self.mass = self._posterior(self._precision, self._shift, self._log.sum(1))
 
     def _products(self, weights: np.ndarray) -> np.ndarray:
@@ -225,16 +226,14 @@ class Spread:
         covariance = np.linalg.inv(precision)
         mean = _times(covariance, shift)
         log = log + 0.5 * ((shift * mean).sum(-1) - np.linalg.slogdet(precision)[1])
-        edges = np.concatenate(([0.0], 0.5 * (self.tau[1:] + self.tau[:-1]), self.tau[-1:]))
-        weight = np.diff(edges) / (1.0 + self.tau**2)
+        weight = np.diff(self._edges) / (1.0 + self.tau**2)
         mass = np.exp(log - log.max(0)) * weight.reshape(-1, *[1] * (log.ndim - 1))
         return mean, covariance, mass / mass.sum(0)
 
     def quantile(self, probability: float | np.ndarray) -> np.ndarray:
         """Spreads below which it lies with these probabilities."""
         reached = np.concatenate(([0.0], np.cumsum(self.mass)))
-        edges = np.concatenate(([0.0], 0.5 * (self.tau[1:] + self.tau[:-1]), self.tau[-1:]))
-        return np.asarray(np.interp(probability, reached, edges))
+        return np.asarray(np.interp(probability, reached, self._edges))
 
     def shortest(self) -> np.ndarray:
         """(4,): median, standard deviation, and the shortest interval of 90 %."""
@@ -271,11 +270,7 @@ class Spread:
 def mixture(mass: np.ndarray, mean: np.ndarray, std: np.ndarray, least: float) -> np.ndarray:
     """(4, n): median, standard deviation, quantiles at 5 and 95 % of mixtures of G Gaussians above a least value.
 
-    Args:
-        mass: (G, 1) or (G, n), of each.
-        mean: (G, n).
-        std: (G, n).
-        least: -inf without one.
+    Of each the mass is (G, 1) or (G, n), mean and standard deviation (G, n); the least value is -inf without one.
     """
     center = (mass * mean).sum(0)
     deviation = np.sqrt((mass * (std**2 + (mean - center) ** 2)).sum(0))

@@ -46,10 +46,8 @@ GAUSSIAN_WIDTH = 100.0
 def read_priors(given: Mapping[str, Any] | None, structure: Structure) -> dict[Parameter, Prior]:
     """The priors that the user chose; parameters that the user says nothing about are left out.
 
-    Args:
-        given: Kind of parameter, name or pattern (``k``, ``k_2``, ``*_2``) to a mapping of ``kind`` and that kind's
-            settings, or to null: not chosen. Later entries overrule earlier ones.
-        structure: The prescribed model.
+    Kind of parameter, name or pattern (``k``, ``k_2``, ``*_2``) to a mapping of ``kind`` and that kind's settings, or
+    to null: not chosen. Later entries overrule earlier ones.
 
     Raises:
         InputError: Naming ``scheme.priors.<key>``: no such parameter or kind of prior, a setting that is missing,
@@ -146,18 +144,17 @@ class Bayesian(EstimationScheme):
 
     def pose(self, prescribed: Structure, records: Sequence[Record]) -> JointProblem:
         """See :meth:`Scheme.pose`."""
-        record, *further = records
         if not prescribed.is_modal:  # of modes the record tells what their sensors show
             _check_sensors(records)
         named = self.unknown
         if named is None and not prescribed.is_modal:
             named = [f"{kind}_*" for kind in prescribed.parameters if kind != MASS]
-        chosen = unknown_parameters(prescribed, record, named, further)
+        chosen = unknown_parameters(prescribed, records, named)
         check_given(prescribed, chosen)
         positive = positive_kinds(prescribed, self.positive)
         check_used(prescribed, chosen, None, self.positive)
         # Of a simulated structure what is prescribed would be the truth.
-        given = {p: p.prescribed for p in chosen if math.isfinite(p.prescribed) and not record.simulated}
+        given = {p: p.prescribed for p in chosen if math.isfinite(p.prescribed) and not records[0].simulated}
         (starts,) = Starts(prescribed, records, chosen, given, 1)
         values = {p: start.value for p, start in starts.items()}
         records = [calibrated_starts(each, values) for each in records]

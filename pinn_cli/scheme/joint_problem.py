@@ -146,10 +146,6 @@ class JointProblem:
         """The same with damping of the whole in the modes of some masses and stiffnesses, see `Structure.present`."""
         return JointProblem(tuple(problem.present(values) for problem in self.by_record))
 
-    def reduced_at(self, factors: np.ndarray) -> JointProblem:
-        """The same in coordinates that are exact for some factors, see :meth:`Structure.reduced_at`."""
-        return self.in_coordinates_of(self.structure.reduced_at(factors))
-
     def in_coordinates_of(self, structure: Structure) -> JointProblem:
         """The same with its structure in the coordinates that a reduction of its finite-element model has."""
         return self.changed(lambda problem: problem.in_coordinates_of(structure))

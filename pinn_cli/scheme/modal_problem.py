@@ -18,7 +18,7 @@ from pinn_cli.scheme.problem import Problem, SpectralEstimate, inputs_of
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import ModesSought, modal_structure
 from pinn_cli.system.frequency_response import real_rows
-from pinn_cli.system.parameters import PRIOR_WIDTH, Parameter
+from pinn_cli.system.parameters import PRIOR_WIDTH
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.system.structure import Structure
 
@@ -44,10 +44,7 @@ LEAST_EXPLAINED = 0.05
 def modal_problem(sought: ModesSought, prescribed: Structure, records: Sequence[Record]) -> JointProblem:
     """Modes of the band that fit a record, as a structure, with what the record tells of their parameters.
 
-    Args:
-        sought: Which modes are asked for.
-        prescribed: See :func:`pinn_cli.system.building.build_modal`.
-        records: One.
+    What is prescribed is a structure of :func:`pinn_cli.system.building.build_modal`.
 
     Raises:
         InputError: More than one record; no band; not one measured force alone; a band that is too narrow.
@@ -148,7 +145,11 @@ class _Modes:
                 slopes[row, 2 * count + reference[mode] * count + mode] = -value / residue
             slopes[row, mode] = {"m": 0.0, "c": 1.0, "k": 2.0}[p.kind] * value
             slopes[row, count + mode] = value if p.kind == "c" else 0.0
-        parameters = tuple(_unknown(p, float(values[p.kind][i])) for p, i in chosen.items())
+        sizes = {p: float(values[p.kind][i]) for p, i in chosen.items()}
+        parameters = tuple(
+            replace(p, prescribed=size, prior_std=PRIOR_WIDTH * size, scale=size, unknown=True, positive=True)
+            for p, size in sizes.items()
+        )
         std = np.sqrt(fit.excess[modes[list(chosen.values())]])
         covariance = np.outer(std, std) * (slopes @ fit.covariance @ slopes.T)
         levels = self._levels(made.ndof)
@@ -166,21 +167,11 @@ class _Modes:
         return levels
 
 
-def _unknown(parameter: Parameter, value: float) -> Parameter:
-    return replace(
-        parameter, prescribed=value, prior_std=PRIOR_WIDTH * value, scale=value, unknown=True, positive=True
-    )  # fmt: skip
-
-
 def searched(spectra: BandSpectra, count: int | None = None, starts: Sequence[float] = ()) -> ModalFit:
     """The modes of a band, from nothing: one after the other, where it explains most of what is left.
 
-    Modes outside the band are added where the record is more probable with them, by Schwarz's criterion.
-
-    Args:
-        spectra: Of the record.
-        count: Modes in the band; None: as many as the criterion wants.
-        starts: Hz, where the first ones are looked for; empty: wherever they are.
+    Modes outside the band are added where the record is more probable with them, by Schwarz's criterion; so are those
+    in the band without a count. The first ones are looked for at ``starts``, Hz, or wherever they are.
     """
     fit: ModalFit | None = None
     if starts:
@@ -258,18 +249,11 @@ def _candidate(spectra: BandSpectra, x: np.ndarray, fit: ModalFit | None, inside
     tried = np.array([(f + np.log(2.0 * np.pi), np.log(zeta)) for f in grid for zeta in RATIOS_TRIED])
     basis = [np.linalg.qr(real_rows(columns))[0] for columns in model.columns(x)]
     residuals = [real_rows(y) - q @ (q.T @ real_rows(y)) for y, q in zip(spectra.response.T, basis, strict=True)]
-    explained = np.concatenate(
-        [
-            sum(
-                f**2 * _explained(columns, q, y)
-                for columns, q, y, f in zip(candidates, basis, residuals, weight, strict=True)
-            )
-            for candidates in (
-                model.candidates(some) for some in np.array_split(tried, -(-len(tried) // TRIED_AT_ONCE))
-            )
-        ]
-    )
-    omega, zeta = tried[int(explained.argmax())]
+    explained = []
+    for some in np.array_split(tried, -(-len(tried) // TRIED_AT_ONCE)):
+        by_sensor = zip(model.candidates(some), basis, residuals, weight, strict=True)
+        explained.append(sum(f**2 * _explained(columns, q, y) for columns, q, y, f in by_sensor))
+    omega, zeta = tried[int(np.concatenate(explained).argmax())]
     return float(omega), float(zeta)
 
 

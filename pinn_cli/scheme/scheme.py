@@ -53,11 +53,9 @@ class Scheme(ABC):
         """
 
     def adapted(self, prescribed: Structure, records: Sequence[Record]) -> Structure:
-        """The structure that the records are solved with: what its laws count is counted at the size of the motion.
+        """The structure that the observed records are solved with: what its laws count is counted at the motion's size.
 
-        Args:
-            prescribed: As configured; NaN where a measured structure has no value.
-            records: As observed.
+        As configured, it is NaN where a measured structure has no value.
         """
         moving = [record for record in records if record.observed.any()]
         if moving and prescribed.state_number.any():
@@ -89,12 +87,7 @@ class Scheme(ABC):
         return model
 
     def only_one(self, records: Sequence[Record], where: str = "", hint: str = "") -> Record:
-        """The record of a scheme that has one at a time.
-
-        Args:
-            records: Of the run.
-            where: The setting that has one at a time, where it is not the scheme as such.
-            hint: What else can be done with several.
+        """The record of a scheme, or of a setting ``where``, that has one at a time.
 
         Raises:
             InputError: There are several.

@@ -43,10 +43,6 @@ def parameter_scales(structure: Structure, records: Sequence[Record]) -> dict[st
     With F, U, V, A the root mean squares of force, displacement, velocity and acceleration: m is F / A, c is F / V, k
     is F / U, and a nonlinear parameter is F over the force that a value of one makes at (U, V). Only orders of
     magnitude: an elongation is not a displacement. Of several records the median counts.
-
-    Args:
-        structure: For its laws and, where no force is measured, its masses.
-        records: What was measured.
     """
     by_record = [_scales(structure, record) for record in records]
     return {kind: float(np.median([scales[kind] for scales in by_record])) for kind in by_record[0]}
@@ -58,10 +54,8 @@ def _scales(structure: Structure, record: Record) -> dict[str, float]:
     force = float(np.sqrt(np.mean(measured**2))) if measured.size else 0.0
     masses = structure.parameters[MASS].detach().cpu().double().numpy()
     known_masses = masses[np.isfinite(masses) & (masses > 0)]
-    # Without a load cell the force is that of the masses; where nobody knows those either, of one kilogram.
-    force = (
-        force if force > 0 else size["acceleration"] * (float(np.median(known_masses)) if known_masses.size else 1.0)
-    )
+    if not force > 0:  # that of the masses; where nobody knows those either, of one kilogram
+        force = size["acceleration"] * (float(np.median(known_masses)) if known_masses.size else 1.0)
     scales = {"m": force / size["acceleration"]}
     for kind, alone in unit_forces(structure, size["displacement"], size["velocity"]).items():
         per_unit = float(alone.max())
@@ -72,10 +66,7 @@ def _scales(structure: Structure, record: Record) -> dict[str, float]:
 def unit_forces(structure: Structure, elongation: float, rate: float) -> dict[str, np.ndarray]:
     """Kind of the connections' parameters to the size of the force that a value of one makes alone (members,), N.
 
-    Args:
-        structure: For its laws; its parameters are not read.
-        elongation: Of every connection, m.
-        rate: Of it, m/s.
+    Every connection has this elongation, m, and this rate, m/s; the structure's own parameters are not read.
     """
     e, de = (np.full(structure.incidence.shape[0], value) for value in (elongation, rate))
     forces = {}
@@ -136,9 +127,7 @@ class Starts:
         """The most promising first."""
         if self.prescribed.is_modal:
             return iter([self._at(_of_modes(self.prescribed, self.unknown, self.given))])
-        return iter(
-            [self._at(candidate.parameters) | _of_sensors(candidate.calibration) for candidate in self.promising]
-        )
+        return map(self._start, self.promising)
 
     def elsewhere(self) -> list[dict[Parameter, Start]]:
         """Starts for where those led to no model that holds: linear structures that fit as well, about the best."""
@@ -150,9 +139,7 @@ class Starts:
         for candidate in (alike, *(c for c in others if c.misfit <= RIVAL * self._linear[0].misfit)):
             if all(_are_distinct(candidate, taken, self.unknown) for taken in (*self.promising, *rivals)):
                 rivals.append(candidate)
-        return [
-            self._at(candidate.parameters) | _of_sensors(candidate.calibration) for candidate in rivals[:MOST_RIVALS]
-        ]
+        return [self._start(candidate) for candidate in rivals[:MOST_RIVALS]]
 
     @cached_property
     def promising(self) -> list[Candidate]:
@@ -229,6 +216,15 @@ class Starts:
                 best, least = replace(candidate, parameters=candidate.parameters | {"k": k}), misfit
         return best
 
+    def _start(self, candidate: Candidate) -> dict[Parameter, Start]:
+        """Of every unknown parameter, and of gains and delays that sensors may have."""
+        sensors = {
+            Parameter(kind, number, label=name): Start(value, abs(value))
+            for number, (name, of) in enumerate(candidate.calibration.items())
+            for kind, value in of.items()
+        }
+        return self._at(candidate.parameters) | sensors
+
     def _at(self, linear: Mapping[str, np.ndarray]) -> dict[Parameter, Start]:
         """Of every unknown parameter of a structure whose linear part is this."""
         prescribed, records, unknown, given = self.prescribed, self.records, self.unknown, self.given
@@ -286,15 +282,6 @@ def _are_distinct(first: Candidate, second: Candidate, unknown: Collection[Param
     """Whether two starts are two."""
     places = [(p.kind, p.index) for p in unknown if p.kind in (MASS, "k")]
     return any(abs(np.log(first.parameters[k][i] / second.parameters[k][i])) > SAME_START for k, i in places)
-
-
-def _of_sensors(calibration: Mapping[str, Mapping[str, float]]) -> dict[Parameter, Start]:
-    """Gains and delays that sensors may have."""
-    return {
-        Parameter(kind, number, label=name): Start(value, abs(value))
-        for number, (name, of) in enumerate(calibration.items())
-        for kind, value in of.items()
-    }
 
 
 def linear_parts(prescribed: Structure, unknown: Collection[Parameter]) -> dict[str, np.ndarray]:

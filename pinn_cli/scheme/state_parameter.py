@@ -109,8 +109,7 @@ class StateParameter(EstimationScheme):
         modes = NaturalModes.of(start)
         frequencies = np.zeros(1) if modes is None else modes.frequencies
         count = max(1, int((frequencies <= max(map(record_band, records))).sum()))
-        names = "zeta_1" if count == 1 else f"zeta_1 to zeta_{count}"
-        names = "zeta" if count == 1 else names
+        names = "zeta" if count == 1 else f"zeta_1 to zeta_{count}"
         log.warning(
             "nothing is said of damping: a ratio for each mode in the band is unknown, %s (system.damping)", names
         )
@@ -143,8 +142,7 @@ class StateParameter(EstimationScheme):
         return replace(first, other_starts=tuple(others), elsewhere=elsewhere)
 
     def _chosen(self, prescribed: Structure, records: Sequence[Record]) -> list[Parameter]:
-        record, *further = records
-        return unknown_parameters(prescribed, record, self.unknown, further, self.unknown_force == FREE)
+        return unknown_parameters(prescribed, records, self.unknown, self.unknown_force == FREE)
 
     def with_record(self, problem: JointProblem, prescribed: Structure, record: Record) -> JointProblem:
         """See :meth:`Scheme.with_record`: by default it is the sensors that say what is unknown."""

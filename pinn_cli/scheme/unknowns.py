@@ -34,29 +34,24 @@ def all_names(structure: Structure) -> dict[str, Parameter]:
 
 
 def unknown_parameters(
-    structure: Structure,
-    record: Record,
-    unknown: str | Sequence[str] | None,
-    further: Sequence[Record] = (),
-    forces_free: bool = True,
+    structure: Structure, records: Sequence[Record], unknown: str | Sequence[str] | None, forces_free: bool = True
 ) -> list[Parameter]:
     """The unknown parameters, in the chain's order.
 
     Args:
         structure: The prescribed model.
-        record: What the estimator sees.
+        records: What the estimator sees of it; a sensor in any of them is one.
         unknown: Names (``k_1``) and patterns (``k_*``, ``*_2``, ``k_[1-3]``), one or a list; None: the stiffness and
             the nonlinear parameters of every connection that ends at a DOF without a sensor. Of a chain: connection i
             if DOF i has none (paper, section 4.2). Of a finite-element model: of every connection that was added to it,
             and the factors of its parts. `MISSING`: whatever the structure has no value for.
-        further: Other records of the same structure; a sensor in any of them is one.
         forces_free: Whether forces that nobody measured are whatever the motion takes; else they are processes, and
             equations of motion hold under them too.
 
     Raises:
         InputError: A name that does not exist, nothing at all, or a parameter that no equation of motion contains.
     """
-    names, records = all_names(structure), (record, *further)
+    names = all_names(structure)
     # What is said of the whole's damping without a value is unknown without another word.
     of_whole = {name for name, p in names.items() if p.kind in WHOLE and math.isnan(p.prescribed)}
     if unknown is None:
@@ -109,18 +104,14 @@ def _matching(pattern: Any, structure: Structure, names: Mapping[str, Parameter]
             or (not kinds and fnmatchcase(name, pattern))
         ]
     if not matches:
-        raise InputError(setting, pattern, *_allowed(pattern, structure, names))
+        if structure.labels.connections:
+            shown = ", ".join([*list(names)[:NAMES_SHOWN], *(["..."] if len(names) > NAMES_SHOWN else [])])
+            allowed, hint = f"one of {shown}", suggestion(str(pattern), names)
+        else:
+            allowed = f"one of {', '.join(structure.parameters)} with _1 to _{structure.ndof}"
+            hint = f"the estimator's model is a {structure.nonlinearity_name} chain"
+        raise InputError(setting, pattern, f"{allowed}, or a pattern such as k_* (any connection)", hint)
     return matches
-
-
-def _allowed(pattern: Any, structure: Structure, names: Mapping[str, Parameter]) -> tuple[str, str]:
-    """What a name of a parameter may be, and the likely cause of another one."""
-    if structure.labels.connections:
-        shown = ", ".join([*list(names)[:NAMES_SHOWN], *(["..."] if len(names) > NAMES_SHOWN else [])])
-        return f"one of {shown}, or a pattern such as k_* (any connection)", suggestion(str(pattern), names)
-    kinds = ", ".join(structure.parameters)
-    allowed = f"one of {kinds} with _1 to _{structure.ndof}, or a pattern such as k_* (any connection)"
-    return allowed, f"the estimator's model is a {structure.nonlinearity_name} chain"
 
 
 def _check_touched(parameter: Parameter, structure: Structure, records: Sequence[Record], forces_free: bool) -> None:
@@ -132,33 +123,23 @@ def _check_touched(parameter: Parameter, structure: Structure, records: Sequence
         return
     enforced = np.any([record.unforced | record.sensors("force") for record in records], axis=0)
     if forces_free and not enforced[structure.ends(parameter)].any():
-        raise InputError(
-            "scheme.unknown",
-            parameter.name,
-            "parameters that an equation of motion contains",
-            "the forces on the DOFs at its ends are unknown, so nothing says what it is",
-        )
+        hint = "the forces on the DOFs at its ends are unknown, so nothing says what it is"
+        raise InputError("scheme.unknown", parameter.name, "parameters that an equation of motion contains", hint)
     if parameter.kind != MASS:
         return
     jumps = [record for record in records if record.intersample == "zero_order_hold"]
     if any(r.sensors("force")[parameter.index] and r.sensors("acceleration")[parameter.index] for r in jumps):
-        raise InputError(
-            "scheme.unknown",
-            parameter.name,
-            "another parameter, or a record whose force is not held between samples",
-            "a held force makes that DOF's measured acceleration jump by an amount that needs its mass",
-        )
+        allowed = "another parameter, or a record whose force is not held between samples"
+        hint = "a held force makes that DOF's measured acceleration jump by an amount that needs its mass"
+        raise InputError("scheme.unknown", parameter.name, allowed, hint)
 
 
 def initial_values(
     structure: Structure, given: Mapping[str, float | None] | None, positive: Sequence[str]
 ) -> dict[Parameter, float]:
-    """Where unknown parameters start, for those that the user says something about.
+    """Where unknown parameters start, for those that the user says something about: kind, name or pattern to value.
 
-    Args:
-        structure: The prescribed model.
-        given: Kind, name or pattern to value; later entries overrule earlier ones; None: nothing said.
-        positive: Kinds that cannot be negative.
+    Later entries overrule earlier ones; of ``positive`` kinds none can be negative.
 
     Raises:
         InputError: A name that does not exist, no number, or a value that violates the kind's constraint.
@@ -225,13 +206,7 @@ def check_used(
     given: Mapping[str, float | None] | None,
     positive: Sequence[str] | None,
 ) -> None:
-    """Refuse what a user says about parameters and that would not be used.
-
-    Args:
-        structure: The prescribed model.
-        unknown: Its unknown parameters.
-        given: ``scheme.initial``; None: nothing said.
-        positive: ``scheme.positive``; None: nothing said.
+    """Refuse what a user says about parameters, by ``scheme.initial`` and ``scheme.positive``, and would not be used.
 
     Raises:
         InputError: A kind that no law has, or a start of parameters that are not unknown.
@@ -263,13 +238,7 @@ def checked_uncertainty(value: Any) -> float:
 def believed_parameters(
     structure: Structure, uncertainty: float, but: Collection[Parameter] = ()
 ) -> tuple[Parameter, ...]:
-    """Every parameter of a chain but its masses, with a relative prior standard deviation.
-
-    Args:
-        structure: The prescribed model.
-        uncertainty: The standard deviation over the value; 0 leaves every parameter fixed.
-        but: Parameters that are left out.
-    """
+    """Every parameter of a chain ``but`` some and its masses, with a relative prior standard deviation; 0 fixes all."""
     return tuple(
         replace(parameter, prior_std=uncertainty * abs(parameter.prescribed))
         for parameter in structure.every_parameter()

@@ -47,11 +47,7 @@ def registered(place: str) -> set[str]:
 
 
 def check_registered(setting: str, target: object) -> None:
-    """Refuse a target that its place does not accept; nothing is imported.
-
-    Args:
-        setting: Of the node that has the target: `network`.
-        target: What stands there as `_target_`.
+    """Refuse a node's `_target_` that the place of its setting (`network`) does not accept; nothing is imported.
 
     Raises:
         InputError: It is none of the registered classes.
@@ -95,9 +91,7 @@ def plugins_of(place: str) -> dict[str, EntryPoint]:
 def check_classes(node: object, setting: str = "") -> None:
     """Refuse a configuration with a target that is not registered for its place, before anything of it is built.
 
-    Args:
-        node: A node of the composed configuration, or plain mappings and lists, searched to its leaves.
-        setting: The node's own name, for the message.
+    A node of the composed configuration, or plain mappings and lists, is searched to its leaves.
 
     Raises:
         InputError: At the first `_target_` that is refused; one that is an interpolation is.

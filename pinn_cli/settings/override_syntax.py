@@ -54,11 +54,8 @@ def setting_of(override: str) -> str:
 def check_interpolations(node: Mapping[Any, Any], ours: str = "") -> None:
     """Refuse a configuration whose interpolations unfold to more than `MOST_ENTRIES`, or hide what they name.
 
-    They are counted before anything is resolved.
-
-    Args:
-        node: Plain, as it is written.
-        ours: Text of the program's own configuration, whose values are known to be harmless.
+    They are counted before anything is resolved, in a plain node, as it is written. In ``ours``, the text of the
+    program's own configuration, values are known to be harmless.
 
     Raises:
         InputError: Naming the first setting that does, or that names itself.

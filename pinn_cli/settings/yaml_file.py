@@ -75,10 +75,7 @@ class ConfigFolder(ConfigSource):
 
 
 def read_yaml(file: Path) -> DictConfig:
-    """The settings that a file holds.
-
-    Args:
-        file: That exists.
+    """The settings that a file holds, which exists.
 
     Raises:
         InputError: Naming the file, and where there is one the line: it cannot be read, is no UTF-8 or no YAML, holds

@@ -45,11 +45,8 @@ def chain_of(parameters: dict[str, torch.Tensor], nonlinearity: Nonlinearity) ->
     """Masses in a row; connection i joins DOF i-1 to DOF i, the first one the ground to DOF 1.
 
     Its elongations are e_i = u_i - u_{i-1} with u_0 = 0, so the equation of motion of DOF i is
-    m_i a_i + r_i - r_{i+1} = f_i with r_{n+1} = 0 (paper, section 2).
-
-    Args:
-        parameters: "m", "c", "k" and those of the nonlinearity, each (ndof,).
-        nonlinearity: Of every connection.
+    m_i a_i + r_i - r_{i+1} = f_i with r_{n+1} = 0 (paper, section 2). Parameters are "m", "c", "k" and those of the
+    nonlinearity, each (ndof,).
 
     Raises:
         ValueError: The names or the shapes of the parameters do not fit.
@@ -66,29 +63,24 @@ def build_chain(
 ) -> Structure:
     """A chain from numbers (the same for every connection) or lists of ndof numbers.
 
-    Args:
-        ndof: Number of degrees of freedom.
-        nonlinearity: Which decides what parameters there are beyond m, c and k.
-        damping: Of the whole, see :func:`pinn_cli.system.building.damped`; beside it c is 0 unless given.
-        **parameters: m (kg), c (N s/m), k (N/m), and kappa (N/m^3) or mu, each a number or a list of ndof numbers.
+    They are m (kg), c (N s/m), k (N/m) and those of the nonlinearity, as kappa (N/m^3). Beside damping of the whole,
+    see :func:`damped`, c is 0 unless given.
 
     Raises:
         InputError: Naming ``system.<parameter>``: ndof is no positive integer; a parameter is missing, unknown, of the
             wrong length, not finite or of a sign that makes no sense.
     """
     nonlinearity = _with_given(nonlinearity, parameters)
-    for name in (*LINEAR_UNITS, *nonlinearity.parameters):
+    names = (*LINEAR_UNITS, *nonlinearity.parameters)
+    for name in names:
         if parameters.get(name) is None and (name != "c" or damping is None):
-            names = ", ".join((*LINEAR_UNITS, *nonlinearity.parameters))
-            raise InputError(f"system.{name}", "nothing", f"given: a {nonlinearity.name} chain has {names}")
+            allowed = f"given: a {nonlinearity.name} chain has {', '.join(names)}"
+            raise InputError(f"system.{name}", "nothing", allowed)
     structure = build_partial_chain(ndof, nonlinearity, damping, **parameters)
     for name, tensor in structure.parameters.items():
         if tensor.isnan().any():
-            raise InputError(
-                f"system.{name}",
-                parameters.get(name, damping),
-                "given in every entry: null is for what is unknown of a record",
-            )
+            allowed = "given in every entry: null is for what is unknown of a record"
+            raise InputError(f"system.{name}", parameters.get(name, damping), allowed)
     return structure
 
 
@@ -202,12 +194,9 @@ def law_settings(name: Any, setting: str) -> tuple[str, ...]:
 
 
 def law_called(name: Any, settings: Mapping[str, Any], setting: str) -> Nonlinearity:
-    """The law of a connection.
+    """The law of a connection: ``duffing``, or what follows ``system.`` in the name of a plug-in's entry point.
 
-    Args:
-        name: ``duffing``, or what follows ``system.`` in the name of a plug-in's entry point.
-        settings: Of the law.
-        setting: Name of the connection as a user types it, for messages.
+    Messages name the connection by ``setting``, as a user types it.
 
     Raises:
         InputError: There is no such law; a setting is missing, unknown or illegal.
@@ -308,13 +297,10 @@ def modal_structure(
     values: tuple[np.ndarray, np.ndarray, np.ndarray],
     outside: tuple[int, int],
 ) -> Structure:
-    """A structure of modes, those of the band first, then those below it and those above.
+    """A structure of modes, those of the band first, then those below it and those above, so many of each ``outside``.
 
-    Args:
-        dofs: Names; empty: they go by their numbers.
-        shapes: (dofs, n), how far every DOF moves with every mode.
-        values: Modal masses, kg, damping, N s/m, and stiffnesses, N/m, each (n,).
-        outside: How many modes are below the band, and above.
+    Shapes (dofs, n) are how far every DOF moves with every mode; values are modal masses, kg, damping, N s/m, and
+    stiffnesses, N/m, each (n,). DOFs without names go by their numbers.
     """
     n, (below, above) = shapes.shape[1], outside
     within = n - below - above

@@ -52,12 +52,9 @@ class ConnectionGroup:
         return np.arange(self.incidence.shape[0]) if self.parts is None else np.array(self.parts)
 
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
-        """Internal force of every connection but what it remembers (..., C), N.
+        """Internal force of every connection but what it remembers, N, from elongations, m, and rates, m/s: (..., C).
 
-        Args:
-            e: Elongation (..., C), m.
-            de: Its rate, m/s.
-            parameters: Of all its kinds, each broadcastable against e.
+        Parameters are of all its kinds, each broadcastable against e.
         """
         nonlinear = self.nonlinearity.force(e, de, parameters)
         if self.parts is not None:

@@ -27,14 +27,6 @@ class Coupling:
         by: R, (T, N): the functions that it is taken by.
         together: Whether all functions are to stand within one equation's reach, so that the covariance of any two of
             them can be had.
-
-    Attributes:
-        touching: (N, F), the terms in each equation, ascending; at the end T, which is none.
-        order: (N,), the functions such that those that are coupled stand near each other.
-        rank: (N,), the place of every function in that order.
-        offsets: From a function's place in that order to those of the ones in its equation, ascending; 0 is among them.
-        coupled: (N, offsets) bool, which of those there are.
-        reach: The furthest distance between places of functions that one equation contains.
     """
 
     def __init__(self, into: csr_matrix, by: csr_matrix, together: bool = False) -> None:
@@ -44,13 +36,16 @@ class Coupling:
 
     @cached_property
     def touching(self) -> np.ndarray:
-        """See the class."""
+        """(N, F), the terms in each equation, ascending; at the end T, which is none."""
         places, weights = padded(self.into.T.tocsr())
         return np.where(weights == 0, self.into.shape[0], places)
 
     @cached_property
     def order(self) -> np.ndarray:
-        """See the class: as they come, unless the reverse order of Cuthill and McKee makes a narrower band."""
+        """(N,), the functions such that those that are coupled stand near each other.
+
+        As they come, unless the reverse order of Cuthill and McKee makes a narrower band.
+        """
         natural = np.arange(self.size)
         both = csr_matrix(self._pattern + self._pattern.T)
         other = np.asarray(reverse_cuthill_mckee(both, symmetric_mode=True), dtype=np.int64)
@@ -60,12 +55,12 @@ class Coupling:
 
     @cached_property
     def rank(self) -> np.ndarray:
-        """See the class."""
+        """(N,), the place of every function in that order."""
         return np.argsort(self.order)
 
     @cached_property
     def offsets(self) -> tuple[int, ...]:
-        """See the class."""
+        """From a function's place in that order to those of the ones in its equation, ascending; 0 is among them."""
         row, column = self._pattern.nonzero()
         return tuple(sorted({0, *(self.rank[column] - self.rank[row]).tolist()}))
 
@@ -95,14 +90,14 @@ class Coupling:
 
     @cached_property
     def coupled(self) -> np.ndarray:
-        """See the class."""
+        """(N, offsets) bool, which of those there are."""
         coupled = np.any(self.by_offset != 0, axis=1)
         coupled[:, self.offsets.index(0)] = True
         return coupled
 
     @cached_property
     def reach(self) -> int:
-        """See the class."""
+        """The furthest distance between places of functions that one equation contains."""
         if self.together:
             return self.size - 1
         offsets = np.array(self.offsets)

@@ -46,12 +46,8 @@ class StructuralDamping(Linear):
     def rows(self, mass: np.ndarray, stretch: csr_matrix, stiffness: np.ndarray) -> csr_matrix:
         """(C', n), of the incidence: sqrt(2 omega_r) phi_r' M of ratios, sqrt(m_i) of a_0, sqrt(k_j) b_j of a_1.
 
-        Those of a_1 are omega_r phi_r' M where a part is softer than its matrix, as a negative spring.
-
-        Args:
-            mass: (n,), kg.
-            stretch: (C, n), of the connections that hold the structure.
-            stiffness: (C,), theirs at rest, N/m.
+        Those of a_1 are omega_r phi_r' M where a part is softer than its matrix, as a negative spring. The masses (n,)
+        are in kg; ``stretch`` (C, n) and stiffness (C,) at rest, N/m, are of the connections that hold the structure.
         """
         if self.kind == OF_MASS:
             return csr_matrix(diags(np.sqrt(mass)))

@@ -122,31 +122,30 @@ class Dynamics(Functions):
             return structure.linearise(jet.value, jet.rate, parameters)
         u, v, z = self.stretching(jet.value), self.stretching(jet.rate), jet.value[..., self.hidden]
         linear = structure.linearise(u, v, parameters)
-        stiffness, damping, by_parameter = [linear.stiffness], [linear.damping], dict(linear.by_parameter)
+        terms, by_parameter = [(linear.stiffness, linear.damping)], dict(linear.by_parameter)
         if z.shape[-1]:
             memory = self._linearised_memory(u, v, z, parameters)
             forces = torch.ones_like(z[..., self._is_force])
             own = torch.as_tensor(np.equal(*self._recalled)).to(u).expand(*u.shape[:-1], -1)
-            stiffness += [memory["z"], forces, memory["e"]]
-            damping += [own / self.inputs.rate, torch.zeros_like(forces), memory["de"]]
+            terms += [(memory["z"], own / self.inputs.rate), (forces, torch.zeros_like(forces))]
+            terms.append((memory["e"], memory["de"]))
             # A parameter of a memory is in no force: where laws share a kind, each connection has one of the two.
             by_parameter |= {kind: by_parameter[kind] + memory[kind] for kind in self._remembered}
         if self.inputs.ground:
-            pushed = (parameters[MASS] * self._influence(parameters[MASS]))[self._moved_by_ground]
-            stiffness.append(pushed.expand(*u.shape[:-1], -1))
-            damping.append(torch.zeros_like(stiffness[-1]))
+            moved = (parameters[MASS] * self._influence(parameters[MASS]))[self._moved_by_ground]
+            moved = moved.expand(*u.shape[:-1], -1)
+            terms.append((moved, torch.zeros_like(moved)))
         if self.smooth.stop > self.smooth.start:
             smooth = torch.ones_like(jet.value[..., self.smooth])
-            stiffness.append(smooth)
-            damping.append(2.0 / self.inputs.edge * smooth)
+            terms.append((smooth, 2.0 / self.inputs.edge * smooth))
         if self.loaded:
-            stiffness.append(torch.as_tensor(-self._pushed.data).to(u).expand(*u.shape[:-1], -1))
-            damping.append(torch.zeros_like(stiffness[-1]))
+            pushed = torch.as_tensor(-self._pushed.data).to(u).expand(*u.shape[:-1], -1)
+            terms.append((pushed, torch.zeros_like(pushed)))
         if self.inputs.unmeasured:
             ones = torch.ones_like(jet.value[..., self.forces])
-            stiffness.append(ones)
-            damping.append(self.inputs.correlation_time * ones)
-        return Linearisation(linear.force, torch.cat(stiffness, -1), torch.cat(damping, -1), by_parameter)
+            terms.append((ones, self.inputs.correlation_time * ones))
+        stiffness, damping = (torch.cat(of_terms, -1) for of_terms in zip(*terms, strict=True))
+        return Linearisation(linear.force, stiffness, damping, by_parameter)
 
     def _linearised_memory(
         self, u: Tensor, v: Tensor, z: Tensor, parameters: Mapping[str, Tensor]

@@ -19,13 +19,7 @@ def dissipated_power(
 
     So a spring has none, whatever its law, and a damper c de^2. A hidden force counts as a whole: what it stores and
     gives back is :func:`stored_by_memory`. Negative where a connection puts energy in, as a Van der Pol one may.
-
-    Args:
-        structure: Whose connections they are.
-        e: Elongations (..., C), m.
-        de: Their rates, m/s.
-        parameters: See :class:`pinn_cli.system.structure.Structure`.
-        z: Hidden forces (..., h); None where no connection has memory.
+    Elongations e (..., C) are in m, their rates in m/s; z are hidden forces (..., h), None where nothing has memory.
     """
     force = structure.connection_force(e, de, parameters, z)
     still = structure.connection_force(e, 0.0 * de, parameters, None if z is None else 0.0 * z)

@@ -141,11 +141,8 @@ class Seen:
 def rivals_of(structure: Structure, free: Sequence[Parameter], seen: Seen, most: int) -> list[dict[Parameter, float]]:
     """The masses and stiffnesses of other structures that nobody who sees no more can tell from this one.
 
-    Args:
-        structure: In DOFs; its connections as they are at rest.
-        free: Parameters that may be others; all but masses and stiffnesses are left out.
-        seen: Of it.
-        most: How many at most; those that come nearest.
+    Of ``free``, which may be others, all but masses and stiffnesses are left out. The structure is in DOFs, its
+    connections are as they are at rest. Of more than ``most`` those are told that come nearest.
     """
     free = [
         p for p in free if p.kind in (MASS, STIFFNESS) and 0.0 < float(structure.parameters[p.kind][p.index]) < np.inf
@@ -169,11 +166,7 @@ def rivals_of(structure: Structure, free: Sequence[Parameter], seen: Seen, most:
 
 
 class _Match:
-    """The difference of two responses, by the logarithms of the free parameters over their values.
-
-    Args:
-        structure, free, seen: See :func:`rivals_of`.
-    """
+    """The difference of two responses, by the logarithms of the free parameters over their values."""
 
     def __init__(self, structure: Structure, free: Sequence[Parameter], seen: Seen) -> None:
         parameters = structure.parameters_like(np.empty(0))

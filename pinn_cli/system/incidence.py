@@ -27,8 +27,6 @@ class Incidence:
     Attributes:
         matrix: B.
         shape: Connections C and coordinates n.
-        touching: (n, F), the connections that pull at each coordinate, ascending; at the end C, which is none.
-        sign: (n, F), their weights there, B'; 0 where there is none.
     """
 
     def __init__(self, matrix: csr_matrix) -> None:
@@ -105,13 +103,13 @@ class Incidence:
 
     @cached_property
     def touching(self) -> np.ndarray:
-        """See the class."""
+        """(n, F), the connections that pull at each coordinate, ascending; at the end C, which is none."""
         places, weights = padded(self.matrix.T.tocsr())
         return np.where(weights == 0, self.shape[0], places)
 
     @cached_property
     def sign(self) -> np.ndarray:
-        """See the class."""
+        """(n, F), their weights there, B'; 0 where there is none."""
         return padded(self.matrix.T.tocsr())[1]
 
 

@@ -112,10 +112,7 @@ class Carried:
     def oscillator(self, dof: int, frequency: float, damping: float) -> np.ndarray:
         """(N,), force, N, that takes an oscillator of one kg along with a DOF, at rest at first.
 
-        Args:
-            dof: Which.
-            frequency: Of the oscillator where the DOF is held, Hz.
-            damping: Its ratio.
+        Its frequency, Hz, is that where the DOF is held; ``damping`` is its ratio.
         """
         ratio = self._frequency / frequency
         gain = (1.0 + 2j * damping * ratio) / (1.0 - ratio**2 + 2j * damping * ratio)

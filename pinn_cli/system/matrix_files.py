@@ -122,7 +122,9 @@ def _of_npz(file: Path, name: str, alone: bool) -> Any:
     with np.load(file, allow_pickle=False) as arrays:
         if "indptr" in arrays.files and "format" in arrays.files:
             return load_npz(file)
-        return _chosen({key: arrays[key] for key in _wanted(arrays.files, name, alone)}, name, alone)
+        # Only these are read: another array of the file may be no numbers.
+        wanted = [name] if name in arrays.files else arrays.files if alone and len(arrays.files) == 1 else []
+        return _chosen({key: arrays[key] for key in wanted}, name, alone)
 
 
 def _of_mat(file: Path, name: str, alone: bool) -> Any:
@@ -135,11 +137,6 @@ def _of_one(read: Callable[[str], Any], file: Path, name: str, alone: bool) -> A
     if not alone:
         raise ValueError(f"it holds one matrix only: give it as system.{name}")
     return read(str(file))
-
-
-def _wanted(names: list[str], name: str, alone: bool) -> list[str]:
-    """Only these are read: another array of the file may be no numbers."""
-    return [name] if name in names else names if alone and len(names) == 1 else []
 
 
 def _chosen(arrays: Mapping[str, Any], name: str, alone: bool) -> Any:

@@ -247,11 +247,8 @@ def _by_masses(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray
 def frequency_with_oscillator(structure: Structure, place: np.ndarray, mass: float, alone: float) -> float:
     """Natural frequency, Hz, of the mode in which an oscillator moves most that is attached to a DOF.
 
-    Args:
-        structure: Without it.
-        place: (n,), how far the DOF moves with every coordinate.
-        mass: Of the oscillator, kg; where it has none that is positive, its own frequency is told.
-        alone: Its frequency while the DOF is held, Hz.
+    How far the DOF moves with every coordinate is ``place`` (n,), and ``alone`` the frequency while it is held, Hz:
+    that is told where the oscillator's mass, kg, is not positive.
     """
     m = structure.parameters_like(np.empty(0))[MASS]
     stiffness, n = at_rest(structure)[0], len(m)

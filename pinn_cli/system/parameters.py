@@ -220,11 +220,9 @@ class ParameterVector(Generic[T]):
         return {kind: placed[first:end] for (kind, first), end in zip(self.first.items(), ends, strict=True)}
 
     def values(self, distances: Array, nominal: Mapping[str, Array] | None = None) -> dict[str, Array]:
-        """Every parameter of the structure by kind.
+        """Every parameter of the structure by kind, from distances (p,) of the moving ones, in their own units.
 
-        Args:
-            distances: (p,), of the moving ones, in their own units.
-            nominal: The values on another device, or of another type; None: as they are.
+        On another device, or of another type, where ``nominal`` are.
         """
         moved, held = self.scattered(distances), self.nominal if nominal is None else nominal
         return {kind: value + moved[kind] if kind in moved else value for kind, value in held.items()}  # type: ignore[operator,misc]

@@ -66,13 +66,9 @@ class ReducedModel:
 
 
 def reduced_model(M: csc_matrix, K: csc_matrix, modes: int, static: np.ndarray) -> ReducedModel:
-    """The lowest modes, and what constant forces on some DOFs move beyond them.
+    """So many of the lowest modes, and what constant forces on some DOFs (s,), from 0, move beyond them.
 
-    Args:
-        M: Mass matrix (N, N), kg.
-        K: Stiffness matrix (N, N), N/m.
-        modes: How many.
-        static: (s,), the DOFs, counted from 0.
+    M is the mass matrix (N, N), kg, and K the stiffness matrix, N/m.
 
     Raises:
         InputError: M is not positive definite; K has negative eigenvalues; more modes than DOFs.
@@ -105,12 +101,7 @@ def reduced_at(model: WholeModel, factors: np.ndarray, like: ReducedModel) -> Re
 
     They hold the modes so changed and the static responses of chosen DOFs, then as many shapes as there are parts that
     it takes beside these factors, then static responses of the DOFs that are of interest and higher modes in turn. As
-    in all reduced models, they are orthogonal in K itself.
-
-    Args:
-        model: To be reduced.
-        factors: (P,), on the stiffness of its parts, > 0.
-        like: Of the same model at other factors.
+    in all reduced models, they are orthogonal in K itself. The factors (P,), > 0, are on the stiffness of the parts.
 
     Raises:
         InputError: So changed, the model has no modes.
@@ -159,9 +150,26 @@ def _model(vectors: np.ndarray, values: np.ndarray, more: np.ndarray, stiffness:
 
 
 def _modes(M: csc_matrix, K: csc_matrix, modes: int) -> tuple[np.ndarray, np.ndarray, SuperLU, float]:
-    """Eigenvalues (modes,) and M-orthonormal vectors (N, modes), with the factors of K + shift M, and the shift."""
-    shifted, shift = _factorised(M, K)
-    return *_lowest(M, K, modes, shifted, shift), shifted, shift
+    """Eigenvalues (modes,), ascending, and M-orthonormal vectors (N, modes), with the factors of K + shift M.
+
+    The shift, (rad/s)^2, comes last.
+    """
+    size, shift = M.shape[0], SHIFT * float(K.diagonal().max(initial=0.0) / M.diagonal().mean()) or 1.0
+    try:
+        shifted = splu(csc_matrix(K + shift * M))
+    except RuntimeError:
+        raise InputError("system.K", "a K that cannot be solved", "positive semidefinite") from None
+    if size > DENSE and 2 * modes < size:
+        solve = LinearOperator((size, size), matvec=shifted.solve, dtype=np.float64)
+        start = np.random.default_rng(0).standard_normal(size)
+        values, vectors = eigsh(K, modes, M, sigma=-shift, OPinv=solve, v0=start)
+        order = np.argsort(values)
+        return values[order], vectors[:, order], shifted, shift
+    try:  # the inverse problem, whose largest eigenvalues are the ones that come out precisely
+        inverse, vectors = eigh(M.toarray(), (K + shift * M).toarray(), subset_by_index=(size - modes, size - 1))
+    except np.linalg.LinAlgError:
+        raise InputError("system.K", "a K with negative eigenvalues", "positive semidefinite") from None
+    return (1.0 / inverse - shift)[::-1], (vectors / np.sqrt(inverse))[:, ::-1], shifted, shift
 
 
 def _changed_shapes(
@@ -172,15 +180,13 @@ def _changed_shapes(
     The shapes have unit energy, so that the squared singular values of what is left, in the norm of energy, are errors
     of frequencies squared; a proper orthogonal decomposition orders what is left.
     """
-    unit = np.zeros((M.shape[0], len(static)))
-    unit[static, np.arange(len(static))] = 1.0
     shapes = []
     for part in parts:
         for factor in FACTORS:
             values, vectors, shifted, shift = _modes(M, csc_matrix(K + (factor - 1.0) * part), reduced.modes)
             bends = values > max(RIGID_EIGENVALUE * float(np.abs(values).max()), 10.0 * shift)
             unit_energy = vectors[:, bends] / np.sqrt(values[bends])
-            beyond = unit - M @ (vectors @ vectors[static].T)
+            beyond = _forces_beyond(M, vectors, static)
             moved = shifted.solve(beyond)
             energy = np.sum(beyond * moved, axis=0) + np.sum(unit_energy[static] ** 2, axis=1)
             shapes += [unit_energy, moved / np.sqrt(energy)]
@@ -205,45 +211,19 @@ def _check_positive(M: csc_matrix) -> None:
         raise InputError("system.M", "a mass matrix that is not positive definite", "a positive definite one", hint)
 
 
-def _factorised(M: csc_matrix, K: csc_matrix) -> tuple[SuperLU, float]:
-    """Factors of K + shift M, and the shift, (rad/s)^2."""
-    shift = SHIFT * float(K.diagonal().max(initial=0.0) / M.diagonal().mean()) or 1.0
-    try:
-        return splu(csc_matrix(K + shift * M)), shift
-    except RuntimeError:
-        raise InputError("system.K", "a K that cannot be solved", "positive semidefinite") from None
-
-
-def _lowest(M: csc_matrix, K: csc_matrix, modes: int, shifted: SuperLU, shift: float) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvalues (modes,), ascending, and M-orthonormal vectors (N, modes)."""
-    size = M.shape[0]
-    if size <= DENSE or 2 * modes >= size:
-        return _lowest_dense(M, K, modes, shift)
-    solve = LinearOperator((size, size), matvec=shifted.solve, dtype=np.float64)
-    start = np.random.default_rng(0).standard_normal(size)
-    values, vectors = eigsh(K, modes, M, sigma=-shift, OPinv=solve, v0=start)
-    order = np.argsort(values)
-    return values[order], vectors[:, order]
-
-
-def _lowest_dense(M: csc_matrix, K: csc_matrix, modes: int, shift: float) -> tuple[np.ndarray, np.ndarray]:
-    """The same by the inverse problem, whose largest eigenvalues are the ones that come out precisely."""
-    size = M.shape[0]
-    try:
-        inverse, vectors = eigh(M.toarray(), (K + shift * M).toarray(), subset_by_index=(size - modes, size - 1))
-    except np.linalg.LinAlgError:
-        raise InputError("system.K", "a K with negative eigenvalues", "positive semidefinite") from None
-    return (1.0 / inverse - shift)[::-1], (vectors / np.sqrt(inverse))[:, ::-1]
-
-
 def _residual_vectors(
     M: csc_matrix, K: csc_matrix, vectors: np.ndarray, shifted: SuperLU, static: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N, s) orthonormal vectors beyond the modes, and their stiffnesses (s,), ascending."""
+    beyond = _forces_beyond(M, vectors, static)
+    return _complement(M, K, vectors, shifted.solve(beyond[:, np.linalg.norm(beyond, axis=0) > SPANNED]))
+
+
+def _forces_beyond(M: csc_matrix, vectors: np.ndarray, static: np.ndarray) -> np.ndarray:
+    """(N, s), what unit forces on some DOFs (s,) are beyond those that move modes (N, m)."""
     unit = np.zeros((M.shape[0], len(static)))
     unit[static, np.arange(len(static))] = 1.0
-    beyond = unit - M @ (vectors @ vectors[static].T)
-    return _complement(M, K, vectors, shifted.solve(beyond[:, np.linalg.norm(beyond, axis=0) > SPANNED]))
+    return np.asarray(unit - M @ (vectors @ vectors[static].T))
 
 
 def _complement(M: csc_matrix, K: csc_matrix, vectors: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -19,7 +19,7 @@ from pinn_cli.system.connection_groups import ConnectionGroup, GroupPart, Linear
 from pinn_cli.system.damping import StructuralDamping
 from pinn_cli.system.incidence import Incidence, Pairs
 from pinn_cli.system.parameters import FACTOR, LINEAR_TITLES, LINEAR_UNITS, MASS, Labels, Parameter
-from pinn_cli.system.shapes import OfMasses, Shapes
+from pinn_cli.system.shapes import Shapes
 
 
 class Reduction(Protocol):
@@ -99,7 +99,7 @@ class Structure:
     @cached_property
     def shapes(self) -> Shapes:
         """How the DOFs move with the coordinates."""
-        return OfMasses(self.with_ground) if self.mode_shapes is None else self.mode_shapes
+        return Shapes(None, self.with_ground) if self.mode_shapes is None else self.mode_shapes
 
     @property
     def is_modal(self) -> bool:
@@ -247,13 +247,9 @@ class Structure:
     def connection_force(
         self, e: Array, de: Array, parameters: Mapping[str, Array] | None = None, z: Array | None = None
     ) -> Array:
-        """Internal force r = c de + k e + r_n(e, de) + z of every connection (..., C).
+        """Internal force r = c de + k e + r_n(e, de) + z of every connection (..., C), of elongations and their rates.
 
-        Args:
-            e: Elongation (..., C).
-            de: Its rate.
-            parameters: See the class.
-            z: Hidden forces (..., h) of the connections that have memory, N; None where none has.
+        Hidden forces z (..., h), N, are of the connections that have memory; None where none has.
         """
         p = self.parameters_like(e) if parameters is None else parameters
         of_groups = [p] if len(self.groups) == 1 else [part.of_group(p) for part in self.parts]
@@ -359,8 +355,7 @@ class Structure:
     def present(self, values: Mapping[str, np.ndarray] | None = None) -> Structure:
         """The same with the damping of the whole in the modes of some masses and stiffnesses, its parameters as before.
 
-        Args:
-            values: Parameters by kind; None: its own. Where they are no structure, the rows stay as they are.
+        Those are its own unless values by kind are given; where they are no structure, the rows stay as they are.
         """
         if not self.is_damped_as_whole:
             return self
@@ -410,10 +405,7 @@ class Structure:
     def reduced_at(self, factors: np.ndarray | None = None) -> Structure:
         """The same in coordinates that are exact where parts of a finite-element model have some factors (P,).
 
-        It is as it was where the model is not at hand, or is no structure there.
-
-        Args:
-            factors: None: its own.
+        None are its own. It is as it was where the model is not at hand, or is no structure there.
         """
         if self.reduction is None:
             return self

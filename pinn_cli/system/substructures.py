@@ -61,13 +61,9 @@ class Parts:
 
 
 def read_parts(factors: Any, path: Any, size: int, base: Path | None = None) -> Parts:
-    """The matrices of ``system.factors``.
+    """The matrices of ``system.factors``, of so many DOFs: name to a file, or to a map of ``file`` and ``value``.
 
-    Args:
-        factors: Name to a file, or to a map of ``file`` and ``value``; without a file it is looked for in ``path``.
-        path: See :func:`pinn_cli.system.matrix_files.read_matrices`.
-        size: DOFs of the matrices.
-        base: The folder that relative paths start from; None: the current one.
+    Without a file it is looked for in ``path``, see :func:`pinn_cli.system.matrix_files.read_matrices`.
 
     Raises:
         InputError: Naming ``system.factors`` or one of them.

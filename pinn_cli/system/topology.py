@@ -8,9 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
 import torch
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, vstack
 
 from pinn_cli.settings.errors import InputError, suggestion
 from pinn_cli.settings.legal_values import USABLE, entries, is_finite_number, is_usable_number
@@ -42,10 +41,6 @@ class _Connection:
     def group(self) -> tuple[object, ...]:
         """Connections that have the same are of one law."""
         return self.law.name, type(self.law), self.settings, self.law.parameters
-
-    def of_coordinates(self, count: int) -> dict[int, float]:
-        """The weights of the first ones; behind them are supports."""
-        return {end: weight for end, weight in self.weights.items() if end < count}
 
 
 def build_structure(
@@ -116,12 +111,7 @@ def build_partial_structure(
 
 
 def drift_pairs(drifts: Any, names: tuple[str, ...], structure: Structure) -> Pairs | None:
-    """The pairs of ``system.drifts``.
-
-    Args:
-        drifts: Name to ``[a, b]``; empty or None: there are none.
-        names: Of the DOFs.
-        structure: Whose connections have drifts, and names, as well.
+    """The pairs of ``system.drifts``: name to ``[a, b]`` of DOFs, in a structure whose connections have drifts as well.
 
     Raises:
         InputError: Naming ``system.drifts`` or one of them.
@@ -149,9 +139,13 @@ def connected(
     Raises:
         InputError: Naming ``system.connections`` and what is in it.
     """
-    read = [_connection(name, entry, names, supports) for name, entry in _checked_connections(connections).items()]
+    if not isinstance(connections, Mapping) or not connections:
+        allowed = "a map of name: {between: [a, b], law: ..., and its parameters}"
+        raise InputError("system.connections", connections, allowed)
+    for name in connections:
+        check_name("system.connections", name)
     groups: dict[tuple[object, ...], list[_Connection]] = {}
-    for connection in read:
+    for connection in [_connection(name, entry, names, supports) for name, entry in connections.items()]:
         groups.setdefault(connection.group, []).append(connection)
     ordered = [connection for members in groups.values() for connection in members]
     parameters = {MASS: list(masses)}
@@ -160,21 +154,14 @@ def connected(
             connection.parameters[kind_of] for connection in ordered if kind_of in connection.parameters
         ]
     labels = Labels(names, tuple(connection.name for connection in ordered), supports=supports)
-    n, moved = len(names), np.zeros((len(ordered), len(supports)))
-    for row, connection in zip(moved, ordered, strict=True):
-        for end, weight in connection.weights.items():
-            if end >= n:
-                row[end - n] = weight
+    n, ends = len(names), len(names) + len(supports)
+    stretch = [Incidence.between([connection.weights for connection in of], ends).matrix for of in groups.values()]
+    laws = [members[0].law for members in groups.values()]
     structure = Structure(
         {name: torch.tensor(values, dtype=torch.float64) for name, values in parameters.items()},
-        tuple(
-            ConnectionGroup(
-                members[0].law, Incidence.between([connection.of_coordinates(n) for connection in members], n)
-            )
-            for members in groups.values()
-        ),
+        tuple(ConnectionGroup(law, Incidence(matrix[:, :n])) for law, matrix in zip(laws, stretch, strict=True)),
         labels=labels,
-        by_supports=csr_matrix(moved) if supports else None,
+        by_supports=csr_matrix(vstack(stretch, format="csr")[:, n:]) if supports else None,
     )
     check_parameters_differ(structure)
     return structure
@@ -218,15 +205,6 @@ def _value(setting: str, value: Any, positive: bool = False, nonnegative: bool =
     if nonnegative and value < 0:
         raise InputError(setting, value, ">= 0", "the connection would push itself apart")
     return float(value)
-
-
-def _checked_connections(connections: Any) -> dict[str, Any]:
-    if not isinstance(connections, Mapping) or not connections:
-        allowed = "a map of name: {between: [a, b], law: ..., and its parameters}"
-        raise InputError("system.connections", connections, allowed)
-    for name in connections:
-        check_name("system.connections", name)
-    return dict(connections)
 
 
 def _connection(name: str, entry: Any, names: tuple[str, ...], supports: tuple[str, ...] = ()) -> _Connection:

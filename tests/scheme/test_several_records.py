@@ -141,14 +141,8 @@ def changed(quantity: str, dof: int, gain: float, delay: int, kinds: tuple[str, 
     """A channel with another gain, so many samples late; both unknown."""
     values = gain * np.roll(getattr(exact().record, quantity)[:, dof], delay)
     time = exact().record.time
-    return Channel(
-        f"{quantity[0]}{dof + 1}",
-        quantity,
-        {dof: 1.0},
-        time,
-        values,
-        {kind: unknown_calibration(kind, time, values) for kind in kinds},
-    )
+    calibration = {kind: unknown_calibration(kind, time, values) for kind in kinds}
+    return Channel(f"{quantity[0]}{dof + 1}", quantity, {dof: 1.0}, time, values, calibration)
 
 
 def with_channels(*calibrated: Channel) -> Record:

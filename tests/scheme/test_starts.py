@@ -189,7 +189,7 @@ def test_the_bayesian_scheme_takes_every_parameter_but_the_masses(framed):
 )
 def test_unknown_by_default_are_springs_that_end_where_there_is_no_sensor(framed, sensors, names):
     record = framed.keep({"acceleration": sensors})
-    assert [p.name for p in unknown_parameters(FRAME, record, None)] == names
+    assert [p.name for p in unknown_parameters(FRAME, [record], None)] == names
 
 
 @pytest.mark.parametrize(
@@ -204,7 +204,7 @@ def test_unknown_by_default_are_springs_that_end_where_there_is_no_sensor(framed
     ],
 )
 def test_patterns_mean_kinds_and_names(framed, pattern, names):
-    assert sorted(p.name for p in unknown_parameters(FRAME, framed, pattern)) == sorted(names)
+    assert sorted(p.name for p in unknown_parameters(FRAME, [framed], pattern)) == sorted(names)
     assert sorted(p.name for p in parameters_called(pattern, FRAME, "scheme.initial")) == sorted(names)
 
 
@@ -219,7 +219,7 @@ def test_a_kind_means_its_parameters_and_no_others():
 
 def test_an_unknown_name_is_answered_with_those_that_there_are(framed):
     with pytest.raises(InputError, match=r"one of m_x1, m_x2, m_x3, c_storey_1.*did you mean k_brace\?"):
-        unknown_parameters(FRAME, framed, "k_brase")
+        unknown_parameters(FRAME, [framed], "k_brase")
 
 
 def test_what_is_missing_is_told_as_it_would_be_given():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.linalg import eigh
+from storeys import chain_matrix
 from structures import braced, hysteretic, shuffled
 
 from pinn_cli.model.file import structure_content, structure_of
@@ -105,7 +106,6 @@ def test_slopes_are_difference_quotients(structure):
 
 
 def test_modes_find_their_partners():
-
     one, other = NaturalModes.of(uniform()), NaturalModes.of(uniform(c=1.0))
     np.testing.assert_allclose(one.assurance(other), np.eye(5), atol=1e-12)
     swapped = NaturalModes(other.structure, *(getattr(other, name)[::-1] for name in ("squares", "damping_ratios",
@@ -264,15 +264,10 @@ def seen(sensing: np.ndarray, shaken: bool = True) -> Seen:
     return Seen(sensing, Acting.of([(np.eye(3)[0] * (not shaken), one, nothing)], 3), 0.3, 20.0)
 
 
-def stiffness_matrix(k: list[float]) -> np.ndarray:
-    """Written out independently."""
-    return np.diag(np.add(k, [*k[1:], 0.0])) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
-
-
 def frequencies(k: list[float]) -> np.ndarray:
-    """Likewise, rad/s."""
+    """Written out independently, rad/s."""
     mass = np.array([2e3, 2e3, 1.5e3])
-    return np.sqrt(np.linalg.eigvalsh(stiffness_matrix(k) / np.sqrt(np.outer(mass, mass))))
+    return np.sqrt(np.linalg.eigvalsh(chain_matrix(np.array(k)) / np.sqrt(np.outer(mass, mass))))
 
 
 def test_the_roof_of_a_shaken_frame_has_a_twin_with_the_same_frequencies():
@@ -309,7 +304,7 @@ def test_behind_a_spring_of_no_stiffness_nothing_is_felt_and_nothing_breaks():
 
 
 def test_after_a_release_the_roof_shows_frequencies_alone_and_all_floors_show_the_frame():
-    start = np.stack((np.linalg.solve(stiffness_matrix([8e6, 7.2e6, 5.6e6]), [1e4, -2e4, 1e4]), np.zeros(3)))
+    start = np.stack((np.linalg.solve(chain_matrix(np.array([8e6, 7.2e6, 5.6e6])), [1e4, -2e4, 1e4]), np.zeros(3)))
     nothing = Acting.of([], 3)
     (other,) = rivals_of(FRAME, SPRINGS, replace(seen(ROOF), acting=nothing, released=start), 9)
     found = frequencies([other[p] for p in SPRINGS])

@@ -45,11 +45,7 @@ class Nonlinearity(ABC):
     is_stiff: bool = False
 
     def of_given(self, given: Collection[str]) -> Nonlinearity:
-        """The law with those of its optional parameters that a connection has.
-
-        Args:
-            given: Names of the parameters that the user has written down.
-        """
+        """The law with those of its optional parameters that a connection has, by the names that are written down."""
         return self
 
     def turning_over(self, speed: float) -> Nonlinearity:
@@ -61,11 +57,7 @@ class Nonlinearity(ABC):
         return self
 
     def stiffness_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray | float:
-        """dr_n/de of a connection at rest, N/m, which with k says how long the steps of a simulation may be.
-
-        Args:
-            parameters: As :meth:`force` takes them.
-        """
+        """dr_n/de of a connection at rest, N/m, which with k says how long the steps of a simulation may be."""
         return 0.0
 
     def damping_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray | float:

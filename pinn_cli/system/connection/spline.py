@@ -86,13 +86,7 @@ class Spline(Nonlinearity):
 
 
 class _Curve:
-    """Over one of the two.
-
-    Args:
-        letter: Of its terms.
-        span: From where to where.
-        terms: How many.
-        near: See :data:`NEAR_REST`.
+    """Over one of the two, within a span; see :data:`NEAR_REST`.
 
     Attributes:
         kinds: Of the terms.

@@ -137,7 +137,7 @@ def _present(inference: Inference) -> JointProblem:
     first = problem.first
     free = first.prior is None and first.hand_over is None and equations.known_parameters is None
     if free and FACTOR in values and not problem.structure.is_exact_at(values[FACTOR], SAME_FACTORS):
-        problem = problem.reduced_at(values[FACTOR])
+        problem = problem.in_coordinates_of(problem.structure.reduced_at(values[FACTOR]))
     return problem.present(values)
 
 
