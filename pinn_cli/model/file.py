@@ -40,6 +40,7 @@ MODELS_ALLOWED = "null, or the directory of a finished run"
 MODEL_FORMAT = 2
 # Of a parameter, what the structure itself does not say; and of what the record needed, numbers.
 _OWN, _LEVELS = ("unknown", "positive"), ("discrepancy", "step", "force", "features")
+_LABELS = ("dofs", "connections", "modes", "supports")
 # Arrays that have no gaps, by how their names begin.
 _KNOWN = ("structure_", "parameters_mean", "parameters_told", "parameters_weight", "end_", "misfit_", "draws")
 
@@ -194,10 +195,7 @@ def _made(kind: type[P], name: str, arrays: Mapping[str, np.ndarray]) -> P | Non
 def structure_content(structure: Structure) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Words and arrays that :func:`structure_of` makes the same structure of."""
     words: dict[str, Any] = {
-        "dofs": list(structure.labels.dofs),
-        "connections": list(structure.labels.connections),
-        "modes": list(structure.labels.modes),
-        "supports": list(structure.labels.supports),
+        **{kind: list(getattr(structure.labels, kind)) for kind in _LABELS},
         "groups": [_group_words(group) for group in structure.groups],
         "kinds": list(structure.parameters),
     }
@@ -237,7 +235,7 @@ def structure_of(words: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> 
         ConnectionGroup(_law(group), Incidence(_matrix(f"group_{number}", arrays)), _parts(group))
         for number, group in enumerate(words["groups"])
     )
-    labels = Labels(*(tuple(map(str, words.get(name, ()))) for name in ("dofs", "connections", "modes", "supports")))
+    labels = Labels(*(tuple(map(str, words.get(name, ()))) for name in _LABELS))
     parameters = {str(k): torch.tensor(np.asarray(arrays[f"value_{k}"], dtype=float)) for k in words["kinds"]}
     stretch, by_supports, weights = (
         _matrix(name, arrays) if f"{name}_shape" in arrays else None

@@ -19,8 +19,8 @@ from pinn_cli.system.array_namespace import Array
 from pinn_cli.system.connection.linear import Linear
 
 WHOLE = RATIO, OF_MASS, OF_STIFFNESS = "zeta", "a_0", "a_1"
-_TITLES = {RATIO: "Damping ratio", OF_MASS: "Rayleigh damping", OF_STIFFNESS: "Rayleigh damping"}
-_UNITS = {RATIO: "", OF_MASS: "1/s", OF_STIFFNESS: "s"}
+DAMPING_TITLES = {RATIO: "Damping ratio", OF_MASS: "Rayleigh damping", OF_STIFFNESS: "Rayleigh damping"}
+DAMPING_UNITS = {RATIO: "", OF_MASS: "1/s", OF_STIFFNESS: "s"}
 
 
 class StructuralDamping(Linear):
@@ -33,7 +33,7 @@ class StructuralDamping(Linear):
     def __init__(self, kind: str) -> None:
         self.kind = kind
         self.parameters = self.nonnegative = (kind,)
-        self.titles, self.units = {kind: _TITLES[kind]}, {kind: _UNITS[kind]}
+        self.titles, self.units = {kind: DAMPING_TITLES[kind]}, {kind: DAMPING_UNITS[kind]}
 
     def damping_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray | float:
         """See :meth:`Nonlinearity.damping_at_rest`."""

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch
-from scipy.sparse import csr_matrix, hstack, vstack
+from scipy.sparse import csr_matrix, eye, hstack, vstack
 from scipy.sparse.linalg import norm as sparse_norm
 
 from pinn_cli.system.array_namespace import Array, namespace
@@ -216,23 +216,20 @@ class Structure:
     @cached_property
     def drifts(self) -> csr_matrix:
         """(D, n + S), how the coordinates and supports make them."""
-        stretch = self.stretch.matrix[self.added]
-        if self.pairs is None:
-            return stretch
-        weights = csr_matrix(self.pairs.weights @ self.shapes.sparse)
-        return vstack([stretch, self._with_supports(weights)], format="csr")
+        return self._with_pairs(self.stretch.matrix[self.added], self.shapes.sparse)
 
     @cached_property
     def drifts_of_dofs(self) -> csr_matrix:
         """(D, dofs + S), how the DOFs and supports make them."""
         stretch = self.stretch.matrix[self.added] if self.shapes.stretch is None else self.shapes.stretch
+        return self._with_pairs(stretch, eye(self.ndof, format="csr"))
+
+    def _with_pairs(self, stretch: csr_matrix, of_dofs: csr_matrix) -> csr_matrix:
+        """Drifts of connections, and behind them those of pairs, of DOFs that move so (dofs, n), beside supports."""
         if self.pairs is None:
             return stretch
-        return vstack([stretch, self._with_supports(self.pairs.weights)], format="csr")
-
-    def _with_supports(self, weights: csr_matrix) -> csr_matrix:
-        """(D, n) of pairs of DOFs as (D, n + S)."""
-        return hstack([weights, csr_matrix((weights.shape[0], self.supports))], format="csr")
+        weights = csr_matrix(self.pairs.weights @ of_dofs)
+        return vstack([stretch, hstack([weights, csr_matrix((weights.shape[0], self.supports))])], format="csr")
 
     @cached_property
     def laws(self) -> tuple[Nonlinearity, ...]:

@@ -149,10 +149,9 @@ def connected(
         groups.setdefault(connection.group, []).append(connection)
     ordered = [connection for members in groups.values() for connection in members]
     parameters = {MASS: list(masses)}
-    for kind_of in dict.fromkeys(kind for connection in ordered for kind in connection.parameters):
-        parameters[kind_of] = [
-            connection.parameters[kind_of] for connection in ordered if kind_of in connection.parameters
-        ]
+    for connection in ordered:
+        for kind, value in connection.parameters.items():
+            parameters.setdefault(kind, []).append(value)
     labels = Labels(names, tuple(connection.name for connection in ordered), supports=supports)
     n, ends = len(names), len(names) + len(supports)
     stretch = [Incidence.between([connection.weights for connection in of], ends).matrix for of in groups.values()]
