@@ -31,3 +31,10 @@ def altered(record: Record, dof: int, change: Callable[[np.ndarray], np.ndarray]
     values = getattr(record, of).copy()
     values[:, dof - 1] = change(values[:, dof - 1])
     return replace(record, **{of: values})
+
+
+def exchanged(record: Record, first: int, second: int) -> Record:
+    """The record with the accelerations of two DOFs, counted from 1, in each other's place."""
+    order = np.arange(record.ndof)
+    order[[first - 1, second - 1]] = second - 1, first - 1
+    return replace(record, acceleration=record.acceleration[:, order])

@@ -55,7 +55,6 @@ OTHER_VALUE = 0.02
 MOST_INVERTED = 24
 # Starts of each cause that go on to each width of the smoothing; at first one, which tells which causes are followed.
 AT_FIRST, CAUSE_SURVIVORS, FOLLOWED = (1,), (2, 1, 1), 8
-MOVES, ACTS = "what the structure does", "what acts"
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +74,6 @@ class Cause:
     factor: Callable[[Candidate], float] = lambda _: 1.0
     doubted: Channel | None = None
     free: tuple[str, Sequence[int]] = (MASS, ())
-
-    @property
-    def numbers(self) -> int:
-        """That are free."""
-        return 2 * (self.doubted is not None) + len(self.free[1][:1])
 
 
 def causes(
@@ -161,12 +155,8 @@ def _most_probable(explained: list[tuple[float, Finding]]) -> list[Finding]:
     least = min(minus_log for minus_log, _ in explained)
     # Sensors come before what acts.
     best = next(finding for minus_log, finding in explained if minus_log < least + AS_PROBABLE)
-    suspects = [
-        finding.suspect
-        for minus_log, finding in explained
-        if minus_log < least + DECISIVE_CAUSE and finding.suspect != best.suspect
-    ]
-    suspects = list(dict.fromkeys(suspects))
+    as_well = (finding.suspect for minus_log, finding in explained if minus_log < least + DECISIVE_CAUSE)
+    suspects = [suspect for suspect in dict.fromkeys(as_well) if suspect != best.suspect]
     said = f"; or something is wrong with the {', the '.join(suspects)}, which explains it as well" if suspects else ""
     return [replace(best, text=best.text + said)]
 
@@ -203,10 +193,14 @@ class _Fits:
         known[kind][list(places)] = np.nan
         fit = self._fit(cause.record, known, cause.doubted)
         model, widths = JointFit([fit]), self.widths(fit)
-        starts = [x for guess in self.guesses for x in self._starts(model, cause.record, guess)]
+        if self.structure.is_modal:  # nobody updates finite elements that are wrong by orders of magnitude
+            starts = [model.start(guess[MASS], guess["k"]) for guess in self.guesses]
+        else:
+            starts = [x for guess in self.guesses for x in grid_of_starts(model, [cause.record], guess)]
         candidate = nearest(model, starts, survivors, widths)[0]
         values, off = fit.common.size, np.log(abs(cause.factor(candidate))) / WRONG
-        minus_log = values * np.log(max(candidate.misfit, 1e-12)) + cause.numbers * np.log(values) + off**2
+        numbers = 2 * (cause.doubted is not None) + len(places[:1])
+        minus_log = values * np.log(max(candidate.misfit, 1e-12)) + numbers * np.log(values) + off**2
         return candidate, 0.5 * float(minus_log)
 
     def widths(self, fit: LinearFit) -> list[float]:
@@ -227,12 +221,6 @@ class _Fits:
                 kept.append(width)
         fit.smooth(WIDTHS[0])
         return kept
-
-    def _starts(self, model: JointFit, record: Record, guess: dict[str, np.ndarray]) -> list[np.ndarray]:
-        """Of a model of finite elements the guess: nobody updates one that is wrong by orders of magnitude."""
-        if self.structure.is_modal:
-            return [model.start(guess[MASS], guess["k"])]
-        return grid_of_starts(model, [record], guess)
 
     def suspects(self, record: Record, candidate: Candidate) -> tuple[list[Channel], list[Parameter]]:
         """Sensors of which a structure misses most; held masses and springs that explain most, by their scores."""
@@ -337,8 +325,8 @@ def _calibrated(record: Record, channel: Channel, sign: float) -> Cause:
     def finding(candidate: Candidate) -> Finding | None:
         value, delay = gain(candidate), candidate.calibration[channel.name]["delay"]
         if not 1.0 / LEAST_FACTOR < value < LEAST_FACTOR:
-            of = ACTS if channel.quantity in (FORCE, GROUND) else MOVES
-            return factor_finding(channel, value, of, TOLD_WITHIN * abs(value))
+            of = "what acts" if channel.quantity in (FORCE, GROUND) else "what the structure does"
+            return factor_finding(channel.name, channel.setting, value, of, TOLD_WITHIN * abs(value))
         return None if abs(delay) < LEAST_DELAY_CAUSE * record.step else late_finding(channel, delay, record.step)
 
     return Cause(record, finding, gain, channel)

@@ -110,10 +110,10 @@ def explained(comparison: Comparison) -> Finding | None:
 def _faults_of(c: Comparison) -> Iterator[Finding]:
     """A factor, a delay and an offset, as far as there are any."""
     if _off(c):
-        moves = f"what the structure does under the measured {c.acting}"
-        finding = factor_finding(c.channel, c.factor.value, moves, c.factor.std)
+        moves, name = f"what the structure does under the measured {c.acting}", c.channel.name
+        finding = factor_finding(name, c.channel.setting, c.factor.value, moves, c.factor.std)
         yield replace(finding, misfit=c.factor.misfit)
-    if c.delay.differs(0.0, LEAST_DELAY_FAULT * c.record.step, DEVIATIONS):
+    if _is_late(c):
         yield replace(late_finding(c.channel, c.delay.value, c.record.step), misfit=c.delay.misfit)
     rms = float(np.sqrt(c.power))
     if c.offset.differs(0.0, LEAST_OFFSET * rms, DEVIATIONS):
@@ -125,11 +125,21 @@ def _offset_finding(channel: Channel, offset: float, rms: float) -> Finding:
     return Finding("offset", channel.name, f"{text}; subtract it from its column")
 
 
-def factor_finding(channel: Channel, value: float, of: str, std: float = 0.0) -> Finding:
-    """That a channel is so many times what it should be."""
-    kind, text = _factor_in_words(value, std)
-    remedy = _remedy(kind, channel.setting, value)
-    return Finding(kind, channel.name, f"the {channel.name} is {text} {of}; {remedy}")
+def factor_finding(name: str, setting: str, value: float, of: str, std: float = 0.0, source: str = "") -> Finding:
+    """That something is so many times what it should be, known to within ``std``; ``source`` says so."""
+    times = f"{value:.4g} times"
+    if unit := unit_of(value, std):
+        kind, times, remedy = "unit", f"{times} ({unit})", f"check the unit of {setting}"
+    elif value < 0:
+        kind, remedy = "sign", f"check the direction of {setting}, and multiply it by -1"
+        times = "the negative of" if abs(value + 1) < 2 * LEAST_GAIN_FAULT else times
+    else:
+        kind, remedy = "gain", f"check the calibration of {setting}, or divide it by {value:.4g}"
+    return Finding(kind, name, f"{source}the {name} is {times} {of}; {remedy}")
+
+
+def _is_late(c: Comparison) -> bool:
+    return c.delay.differs(0.0, LEAST_DELAY_FAULT * c.record.step, DEVIATIONS)
 
 
 def _off(c: Comparison) -> bool:
@@ -137,24 +147,6 @@ def _off(c: Comparison) -> bool:
     low, high = sorted((c.factor.value, c.reverse_factor))
     outside = low > 1 + LEAST_GAIN_FAULT or high < 1 / (1 + LEAST_GAIN_FAULT)
     return outside and c.factor.differs(1.0, 0.0, DEVIATIONS)
-
-
-def _factor_in_words(value: float, std: float) -> tuple[str, str]:
-    """The kind of a factor, and the words for it."""
-    unit = unit_of(value, std)
-    if unit:
-        return "unit", f"{value:.4g} times ({unit})"
-    if value < 0:
-        return "sign", "the negative of" if abs(value + 1) < 2 * LEAST_GAIN_FAULT else f"{value:.4g} times"
-    return "gain", f"{value:.4g} times"
-
-
-def _remedy(kind: str, setting: str, value: float) -> str:
-    if kind == "unit":
-        return f"check the unit of {setting}"
-    if kind == "sign":
-        return f"check the direction of {setting}, and multiply it by -1"
-    return f"check the calibration of {setting}, or divide it by {value:.4g}"
 
 
 def late_finding(channel: Channel, delay: float, step: float) -> Finding:
@@ -174,20 +166,17 @@ def _common_fault(compared: Sequence[Comparison]) -> Finding | None:
     name, setting = "ground acceleration", f"data.{GROUND}"
     if not shaken:
         name, setting = f"force of DOF {', '.join(forced)}", "data.force"
-    value = float(np.median([f.value for f in factors]))
+    value, late = (float(np.median([reading.value for reading in of])) for of in (factors, delays))
     if all(_off(c) for c in compared) and all(abs(f.value / value - 1) < SAME_FACTOR for f in factors):
-        misfit = max(f.misfit for f in factors)
-        kind, text = _factor_in_words(1 / value, factors[0].std)
-        reason = f"every sensor says that the {name} is {text} what acts; {_remedy(kind, setting, 1 / value)}"
-        return Finding(kind, name, reason, misfit=misfit) if misfit <= REPRODUCED else None
-    late = float(np.median([d.value for d in delays]))
-    shifted = all(d.differs(0.0, LEAST_DELAY_FAULT * record.step, DEVIATIONS) for d in delays)
-    if shifted and all(abs(d.value - late) < 0.2 * record.step for d in delays):
-        misfit = max(d.misfit for d in delays)
-        when = f"{abs(late):.4g} s {'early' if late > 0 else 'late'}"
-        reason = f"every sensor says that the {name} is {when}; shift its column in time"
-        return Finding("delay", name, reason, misfit=misfit) if misfit <= REPRODUCED else None
-    return None
+        readings, source = factors, "every sensor says that "
+        finding = factor_finding(name, setting, 1 / value, "what acts", factors[0].std, source)
+    elif all(_is_late(c) and abs(c.delay.value - late) < 0.2 * record.step for c in compared):
+        readings, when = delays, f"{abs(late):.4g} s {'early' if late > 0 else 'late'}"
+        finding = Finding("delay", name, f"every sensor says that the {name} is {when}; shift its column in time")
+    else:
+        return None
+    misfit = max(reading.misfit for reading in readings)
+    return replace(finding, misfit=misfit) if misfit <= REPRODUCED else None
 
 
 def _exchanged(faulty: Sequence[Comparison], prediction: Prediction) -> Finding | None:

@@ -84,17 +84,12 @@ def verdict_of_records(by_record: Sequence[Verdict | None], among: Sequence[Find
     verdicts = [verdict for verdict in by_record if verdict is not None]
     if len(verdicts) < 2:
         return Verdict.of([*verdicts[0].reasons, *among]) if verdicts else None
-    texts = [{finding.text for finding in verdict.reasons} for verdict in verdicts]
-    common = set.intersection(*texts)
-    findings = [*among]
-    findings += [finding for finding in verdicts[0].reasons if finding.text in common]
+    common = set.intersection(*({finding.text for finding in verdict.reasons} for verdict in verdicts))
+    findings = [*among, *(finding for finding in verdicts[0].reasons if finding.text in common)]
     for number, verdict in enumerate(verdicts, start=1):
         name = f"record {number}: "
         own = (finding for finding in verdict.reasons if finding.text not in common)
-        findings += [
-            replace(own_finding, suspect=name + own_finding.suspect, text=name + own_finding.text)
-            for own_finding in own
-        ]
+        findings += [replace(one, suspect=name + one.suspect, text=name + one.text) for one in own]
     return Verdict.of(findings)
 
 
@@ -147,7 +142,8 @@ def judge(
         for channel in channels(record)
         if channel.dof in dofs
     ]
-    faults = record_faults(record, _carried(structure)) + unreached + first_sample_findings(record, estimate)
+    carried = np.flatnonzero(structure.shapes.matrix[:, loose_dofs(structure)].any(axis=1)).tolist()
+    faults = record_faults(record, carried) + unreached + first_sample_findings(record, estimate)
     excused = [finding.suspect for finding in faults]
     run = as_run(record, estimate)
     if free_run is None:
@@ -195,12 +191,6 @@ def judge(
         causes = [] if prescribed is None else channel_faults(prescribed, excused)
     # A fault that is named draws everything along.
     return Verdict.of(faults + (causes or ([] if faults else lacks)) + findings + missed)
-
-
-def _carried(structure: Structure) -> list[int]:
-    """DOFs that move where nothing holds the structure."""
-    carried: list[int] = np.flatnonzero(structure.shapes.matrix[:, loose_dofs(structure)].any(axis=1)).tolist()
-    return carried
 
 
 def _believed(problem: Problem, estimate: Estimate) -> Structure:

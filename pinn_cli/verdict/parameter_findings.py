@@ -53,38 +53,64 @@ MATTERS = 1.0
 RATIOS_APART = 0.1
 # Share of what is left that is worth a word.
 LEAST_SHARE = 0.05
-# What lets every mode have its own.
-OF_MODES = "try system.damping={ratio: [null, ...]}, a null for each mode in the band"
-# Numbers that are held.
-HELD = {"m": "mass", lacking.SPRING: "stiffness", lacking.DAMPER: "damping"}
-# What a connection lacks, with its size and its shape.
-LACKS = {
-    lacking.CUBIC: "a cubic term of {number}",
-    lacking.QUADRATIC: "a quadratic damping of {number}",
-    lacking.FRICTION: "friction of {number}",
+# What a doubt found, of whom, with its size and its shape.
+_LACKS, _OTHER = "the model of {of} lacks ", "{of} is another one, by {changed}"
+FOUND = {
+    lacking.CUBIC: _LACKS + "a cubic term of {number}",
+    lacking.QUADRATIC: _LACKS + "a quadratic damping of {number}",
+    lacking.FRICTION: _LACKS + "friction of {number}",
     lacking.STRIBECK: (
-        "a friction that differs by {number} where it turns round (Stribeck: larger at rest than in motion)"
+        _LACKS + "a friction that differs by {number} where it turns round (Stribeck: larger at rest than in motion)"
     ),
-    lacking.ONE_SIDED: "a one-sided spring of {number} (it is stiffer one way)",
-    lacking.ONE_SIDED_DAMPER: "a one-sided damper of {number} (it is stronger one way)",
-    lacking.BACKLASH: "a backlash: {number} are missing beyond a gap of about +-{shape:.2g} m",
-    lacking.HYSTERESIS: "a hysteresis: {number} that slip at about {shape:.2g} m",
-    lacking.DRIFT: "a drift: its stiffness changes by {number} from the first to the last sample",
+    lacking.ONE_SIDED: _LACKS + "a one-sided spring of {number} (it is stiffer one way)",
+    lacking.ONE_SIDED_DAMPER: _LACKS + "a one-sided damper of {number} (it is stronger one way)",
+    lacking.BACKLASH: _LACKS + "a backlash: {number} are missing beyond a gap of about +-{shape:.2g} m",
+    lacking.HYSTERESIS: _LACKS + "a hysteresis: {number} that slip at about {shape:.2g} m",
+    lacking.DRIFT: _LACKS + "a drift: its stiffness changes by {number} from the first to the last sample",
+    lacking.MODE: "a mode at {shape:.3g} Hz is not in the model: as if {size:.2g} kg swung on {of}",
+    lacking.DAMPED_MODE: f"the damping ratio of {_OTHER}",
+    lacking.SLIDING: "{number} on {of} slide, beyond about {shape:.2g} m/s^2",
+    "m": f"the mass of {_OTHER}",
+    lacking.SPRING: f"the stiffness of {_OTHER}",
+    lacking.DAMPER: f"the damping of {_OTHER}",
+    "gain": "the {of} shows {gain:.4g} +- {std:.2g} times what the model does",
+    "delay": "the {of} is {number} late",
+    "tilt": "the {of} follows the displacement by {number}, as that of a sensor which tilts and feels gravity",
+    lacking.ROCKING: "the base rocks: if storeys are of one height, it is {part} of what gives way to a turning moment",
+    lacking.LINK: "{of} are joined by {number} that the model does not have",
+    lacking.PLACE: "what the model leaves out acts on {of} alone, as a force of {value:.2g} N would",
+    "high_pass": "the {of} lacks slow motion, as behind a high-pass filter of about {value:.2g} Hz",
 }
-# What acts from a sample to the next one, as a converter puts it out, acts half a sample later than it seems to.
-OF_DELAY = "check its clock (half a sample: data.intersample=zero_order_hold), or say delay: unknown (data.channels)"
-# The overrides that add it.
+# And what to do: mostly the overrides that add it.
 _GIVE = "give {{of}} law: {law} with {parameters} unknown (system={law}, or in system.connections)"
-LAWS = {
+_NO_FORM = "give {of} law: spline over its speed, of which no form is asked"
+# Lets every mode have its own ratio.
+OF_MODES = "try system.damping={{ratio: [null, ...]}}, a null for each mode in the band"
+REMEDIES = {
     lacking.CUBIC: _GIVE.format(law="duffing", parameters="kappa"),
     lacking.QUADRATIC: _GIVE.format(law="power_damping", parameters="mu"),
     lacking.FRICTION: _GIVE.format(law="friction", parameters="F_c"),
-    lacking.STRIBECK: "give {of} law: spline over its speed, of which no form is asked",
+    lacking.STRIBECK: _NO_FORM,
     lacking.ONE_SIDED: _GIVE.format(law="polynomial", parameters="k_2 and k_3"),
-    lacking.ONE_SIDED_DAMPER: "give {of} law: spline over its speed, of which no form is asked",
+    lacking.ONE_SIDED_DAMPER: _NO_FORM,
     lacking.BACKLASH: _GIVE.format(law="gap", parameters="k, k_g and gap") + ", or take the play out of it",
     lacking.HYSTERESIS: _GIVE.format(law="jenkins", parameters="k_t and F_c") + ", or bouc_wen",
     lacking.DRIFT: "solve the record in parts (data.start, data.stop), or look at what changes: temperature, loosening",
+    lacking.MODE: "add its mass and spring (system=structure), or keep to the band below (data.decimate)",
+    lacking.DAMPED_MODE: OF_MODES,
+    lacking.SLIDING: "fasten what lies there, or record a smaller motion",
+    **dict.fromkeys(("m", lacking.SPRING, lacking.DAMPER), "check it"),
+    "gain": "check its gain",
+    # What acts from a sample to the next one, as a converter puts it out, acts half a sample later than it seems to.
+    "delay": "check its clock (half a sample: data.intersample=zero_order_hold), or say delay: unknown (data.channels)",
+    "tilt": "say tilt: unknown (data.channels)",
+    lacking.ROCKING: "give the model its angle, a DOF that stretches every storey (weights)",
+    lacking.LINK: "add that connection (system.connections)",
+    lacking.PLACE: (
+        "look for a support that moves, or a joint or load cell that is else than said; data.force={{{dof}: null}},"
+        " beside the others, finds what acts there"
+    ),
+    "high_pass": "say high_pass: {value:.2g} (data.channels)",
 }
 
 
@@ -92,8 +118,7 @@ def parameter_findings(problem: Problem, estimate: Estimate, structure: Structur
     """What is told of the parameters of an estimate; the structure has them."""
     kinds = {p.name: p.kind for p in problem.uncertain}
     unknown = [p for p in estimate.before_any_record if p.unknown]
-    of_each = (f for p in unknown for f in (_far_from_believed(p), _undetermined(p, kinds.get(p.name, ""))))
-    findings = [f for f in of_each if f is not None]
+    findings = [f for p in unknown for f in (*_far_from_believed(p), *_undetermined(p, kinds.get(p.name, "")))]
     undetermined = {finding.suspect for finding in findings if finding.kind == "not_identified"}
     return [
         *_spans(structure, estimate, undetermined),
@@ -107,7 +132,7 @@ def parameter_findings(problem: Problem, estimate: Estimate, structure: Structur
     ]
 
 
-def _far_from_believed(p: ParameterEstimate) -> Finding | None:
+def _far_from_believed(p: ParameterEstimate) -> Iterator[Finding]:
     """Of what may have either sign in prior standard deviations; of all else in decades from what the user says.
 
     Where nothing is said, the record or the program chose the start: that is nobody's belief.
@@ -115,36 +140,33 @@ def _far_from_believed(p: ParameterEstimate) -> Finding | None:
     said = p.parameter.said
     if said > 0 and p.estimate > 0 and not p.parameter.signed:
         decades = math.log10(p.estimate / said)
-        if abs(decades) <= GUESS_DECADES:
-            return None
-        where = "above" if decades > 0 else "below"
-        text = f"{p.name} = {p.estimate:.4g} lies {abs(decades):.1f} decades {where} what you say of it, {said:.4g}"
-        return Finding("parameter", p.name, f"{text}; check units and masses", failed_if(abs(decades) > UNIT_DECADES))
-    if p.parameter.positive:
-        return None
-    if p.prior_std > 0 and abs(p.estimate - p.prescribed) > MOST_MOVED * p.prior_std:
+        if abs(decades) > GUESS_DECADES:
+            where, word = "above" if decades > 0 else "below", failed_if(abs(decades) > UNIT_DECADES)
+            text = f"{p.name} = {p.estimate:.4g} lies {abs(decades):.1f} decades {where} what you say of it, {said:.4g}"
+            yield Finding("parameter", p.name, f"{text}; check units and masses", word)
+    elif not p.parameter.positive and 0.0 < MOST_MOVED * p.prior_std < abs(p.estimate - p.prescribed):
         text = f"{p.name} = {p.estimate:.4g} is more than {MOST_MOVED:.0f} prior standard deviations from its start"
-        return Finding("parameter", p.name, f"{text}; start elsewhere (scheme.initial.{p.name})")
-    return None
+        yield Finding("parameter", p.name, f"{text}; start elsewhere (scheme.initial.{p.name})")
 
 
-def _undetermined(p: ParameterEstimate, kind: str) -> Finding | None:
+def _undetermined(p: ParameterEstimate, kind: str) -> Iterator[Finding]:
     """Beside its value; of what may as well be zero, beside its order of magnitude where that is larger."""
     if not np.isfinite(p.std):
-        return None
+        return
     value, size = abs(p.estimate), p.parameter.magnitude if p.parameter.may_vanish else 0.0
+    allowed = IDENTIFIED if kind in ("m", "k") else ROUGHLY_IDENTIFIED
     if value <= 1e-9 * max(abs(p.prescribed), p.std) and size == 0.0:
         if p.held:
             text = f"the record does not determine {p.name}: it is held at its bound, and below {p.upper_90:.3g} (95 %)"
-            return Finding("not_identified", p.name, f"{text}; prescribe it, or measure nearer to it")
-        text = f"{p.name} ended at zero"
-        return Finding("parameter", p.name, f"{text}; check the model, or start elsewhere (scheme.initial.{p.name})")
-    allowed = IDENTIFIED if kind in ("m", "k") else ROUGHLY_IDENTIFIED
-    if p.std <= max(allowed * value, IDENTIFIED * size):
-        return None
-    of = "its value" if value >= size else f"its order of magnitude, {size:.3g}"
-    text = f"the record does not determine {p.name}: its standard deviation is {100 * p.std / max(value, size):.0f} %"
-    return Finding("not_identified", p.name, f"{text} of {of}; prescribe it, or measure nearer to it")
+            yield Finding("not_identified", p.name, f"{text}; prescribe it, or measure nearer to it")
+        else:
+            text = f"{p.name} ended at zero; check the model, or start elsewhere (scheme.initial.{p.name})"
+            yield Finding("parameter", p.name, text)
+    elif not p.std <= max(allowed * value, IDENTIFIED * size):
+        of = "its value" if value >= size else f"its order of magnitude, {size:.3g}"
+        percent = f"{100 * p.std / max(value, size):.0f} %"
+        text = f"the record does not determine {p.name}: its standard deviation is {percent} of {of}"
+        yield Finding("not_identified", p.name, f"{text}; prescribe it, or measure nearer to it")
 
 
 def _beyond_bounds(estimate: Estimate) -> Iterator[Finding]:
@@ -246,19 +268,16 @@ def baseline_findings(estimate: Estimate, baseline: Estimate | None, record: Rec
     if baseline is None:
         return []
     of_baseline, findings = {p.name: p for p in baseline.parameters}, []
-    for p in estimate.parameters:
-        other = of_baseline.get(p.name)
-        if other is None:
-            continue
+    for p, other in ((p, of_baseline[p.name]) for p in estimate.parameters if p.name in of_baseline):
         difference, allowed = abs(p.estimate - other.estimate), APART * float(np.hypot(p.std, other.std))
         if difference > allowed and difference > LEAST_APART * max(abs(p.estimate), abs(other.estimate)):
-            baseline_text = f"the baseline's {other.estimate:.4g} +- {other.std:.2g}"
-            text = f"{p.name} is {p.estimate:.4g} +- {p.std:.2g}, and {baseline_text}"
-            findings.append(Finding("baseline", p.name, f"{text}: one of them is wrong; look at the free run of each"))
-    displacement, theirs = estimate.response.displacement, baseline.response.displacement
-    difference = np.sqrt(np.mean((displacement - theirs) ** 2, axis=0))
+            theirs = f"the baseline's {other.estimate:.4g} +- {other.std:.2g}: one of them is wrong"
+            text = f"{p.name} is {p.estimate:.4g} +- {p.std:.2g}, and {theirs}; look at the free run of each"
+            findings.append(Finding("baseline", p.name, text))
+    displacement, other_displacement = estimate.response.displacement, baseline.response.displacement
+    difference = np.sqrt(np.mean((displacement - other_displacement) ** 2, axis=0))
     allowed = APART * np.sqrt(np.mean(estimate.std.displacement**2 + baseline.std.displacement**2, axis=0))
-    size = np.maximum(np.std(displacement, axis=0), np.std(theirs, axis=0))
+    size = np.maximum(np.std(displacement, axis=0), np.std(other_displacement, axis=0))
     dofs = np.flatnonzero((difference > allowed) & (difference > LEAST_RESPONSE_APART * size))
     if dofs.size:
         worst = int(dofs[np.argmax(difference[dofs] / size[dofs])])
@@ -308,7 +327,7 @@ def _other_damping(estimate: Estimate) -> list[Finding]:
     if difference[worst] < RATIOS_APART:
         return []
     model, remedy = (
-        ("a damping ratio for each mode", OF_MODES)
+        ("a damping ratio for each mode", OF_MODES.format())
         if doubt.of_modes
         else ("dampers of the connections beside its ratios", "let c be unknown as well")
     )
@@ -321,49 +340,11 @@ def _other_damping(estimate: Estimate) -> list[Finding]:
 
 def _said(doubt: Doubt) -> tuple[str, str]:
     """What was found, and what to do."""
-    number = f"{doubt.value:.3g} +- {doubt.std:.2g} {doubt.unit}".rstrip()
-    percent = f"{100.0 * doubt.value:.2g} +- {100.0 * doubt.std:.1g} %"
-    unmeasured = f"data.force={{{doubt.of.removeprefix('DOF ')}: null}}, beside the others, finds what acts there"
-    changed = f"{doubt.value:+.3g} +- {doubt.std:.2g} {doubt.unit}".rstrip()
-    if doubt.kind in LAWS:
-        return f"the model of {doubt.of} lacks {LACKS[doubt.kind].format(number=number, shape=doubt.shape)}", (
-            LAWS[doubt.kind].format(of=doubt.of)
-        )
-    said = {
-        lacking.MODE: (
-            f"a mode at {doubt.shape:.3g} Hz is not in the model: as if {abs(doubt.value):.2g} kg swung on {doubt.of}",
-            "add its mass and spring (system=structure), or keep to the band below (data.decimate)",
-        ),
-        lacking.DAMPED_MODE: (f"the damping ratio of {doubt.of} is another one, by {changed}", OF_MODES),
-        lacking.SLIDING: (
-            f"{number} on {doubt.of} slide, beyond about {doubt.shape:.2g} m/s^2",
-            "fasten what lies there, or record a smaller motion",
-        ),
-        **{kind: (f"the {word} of {doubt.of} is another one, by {changed}", "check it") for kind, word in HELD.items()},
-        "gain": (
-            f"the {doubt.of} shows {1.0 + doubt.value:.4g} +- {doubt.std:.2g} times what the model does",
-            "check its gain",
-        ),
-        "delay": (f"the {doubt.of} is {number} late", OF_DELAY),
-        "tilt": (
-            f"the {doubt.of} follows the displacement by {number}, as that of a sensor which tilts and feels gravity",
-            "say tilt: unknown (data.channels)",
-        ),
-        lacking.ROCKING: (
-            f"the base rocks: if storeys are of one height, it is {percent} of what gives way to a turning moment",
-            "give the model its angle, a DOF that stretches every storey (weights)",
-        ),
-        lacking.LINK: (
-            f"{doubt.of} are joined by {number} that the model does not have",
-            "add that connection (system.connections)",
-        ),
-        lacking.PLACE: (
-            f"what the model leaves out acts on {doubt.of} alone, as a force of {doubt.value:.2g} N would",
-            f"look for a support that moves, or a joint or load cell that is else than said; {unmeasured}",
-        ),
-        "high_pass": (
-            f"the {doubt.of} lacks slow motion, as behind a high-pass filter of about {doubt.value:.2g} Hz",
-            f"say high_pass: {doubt.value:.2g} (data.channels)",
-        ),
-    }
-    return said[doubt.kind]
+    value, std, unit = doubt.value, doubt.std, doubt.unit
+    fields = {
+        "of": doubt.of, "dof": doubt.of.removeprefix("DOF "), "shape": doubt.shape, "value": value, "std": std,
+        "size": abs(value), "gain": 1.0 + value, "part": f"{100.0 * value:.2g} +- {100.0 * std:.1g} %",
+        "number": f"{value:.3g} +- {std:.2g} {unit}".rstrip(),
+        "changed": f"{value:+.3g} +- {std:.2g} {unit}".rstrip(),
+    }  # fmt: skip
+    return FOUND[doubt.kind].format(**fields), REMEDIES[doubt.kind].format(**fields)

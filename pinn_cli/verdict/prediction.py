@@ -152,7 +152,7 @@ class Comparison:
         with np.errstate(divide="ignore", invalid="ignore"):  # of a prediction that does not move
             value = float(self.measured @ self.predicted / (self.predicted @ self.predicted))
         residual = self.measured - value * self.predicted
-        return Reading(value, _sandwich(lines, np.abs(rfft(residual)) ** 2), self._nmse(residual))
+        return self._reading(value, lines, residual)
 
     @property
     def reverse_factor(self) -> float:
@@ -181,7 +181,7 @@ class Comparison:
         moved = irfft(self._predicted_lines * np.exp(-1j * angular * value), len(self.measured))
         residual = self.measured - moved
         lines = angular**2 * np.abs(self._predicted_lines) ** 2
-        return Reading(value, _sandwich(lines, np.abs(rfft(residual)) ** 2), self._nmse(residual))
+        return self._reading(value, lines, residual)
 
     @cached_property
     def offset(self) -> Reading:
@@ -196,6 +196,12 @@ class Comparison:
     @cached_property
     def _predicted_lines(self) -> np.ndarray:
         return np.asarray(rfft(self.predicted))
+
+    def _reading(self, value: float, lines: np.ndarray, residual: np.ndarray) -> Reading:
+        """A least-squares coefficient; ``lines`` (K,) are the squared size of what it multiplies, by frequency."""
+        weight, power = float(lines.sum()), np.abs(rfft(residual)) ** 2
+        std = float(np.sqrt(np.sum(lines * power) / 2)) / weight if weight > 0 else np.inf
+        return Reading(value, std, self._nmse(residual))
 
     def _nmse(self, residual: np.ndarray) -> float:
         return float(residual @ residual / (len(residual) * self.power))
@@ -223,12 +229,3 @@ def worst_misfit(prediction: Prediction | None, excused: Sequence[str] = ()) -> 
     """The largest NMSE of any channel but the excused ones; infinite without a prediction."""
     misfits = [] if prediction is None else [c.misfit for c in comparisons(prediction, excused)]
     return max(misfits) if misfits and np.isfinite(misfits).all() else np.inf
-
-
-def _sandwich(lines: np.ndarray, residual: np.ndarray) -> float:
-    """Standard deviation of a least-squares coefficient whose residual is coloured, of power (K,).
-
-    ``lines`` (K,) are the squared size of what it multiplies.
-    """
-    weight = float(lines.sum())
-    return float(np.sqrt(np.sum(lines * residual) / 2)) / weight if weight > 0 else np.inf

@@ -5,7 +5,7 @@ What the inferred levels and the residuals say of an estimate: nothing explained
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -136,7 +136,7 @@ def random_structure(problem: Problem, estimate: Estimate, random: np.random.Gen
 def noise_findings(problem: Problem, estimate: Estimate) -> list[Finding]:
     """Every finding of this page, in the order of the channels."""
     seen = every_channel(problem.record, (*RESPONSE_QUANTITIES, GROUND, *SUPPORT))
-    findings = [f for c in seen for f in (_level(c, estimate), _colour(c, problem.record, estimate)) if f is not None]
+    findings = [f for c in seen for f in (*_level(c, estimate), *_colour(c, problem.record, estimate))]
     # Where a force that nobody measured acts on every DOF, or as many act as there are sensors, any motion is rightly
     # followed.
     unmeasured = problem.dynamics.forces
@@ -145,39 +145,36 @@ def noise_findings(problem: Problem, estimate: Estimate) -> list[Finding]:
     return findings + _discrepancy(problem, estimate) + copied + _unfinished(estimate)
 
 
-def _level(channel: Channel, estimate: Estimate) -> Finding | None:
-    rms = float(np.std(channel.measured))
-    level = estimate.noise.of(channel)
+def _level(channel: Channel, estimate: Estimate) -> Iterator[Finding]:
+    rms, level = float(np.std(channel.measured)), estimate.noise.of(channel)
     if not np.isfinite(level) or rms == 0:
-        return None
+        return
     if level <= 2.0 * FINEST_KNOWN * rms:  # levels are kept above that: what is found there was not found
         text = f"the noise found in the {channel.name} is at its lower bound ({level:.2g}): the record was copied"
         remedy = "use fewer knots (network.knots_per_period) or more sensors"
-        return Finding("noise_at_bound", channel.name, f"{text}; {remedy}")
-    if level >= MOSTLY_NOISE * rms:
+        yield Finding("noise_at_bound", channel.name, f"{text}; {remedy}")
+    elif level >= MOSTLY_NOISE * rms:
         share = f"{100 * level / rms:.0f} % of its rms"
         text = f"the noise found in the {channel.name} is {share}: nothing of it is explained"
-        return Finding("nothing_explained", channel.name, f"{text}; check that sensor and the model", "failed")
-    return None
+        yield Finding("nothing_explained", channel.name, f"{text}; check that sensor and the model", "failed")
 
 
-def _colour(channel: Channel, record: Record, estimate: Estimate) -> Finding | None:
+def _colour(channel: Channel, record: Record, estimate: Estimate) -> Iterator[Finding]:
     """Whether what is left of a channel has a band of its own; only power above the median band is held against it."""
     residual = channel.measured - channel.of(estimate.response)
     if not np.isfinite(residual).all() or not np.std(channel.measured) > 0:
-        return None
+        return
     frequency, power = (x[1:] for x in usable_periodogram(residual, record.step))
     pieces = np.array_split(np.arange(len(power)), min(BANDS, max(1, len(power) // 8)))
     level = np.array([power[piece].mean() for piece in pieces])
     high = level > COLOURED * np.median(level)
     share = sum(power[piece].sum() for piece, is_high in zip(pieces, high, strict=True) if is_high) / power.sum()
     nmse = float(np.mean(residual**2) / np.var(channel.measured))
-    if not high.any() or share * nmse < COLOURED_SHARE:
-        return None
-    worst = pieces[int(np.argmax(level))]
-    where = f"{frequency[worst[0]]:.3g} to {frequency[worst[-1]]:.3g} Hz"
-    text = f"the residual of the {channel.name} is not white: {100 * share:.0f} % of it is in excess, most at {where}"
-    return Finding("not_white", channel.name, f"{text}; check that sensor, or use a model that moves there")
+    if high.any() and not share * nmse < COLOURED_SHARE:
+        worst = pieces[int(np.argmax(level))]
+        where = f"most at {frequency[worst[0]]:.3g} to {frequency[worst[-1]]:.3g} Hz"
+        text = f"the residual of the {channel.name} is not white: {100 * share:.0f} % of it is in excess, {where}"
+        yield Finding("not_white", channel.name, f"{text}; check that sensor, or use a model that moves there")
 
 
 def _discrepancy(problem: Problem, estimate: Estimate) -> list[Finding]:

@@ -38,8 +38,9 @@ def with_noise(estimate, sensors=(), **changes):
     return replace(estimate, noise=replace(estimate.noise, sensors=every, **changes))
 
 
-def with_parameter(given, which, **changes):
-    parameters = [other_estimate(p, **changes) if p.name == which else p for p in given.parameters]
+def with_parameter(given, names, **changes):
+    """With one of some names, separated by spaces."""
+    parameters = [other_estimate(p, **changes) if p.name in names.split() else p for p in given.parameters]
     return replace(given, parameters=parameters)
 
 
@@ -56,10 +57,7 @@ def test_a_right_estimate_has_none(frame, problem, estimate):
     """Nor has one of much white noise, or what the deviations of its parameters allow."""
     for record in (problem.record, measure(frame, 10.0)):
         assert noise_findings(replace(problem, record=record), estimate) == []
-    vague = estimate
-    for name in ("k_1", "k_2", "k_3"):
-        vague = with_parameter(vague, name, estimate=15.5, std=1.0)
-    assert of_sensors(problem, vague) == []
+    assert of_sensors(problem, with_parameter(estimate, "k_1 k_2 k_3", estimate=15.5, std=1.0)) == []
     assert of_parameters(problem, estimate) == of_sensors(problem, estimate) == []
     assert baseline_findings(estimate, estimate, problem.record) == []
 
@@ -189,10 +187,7 @@ def test_natural_frequencies_that_the_record_cannot_hold(problem, estimate, scal
 
 
 def test_sensors_that_the_free_run_does_not_reproduce(problem, estimate):
-    wrong = estimate
-    for name in ("k_1", "k_2", "k_3"):
-        wrong = with_parameter(wrong, name, estimate=18.0)
-    found = of_sensors(problem, wrong)
+    found = of_sensors(problem, with_parameter(estimate, "k_1 k_2 k_3", estimate=18.0))
     assert found == [("free_run", f"acceleration of DOF {dof}") for dof in (1, 2, 3)]
 
 

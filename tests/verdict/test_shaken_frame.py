@@ -48,9 +48,7 @@ def record():
 
 
 def faults(structure, record):
-    prediction = predicted(structure, record)
-    assert prediction is not None
-    return channel_faults(prediction)
+    return channel_faults(predicted(structure, record))
 
 
 @pytest.mark.parametrize(
