@@ -104,8 +104,7 @@ def _draw_spectrum(
 ) -> None:
     i = next(i for i, other in enumerate([*spectra.sensors, *spectra.acting]) if other is signal)
     power = spectra.density[1:, i]
-    kept = _spectral_indices(power)
-    axes.plot(spectra.frequency[1:][kept], np.where(power > 0.0, power, np.nan)[kept], **_LINE)
+    _draw_lines(axes, spectra, power, _LINE)
     if np.isfinite(row["band_high_hz"]):
         axes.axvspan(row["band_low_hz"], row["band_high_hz"], **_BAND)
     if row["noise"] > 0.0:
@@ -120,9 +119,8 @@ def _draw_responses(magnitude: Axes, coherence: Axes, spectra: CrossSpectra[Sign
     size = np.sqrt(np.sum(np.abs(spectra.response[1:]) ** 2, axis=2))
     for k, sensor in enumerate(spectra.sensors[:CHANNELS_DRAWN]):
         look: dict[str, Any] = {"color": style.CYCLE[k % len(style.CYCLE)], "linewidth": 0.7, "label": _label(sensor)}
-        for axes, values in ((magnitude, size[:, k]), (coherence, spectra.coherence[1:, k])):
-            kept = _spectral_indices(values)
-            axes.plot(spectra.frequency[1:][kept], np.where(values > 0.0, values, np.nan)[kept], **look)
+        _draw_lines(magnitude, spectra, size[:, k], look)
+        _draw_lines(coherence, spectra, spectra.coherence[1:, k], look)
     magnitude.legend(loc="best", fontsize=6, ncols=2, handlelength=1.2)  # peaks have their place above
     for axes in (magnitude, coherence):
         _draw_peaks(axes, peaks)
@@ -140,9 +138,10 @@ def _draw_responses(magnitude: Axes, coherence: Axes, spectra: CrossSpectra[Sign
     coherence.set_ylabel("coherence")
 
 
-def _spectral_indices(values: np.ndarray) -> np.ndarray:
-    """Indices that keep the outline over a logarithmic axis: every line at first, extremes further on."""
-    return np.concatenate([np.arange(min(FIRST, len(values))), FIRST + line_indices(values[FIRST:])])
+def _draw_lines(axes: Axes, spectra: CrossSpectra[Signal], values: np.ndarray, look: Mapping[str, Any]) -> None:
+    """Positive values (B - 1,), from the first line on, by their outline: every line at first, extremes further on."""
+    kept = np.concatenate([np.arange(min(FIRST, len(values))), FIRST + line_indices(values[FIRST:])])
+    axes.plot(spectra.frequency[1:][kept], np.where(values > 0.0, values, np.nan)[kept], **look)
 
 
 def _draw_peaks(axes: Axes, peaks: pd.DataFrame) -> None:

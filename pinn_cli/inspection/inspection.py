@@ -86,8 +86,10 @@ def _row(signal: Signal, sampling: Sampling) -> dict[str, object]:
         return row
     values, step = sampling.on_regular(signal.values), 1.0 / sampling.rate
     low, high = signal_edges(values, step)
-    visible = _rest(values) if signal.quantity == "force" else None
-    visible = visible_floor(values, step) if visible is None else visible
+    # A blow fills the spectrum, and would pass for noise there: of short ones noise is what is between them.
+    between = float(np.median(np.abs(values - np.median(values)))) / NORMAL_MEDIAN
+    is_blows = signal.quantity == "force" and between < BLOWS * float(values.std())
+    visible = between if is_blows else visible_floor(values, step)
     noise = noise_level(values, step) if visible is None else visible
     power = max(float(np.var(values)) - noise**2, 0.0)
     snr = 10.0 * np.log10(power / noise**2) if noise > 0.0 and power > 0.0 else np.nan
@@ -95,15 +97,6 @@ def _row(signal: Signal, sampling: Sampling) -> dict[str, object]:
         "band_low_hz": low, "band_high_hz": high, "noise": noise, "noise_is_visible": visible is not None,
         "snr_db": snr,
     }  # fmt: skip
-
-
-def _rest(values: np.ndarray) -> float | None:
-    """Standard deviation of a force between short blows; None: it acts most of the time.
-
-    A blow fills the spectrum, and would pass for noise there.
-    """
-    level = float(np.median(np.abs(values - np.median(values)))) / NORMAL_MEDIAN
-    return level if level < BLOWS * float(values.std()) else None
 
 
 def longest_gap(values: np.ndarray, sampling: Sampling) -> float:

@@ -97,7 +97,7 @@ class ModesReport(LookReport):
             together = ["all records together", ""] if several else []
             lines += [*together, *_frequencies(self.modes), "", *_shapes(self.shown)]
         if self.joined is not None:
-            lines += _doubts(self.joined)
+            lines += [line for doubt in _doubts(self.joined) for line in marked_lines(doubt)]
             if 0 < len(self.mac) <= MODES_SHOWN:
                 lines += ["", "MAC between records", *_assurance(self.mac)]
         return "\n".join(lines)
@@ -167,26 +167,20 @@ def _with_agreement(table: pd.DataFrame, joined: JoinedModes) -> pd.DataFrame:
     return pd.concat([table.iloc[:, :place], pd.DataFrame(values), table.iloc[:, place:]], axis=1)
 
 
-def _doubts(joined: JoinedModes) -> list[str]:
+def _doubts(joined: JoinedModes) -> Iterator[str]:
     """What is to be said of records that do not go together."""
-    lines = []
     for r in joined.unconnected:
         says = f"record {r + 1} has no sensor in common with those before it: its modes stand by themselves"
-        lines += marked_lines(f"{says}; name the same DOF, or column, where a reference sensor stayed in its place")
-    for number_, mode in enumerate(joined.joined, start=1):
-        lines += [
-            line for sentence in _differences(mode, joined) for line in marked_lines(f"mode {number_}: {sentence}")
-        ]
-    for i, j, alike in joined.opposed:
-        says = (
-            f"modes {i + 1} and {j + 1}, of different records, have one frequency and another shape at common sensors"
-        )
-        lines += marked_lines(f"{says} (MAC {alike:.2f}): are they two modes, or has a sensor another place or sign?")
-    return lines
+        yield f"{says}; name the same DOF, or column, where a reference sensor stayed in its place"
+    for i, mode in enumerate(joined.joined, start=1):
+        yield from (f"mode {i}: {sentence}" for sentence in _differences(mode))
+    for i, j, mac in joined.opposed:
+        says = f"modes {i + 1} and {j + 1}, of different records, have one frequency and another shape"
+        yield f"{says} at common sensors (MAC {mac:.2f}): are they two modes, or has a sensor another place or sign?"
 
 
-def _differences(joined_mode: JoinedMode, joined: JoinedModes) -> Iterator[str]:
-    modes = [(part.record + 1, joined.records[part.record].modes[part.mode]) for part in joined_mode.parts]
+def _differences(joined_mode: JoinedMode) -> Iterator[str]:
+    modes = [(part.record + 1, part.mode) for part in joined_mode.parts]
     if joined_mode.agreement[0] < RARE_CHANCE:
         frequencies = ", ".join(f"{number(mode.frequency, 5)} in record {r}" for r, mode in modes)
         yield f"frequencies differ beyond their intervals ({frequencies} Hz): did temperature, mass or level change?"

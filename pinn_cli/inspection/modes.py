@@ -202,11 +202,10 @@ def mac_table(records: Sequence[ModalRecord]) -> pd.DataFrame:
             common = [name for name in names[r] if name in names[q]]
             first, second = ([names[n].index(name) for name in common] for n in (r, q))
             values[a, b] = alike(records[r].shapes[i][first], records[q].shapes[j][second])
-    table = pd.DataFrame(values, columns=[f"record_{r + 1}_mode_{i + 1}" for r, i in modes])
-    table.insert(0, "record", [r + 1 for r, _ in modes])
-    table.insert(1, "mode", [i + 1 for _, i in modes])
-    table.insert(2, "frequency", [records[r].modes[i].frequency for r, i in modes])
-    return table
+    numbers = {"record": [r + 1 for r, _ in modes], "mode": [i + 1 for _, i in modes]}
+    frequencies = {"frequency": [records[r].modes[i].frequency for r, i in modes]}
+    columns = {f"record_{r + 1}_mode_{i + 1}": column for (r, i), column in zip(modes, values.T, strict=True)}
+    return pd.DataFrame(numbers | frequencies | columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,14 +214,16 @@ class Part:
 
     Attributes:
         record: Number of the record, from 0.
-        mode: Its number among the modes of the record, from 0.
+        number: Of the mode among those of the record, from 0.
+        mode: As the record has it.
         places: (S,), where the record's sensors stand among those of all records.
         shape: (S,), complex.
         noise: (S, S), covariance of the errors of the real parts.
     """
 
     record: int
-    mode: int
+    number: int
+    mode: RecordMode
     places: np.ndarray
     shape: np.ndarray
     noise: np.ndarray
@@ -240,18 +241,16 @@ class JoinedMode:
 
     Attributes:
         parts: Of it, by record.
-        shape: (P,), complex, at the sensors of all records; the largest is one; NaN where no record shows it.
-        shape_std: (P,), of its real part.
+        shape_std: (P,), of the real part of the mode's shape.
         scales: (parts,), of the records' shapes: one's own is its scale times the joined one.
         scale_std: (parts,), their relative deviations.
         mac: (parts,), of the record's own shape and the joined one, at the record's sensors.
-        mode: With frequency and damping ratio of all records.
+        mode: Of all records, its shape (P,) at all their sensors: the largest is one, NaN where no record shows it.
         agreement: (2,), probability that chance makes frequencies, and damping ratios, of the records differ as much;
             NaN with one record.
     """
 
     parts: Sequence[Part]
-    shape: np.ndarray
     shape_std: np.ndarray
     scales: np.ndarray
     scale_std: np.ndarray
@@ -290,10 +289,10 @@ class JoinedModes:
         groups: list[list[Part]] = []
         order, unconnected = _order(places, [len(record.modes) for record in records])
         for r in order:
-            shapes = enumerate(records[r].shapes)
-            parts = [Part(r, i, places[r], shape, 0.5 * records[r].noise(i).real) for i, shape in shapes]
-            _sort_in(groups, parts, records, len(all_names))
-        joined = [_joined(sorted(group, key=lambda part: part.record), records, len(all_names)) for group in groups]
+            modes = enumerate(zip(records[r].modes, records[r].shapes, strict=True))
+            parts = [Part(r, i, m, places[r], shape, 0.5 * records[r].noise(i).real) for i, (m, shape) in modes]
+            _sort_in(groups, parts, len(all_names))
+        joined = [_joined(sorted(group, key=lambda part: part.record), len(all_names)) for group in groups]
         joined.sort(key=lambda joined_mode: joined_mode.mode.frequency)
         return cls(records, [by_name[name] for name in all_names], all_names, joined, unconnected)
 
@@ -304,8 +303,8 @@ class JoinedModes:
 
     @property
     def shapes(self) -> np.ndarray:
-        """(M, P), see :attr:`JoinedMode.shape`."""
-        return np.array([joined_mode.shape for joined_mode in self.joined]).reshape(-1, len(self.sensors))
+        """(M, P), see :attr:`JoinedMode.mode`."""
+        return np.array([mode.shape for mode in self.modes]).reshape(-1, len(self.sensors))
 
     def shape_std(self, number: int) -> np.ndarray:
         """(P,), of the real part of a shape."""
@@ -317,15 +316,15 @@ class JoinedModes:
         for i, j in combinations(range(len(self.joined)), 2):
             first, second = self.joined[i], self.joined[j]
             distance = abs(np.log(first.mode.frequency / second.mode.frequency))
-            common = np.isfinite(first.shape) & np.isfinite(second.shape)
-            mac = alike(first.shape[common], second.shape[common])
+            common = np.isfinite(first.mode.shape) & np.isfinite(second.mode.shape)
+            mac = alike(first.mode.shape[common], second.mode.shape[common])
             twice = {part.record for part in first.parts} & {part.record for part in second.parts}
             if distance < ALIKE_FREQUENCY and mac < ALIKE_SHAPE and not twice:
                 yield i, j, mac
 
     def peak(self, number: int) -> tuple[float, float]:
         """The mean of the records' peaks near a mode, Hz, and the least MAC of their shapes; NaN: no peak."""
-        peaks = np.array([self.records[part.record].peak(part.mode) for part in self.joined[number].parts])
+        peaks = np.array([self.records[part.record].peak(part.number) for part in self.joined[number].parts])
         there = peaks[np.isfinite(peaks[:, 0])]
         return (float(there[:, 0].mean()), float(there[:, 1].min())) if len(there) else (np.nan, np.nan)
 
@@ -344,14 +343,14 @@ def _order(places: Sequence[np.ndarray], modes: Sequence[int]) -> tuple[list[int
     return order, sorted(unconnected)
 
 
-def _sort_in(groups: list[list[Part]], parts: Sequence[Part], records: Sequence[ModalRecord], places: int) -> None:
+def _sort_in(groups: list[list[Part]], parts: Sequence[Part], places: int) -> None:
     """Put the modes of one more record to those that they are the same as; the others begin groups of their own."""
     far = 1e3
     cost = np.full((len(parts), len(groups)), far)
     for j, group in enumerate(groups):
-        theirs, so_far = _mode(group[0], records), _assembled(group, places)[0]
+        theirs, so_far = group[0].mode, _assembled(group, places)[0]
         for i, part in enumerate(parts):
-            mode, there = _mode(part, records), np.isfinite(so_far[part.places])
+            mode, there = part.mode, np.isfinite(so_far[part.places])
             distance = abs(np.log(mode.frequency / theirs.frequency))
             deviation = float(mode.covariance[0, 0] + theirs.covariance[0, 0]) ** 0.5
             reach = max(ALIKE_FREQUENCY, SAME_DEVIATIONS * deviation)
@@ -365,14 +364,10 @@ def _sort_in(groups: list[list[Part]], parts: Sequence[Part], records: Sequence[
         groups[pairs.get(i, -1)].append(part)
 
 
-def _mode(part: Part, records: Sequence[ModalRecord]) -> RecordMode:
-    return records[part.record].modes[part.mode]
-
-
-def _joined(parts: Sequence[Part], records: Sequence[ModalRecord], places: int) -> JoinedMode:
+def _joined(parts: Sequence[Part], places: int) -> JoinedMode:
     shape, scales = _assembled(parts, places)
     shape_std, scale_std = _deviations(parts, shape, scales)
-    modes = [_mode(part, records) for part in parts]
+    modes = [part.mode for part in parts]
     logarithms = np.log([[mode.frequency, mode.damping] for mode in modes])
     precisions = np.linalg.inv([mode.covariance for mode in modes])
     covariance = np.linalg.inv(precisions.sum(axis=0))
@@ -388,21 +383,18 @@ def _joined(parts: Sequence[Part], records: Sequence[ModalRecord], places: int) 
     explained = min(mode.explained for mode in modes)
     mode = RecordMode(float(f), float(damping), covariance * np.outer(wider, wider), shape, noise, explained)
     mac = np.array([alike(part.shape, shape[part.places]) for part in parts])
-    return JoinedMode(parts, shape, shape_std, scales, scale_std, mac, mode, (float(agreement[0]), float(agreement[1])))
+    return JoinedMode(parts, shape_std, scales, scale_std, mac, mode, (float(agreement[0]), float(agreement[1])))
 
 
 def _assembled(parts: Sequence[Part], places: int) -> tuple[np.ndarray, np.ndarray]:
     """The shape (P,) of all parts, NaN where there is none, and the scale of each: alternating least squares."""
     shape = np.full(places, np.nan, dtype=complex)
     rest = sorted(parts, key=lambda part: -len(part.places))
-    scaled: list[tuple[Part, complex]] = []
     while rest:  # a start: one after the other, by what is known
         part = max(rest, key=lambda part: int(np.isfinite(shape[part.places]).sum()))
         rest.remove(part)
-        scale = _scale(part, shape) if scaled else 1.0 + 0.0j
-        new = part.places[~np.isfinite(shape[part.places])]
-        shape[new] = part.shape[~np.isfinite(shape[part.places])] / (scale or 1.0)
-        scaled.append((part, scale))
+        new = ~np.isfinite(shape[part.places])
+        shape[part.places[new]] = part.shape[new] / (_scale(part, shape) or 1.0)
     for _ in range(TURNS):
         scales = [_scale(part, shape) for part in parts]
         upper, lower = np.zeros(places, dtype=complex), np.zeros(places)
@@ -433,20 +425,19 @@ def _deviations(parts: Sequence[Part], shape: np.ndarray, scales: np.ndarray) ->
 
     Where the records' shapes differ by more than their errors explain, so much larger.
     """
-    seen, largest = np.flatnonzero(np.isfinite(shape)), int(np.nanargmax(np.abs(shape.real)))
-    column = {int(place): i for i, place in enumerate(place for place in seen if place != largest)}
-    columns, rows = len(column) + len(parts), sum(len(part.places) for part in parts)
-    slopes, noise, residual, at = np.zeros((rows, columns)), np.zeros((rows, rows)), np.zeros(rows), 0
+    places, largest = len(shape), int(np.nanargmax(np.abs(shape.real)))
+    free = np.setdiff1d(np.flatnonzero(np.isfinite(shape)), largest)
+    columns, rows = len(free) + len(parts), sum(len(part.places) for part in parts)
+    slopes, noise, residual, at = np.zeros((rows, places + len(parts))), np.zeros((rows, rows)), np.zeros(rows), 0
     for i, (part, scale) in enumerate(zip(parts, scales, strict=True)):
         block = slice(at, at + len(part.places))
-        for row, place in enumerate(part.places, start=at):
-            if place in column:
-                slopes[row, column[place]] = abs(scale)
-        slopes[block, len(column) + i] = shape.real[part.places]
+        slopes[range(block.start, block.stop), part.places] = abs(scale)
+        slopes[block, places + i] = shape.real[part.places]
         noise[block, block] = part.noise
         turned = part.shape * np.exp(-1j * np.angle(scale))
         residual[block] = turned.real - abs(scale) * shape.real[part.places]
         at += len(part.places)
+    slopes = np.take(slopes, [*free, *range(places, places + len(parts))], axis=1)
     root = np.sqrt(np.concatenate([part.weights for part in parts]))
     inverse = np.linalg.pinv(slopes * root[:, None], rcond=1e-12) * root
     rest = (np.eye(rows) - slopes @ inverse) * root[:, None]
@@ -454,7 +445,6 @@ def _deviations(parts: Sequence[Part], shape: np.ndarray, scales: np.ndarray) ->
     usual = expected > 1e-9 * rows and rows > columns
     wider = max(float(np.sum((root * residual) ** 2)) / expected, 1.0) if usual else 1.0
     std = np.sqrt(wider * np.maximum(np.diag(inverse @ noise @ inverse.T), 0.0))
-    deviations = np.full(len(shape), np.nan)
-    deviations[largest] = 0.0
-    deviations[list(column)] = std[: len(column)]
-    return deviations, std[len(column) :] / np.maximum(np.abs(scales), 1e-300)
+    deviations = np.full(places, np.nan)
+    deviations[largest], deviations[free] = 0.0, std[: len(free)]
+    return deviations, std[len(free) :] / np.maximum(np.abs(scales), 1e-300)

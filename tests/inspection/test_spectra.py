@@ -8,7 +8,6 @@ from pinn_cli.inspection.inspection import contradictions, peak_table
 from pinn_cli.inspection.modes import ModalRecord
 from pinn_cli.inspection.report import spectra_table
 from pinn_cli.record.cross_spectra import CrossSpectra, piece_length
-from pinn_cli.record.identification.lines import RecordMode
 from pinn_cli.record.signal import Sampling, Signal, spectra_of
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
@@ -63,14 +62,11 @@ def test_columns_that_nobody_has_told_go_by_their_names():
 FREQUENCIES = 0.890 * np.sin(np.pi * np.arange(1, 10, 2) / 22.0) / np.sin(np.pi / 22.0)
 
 
-def signals(record) -> list[Signal]:
+def signals(record, **factors: float) -> list[Signal]:
+    """The force and three accelerometers, which are so many times what they should be."""
     _, f, _, a = record
-    sensors = [Signal(f"a{i + 1}", a[:, i], "acceleration", str(i + 1)) for i in (0, 2, 4)]
+    sensors = [Signal(f"a{i}", factors.get(f"a{i}", 1.0) * a[:, i - 1], "acceleration", str(i)) for i in (1, 3, 5)]
     return [Signal("f", f, "force", "5"), *sensors]
-
-
-def found_in(columns: list[Signal], time: np.ndarray) -> list[RecordMode]:
-    return list(ModalRecord.of(columns, time).modes)
 
 
 def test_two_forces_at_once(chain):
@@ -84,7 +80,7 @@ def test_two_forces_at_once(chain):
     assert np.median(spectra.coherence[within]) > 0.95
     alone = spectra_of([every[0], *every[2:]], Sampling(time))
     assert np.median(alone.coherence[within]) < 0.8
-    np.testing.assert_allclose([p.frequency for p in found_in(every, time)][:4], FREQUENCIES[:4], rtol=2e-3)
+    np.testing.assert_allclose([p.frequency for p in ModalRecord.of(every, time).modes][:4], FREQUENCIES[:4], rtol=2e-3)
 
 
 def test_chance_reaches_the_coherence_that_it_is_said_to():
@@ -97,7 +93,7 @@ def test_chance_reaches_the_coherence_that_it_is_said_to():
 
 def test_peaks_beside_those_of_a_structure(chain):
     record = chain.record(120.0, 0)
-    peaks = found_in(signals(record), record[0])
+    peaks = ModalRecord.of(signals(record), record[0]).modes
     np.testing.assert_allclose([peak.frequency for peak in peaks], FREQUENCIES, rtol=2e-3)
     np.testing.assert_allclose([peak.damping for peak in peaks], 0.02, rtol=0.05)
     assert all(0.5 < peak.explained <= 1.0 for peak in peaks)
@@ -122,10 +118,8 @@ def structure(chain, **changed: list[float]) -> Structure:
 
 
 def told(chain, structure: Structure, **factors: float) -> list[str]:
-    time, f, _, a = chain.record(60.0, 11)
-    signals = [Signal("f", f, "force", "5")]
-    signals += [Signal(f"a{i}", factors.get(f"a{i}", 1.0) * a[:, i - 1], "acceleration", str(i)) for i in (1, 3, 5)]
-    return contradictions(structure, signals, Sampling(time))
+    record = chain.record(60.0, 11)
+    return contradictions(structure, signals(record, **factors), Sampling(record[0]))
 
 
 @pytest.mark.parametrize(("factor", "word"), [(-1.0, "negative"), (1.0 / 9.80665, "1/9.80665")])
