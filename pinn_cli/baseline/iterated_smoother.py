@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,12 +62,14 @@ def regress(filtered: Filtered, at: np.ndarray, precision: np.ndarray, pull: np.
     Raises:
         numpy.linalg.LinAlgError: The coefficients' information is not positive definite.
     """
-    moments = filtered.moments
+    innovation = filtered.innovation.reshape(-1, filtered.innovation.shape[2])
+    moments = innovation.T @ filtered.weighted.reshape(innovation.shape)
+    log_spread = float(np.linalg.slogdet(filtered.spread)[1].sum())
     factor = cho_factor(moments[1:, 1:] + np.diag(precision), lower=True)
     change = -cho_solve(factor, moments[1:, 0] + precision * at + pull)
     squares = moments[0, 0] + moments[0, 1:] @ change + (precision * at) @ (at + change)
     determinant = 2.0 * np.log(np.diag(factor[0])).sum() - np.log(precision).sum()
-    evidence = -0.5 * (filtered.log_spread + squares + determinant)
+    evidence = -0.5 * (log_spread + squares + determinant)
     return Regression(change, cho_solve(factor, np.eye(len(at))), precision, float(evidence))
 
 
@@ -94,11 +95,6 @@ class Pass:
     trajectory: Trajectory
     step: float
 
-    @property
-    def log_evidence(self) -> float:
-        """Logarithm of the probability density of the observations, up to a constant."""
-        return self.regression.log_evidence
-
 
 class IteratedSmoother:
     """Most probable trajectory and parameters under given noise levels.
@@ -109,6 +105,7 @@ class IteratedSmoother:
         learn_spread: Whether the common spread of the believed parameters is learned on the way.
 
     Attributes:
+        held: (p,), coefficients that stay where they start.
         history: One row for every pass.
     """
 
@@ -117,19 +114,10 @@ class IteratedSmoother:
         # Of unknown parameters nobody has said what they should be: only beliefs share how far they are off.
         believed = [not p.unknown and p.kind not in CALIBRATION_UNITS for p in space.problem.uncertain]
         self.sharing = np.array([*believed, *[False] * space.size])
-        self.uncertain = np.arange(len(self.sharing)) < len(space.problem.uncertain)
-        self.hold(())
+        kinds = np.array([*(p.kind for p in space.problem.uncertain), *[""] * space.size])
+        self.uncertain, self.gains, self.held = kinds != "", kinds == "gain", np.zeros(len(kinds), dtype=bool)
         self.history: list[dict[str, float]] = []
         self.started = time.perf_counter()
-
-    def hold(self, kinds: Collection[str]) -> None:
-        """Hold uncertain parameters of some kinds where they start, and let the others go.
-
-        At rest a parameter does nothing to what a sensor shows, and in a soft structure hardly anything tells a gain:
-        the search would carry it far off.
-        """
-        of_kinds = [p.kind in kinds for p in self.space.problem.uncertain]
-        self.held = np.array([*of_kinds, *[False] * self.space.size], dtype=bool)
 
     def settle(self, trajectory: Trajectory, levels: NoiseLevels, tolerance: float) -> Pass:
         """Passes until the step is shorter than ``tolerance``, or until they are used up; see :meth:`once`."""
@@ -169,9 +157,8 @@ class IteratedSmoother:
         their prior. Over all motions the density of a gain has a factor gain^-taken, with the values of its sensor that
         the motion takes up: the sum of the posterior variance of what the sensor shows over that of its noise.
         """
-        space = self.space
-        out = np.zeros(filtered.mean.shape[2] - 1)
-        gains = {p.index: i for i, p in enumerate(space.problem.uncertain) if p.kind == "gain" and not self.held[i]}
+        space, out = self.space, np.zeros(len(self.held))
+        gains = {space.problem.uncertain[i].index: i for i in np.flatnonzero(self.gains & ~self.held)}
         rows = {row: gains[s.channel.index] for row, s in enumerate(space.sensors) if s.channel.index in gains}
         if not rows:
             return out
@@ -221,30 +208,31 @@ def stiffened(smoother: IteratedSmoother, levels: NoiseLevels, wanted: float) ->
         FloatingPointError: A level could not be smoothed.
     """
     decades = max(1, math.ceil(abs(math.log(levels.discrepancy / wanted, DECADE))))
-    reached = begun(smoother, levels)
+    reached = first_pass(smoother, levels)
     for discrepancy in np.geomspace(levels.discrepancy, wanted, decades + 1):
         reached = smoother.settle(reached.trajectory, levels.with_discrepancy(float(discrepancy)), ROUGH)
-    return settled(smoother, reached, searched=np.arange(len(levels.values)) != len(levels.sensors))
+    return best_levels(smoother, reached, searched=np.arange(len(levels.values)) != len(levels.sensors))
 
 
 def most_probable(smoother: IteratedSmoother, levels: NoiseLevels) -> Pass:
     """The pass under the levels of greatest evidence; the levels start where the discrepancy is the force that acts.
 
-    Gains in doubt are held first, and found from what comes of it.
+    Gains in doubt are held first, and found from what comes of it: in a soft structure hardly anything tells a gain,
+    and the search would carry it far off.
 
     Raises:
         FloatingPointError: Not even the softest level could be smoothed.
     """
-    smoother.hold({"gain"})
-    best = scanned(smoother, begun(smoother, levels))
+    smoother.held = smoother.gains
+    best = best_decade(smoother, first_pass(smoother, levels))
     if smoother.held.any():
-        smoother.hold(())
+        smoother.held = np.zeros_like(smoother.gains)
         softer = best.levels.with_discrepancy(DECADE * best.levels.discrepancy)
-        best = scanned(smoother, smoother.once(best.trajectory, softer))
-    return settled(smoother, best)
+        best = best_decade(smoother, smoother.once(best.trajectory, softer))
+    return best_levels(smoother, best)
 
 
-def begun(smoother: IteratedSmoother, levels: NoiseLevels) -> Pass:
+def first_pass(smoother: IteratedSmoother, levels: NoiseLevels) -> Pass:
     """The motion from rest under prescribed parameters: what a structure at rest says of them is next to nothing."""
     held, smoother.held = smoother.held, smoother.uncertain
     first = smoother.once(smoother.space.start(), levels)
@@ -252,30 +240,30 @@ def begun(smoother: IteratedSmoother, levels: NoiseLevels) -> Pass:
     return first
 
 
-def scanned(smoother: IteratedSmoother, begun: Pass) -> Pass:
+def best_decade(smoother: IteratedSmoother, first: Pass) -> Pass:
     """The pass under the decade of greatest evidence, searched from soft physics to stiff.
 
     Every level starts at the last trajectory: soft physics forgives a start at rest, and each stiffer problem begins
     next to its solution.
     """
-    best = smoother.settle(begun.trajectory, begun.levels, ROUGH)
-    while best.levels.discrepancy > FINEST * begun.levels.discrepancy:
+    best = smoother.settle(first.trajectory, first.levels, ROUGH)
+    while best.levels.discrepancy > FINEST * first.levels.discrepancy:
         stiffer = best.levels.with_discrepancy(best.levels.discrepancy / DECADE)
         try:
             tried = smoother.settle(best.trajectory, stiffer, ROUGH)
         except FloatingPointError:
             break  # stiffer than these numbers can follow
-        gain = tried.log_evidence - best.log_evidence
+        gain = tried.regression.log_evidence - best.regression.log_evidence
         best = tried if gain > 0.0 else best
         if gain < NEGLIGIBLE_GAIN:
             break
     return best
 
 
-def settled(smoother: IteratedSmoother, best: Pass, searched: np.ndarray | bool = True) -> Pass:
+def best_levels(smoother: IteratedSmoother, best: Pass, searched: np.ndarray | bool = True) -> Pass:
     """All noise levels where the record is most probable, one pass a round; of (m + L,) those that are searched."""
     damping, searched = FIRST_CURVATURE, np.flatnonzero(searched & ~smoother.space.held)
-    slope, curvature = asked(smoother, best)
+    slope, curvature = slope_and_curvature(smoother, best)
     for _ in range(LEVEL_ROUNDS):
         damped, step = curvature + damping * np.diag(np.diag(curvature).clip(min=1.0)), np.zeros(len(slope))
         step[searched] = np.linalg.solve(damped[np.ix_(searched, searched)], slope[searched])
@@ -289,7 +277,7 @@ def settled(smoother: IteratedSmoother, best: Pass, searched: np.ndarray | bool 
         damping *= 10.0 if gain < 0.0 else 0.1 if gain > 0.5 * promised else 1.0
         if gain > -NEGLIGIBLE_GAIN:
             best = again
-            slope, curvature = asked(smoother, best)
+            slope, curvature = slope_and_curvature(smoother, best)
     return best
 
 
@@ -297,10 +285,10 @@ def log_evidence(space: StateSpace, last: Pass) -> float:
     """That of the record and of what spectra show besides, of as many values as there are samples."""
     mask, levels = space.shown > 0.0, last.levels.values
     misfit = np.log(levels[mask] ** 2) + space.shown[mask] ** 2 / levels[mask] ** 2
-    return float(last.log_evidence - 0.5 * len(space.present) * np.sum(misfit))
+    return float(last.regression.log_evidence - 0.5 * len(space.present) * np.sum(misfit))
 
 
-def asked(smoother: IteratedSmoother, last: Pass) -> tuple[np.ndarray, np.ndarray]:
+def slope_and_curvature(smoother: IteratedSmoother, last: Pass) -> tuple[np.ndarray, np.ndarray]:
     """Of the logarithms of all levels: the slope of the log evidence (m + L,), and its curvature.
 
     variance <- squares of the noise found / (values - those that motion and parameters have taken up) is where each by

@@ -150,7 +150,7 @@ class KalmanSmoother(Estimator):
             summary = {
                 "iterations": len(smoother.history),
                 "stop_reason": "converged" if last.step < self.tolerance else "iteration limit",
-                "log_evidence": last.log_evidence,
+                "log_evidence": last.regression.log_evidence,
             }
             return smoothed_estimate(smoother.space, last, pd.DataFrame(smoother.history), summary)
         except (FloatingPointError, np.linalg.LinAlgError) as error:

@@ -3,7 +3,7 @@
 Step k takes a state and a disturbance to an observation and to the next state,
 
     [y_k; x_k+1] = c_k + T_k x_k + H_k e_k + B_k b + noise_k,   e_k ~ N(0, diag(q)),   noise_k ~ N(0, W),
-    x_0 ~ N(a_0 + A_0 b, P_0),
+    x_0 = A_0 b,
 
 with coefficients b that are the same at all times. A disturbance that both moves the state and shows in a sensor
 correlates process and measurement noise; so written, there is nothing special about that.
@@ -36,8 +36,7 @@ class LinearGaussian:
         coefficient: (N, m + s, p), B_k.
         disturbance_variance: (d,), q.
         noise: (m + s, m + s), W.
-        initial: (s, 1 + p), [a_0, A_0].
-        initial_covariance: (s, s), P_0.
+        initial: (s, p), A_0.
     """
 
     observed: np.ndarray
@@ -48,7 +47,6 @@ class LinearGaussian:
     disturbance_variance: np.ndarray
     noise: np.ndarray
     initial: np.ndarray
-    initial_covariance: np.ndarray
 
     @cached_property
     def step_covariance(self) -> np.ndarray:
@@ -68,7 +66,8 @@ class LinearGaussian:
         seen = (self.observed - self.offset[:, :m])[:, :, None]
         columns = np.concatenate((seen, -self.coefficient[:, :m]), axis=2)
         drive = np.concatenate((self.offset[:, m:, None], self.coefficient[:, m:]), axis=2)
-        mean = driven(closed, self.initial, gain @ columns + drive)
+        start = np.pad(self.initial, ((0, 0), (1, 0)))
+        mean = driven(closed, start, gain @ columns + drive)
         innovation = columns - self.state[:, :m] @ mean
         return Filtered(self, covariance, mean, innovation, spread, gain, closed)
 
@@ -77,8 +76,7 @@ class LinearGaussian:
         samples, m = self.observed.shape
         s = len(self.initial)
         joints = self.step_covariance.copy()
-        covariance, solved = np.empty((samples + 1, s, s)), []
-        covariance[0] = self.initial_covariance
+        covariance, solved = np.zeros((samples + 1, s, s)), []
         for k, (step, joint, before, after) in enumerate(
             zip(self.state, joints, covariance[:-1], covariance[1:], strict=True)
         ):
@@ -131,17 +129,6 @@ class Filtered:
     def weighted(self) -> np.ndarray:
         """(N, m, 1 + p), innovations divided by their covariance."""
         return np.linalg.solve(self.spread, self.innovation)
-
-    @cached_property
-    def moments(self) -> np.ndarray:
-        """(1 + p, 1 + p), weighted squares and products of the innovations' columns, summed over all steps."""
-        flat = self.innovation.reshape(-1, self.innovation.shape[2])
-        return flat.T @ self.weighted.reshape(flat.shape)
-
-    @cached_property
-    def log_spread(self) -> float:
-        """Sum of the log determinants of the innovations' covariances."""
-        return float(np.linalg.slogdet(self.spread)[1].sum())
 
     def smooth(self, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Smoothed states (N, s) and disturbances (N, d) at given coefficients (p,)."""
@@ -202,11 +189,9 @@ class Filtered:
     @property
     def _noise_rows(self) -> tuple[np.ndarray, np.ndarray]:
         """What noise and disturbances do to the innovation (N, m, m + s + d) and, that held, to the next state."""
-        m = self.innovation.shape[1]
-        identity = np.broadcast_to(np.eye(m + self.mean.shape[1]), self.model.noise.shape)
-        rows = np.concatenate(
-            (np.broadcast_to(identity, (len(self.mean), *identity.shape)), self.model.disturbance), axis=2
-        )
+        m, size = self.innovation.shape[1], len(self.model.noise)
+        identity = np.broadcast_to(np.eye(size), (len(self.mean), size, size))
+        rows = np.concatenate((identity, self.model.disturbance), axis=2)
         return rows[:, :m], rows[:, m:] - self.gain @ rows[:, :m]
 
     def _smoothed(self, mean: np.ndarray, weighted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

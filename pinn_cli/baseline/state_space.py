@@ -102,13 +102,11 @@ class Linearised:
     """The model's derivatives about a trajectory; deviations from it are the state of a :class:`LinearGaussian`.
 
     Attributes:
-        trajectory: Where.
         residuals: (N, m + s), see :meth:`StateSpace.residuals`.
         rows: (N, m + s, columns), derivatives of observation and next state, see :class:`Equations`.
         functions: (3, N, F, columns), of the functions at the samples, see :meth:`Equations.derivatives`.
     """
 
-    trajectory: Trajectory
     residuals: np.ndarray
     rows: np.ndarray
     functions: np.ndarray
@@ -129,7 +127,11 @@ class StateSpace:
         self.problem, record = problem, problem.record
         self.step, self.inputs = record.step, inputs_of(problem.structure, record)
         self.dynamics = problem.dynamics if problem.inputs == self.inputs else Dynamics(problem.structure, self.inputs)
-        channels = channels_of(record, self.dynamics)
+        # Calibrated channels, and behind them the other columns as if they were such, with nothing in doubt.
+        columns = [
+            record.column(q, i) for q in self.dynamics.observed for i in np.flatnonzero(record.plain(q)).tolist()
+        ]
+        channels = [replace(channel, index=index) for index, channel in enumerate((*record.calibrated, *columns))]
         numbers = {kind: values.numpy() for kind, values in calibrations(channels).items()}
         self.prescribed = problem.structure.parameters_like(np.empty(0)) | numbers
         self.vector = ParameterVector(self.prescribed, problem.uncertain)
@@ -258,7 +260,7 @@ class StateSpace:
         for row, sensor in enumerate(self.sensors):
             rows[:, row] = sensor.rows(jet, by, equations)
         rows[:-1, m:] = equations.tangents(trajectory.states[:-1], self.roughly_between, self.step)
-        return Linearised(trajectory, self.residuals(trajectory), rows, by)
+        return Linearised(self.residuals(trajectory), rows, by)
 
     def model(self, linearised: Linearised, levels: NoiseLevels) -> LinearGaussian:
         """Deviations from the trajectory under given noise levels.
@@ -279,8 +281,7 @@ class StateSpace:
             np.pad(coefficient, ((0, 0), (0, 0), (0, s))),
             variance[m + s :],
             np.diag(variance[: m + s]),
-            np.concatenate((np.zeros((s, 1 + coefficient.shape[2])), self.beginning), axis=1),
-            np.zeros((s, s)),
+            np.concatenate((np.zeros((s, coefficient.shape[2])), self.beginning), axis=1),
         )
 
     @cached_property
@@ -362,15 +363,11 @@ class ChannelRows:
             shown[place[inside]], present[place[inside]] = channel.measured[inside], True
         return cls(channel, samples, feels, np.where(present, shown, 0.0), present, time + late - channel.start)
 
-    def gain(self, parameters: Mapping[str, Tensor]) -> float:
-        """Of what it shows over what it feels."""
-        return float(parameters["gain"][self.channel.index])
-
     def residual(self, jet: Jet, parameters: Mapping[str, Tensor]) -> np.ndarray:
         """(N,), what it shows minus what it would show of functions (N, F); 0 where it has no sample."""
-        offset, drift = (float(parameters[kind][self.channel.index]) for kind in ("offset", "drift"))
+        gain, offset, drift = (float(parameters[kind][self.channel.index]) for kind in ("gain", "offset", "drift"))
         measurand = self.feels.value(jet, parameters).numpy()
-        residual: np.ndarray = self.shown - (self.gain(parameters) * measurand + offset + drift * self.since)
+        residual: np.ndarray = self.shown - (gain * measurand + offset + drift * self.since)
         return residual * self.present
 
     def rows(self, jet: Jet, by: np.ndarray, equations: Equations) -> np.ndarray:
@@ -379,7 +376,7 @@ class ChannelRows:
         ``jet`` has functions (N, F), and ``by`` their derivatives, see :meth:`Equations.derivatives`.
         """
         parameters, vector = equations.parameters, equations.vector
-        gain, out = self.gain(parameters), np.zeros(by.shape[1:2] + by.shape[3:])
+        gain, out = float(parameters["gain"][self.channel.index]), np.zeros(by.shape[1:2] + by.shape[3:])
         parts, of_model = self.feels.linearised(jet, parameters)
         for function, order, weight in parts:
             out += gain * np.atleast_1d(weight)[:, None] * by[order][:, function]
@@ -392,12 +389,6 @@ class ChannelRows:
             if p.kind in by_kind and p.index == self.channel.index:
                 out[:, column] += p.prior_std * by_kind[p.kind]
         return out * self.present[:, None]
-
-
-def channels_of(record: Record, dynamics: Dynamics) -> list[Channel]:
-    """Its calibrated channels, and behind them its other columns as if they were such, with nothing in doubt."""
-    plain = [record.column(q, i) for q in dynamics.observed for i in np.flatnonzero(record.plain(q)).tolist()]
-    return [replace(channel, index=index) for index, channel in enumerate((*record.calibrated, *plain))]
 
 
 def check_channels(record: Record, name: str) -> None:

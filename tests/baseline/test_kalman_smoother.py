@@ -12,7 +12,7 @@ from small_problems import sped_up as faster
 from structures import hysteretic, modal
 
 from pinn_cli.baseline import baseline_estimate
-from pinn_cli.baseline.iterated_smoother import IteratedSmoother, begun, most_probable, widened
+from pinn_cli.baseline.iterated_smoother import IteratedSmoother, first_pass, most_probable, widened
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother, _parameters
 from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
 from pinn_cli.record.excitation import BandedNoise
@@ -29,9 +29,7 @@ from pinn_cli.training.estimate import Estimate, RunContext
 
 
 def solved(problem: Problem, **settings) -> Estimate:
-    estimate = KalmanSmoother(**settings).solve(JointProblem.of(problem), RunContext())
-    assert estimate is not None
-    return estimate
+    return KalmanSmoother(**settings).solve(JointProblem.of(problem), RunContext())
 
 
 def covered(estimate: Estimate, truth: Response, quantity: str) -> float:
@@ -241,6 +239,6 @@ def test_a_coloured_model_error_is_widened_and_a_white_one_is_not() -> None:
 
 def test_passes_settle_quadratically() -> None:
     smoother, levels, _ = disturbed(white(0.05))
-    settled = smoother.settle(begun(smoother, levels).trajectory, levels, 1e-9)
+    settled = smoother.settle(first_pass(smoother, levels).trajectory, levels, 1e-9)
     assert settled.step < 1e-9
     assert len(smoother.history) < 10

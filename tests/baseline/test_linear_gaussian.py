@@ -12,7 +12,7 @@ from pinn_cli.baseline.linear_gaussian import LinearGaussian
 
 def random_model(steps: int = 7, s: int = 3, d: int = 2, m: int = 2, p: int = 2, seed: int = 0) -> LinearGaussian:
     rng = np.random.default_rng(seed)
-    root, start = rng.normal(size=(m + s, m + s)), rng.normal(size=(s, s))
+    root = rng.normal(size=(m + s, m + s))
     return LinearGaussian(
         observed=rng.normal(size=(steps, m)),
         offset=rng.normal(size=(steps, m + s)),
@@ -21,14 +21,13 @@ def random_model(steps: int = 7, s: int = 3, d: int = 2, m: int = 2, p: int = 2,
         coefficient=rng.normal(size=(steps, m + s, p)),
         disturbance_variance=np.linspace(0.5, 2.0, d),
         noise=np.diag(np.diag(root @ root.T)),
-        initial=rng.normal(size=(s, 1 + p)),
-        initial_covariance=start @ start.T,
+        initial=rng.normal(size=(s, p)),
     )
 
 
 @dataclass(frozen=True)
 class Dense:
-    """The joint Gaussian of everything, as matrices acting on independent standard variables (b, start, e, noise)."""
+    """The joint Gaussian of everything, as matrices acting on independent standard variables (b, e, noise)."""
 
     states: np.ndarray
     disturbances: np.ndarray
@@ -39,14 +38,13 @@ class Dense:
 
     @classmethod
     def of(cls, model: LinearGaussian) -> "Dense":
-        (steps, m), (s, columns) = model.observed.shape, model.initial.shape
-        p, d = columns - 1, model.disturbance.shape[2]
-        width = p + s + steps * (d + m + s)
-        x, mean = np.zeros((s, width)), model.initial[:, 0]
-        x[:, :p], x[:, p : p + s] = model.initial[:, 1:], np.linalg.cholesky(model.initial_covariance)
+        (steps, m), (s, p), d = model.observed.shape, model.initial.shape, model.disturbance.shape[2]
+        width = p + steps * (d + m + s)
+        x, mean = np.zeros((s, width)), np.zeros(s)
+        x[:, :p] = model.initial
         rows: list[list[np.ndarray]] = [[], [], [], [], []]
         for k in range(steps):
-            at = p + s + k * (d + m + s)
+            at = p + k * (d + m + s)
             e, noise, b = np.zeros((d, width)), np.zeros((m + s, width)), np.zeros((p, width))
             e[:, at : at + d], noise[:, at + d : at + d + m + s], b[:, :p] = np.eye(d), np.eye(m + s), np.eye(p)
             out = model.state[k] @ x + model.disturbance[k] @ e + model.coefficient[k] @ b + noise
@@ -55,7 +53,7 @@ class Dense:
                 row.append(value)
             x, mean = out[m:], out_mean[m:]
         once = np.concatenate((model.disturbance_variance, np.diag(model.noise)))
-        variance = np.concatenate((np.ones(p + s), np.tile(once, steps)))
+        variance = np.concatenate((np.ones(p), np.tile(once, steps)))
         states, disturbances, observations = (np.stack(row) for row in rows[:3])
         return cls(states, disturbances, observations, variance, np.stack(rows[3]), np.concatenate(rows[4]))
 
@@ -100,9 +98,7 @@ def test_the_evidence_is_the_log_density_of_the_observations() -> None:
 
 def test_a_spread_is_a_factor_on_the_prior_standard_deviation() -> None:
     model, spread = random_model(), 3.0
-    wide = replace(
-        model, coefficient=model.coefficient * [1.0, spread], initial=model.initial * np.array([1.0, 1.0, spread])
-    )
+    wide = replace(model, coefficient=model.coefficient * [1.0, spread], initial=model.initial * [1.0, spread])
     as_factor = regress(model.filter(), np.zeros(2), np.array([1.0, spread**-2]))
     as_unit = regress(wide.filter(), np.zeros(2), np.ones(2))
     assert as_factor.log_evidence == pytest.approx(as_unit.log_evidence, abs=1e-9)
@@ -139,15 +135,13 @@ def test_an_unknown_start_costs_no_digits() -> None:
         coefficient=np.zeros((steps, 3, 2)),
         disturbance_variance=np.array([1e-10]),
         noise=np.diag([1e-6, 0.0, 0.0]),
-        initial=np.hstack((np.zeros((2, 1)), 1e6 * np.eye(2))),
-        initial_covariance=np.zeros((2, 2)),
+        initial=1e6 * np.eye(2),
     )
     first = model.filter()
     found = regress(first, np.zeros(2), np.ones(2))
     states, _ = first.smooth(found.change)
     # Smoothing what is left changes nothing more.
-    again = replace(model, observed=model.observed - states[:, :1], offset=residual_offset(model, states))
-    second = replace(again, initial=np.hstack((np.zeros((2, 1)), 1e6 * np.eye(2)))).filter()
+    second = replace(model, observed=model.observed - states[:, :1], offset=residual_offset(model, states)).filter()
     change = regress(second, found.change, np.ones(2))
     assert np.abs(second.smooth(change.change)[0]).max() < 1e-9 * np.abs(states).max()
 
@@ -165,9 +159,9 @@ def test_a_model_that_grows_keeps_its_covariances() -> None:
     disturbance = np.tile(np.array([[0.0], [0.0], [0.0], [0.1]]), (steps, 1, 1))
     model = LinearGaussian(
         np.zeros((steps, 2)), np.zeros((steps, 4)), state, disturbance, np.zeros((steps, 4, 0)), np.ones(1),
-        np.diag([1e-4, 1e-4, 0.0, 0.0]), np.zeros((2, 1)), np.eye(2),
+        np.diag([1e-4, 1e-4, 0.0, 0.0]), np.zeros((2, 0)),
     )  # fmt: skip
-    covariance = model.filter().covariance
+    covariance = model.filter().covariance[2:]  # from when both states have been moved
     np.testing.assert_array_equal(covariance, covariance.transpose(0, 2, 1))
     assert np.linalg.eigvalsh(covariance).min() > 0.0
     np.testing.assert_allclose(covariance[-1], covariance[1000], rtol=1e-6)
