@@ -59,5 +59,5 @@ def correlated(std: Sequence[float], correlation: float) -> np.ndarray:
 
 
 def slopes(function, at: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Central differences of a scalar function."""
+    """Central differences of a function, a row for each step."""
     return np.array([(function(at + h) - function(at - h)) / (2 * h.sum()) for h in np.diag(steps)])

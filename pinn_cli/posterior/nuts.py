@@ -154,7 +154,8 @@ class ChainStore:
 
     Attributes:
         folder: Where they lie; created when the first one is written.
-        digest: Of everything that determines the draws but the chain's number.
+        digest: Of everything that determines the draws but the chain's number: likelihood, priors, settings, seed and
+            versions.
     """
 
     folder: Path
@@ -162,8 +163,19 @@ class ChainStore:
 
     @classmethod
     def of(cls, directory: Path, target: Target, settings: NutsSettings, seed: int) -> ChainStore:
-        """In a run's directory."""
-        return cls(directory / CHAINS_FOLDER, _digest(target, settings, seed))
+        """In a run's directory.
+
+        The likelihood is a black box: what it says at its peak and at a few probes about the mode stands for it.
+        """
+        likelihood = target.likelihood
+        said = [seed, settings, likelihood.names, target.priors, [(name, package_version(name)) for name in DRAWN_WITH]]
+        probes = np.random.default_rng(0).standard_normal((PROBES, target.size))
+        answers = [np.append(slope, value) for value, slope in map(target.potential, probes)]
+        peak = likelihood.sigma_force, likelihood.peak, likelihood.curvature
+        digest = hashlib.sha256(repr(said).encode())
+        for array in (*peak, target.mode, target.precision, *answers):
+            digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
+        return cls(directory / CHAINS_FOLDER, digest.hexdigest())
 
     def place(self, chain: int) -> Path:
         """The file of a chain, counted from 1."""
@@ -198,19 +210,3 @@ class ChainStore:
             pass
         log.warning("%s is damaged or of another run: chain %d is sampled again", place, chain)
         return None
-
-
-def _digest(target: Target, settings: NutsSettings, seed: int) -> str:
-    """Of everything that determines a chain's draws but its number: likelihood, priors, settings, seed and versions.
-
-    The likelihood is a black box: what it says at its peak and at a few probes about the mode stands for it.
-    """
-    likelihood = target.likelihood
-    said = [seed, settings, likelihood.names, target.priors, [(name, package_version(name)) for name in DRAWN_WITH]]
-    probes = np.random.default_rng(0).standard_normal((PROBES, target.size))
-    answers = [np.append(slope, value) for value, slope in map(target.potential, probes)]
-    numbers = [likelihood.sigma_force, likelihood.peak, likelihood.curvature, target.mode, target.precision, *answers]
-    digest = hashlib.sha256(repr(said).encode())
-    for array in numbers:
-        digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
-    return digest.hexdigest()

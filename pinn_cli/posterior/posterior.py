@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -180,18 +180,12 @@ def diagnose(samples: PosteriorSamples) -> pd.DataFrame:
     return pd.DataFrame([{"parameter": name, **_row(draws, sampled)} for name, draws in columns.items()])
 
 
-def divergences(samples: PosteriorSamples) -> int:
-    """How many of the draws came from a trajectory that left the density."""
-    return int(np.sum(samples.statistics.get("diverging", 0)))
-
-
 def verdict(table: pd.DataFrame, samples: PosteriorSamples) -> list[str]:
     """What is wrong with the draws, of which `diagnose` made the table, a line each, and what to do about it."""
     if not samples.statistics:
         return []
     lines = [line for row in table.to_dict("records") for line in _faults(row, samples.draws.shape[1])]
-    diverged = divergences(samples)
-    if diverged:
+    if diverged := int(np.sum(samples.statistics.get("diverging", 0))):
         total = samples.draws.shape[0] * samples.draws.shape[1]
         lines.append(
             f"{diverged} of {total} draws diverged: NUTS cannot follow the posterior everywhere, so intervals may be "
@@ -200,26 +194,24 @@ def verdict(table: pd.DataFrame, samples: PosteriorSamples) -> list[str]:
     return lines
 
 
-def _faults(row: dict[Any, Any], draws: int) -> list[str]:
+def _faults(row: dict[Any, Any], draws: int) -> Iterator[str]:
     name, r_hat = row["parameter"], row["r_hat"]
     if not math.isfinite(r_hat):
-        return [f"{name} does not move: its draws are all the same or not finite; look at its prior"]
-    lines = []
+        yield f"{name} does not move: its draws are all the same or not finite; look at its prior"
+        return
     if r_hat > R_HAT:
-        lines.append(
+        yield (
             f"{name}: the chains disagree (R-hat {r_hat:.3f}, must be at most {R_HAT}); raise posterior.warmup and "
             f"posterior.draws (to {2 * draws}, say)"
         )
     kinds = (("ess_bulk", "its mean"), ("ess_tail", "its 90 % interval"))
-    short = [(row[kind], what) for kind, what in kinds if row[kind] < EFFECTIVE_DRAWS]
-    if short:
+    if short := [(row[kind], what) for kind, what in kinds if row[kind] < EFFECTIVE_DRAWS]:
         effective, what = min(short)
         enough = math.ceil(1.2 * draws * EFFECTIVE_DRAWS / max(effective, 1.0) / 100) * 100
-        lines.append(
+        yield (
             f"{name}: only {effective:.0f} effective draws for {what} (must be at least {EFFECTIVE_DRAWS}); raise "
             f"posterior.draws to {enough}"
         )
-    return lines
 
 
 def _row(draws: np.ndarray, sampled: bool) -> dict[str, float]:

@@ -93,10 +93,6 @@ class Target:
         theta[..., self.positive] = self.softplus.parameters(theta[..., self.positive])
         return theta
 
-    def sigma_force(self, x: np.ndarray) -> np.ndarray:
-        """Standard deviations (..., F), N, of the F measured forces' noise at x (..., p + 1)."""
-        return self.likelihood.sigma_force[self.force_dofs] * np.exp(x[..., -1:])
-
     def samples(
         self,
         method: str,
@@ -113,7 +109,7 @@ class Target:
             method=method,
             names=self.likelihood.names,
             draws=self.parameters(x),
-            sigma_force=self.sigma_force(x),
+            sigma_force=self.likelihood.sigma_force[self.force_dofs] * np.exp(x[..., -1:]),
             force_dofs=self.force_dofs + 1,
             prior=np.stack([prior.sample(generator, x.shape[1]) for prior, generator in pairs], axis=-1),
             statistics=statistics or {},
@@ -260,9 +256,13 @@ class Whitening:
     def coordinates(self, q: np.ndarray) -> np.ndarray:
         """X (..., d) of q (..., d): the ``near`` ones first in q, then the rest in order."""
         a, x = len(self.near), np.empty_like(q)
-        rest = q[..., a:] @ self.rest_factor.T
+        rest, off = q[..., a:] @ self.rest_factor.T, np.empty_like(q[..., :a])  # theta off the mode's
+        for j, place in enumerate(self.near):
+            width = self.softplus.width[j]
+            value = self.mode[place] + off[..., :j] @ self.regression[j, :j] + self.scale[j] * q[..., j]
+            x[..., place] = value
+            off[..., j] = width * np.logaddexp(0.0, value / width) - self.theta[j]
         if a:
-            off = self._near(q[..., :a], x)
             rest = rest + off @ self.rest_regression.T
         x[..., self.rest] = self.mode[self.rest] + rest
         return x
@@ -279,13 +279,3 @@ class Whitening:
                 total[:j] += theta_by_x[:j] * self.regression[j, :j] * total[j]
             by_q[:a] = self.scale * total
         return by_q
-
-    def _near(self, q: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Fill in x at the ``near`` ones; how far their theta (..., a) are from the mode's."""
-        off = np.empty_like(q)
-        for j, place in enumerate(self.near):
-            width = self.softplus.width[j]
-            value = self.mode[place] + off[..., :j] @ self.regression[j, :j] + self.scale[j] * q[..., j]
-            x[..., place] = value
-            off[..., j] = width * np.logaddexp(0.0, value / width) - self.theta[j]
-        return off

@@ -40,17 +40,13 @@ def test_the_density_is_that_of_the_parameters_with_the_jacobian(target):
 
     def expected(x: np.ndarray) -> float:
         theta = target.parameters(x)
-        steps = np.append(1e-6 * target.width, 0.0)
-        slope = [
-            ((target.parameters(x + h) - target.parameters(x - h)) / (2 * h.sum())).max() for h in np.diag(steps)[:-1]
-        ]
+        slope = slopes(
+            lambda coordinates: target.parameters(np.append(coordinates, x[-1])), x[:-1], 1e-6 * target.width
+        )
         prior = sum(float(p.log_density(t)) for p, t in zip(PRIORS, theta, strict=True))
-        return LIKELIHOOD.evaluate(theta, x[-1])[0] + prior + float(np.log(slope).sum())
+        return LIKELIHOOD.evaluate(theta, x[-1])[0] + prior + float(np.log(slope.max(axis=1)).sum())
 
-    x, other = (
-        target.whitening.coordinates(np.ones(5)),
-        target.whitening.coordinates(np.array([-1.0, 0.5, -2.0, 0.3, 1.0])),
-    )
+    x, other = map(target.whitening.coordinates, (np.ones(5), np.array([-1.0, 0.5, -2.0, 0.3, 1.0])))
     difference = target.log_density(x)[0] - target.log_density(other)[0]
     s_prior = -0.5 * (x[-1] ** 2 - other[-1] ** 2) / 100
     assert difference == pytest.approx(expected(x) - expected(other) + s_prior, rel=1e-6)
@@ -117,9 +113,8 @@ def whitening(request) -> Whitening:
 
 
 def jacobian(whitening: Whitening, q: np.ndarray) -> np.ndarray:
-    """dx/dq (d, d) by central differences."""
-    steps = 1e-5 * np.eye(len(q))
-    return np.array([(whitening.coordinates(q + h) - whitening.coordinates(q - h)) / 2e-5 for h in steps]).T
+    """dx/dq (d, d)."""
+    return slopes(whitening.coordinates, q, np.full(len(q), 1e-5)).T
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -186,10 +181,8 @@ def conditional() -> ConditionalLikelihood:
 
 
 def gradient(likelihood: ParameterLikelihood, theta: np.ndarray, s: float) -> np.ndarray:
-    def value(x: np.ndarray) -> float:
-        return likelihood.evaluate(x[:-1], x[-1])[0]
-
-    return slopes(value, np.append(theta, s), np.append(1e-4 * STD, 1e-4 * likelihood.s_std))
+    steps = 1e-4 * np.append(STD, likelihood.s_std)
+    return slopes(lambda x: likelihood.evaluate(x[:-1], x[-1])[0], np.append(theta, s), steps)
 
 
 @pytest.mark.parametrize("s", [-9.0, -6.1, -5.9, -2.0, 0.0, 0.7, 5.0, 6.5, 20.0], ids=lambda s: f"{s} deviations")
