@@ -13,9 +13,6 @@ class NoValidation(Validation):
     name = "none"
     scores_records = True
 
-    def check(self, problem: JointProblem, setup: Setup) -> None:
-        """Anything goes."""
-
     def score(self, problem: JointProblem, estimate: Estimate, setup: Setup) -> None:
         """Nothing to score."""
         return
