@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pandas as pd
 from scipy.sparse import csr_matrix
 
 from pinn_cli.baseline.iterated_smoother import IteratedSmoother, Pass, most_probable, stiffened, widened
-from pinn_cli.baseline.state_space import StateSpace, check_channels
+from pinn_cli.baseline.state_space import ON_TIME, StateSpace
 from pinn_cli.model.truncated_gaussian import TruncatedGaussian
 from pinn_cli.network.network import States
 from pinn_cli.physics import estimated_response
@@ -126,16 +127,9 @@ class KalmanSmoother(Estimator):
 
     def check(self, problem: Problem) -> None:
         """See :meth:`Estimator.check`."""
-        moves, factors = problem.inputs.ground or problem.structure.supports, {p.kind for p in problem.uncertain}
-        for refused, where, why in (
-            (has_stiff_law(problem.structure), "with friction that sticks", "it takes explicit steps; give it a speed"),
-            (moves, "where the ground or a support moves", "it would copy the sensors of what they shake"),
-            (problem.prior is not None, "with model=...", "it knows no correlated parameters"),
-            (FACTOR in factors, "where factors of parts are in doubt", "its coordinates would stay what they are"),
-        ):
+        for refused, where, why in _refused(problem):
             if refused:
                 raise InputError("baseline", self.name, f"none {where}", why)
-        check_channels(problem.record, self.name)
 
     def solve(self, problem: JointProblem, run: RunContext) -> Estimate:
         """See :meth:`Estimator.solve`."""
@@ -155,3 +149,21 @@ class KalmanSmoother(Estimator):
             return smoothed_estimate(smoother.space, last, pd.DataFrame(smoother.history), summary)
         except (FloatingPointError, np.linalg.LinAlgError) as error:
             raise DivergenceError(str(error)) from error
+
+
+def _refused(problem: Problem) -> Iterator[tuple[bool, str, str]]:
+    """Whether there are no equations for a problem, where that is, and why."""
+    record, structure = problem.record, problem.structure
+    moves = bool(problem.inputs.ground or structure.supports)
+    yield has_stiff_law(structure), "with friction that sticks", "it takes explicit steps; give it a speed"
+    yield moves, "where the ground or a support moves", "it would copy the sensors of what they shake"
+    yield problem.prior is not None, "with model=...", "it knows no correlated parameters"
+    factors = any(p.kind == FACTOR for p in problem.uncertain)
+    yield factors, "where factors of parts are in doubt", "its coordinates would stay what they are"
+    for channel in record.calibrated:
+        such = f"channel {channel.key} is such"
+        yield not channel.number("delay").is_known, "where a delay is in doubt", such
+        yield channel.filter_order > 0, "where a sensor is behind a filter", such
+        sparse = (channel.even_step or math.inf) >= (1.0 + ON_TIME) * record.step
+        between = sparse and np.abs(channel.places(record.time)[1]).max() > ON_TIME
+        yield bool(between), "where samples lie between the record's times", such

@@ -27,11 +27,9 @@ from pinn_cli.baseline.linear_gaussian import LinearGaussian
 from pinn_cli.record.between_samples import between_samples
 from pinn_cli.record.channel import Channel
 from pinn_cli.record.channels import record_band
-from pinn_cli.record.record import Record
 from pinn_cli.record.steps import STEP_TIMES_RATE, substeps_needed
 from pinn_cli.scheme.calibration import calibrations
 from pinn_cli.scheme.problem import Problem, inputs_of
-from pinn_cli.settings.errors import InputError
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import ParameterVector
@@ -350,7 +348,7 @@ class ChannelRows:
 
     @classmethod
     def of(cls, samples: SensorSamples, feels: Feels, time: np.ndarray) -> ChannelRows:
-        """Of a channel that :func:`check_channels` passes, at the record's times (N,), s."""
+        """Of a channel that the smoother takes, at the record's times (N,), s."""
         channel = samples.channel
         place, off = channel.places(time)
         shown, present = np.zeros(len(time)), np.zeros(len(time), dtype=bool)
@@ -389,19 +387,3 @@ class ChannelRows:
             if p.kind in by_kind and p.index == self.channel.index:
                 out[:, column] += p.prior_std * by_kind[p.kind]
         return out * self.present[:, None]
-
-
-def check_channels(record: Record, name: str) -> None:
-    """Refuse sensors without rows: a delay in doubt, a filter, samples between the record's times."""
-    for channel in record.calibrated:
-        sparse = (channel.even_step or math.inf) >= (1.0 + ON_TIME) * record.step
-        for refused, where in (
-            (not channel.number("delay").is_known, "a delay is in doubt"),
-            (channel.filter_order > 0, "a sensor is behind a filter"),
-            (
-                sparse and np.abs(channel.places(record.time)[1]).max() > ON_TIME,
-                "samples lie between the record's times",
-            ),
-        ):
-            if refused:
-                raise InputError("baseline", name, f"none where {where}", f"channel {channel.key} is such")

@@ -10,7 +10,7 @@ from random_problems import generators, problems
 from small_problems import NONLINEARITIES, measured, relative_error, small_chain
 
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
-from pinn_cli.baseline.state_space import StateSpace, Trajectory, check_channels
+from pinn_cli.baseline.state_space import StateSpace, Trajectory
 from pinn_cli.record.channel import Calibration, Channel, unknown_calibration
 from pinn_cli.record.record import Measurements, Record
 from pinn_cli.record.steps import has_stiff_law, substeps_needed
@@ -167,6 +167,7 @@ def test_what_it_has_no_rows_for_is_refused_in_one_line() -> None:
         (replace(plain, filter_order=1), "none where a sensor is behind a filter"),
         (aside, "between the record's times"),
     ):
-        said = refusal(check_channels, replace(record, calibrated=(channel,)), "kalman_smoother")
+        problem = Problem(small_chain("linear"), replace(record, calibrated=(channel,)))
+        said = refusal(KalmanSmoother().check, problem)
         assert said.startswith("baseline=kalman_smoother: must be none where")
         assert expected in said
