@@ -234,8 +234,7 @@ class _Fits:
         x = fit.structure.start(candidate.parameters[MASS], candidate.parameters["k"])
         residual, slopes = fit.residual(x), fit.slopes(x) if len(x) else np.empty(0)
         missed = (np.abs(residual) ** 2).sum((0, 2))
-        sensors = list(fit.spectra.sensors)
-        worst = [sensors[i] for i in np.argsort(-missed, kind="stable")[:SUSPECTED]]
+        worst = sorted(np.argsort(-missed, kind="stable")[:SUSPECTED].tolist())
         columns, rest = real_rows(slopes.reshape(residual.size, -1)), real_rows(residual.reshape(-1))
         held = np.array([not np.isnan(self.known[kind][index]) for kind, index in places], dtype=bool)
         basis, _ = np.linalg.qr(columns[:, ~held])
@@ -243,7 +242,7 @@ class _Fits:
         explained = (independent.T @ rest) ** 2 / np.maximum((independent**2).sum(axis=0), 1e-300)
         doubtful = [p for p, is_held in zip(given, held, strict=True) if is_held]
         most = [doubtful[i] for i in np.argsort(-explained)[:SUSPECTED]]
-        return [channel for channel in sensors if channel in worst], most
+        return [fit.spectra.sensors[i] for i in worst], most
 
     def _fit(self, record: Record, known: dict[str, np.ndarray], doubted: Channel | None = None) -> LinearFit:
         """Of the record's spectra."""

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from scipy.signal import cont2discrete, dlsim
 
 RATE = 50.0
 DAMPING = 0.02
@@ -15,10 +15,11 @@ class Chain:
         self.K = k * (2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
         self.K[-1, -1] = k
         square, shapes = np.linalg.eigh(self.K)
-        self.C = shapes @ np.diag(2.0 * DAMPING * np.sqrt(square)) @ shapes.T
-        system = np.zeros((11, 11))
-        system[:5, 5:10], system[5:10, :5], system[5:10, 5:10], system[9, 10] = np.eye(5), -self.K, -self.C, 1.0
-        self.step = expm(system / RATE)[:10]
+        C = shapes @ np.diag(2.0 * DAMPING * np.sqrt(square)) @ shapes.T
+        flow = np.block([[np.zeros((n, n)), np.eye(n)], [-self.K, -C]])
+        push = np.eye(2 * n)[:, -1:]
+        # Displacements and accelerations of states and of the force.
+        self.system = cont2discrete((flow, push, np.vstack((np.eye(n, 2 * n), flow[n:])), push), 1.0 / RATE)
 
     def record(self, seconds: float, seed: int, snr_db: float = 30.0) -> tuple[np.ndarray, ...]:
         """Times (N,), force (N,), displacements and accelerations (N, 5), noise on all but the displacements."""
@@ -26,12 +27,7 @@ class Chain:
         spectrum = np.fft.rfft(random.normal(size=samples))
         spectrum[np.fft.rfftfreq(samples, 1.0 / RATE) > 8.0] = 0.0
         force = np.fft.irfft(spectrum, samples)
-        states = np.zeros((samples + 1, 10))
-        for i in range(samples):
-            states[i + 1] = self.step @ np.append(states[i], force[i])
-        u, v = states[:-1, :5], states[:-1, 5:]
-        a = -u @ self.K.T - v @ self.C.T
-        a[:, 4] += force
+        u, a = np.hsplit(dlsim(self.system, force)[1], 2)
         noisy = [x + random.normal(size=x.shape) * x.std(axis=0) * 10.0 ** (-snr_db / 20.0) for x in (force, a)]
         return np.arange(samples) / RATE, noisy[0], u, noisy[1]
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from fake_posteriors import make_samples
+from scipy.signal import lfilter
 
 from pinn_cli.posterior.posterior import (
     PREDICTED_DRAWS,
@@ -23,13 +24,11 @@ def samples(draws: np.ndarray, **changes: object) -> PosteriorSamples:
     return replace(made, draws=np.stack([draws, made.draws[..., 1]], axis=-1))
 
 
-def walk(step: float, count: int = 1000, chains: int = 4) -> np.ndarray:
-    """An autoregression that forgets at the rate of ``step``."""
-    noise = np.random.default_rng(2).standard_normal((chains, count))
-    out = noise.copy()
-    for i in range(1, count):
-        out[:, i] = (1 - step) * out[:, i - 1] + np.sqrt(1 - (1 - step) ** 2) * noise[:, i]
-    return out
+def walk(step: float) -> np.ndarray:
+    """An autoregression of variance one that forgets at the rate of ``step``."""
+    noise = np.random.default_rng(2).standard_normal((4, 1000))
+    noise[:, 1:] *= np.sqrt(1 - (1 - step) ** 2)
+    return lfilter([1.0], [1.0, step - 1.0], noise)
 
 
 def test_good_draws():

@@ -145,11 +145,8 @@ QUIET, LOUD = 1e-3, 1e3
 
 
 def asked(record: Record, noise: float = QUIET) -> list[str]:
-    levels = FoundNoise({"acceleration": np.array([np.nan, np.nan, noise])})
-    problem = Problem(LINEAR, record)
-    motion = measured().truth.response
-    estimate = Estimate(motion, motion, [], pd.DataFrame(), {}, noise=levels)
-    return [finding.text for finding in sampling_findings(problem, estimate, LINEAR)]
+    given = estimate(measured(), acceleration=[np.nan, np.nan, noise])
+    return [finding.text for finding in sampling_findings(Problem(LINEAR, record), given, LINEAR)]
 
 
 @pytest.fixture(scope="module")
