@@ -20,10 +20,11 @@ from multiprocessing import get_context
 
 import numpy as np
 import pandas as pd
-from hydra import compose, initialize_config_module
 
 from benchmarks.written import ROOT, markdown, write
+from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.config import RunConfig
+from pinn_cli.cli.prepare import prepare_problem
 from pinn_cli.posterior.conditional import Conditional
 from pinn_cli.posterior.laplace import Laplace
 from pinn_cli.posterior.marginal import Marginal
@@ -54,12 +55,9 @@ class Trial:
     def __call__(self) -> pd.DataFrame:
         """``parameter, error_percent, holds, r_hat, ess_bulk, seconds``, ...: a row for each method and parameter."""
         settings = [f"experiment=paper/pe_2dof_{self.case}", f"excitation.dofs={self.forced}", "noise.seeds=null"]
-        with initialize_config_module("pinn_cli.conf", version_base="1.3"):
-            config = RunConfig.read(compose("config", overrides=[*settings, f"seed={self.seed}", *self.overrides]))
-        true, prescribed = config.model_error.structures(config.structure)
-        measurements = config.source.measure(true)
-        problem = config.scheme.pose(prescribed, [config.observe(measurements.record)])
-        run = RunContext(seed=self.seed)
+        config = RunConfig.read(compose_config([*settings, f"seed={self.seed}", *self.overrides]))
+        prepared, run = prepare_problem(config), RunContext(seed=self.seed)
+        problem = prepared.problem
         estimate = config.estimator.solve(problem, run)
         assert estimate.likelihoods is not None
         tables = []
@@ -67,7 +65,7 @@ class Trial:
             start = time.process_time()
             samples = draws(method, estimate.likelihoods, problem, run)
             seconds = time.process_time() - start
-            table = scored(samples, problem.alone.uncertain, measurements.truth)
+            table = scored(samples, problem.alone.uncertain, prepared.truth)
             tables.append(table.assign(method=method, seconds=seconds))
         return pd.concat(tables).assign(case=f"{CASES[self.case]}, {FORCED[self.forced]}", seed=self.seed)
 

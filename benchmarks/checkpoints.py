@@ -12,9 +12,9 @@ import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from hydra import compose, initialize_config_module
-
+from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.config import RunConfig
+from pinn_cli.cli.prepare import prepare_problem
 from pinn_cli.runs.checkpoint import LAST, Checkpoints, Resumable
 from pinn_cli.runs.identity import Identity
 from pinn_cli.training.estimate import RunContext
@@ -54,11 +54,8 @@ def main() -> None:
     """Measure and print."""
     overrides = ["experiment=[paper/sr_6dof_snr50,paper_training]", "training.stages=1"]
     overrides += [f"training.iterations={WARMUP + 2 * WRITES}", "training.history_every=1"]
-    with initialize_config_module("pinn_cli.conf", version_base="1.3"):
-        composed = compose("config", overrides=overrides)
-    config = RunConfig.read(composed)
-    true, prescribed = config.model_error.structures(config.structure)
-    problem = config.scheme.pose(prescribed, [config.observe(config.source.measure(true).record)])
+    config = RunConfig.read(compose_config(overrides))
+    problem = prepare_problem(config).problem
     with TemporaryDirectory(dir=".") as scratch:
         kept = Timed(Path(scratch), config.identity, config.checkpoint_every_s)
         estimate = config.estimator.solve(problem, RunContext(directory=Path(scratch), checkpoints=kept))

@@ -16,10 +16,11 @@ from statistics import median
 
 import pandas as pd
 import torch
-from hydra import compose, initialize_config_module
 
 from benchmarks.plain_step import PlainNetwork
+from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.config import RunConfig
+from pinn_cli.cli.prepare import prepare_problem
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
 from pinn_cli.training.gradient.losses import Objective
@@ -36,13 +37,10 @@ LARGE = 2048
 
 def objective(overrides: list[str]) -> tuple[Objective, Adam]:
     """The problem of a configuration, as its training sees it."""
-    with initialize_config_module("pinn_cli.conf", version_base=None):
-        config = RunConfig.read(compose("config", overrides=overrides))
+    config = RunConfig.read(compose_config(overrides))
     training = config.training
     assert isinstance(training, Adam)
-    _, prescribed = config.model_error.structures(config.structure)
-    problem = config.scheme.pose(prescribed, [config.observe(config.source.measure(config.structure).record)]).alone
-    return training.objective(problem, config.network, RunContext()), training
+    return training.objective(prepare_problem(config).problem.alone, config.network, RunContext()), training
 
 
 def our_step(given: Objective, training: Adam) -> Callable[[], None]:

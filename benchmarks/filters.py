@@ -27,9 +27,9 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 
 from benchmarks.__main__ import counted
-from benchmarks.trust.case import Case, Truth
+from benchmarks.trust.case import Case
 from benchmarks.trust.families.nonlinear import bouc_wen
-from benchmarks.trust.structures import Connection, Structure, noisy, simulated
+from benchmarks.trust.structures import Structure, noisy, simulated
 from benchmarks.trust.waves import random_waves
 from benchmarks.written import markdown, write
 from pinn_cli.system.priors import HALF_WIDTH_90
@@ -220,12 +220,8 @@ def drawn(seed: int) -> tuple[Case, Model]:
     rng, n = np.random.default_rng([seed, 120]), STOREYS
     mass = 1e4 * rng.uniform(0.8, 1.2, n)
     k = mass.mean() * (2.0 * np.pi * 2.0) ** 2 / 0.2 * rng.uniform(0.8, 1.2, n)
-    rows = np.eye(n) - np.eye(n, k=-1)
-    links = [
-        Connection(f"storey_{i + 1}", rows[i], values={"k": k[i], "c": 2.0 * 0.02 * np.sqrt(k[i] * mass[i])})
-        for i in range(n)
-    ]
-    structure = Structure(tuple(f"x{i + 1}" for i in range(n)), mass, tuple(links))
+    structure = Structure.chain(mass, "storey_", k=k, c=2.0 * 0.02 * np.sqrt(k * mass))
+    lowest, *others = structure.connections
     times = np.arange(0.0, SECONDS, 1.0 / RATE)
     waves = random_waves(rng, (0.2, 25.0), np.array([0.1 * 9.81 * mass.mean()]), 600, np.ones_like)
     dense = np.arange(0.0, SECONDS + 0.1, 1.0 / (20.0 * 25.0))
@@ -233,19 +229,18 @@ def drawn(seed: int) -> tuple[Case, Model]:
     M, C, K = np.diag(mass), structure.matrix("c"), structure.matrix("k")
     linear = waves.moves(M, C, K, roof[:, None], times)
     stretch, speed = (float(of[:, 0].std()) for of in (linear.displacement, linear.velocity))
-    structure = replace(structure, connections=(bouc_wen(rng, links[0], stretch, speed), *links[1:]))
+    structure = replace(structure, connections=(bouc_wen(rng, lowest, stretch, speed), *others))
     motion = simulated(structure, lambda t: roof * unit(t), times, 25.0, method="LSODA")
     felt = np.stack([noisy(rng, motion.acceleration[:, i], DECIBEL) for i in range(n)], -1)
     table = {"t": times, "f": unit(times)} | {f"a{i + 1}": felt[:, i] for i in range(n)}
     settings, true = structure.unknown(force={structure.dofs[-1]: "f"}, acceleration=structure.columns("a"))
-    truth = Truth(true, motion.displacement, motion.velocity, motion.acceleration, tuple(range(n)))
     names = tuple(f"{kind}_storey_{i + 1}" for kind in "kc" for i in range(n))
     names += tuple(f"{kind}_storey_1" for kind in ("A", "beta", "gamma"))
     noise = motion.acceleration.std(0) * 10.0 ** (-DECIBEL / 20.0)
     sign = rng.choice([-1.0, 1.0], len(names))
     first = np.log([true[name] for name in names]) + np.log1p(OFF) * sign
     model = Model(mass, names, table["f"], felt, noise, first)
-    return Case("filters", seed, {"record.csv": pd.DataFrame(table)}, settings, truth), model
+    return Case("filters", seed, {"record.csv": pd.DataFrame(table)}, settings, motion.truth(true, range(n))), model
 
 
 def by_program(case: Case) -> tuple[pd.DataFrame, float]:

@@ -88,26 +88,16 @@ def write(page: Path, name: str, text: str, command: str) -> None:
         command: That made it: `make bench`.
 
     Raises:
-        LookupError: The page has no such block.
+        LookupError: The page has no such block, or two.
     """
-    today = datetime.datetime.now(datetime.UTC).date().isoformat()
-    replace(page, Block(name, command, program_revision(), today, text))
-
-
-def replace(page: Path, block: Block) -> None:
-    """Put a block where the page has one of its name.
-
-    Raises:
-        LookupError: It has none, or two.
-    """
-    old = page.read_text(encoding="utf-8")
-    places = [each.span() for each in BLOCK.finditer(old) if each["name"] == block.name]
+    old, today = page.read_text(encoding="utf-8"), datetime.datetime.now(datetime.UTC).date().isoformat()
+    places = [each.span() for each in BLOCK.finditer(old) if each["name"] == name]
     if len(places) != 1:
-        message = f"{page} has {len(places)} blocks {block.name!r}, not one: write <!-- measured: {block.name} -->"
-        raise LookupError(f"{message} and <!-- end of {block.name} --> where it belongs")
-    (first, last), new = places[0], str(block)
-    page.write_text(old[:first] + new + old[last:], encoding="utf-8")
-    print(f"{page}: {block.name}")
+        message = f"{page} has {len(places)} blocks {name!r}, not one: write <!-- measured: {name} -->"
+        raise LookupError(f"{message} and <!-- end of {name} --> where it belongs")
+    (first, last), new = places[0], Block(name, command, program_revision(), today, text)
+    page.write_text(f"{old[:first]}{new}{old[last:]}", encoding="utf-8")
+    print(f"{page}: {name}")
 
 
 def program_revision() -> str:

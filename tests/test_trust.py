@@ -193,23 +193,17 @@ def test_a_chain_with_cubic_springs_or_of_known_ones_is_not_for_them():
 def test_both_peers_find_springs_and_dampers_on_a_moving_ground():
     """Three storeys; absolute accelerations of two of them."""
     rng, times, mass = np.random.default_rng(3), np.arange(0.0, 40.0, 0.02), np.array([2e3, 2e3, 1.5e3])
-    links = tuple(
-        Connection(str(i + 1), row, values={"c": 900.0, "k": k})
-        for i, (row, k) in enumerate(zip(np.eye(3) - np.eye(3, k=-1), (8e5, 7e5, 6e5), strict=True))
-    )
-    structure, ground = Structure(("1", "2", "3"), mass, links), sinusoids(rng, 0.3, 8.0, 1.0)
+    structure = Structure.chain(mass, dof="", c=np.full(3, 900.0), k=np.array([8e5, 7e5, 6e5]))
+    links, ground = structure.connections, sinusoids(rng, 0.3, 8.0, 1.0)
     motion = simulated(structure, lambda t: -mass * ground(np.array(t)), times, 8.0)
     felt = {f"a{i}": motion.acceleration[:, i] + ground(times) for i in (0, 2)}
     table = {"t": times, "g": noisy(rng, ground(times), 50)}
     table |= {name: noisy(rng, values, 50) for name, values in felt.items()}
     noise = {name: float(values.std()) * 10.0 ** (-50 / 20) for name, values in felt.items()}
-    told = Told(
-        mass, np.stack([link.row for link in links]),
-        {f"k_{i + 1}": (i, 1.3 * link.values["k"]) for i, link in enumerate(links)}
-        | {f"c_{i + 1}": (i, 0.6 * link.values["c"]) for i, link in enumerate(links)},
-        ("k_1", "k_2", "k_3", "c_1", "c_2", "c_3"), (Input("g", 10.0 ** (-50 / 20), -mass),),
-        tuple(Sensor(name, "absolute", int(name[1]), noise[name]) for name in felt),
-    )  # fmt: skip
+    believed = {f"k_{link.name}": 1.3 * link.values["k"] for link in links}
+    believed |= {f"c_{link.name}": 0.6 * link.values["c"] for link in links}
+    sensors = tuple(Sensor(name, "absolute", int(name[1]), noise[name]) for name in felt)
+    told = Told.of(structure, believed, (Input("g", 10.0 ** (-50 / 20), -mass),), sensors)
     nothing = np.zeros((0, 3))
     truth = Truth(structure.parameters(), nothing, nothing, nothing, (0, 2))
     found = compared(Case("ground", 0, {"record.csv": pd.DataFrame(table)}, {}, truth, peer=told))

@@ -54,16 +54,13 @@ def building(rng: Generator, n: int) -> Structure:
         rows.append(rows[low] + rows[low + 1])
         share.append(float(rng.uniform(0.2, 0.8)))
     dofs, first = tuple(f"x{i + 1}" for i in range(n)), 10.0 ** rng.uniform(-1, 2)
-    unscaled = Structure(dofs, mass, tuple(Connection(a, b, values={"k": x}) for a, b, x in _zip(names, rows, share)))
+    links = (Connection(a, b, values={"k": x}) for a, b, x in zip(names, rows, share, strict=True))
+    unscaled = Structure(dofs, mass, tuple(links))
     lowest, highest = unscaled.modes()[0][[0, -1]]
     ratio = 2.0 * rng.uniform(0.005, 0.03) / (2.0 * np.pi * first * np.sqrt(highest / lowest))
     k = np.array(share) * (first / lowest) ** 2
-    links = (Connection(a, b, values={"c": ratio * x, "k": x}) for a, b, x in _zip(names, rows, k.tolist()))
+    links = (Connection(a, b, values={"c": ratio * x, "k": x}) for a, b, x in zip(names, rows, k.tolist(), strict=True))
     return Structure(dofs, mass, tuple(links))
-
-
-def _zip(names: Sequence[str], rows: Sequence[np.ndarray], values: Sequence[float]) -> list[tuple]:  # type: ignore[type-arg]
-    return list(zip(names, rows, values, strict=True))
 
 
 def shaking(

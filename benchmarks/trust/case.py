@@ -22,6 +22,11 @@ Settings = Mapping[str, object]
 Arrays = dict[str, np.ndarray]
 
 
+def record_data(name: str = "record.csv", **columns: object) -> dict[str, object]:
+    """`data:` of an experiment: a file of the case, and its columns by quantity."""
+    return {"path": f"{HERE}/{name}", "time": "t", **columns}
+
+
 @dataclass(frozen=True)
 class Truth:
     """What the estimate is compared with.

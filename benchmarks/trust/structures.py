@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh, expm
 
-from benchmarks.trust.case import HERE, UNKNOWN_STRUCTURE
+from benchmarks.trust.case import UNKNOWN_STRUCTURE, Truth, record_data
 
 Force = Callable[[float], np.ndarray]
 
@@ -61,6 +61,23 @@ class Structure:
     connections: tuple[Connection, ...]
     damping: np.ndarray | None = None
 
+    @classmethod
+    def chain(cls, mass: np.ndarray, name: str = "", dof: str = "x", **values: np.ndarray) -> Structure:
+        """Storeys from the ground up.
+
+        Args:
+            mass: kg, (n,).
+            name: What comes before the number of a connection.
+            dof: What comes before that of a DOF.
+            values: Of the connections by kind, (n,).
+        """
+        rows, numbers = np.eye(len(mass)) - np.eye(len(mass), k=-1), range(1, len(mass) + 1)
+        links = (
+            Connection(f"{name}{i}", row, values={kind: float(x[i - 1]) for kind, x in values.items()})
+            for i, row in zip(numbers, rows, strict=True)
+        )
+        return cls(tuple(f"{dof}{i}" for i in numbers), mass, tuple(links))
+
     @property
     def n(self) -> int:
         """DOFs."""
@@ -85,6 +102,19 @@ class Structure:
             for link in self.connections
         )
         return replace(self, connections=links)
+
+    def tuned(self, first: float) -> Structure:
+        """The same with the springs that give its first mode this frequency, Hz."""
+        factor = (first / self.modes()[0][0]) ** 2
+        return self.with_values("k", {link.name: link.values["k"] * factor for link in self.connections})
+
+    def hardened(self, kappa: np.ndarray) -> Structure:
+        """The same with cubic springs beside the linear ones, N/m^3, (connections,)."""
+        links = (
+            replace(link, law="duffing", force=lambda e, v, z, x=x: x * e**3)  # type: ignore[misc]
+            for link, x in zip(self.connections, kappa, strict=True)
+        )
+        return replace(self, connections=tuple(links))
 
     def settings(self) -> dict[str, object]:
         """`system:` of an experiment, all parameters prescribed at their values."""
@@ -113,7 +143,7 @@ class Structure:
         settings: dict[str, object] = {
             "defaults": UNKNOWN_STRUCTURE,
             "system": system,
-            "data": {"path": f"{HERE}/record.csv", "time": "t", **data},
+            "data": record_data(**data),
             "scheme": {"unknown": "missing", "initial_motion": "rest"},
         }
         return settings, found
@@ -136,6 +166,10 @@ class Motion:
     velocity: np.ndarray
     acceleration: np.ndarray
     memory: np.ndarray
+
+    def truth(self, parameters: dict[str, float], sensed: Iterable[int]) -> Truth:
+        """What an estimate is compared with: these parameters and this motion; DOFs with a sensor, from 0."""
+        return Truth(parameters, self.displacement, self.velocity, self.acceleration, tuple(map(int, sensed)))
 
 
 def simulated(

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
-from benchmarks.trust.case import HERE, Case, Truth
-from benchmarks.trust.structures import Connection, Structure, noise, noisy, simulated, sinusoids
+from benchmarks.trust.case import Case, record_data
+from benchmarks.trust.structures import Structure, noise, noisy, simulated, sinusoids
 from benchmarks.trust.told import Input, Sensor, Told
 
 
@@ -17,11 +17,7 @@ def draw(seed: int) -> Case:
     n = int(rng.integers(1, 9))
     mass = 10.0 ** rng.uniform(-3, 6) * rng.uniform(0.7, 1.3, n)
     shape, first = rng.uniform(0.6, 1.4, n), 10.0 ** rng.uniform(-1, 2)
-    rows = np.eye(n) - np.eye(n, k=-1)
-    names = [str(i + 1) for i in range(n)]
-    dofs = tuple(f"x{name}" for name in names)
-    links = tuple(Connection(*of) for of in zip(names, rows, ["linear"] * n, [{"k": x} for x in shape], strict=True))
-    unscaled = Structure(dofs, mass, links)
+    unscaled = Structure.chain(mass, k=shape)
     k = shape * (first / unscaled.modes()[0][0]) ** 2
     frequencies = unscaled.modes()[0] * first / unscaled.modes()[0][0]
     last = frequencies[-1]
@@ -41,20 +37,13 @@ def draw(seed: int) -> Case:
     fine = np.arange(0.0, times[-1] + 1.0 / rate, 1.0 / (40.0 * highest))
     spline = CubicSpline(fine, exact(fine))
     place = np.eye(n)[dof]
-    linear = Structure(
-        unscaled.dofs, mass,
-        tuple(Connection(str(i + 1), rows[i], values={"c": float(c[i]), "k": float(k[i])}) for i in range(n)),
-    )  # fmt: skip
+    linear = Structure.chain(mass, c=c, k=k)
     motion = simulated(linear, lambda t: place * spline(t), times, highest)
     kappa = np.zeros(n)
     if cubic.any():
         spread = np.diff(motion.displacement, axis=1, prepend=0.0).var(axis=0)
         kappa = strength * k / np.maximum(spread, 1e-300)
-        links = tuple(
-            Connection(link.name, link.row, "duffing", link.values, lambda e, v, z, x=x: x * e**3)  # type: ignore[misc]
-            for link, x in zip(linear.connections, kappa, strict=True)
-        )
-        motion = simulated(Structure(linear.dofs, mass, links), lambda t: place * spline(t), times, highest)
+        motion = simulated(linear.hardened(kappa), lambda t: place * spline(t), times, highest)
     table = {"t": times, "f": noisy(rng, spline(times), force_db)}
     felt = getattr(motion, kind)
     table |= {f"y{i + 1}": noisy(rng, felt[:, i], response_db) for i in sensors}
@@ -69,17 +58,11 @@ def draw(seed: int) -> Case:
             "_self_",
         ],
         "system": {"ndof": n, "m": mass, "c": c, "k": prescribed} | ({"kappa": kappa} if cubic.any() else {}),
-        "data": {
-            "path": f"{HERE}/record.csv", "time": "t", "force": {dof + 1: "f"},
-            kind: {int(i) + 1: f"y{i + 1}" for i in sensors},
-        },
-    }  # fmt: skip
+        "data": record_data(force={dof + 1: "f"}, **{kind: {int(i) + 1: f"y{i + 1}" for i in sensors}}),
+    }
     if unknown:
         settings["scheme"] = {"unknown": ["k_*"]}
-    truth = Truth(
-        {f"k_{i + 1}": float(x) for i, x in enumerate(k)} if unknown else {},
-        motion.displacement, motion.velocity, motion.acceleration, tuple(int(i) for i in sensors),
-    )  # fmt: skip
+    truth = motion.truth(linear.parameters("k") if unknown else {}, sensors)
     peer = None
     if unknown and not cubic.any():
         peer = Told.of(

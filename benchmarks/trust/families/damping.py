@@ -8,29 +8,17 @@ import numpy as np
 import pandas as pd
 from numpy.random import Generator
 
-from benchmarks.trust.case import HERE, Case, Truth
+from benchmarks.trust.case import Case, record_data
 from benchmarks.trust.families.ground import building, shaking
 from benchmarks.trust.families.topology import frame, guessed
-from benchmarks.trust.structures import (
-    Connection,
-    Structure,
-    damping_matrix,
-    linear_motion,
-    noisy,
-    sinusoids,
-    uncertainty,
-)
+from benchmarks.trust.structures import Structure, damping_matrix, linear_motion, noisy, sinusoids, uncertainty
 
 
 def chain(rng: Generator) -> Structure:
     """2 to 7 storeys, named as those of `system=linear`; no dampers."""
     n = int(rng.integers(2, 8))
     mass = 10.0 ** rng.uniform(-3, 6) * rng.uniform(0.7, 1.3, n)
-    rows, shape = np.eye(n) - np.eye(n, k=-1), rng.uniform(0.6, 1.4, n)
-    links = (Connection(str(i + 1), rows[i], values={"k": float(shape[i])}) for i in range(n))
-    unscaled = Structure(tuple(f"{i + 1}" for i in range(n)), mass, tuple(links))
-    factor = (10.0 ** rng.uniform(-1, 2) / unscaled.modes()[0][0]) ** 2
-    return unscaled.with_values("k", {link.name: link.values["k"] * factor for link in unscaled.connections})
+    return Structure.chain(mass, dof="", k=rng.uniform(0.6, 1.4, n)).tuned(10.0 ** rng.uniform(-1, 2))
 
 
 def stated(rng: Generator, structure: Structure, ends: float) -> tuple[Structure, str, dict[str, float]]:
@@ -89,18 +77,16 @@ def draw(seed: int) -> Case:
         felt, where = motion.acceleration, {"force": {dof(structure, int(np.argmax(at))): "input"}}
     table = {"t": times, "input": noisy(rng, given, input_db)}
     table |= {f"a{i + 1}": noisy(rng, felt[:, i], response_db) for i in sensors}
-    data = {"path": f"{HERE}/record.csv", "time": "t"} | where
-    data["acceleration"] = {dof(structure, i): f"a{i + 1}" for i in sensors}
     true = structure.parameters("k") if unknown != "damping" else {}
     true |= damping if unknown != "stiffness" else {}
     defaults = [{"override /system": "linear" if kind == "chain" else "structure"}, {"override /data": "csv"}]
     settings = {
         "defaults": [*defaults, {"override /scheme": "state_parameter"}, "_self_"],
         "system": system(rng, structure, (how, damping), unknown),
-        "data": data,
+        "data": record_data(**where, acceleration={dof(structure, i): f"a{i + 1}" for i in sensors}),
         "scheme": {"unknown": list(true)},
     }
-    truth = Truth(true, motion.displacement, motion.velocity, felt, tuple(int(i) for i in sensors))
+    truth = replace(motion, acceleration=felt).truth(true, sensors)
     about = (
         f"{kind} of {n}, {len(structure.connections)} springs, {first:.3g} to {last:.3g} Hz, {1.0 / times[1]:.4g} Hz x"
         f" {len(times)}, {about}, {input_db:.0f} dB; on {(sensors + 1).tolist()}, {response_db:.0f} dB; {how},"

@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.random import Generator
 from scipy.linalg import eigh
 
-from benchmarks.trust.case import HERE, Case, Truth
+from benchmarks.trust.case import HERE, Case, Truth, record_data
 from benchmarks.trust.structures import noisy
 from benchmarks.trust.waves import random_waves
 
@@ -86,10 +86,7 @@ def draw(seed: int) -> Case:
             "path": f"{HERE}/model.npz", "dofs": named, "modes": reached + int(rng.integers(1, 4)),
             "factors": dict.fromkeys(names), "damping": {"ratio": ratio if damping_known else None},
         },
-        "data": {
-            "path": f"{HERE}/record.csv", "time": "t", "force": {keys[-1]: "f"},
-            kind: {keys[i]: f"y{i + 1}" for i in sensors},
-        },
+        "data": record_data(force={keys[-1]: "f"}, **{kind: {keys[i]: f"y{i + 1}" for i in sensors}}),
         "scheme": {"unknown": ["factor_*"] + ([] if damping_known else ["zeta"]), "parameter_uncertainty": 0.0}
         | ({} if moving else {"initial_motion": "rest"}),
     }  # fmt: skip

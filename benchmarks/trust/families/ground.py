@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +11,8 @@ import pandas as pd
 from numpy.random import Generator
 from scipy.interpolate import CubicSpline
 
-from benchmarks.trust.case import HERE, UNKNOWN_STRUCTURE, Case, Truth
-from benchmarks.trust.families.topology import believed, damped, guessed
+from benchmarks.trust.case import Case
+from benchmarks.trust.families.topology import believed, damped, guessed_system, springs_and_dampers
 from benchmarks.trust.structures import Connection, Structure, linear_motion, noise, noisy, uncertainty
 from benchmarks.trust.told import Input, Sensor, Told
 
@@ -35,9 +35,7 @@ def building(rng: Generator, fewest: int, most: int) -> Structure:
     shape = rng.uniform(0.6, 1.5, len(rows)) * np.where(np.arange(len(rows)) < n, 1.0, 0.4)
     dofs = tuple(f"floor_{i + 1}" for i in range(n))
     links = (Connection(name, row, values={"k": float(k)}) for name, row, k in zip(names, rows, shape, strict=True))
-    unscaled = Structure(dofs, mass, tuple(links))
-    factor = (10.0 ** rng.uniform(-1, 1.5) / unscaled.modes()[0][0]) ** 2
-    return unscaled.with_values("k", {link.name: link.values["k"] * factor for link in unscaled.connections})
+    return Structure(dofs, mass, tuple(links)).tuned(10.0 ** rng.uniform(-1, 1.5))
 
 
 def filtered_noise(rng: Generator, first: float, ends: float, duration: float) -> Ground:
@@ -137,24 +135,14 @@ def draw(seed: int) -> Case:
     felt = motion.acceleration + (a_g[:, None] if frame == "absolute" else 0.0)
     table = {"t": times, "g": noisy(rng, a_g, ground_db)}
     table |= {f"a{i + 1}": noisy(rng, felt[:, i], response_db) for i in sensors}
-    system = structure.settings()
-    nothing_said = rng.random() < 0.5
-    for link in structure.connections:
-        system["connections"][link.name] |= {  # type: ignore[index]
-            "k": guessed(rng, link.values["k"]), "c": None if nothing_said else guessed(rng, link.values["c"]),
-        }  # fmt: skip
-    settings = {
-        "defaults": UNKNOWN_STRUCTURE,
-        "system": system,
-        "data": {
-            "path": f"{HERE}/record.csv", "time": "t", "ground_acceleration": "g", "frame": frame,
-            "acceleration": {structure.dofs[i]: f"a{i + 1}" for i in sensors},
-        },
-        "scheme": {"unknown": ["k_*", "c_*"]},
+    system, nothing_said = guessed_system(rng, structure)
+    channels = {
+        "ground_acceleration": "g", "frame": frame,
+        "acceleration": {structure.dofs[i]: f"a{i + 1}" for i in sensors},
     }  # fmt: skip
+    settings = springs_and_dampers(system, channels)
     # Accelerations are reported as the sensors feel them.
-    sensed = tuple(int(i) for i in sensors)
-    truth = Truth(structure.parameters(), motion.displacement, motion.velocity, felt, sensed)
+    truth = replace(motion, acceleration=felt).truth(structure.parameters(), sensors)
     about = (
         f"{n} storeys{', a brace' if len(structure.connections) > n else ''}, {frequencies[0]:.3g} to"
         f" {frequencies[-1]:.3g} Hz, {1.0 / times[1]:.4g} Hz x {len(times)}, {shaken.about}, {ground_db:.0f} dB;"

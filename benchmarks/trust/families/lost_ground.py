@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
-from benchmarks.trust.case import Case, Truth
+from benchmarks.trust.case import Case
 from benchmarks.trust.families.ground import building, filtered_noise
 from benchmarks.trust.families.nonlinear import bouc_wen, duffing
 from benchmarks.trust.families.topology import damped
@@ -44,7 +44,7 @@ def draw(seed: int) -> Case:
     decibel = max(rng.uniform(30, 60), float(quiet) + ABOVE)
     table = {"t": times} | {f"u{i + 1}": noisy(rng, motion.displacement[:, i], decibel) for i in range(n)}
     settings, true = structure.unknown(ground_acceleration="unmeasured", displacement=structure.columns("u"))
-    truth = Truth(true, motion.displacement, motion.velocity, motion.acceleration, tuple(range(n)))
+    truth = motion.truth(true, range(n))
     about = (
         f"{n} storeys{', a brace' if len(structure.connections) > n else ''}, {first:.3g} to {last:.3g} Hz,"
         f" {rate:.4g} Hz x {len(times)}, shaken to {ends:.3g} Hz, {'linear' if law is None else law.__name__} below,"

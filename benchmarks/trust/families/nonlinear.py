@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.random import Generator
 from scipy.interpolate import CubicSpline
 
-from benchmarks.trust.case import HERE, UNKNOWN_STRUCTURE, Case, Truth
+from benchmarks.trust.case import UNKNOWN_STRUCTURE, Case, record_data
 from benchmarks.trust.families.unmeasured import structure_of
 from benchmarks.trust.structures import Connection, noisy, simulated
 from benchmarks.trust.waves import random_waves
@@ -80,18 +80,15 @@ def drawn_with(laws_by_name: Mapping[str, Law], family: str, seed: int) -> Case:
     settings: dict[str, object] = {
         "defaults": UNKNOWN_STRUCTURE,
         "system": system,
-        "data": {
-            "path": f"{HERE}/record.csv", "time": "t", "force": {structure.dofs[dof]: "f"},
-            kind: {structure.dofs[i]: f"y{i + 1}" for i in sensors},
-        },
+        "data": record_data(
+            force={structure.dofs[dof]: "f"}, **{kind: {structure.dofs[i]: f"y{i + 1}" for i in sensors}}
+        ),
         "scheme": {
             "unknown": list(unknown), "initial_motion": "rest",
             "parameter_uncertainty": float(rng.choice([0.0, 0.075])),
         },
     }  # fmt: skip
-    truth = Truth(
-        unknown, motion.displacement, motion.velocity, motion.acceleration, tuple(int(i) for i in sensors)
-    )  # fmt: skip
+    truth = motion.truth(unknown, sensors)
     bent = " and ".join(f"{law} in {links[i].name}" for i, law in zip(chosen, laws, strict=True))
     about = (
         f"{n} DOFs, {first:.3g} to {last:.3g} Hz, {rate:.4g} Hz x {len(times)}, {kind} on"

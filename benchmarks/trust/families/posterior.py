@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from benchmarks.trust.case import HERE, Case, Truth
-from benchmarks.trust.structures import Connection, Structure, linear_motion, noisy, simulated, sinusoids
+from benchmarks.trust.case import Case, record_data
+from benchmarks.trust.structures import Structure, linear_motion, noisy, simulated, sinusoids
 
 
 def draw(seed: int) -> Case:
@@ -14,11 +14,8 @@ def draw(seed: int) -> Case:
     rng = np.random.default_rng([seed, 110])
     n, cubic = int(rng.integers(1, 4)), bool(rng.random() < 0.4)
     mass = 10.0 ** rng.uniform(-1, 5) * rng.uniform(0.7, 1.3, n)
-    rows, shape, first = np.eye(n) - np.eye(n, k=-1), rng.uniform(0.6, 1.4, n), 10.0 ** rng.uniform(-0.5, 1.7)
-    dofs = tuple(f"x{i + 1}" for i in range(n))
-    unscaled = Structure(
-        dofs, mass, tuple(Connection(str(i + 1), rows[i], values={"k": float(shape[i])}) for i in range(n))
-    )
+    shape, first = rng.uniform(0.6, 1.4, n), 10.0 ** rng.uniform(-0.5, 1.7)
+    unscaled = Structure.chain(mass, k=shape)
     frequencies = unscaled.modes()[0] * first / unscaled.modes()[0][0]
     k = shape * (first / unscaled.modes()[0][0]) ** 2
     c = 2.0 * rng.uniform(0.01, 0.04) / (2.0 * np.pi * np.sqrt(frequencies[0] * frequencies[-1])) * k
@@ -27,18 +24,13 @@ def draw(seed: int) -> Case:
     times = times[:3000]
     force = sinusoids(rng, 0.3 * first, high, 0.0981 * float(mass.mean()))
     place = np.eye(n)[int(rng.integers(n))]
-    links = [Connection(str(i + 1), rows[i], values={"c": float(c[i]), "k": float(k[i])}) for i in range(n)]
-    structure = Structure(dofs, mass, tuple(links))
+    structure = Structure.chain(mass, c=c, k=k)
     motion = linear_motion(structure, lambda t: force(t)[:, None] * place, times, high)
     kappa = np.zeros(n)
     if cubic:
         spread = np.diff(motion.displacement, axis=1, prepend=0.0).var(axis=0)
         kappa = rng.uniform(0.05, 0.4, n) * k / spread
-        stiff = [
-            Connection(link.name, link.row, "duffing", link.values, lambda e, v, z, x=x: x * e**3)  # type: ignore[misc]
-            for link, x in zip(links, kappa, strict=True)
-        ]
-        motion = simulated(Structure(dofs, mass, tuple(stiff)), lambda t: force(t) * place, times, high)
+        motion = simulated(structure.hardened(kappa), lambda t: force(t) * place, times, high)
     kind = str(rng.choice(["acceleration", "acceleration", "displacement"]))
     sensors = range(n)  # the scheme needs one on every DOF
     decibel = float(rng.uniform(20, 45))
@@ -55,14 +47,9 @@ def draw(seed: int) -> Case:
             "_self_",
         ],
         "system": {"ndof": n, "m": mass, **off},
-        "data": {
-            "path": f"{HERE}/record.csv", "time": "t", "force": {int(place.argmax()) + 1: "f"},
-            kind: {i + 1: f"y{i + 1}" for i in sensors},
-        },
-    }  # fmt: skip
-    truth = Truth(
-        {f"{name}_{i + 1}": float(x) for name, values in true.items() for i, x in enumerate(values)},
-        motion.displacement, motion.velocity, motion.acceleration, tuple(sensors),
-    )  # fmt: skip
+        "data": record_data(force={int(place.argmax()) + 1: "f"}, **{kind: {i + 1: f"y{i + 1}" for i in sensors}}),
+    }
+    parameters = {f"{name}_{i + 1}": float(x) for name, values in true.items() for i, x in enumerate(values)}
+    truth = motion.truth(parameters, sensors)
     about = f"{n} storeys, {first:.3g} Hz, {len(times)} samples, {kind}, {decibel:.0f} dB{', cubic' if cubic else ''}"
     return Case("posterior", seed, {"record.csv": pd.DataFrame(table)}, settings, truth, about)

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.random import Generator
 
 from benchmarks.trust.buildings import Shaking, building, columns, guessed, shaking
-from benchmarks.trust.case import BEFORE, HERE, UNKNOWN_STRUCTURE, Arrays, Case, Settings, Truth
+from benchmarks.trust.case import BEFORE, UNKNOWN_STRUCTURE, Arrays, Case, Settings, record_data
 from benchmarks.trust.structures import Motion, Structure
 
 
@@ -37,7 +37,7 @@ def _together(seed: int, rng: Generator, structure: Structure, kinds: str) -> Ca
         motions.append(motion)
         every.append(sensed)
     settings = _identification(rng, structure, kinds) | {"data": {"records": entries}}
-    truth = _truth(structure, kinds, motions[0], every[0])
+    truth = motions[0].truth(structure.parameters(kinds), every[0])
     about = f"{len(entries)} records of {structure.n} storeys, floors {[[i + 1 for i in s] for s in every]}"
     return Case("records", seed, tables, settings, truth, about)
 
@@ -52,7 +52,7 @@ def _predicted(seed: int, rng: Generator, structure: Structure, kinds: str) -> C
     new = {name: x if name == "t" else level * x for name, x in columns(rng, shaken, (), motion).items()}
     scaled = Motion(level * motion.displacement, level * motion.velocity, level * motion.acceleration, motion.memory)
     settings = _again("predict", _data("record.csv", shaken, ()))
-    truth = _truth(structure, "", scaled, ())
+    truth = scaled.truth({}, ())
     about = f"prediction of {structure.n} storeys, identified from floors {[i + 1 for i in sensed]}"
     return Case("records", seed, _files(table, new), settings, truth, about, before=before)
 
@@ -79,7 +79,7 @@ def _update(seed: int, rng: Generator, then: Structure, now: Structure, kinds: s
     lost = {a: 100 * (y / x - 1) for (a, x), y in zip(then.parameters("k").items(), now.parameters("k").values(),
                                                      strict=True) if x != y}  # fmt: skip
     about = f"update of {now.n} storeys, floors {[i + 1 for i in sensed]}, changed: {lost or 'nothing'}"
-    truth = _truth(now, kinds, motion, sensed)
+    truth = motion.truth(now.parameters(kinds), sensed)
     return Case("records", seed, _files(table, new), settings, truth, about, before=before)
 
 
@@ -118,14 +118,9 @@ def _again(scheme: str, data: dict[str, object]) -> Settings:
 
 def _data(name: str, shaken: Shaking, sensed: tuple[int, ...]) -> dict[str, object]:
     dofs = shaken.structure.dofs
-    found: dict[str, object] = {"path": f"{HERE}/{name}", "time": "t", "force": {dofs[shaken.dof]: "f"}}
-    return found | ({"acceleration": {dofs[i]: f"a{i + 1}" for i in sensed}} if sensed else {})
+    felt = {"acceleration": {dofs[i]: f"a{i + 1}" for i in sensed}} if sensed else {}
+    return record_data(name, force={dofs[shaken.dof]: "f"}, **felt)
 
 
 def _files(before: Arrays, now: Arrays) -> dict[str, pd.DataFrame]:
     return {"record.csv": pd.DataFrame(now), "before.csv": pd.DataFrame(before)}
-
-
-def _truth(structure: Structure, kinds: str, motion: Motion, sensed: tuple[int, ...]) -> Truth:
-    parameters = structure.parameters(kinds) if kinds else {}
-    return Truth(parameters, motion.displacement, motion.velocity, motion.acceleration, sensed)

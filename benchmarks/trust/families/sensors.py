@@ -13,7 +13,7 @@ import pandas as pd
 from numpy.random import Generator
 
 from benchmarks.trust.buildings import Shaking, building, guessed, shaking
-from benchmarks.trust.case import HERE, UNKNOWN_STRUCTURE, Case, Truth
+from benchmarks.trust.case import UNKNOWN_STRUCTURE, Case, record_data
 from benchmarks.trust.structures import Motion, Structure, noisy
 
 SUBJECTS = ("calibration", "clock", "sums", "gaps")
@@ -65,14 +65,11 @@ def draw(seed: int) -> Case:
     settings = {
         "defaults": UNKNOWN_STRUCTURE,
         "system": guessed(rng, structure, kinds),
-        "data": {"path": f"{HERE}/record.csv", "time": "t", "channels": {s.name: s.setting for s in [cell, *sensors]}},
+        "data": record_data(channels={s.name: s.setting for s in [cell, *sensors]}),
         "scheme": {"unknown": [f"{kind}_*" for kind in kinds]},
     }
     felt = np.abs([s.feels for s in sensors]).sum(axis=0)
-    truth = Truth(
-        structure.parameters(kinds) | true, motion.displacement, motion.velocity, motion.acceleration,
-        tuple(int(i) for i in np.flatnonzero(felt)),
-    )  # fmt: skip
+    truth = motion.truth(structure.parameters(kinds) | true, np.flatnonzero(felt))
     about = (
         f"{structure.n} storeys, {len(motion.displacement)} samples, {' and '.join(sorted(subjects))}: "
         + ", ".join(f"{s.name} {' '.join(s.values)}".strip() for s in [cell, *sensors])

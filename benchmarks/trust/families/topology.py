@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.random import Generator
 
-from benchmarks.trust.case import HERE, UNKNOWN_STRUCTURE, Case, Truth
+from benchmarks.trust.case import UNKNOWN_STRUCTURE, Case, record_data
 from benchmarks.trust.structures import Connection, Structure, linear_motion, noise, noisy, sinusoids, uncertainty
 from benchmarks.trust.told import Input, Sensor, Told
 
@@ -38,9 +38,7 @@ def frame(rng: Generator, fewest: int, most: int) -> Structure:
     shape = 3.0 ** rng.uniform(-0.5, 0.5, len(rows)) * np.where(np.arange(len(rows)) < n, 1.0, 0.5)
     dofs = tuple(f"x{i + 1}" for i in range(n))
     links = (Connection(name, row, values={"k": float(k)}) for name, row, k in zip(names, rows, shape, strict=True))
-    unscaled = Structure(dofs, mass, tuple(links))
-    factor = (10.0 ** rng.uniform(-1, 2) / unscaled.modes()[0][0]) ** 2
-    return unscaled.with_values("k", {link.name: link.values["k"] * factor for link in unscaled.connections})
+    return Structure(dofs, mass, tuple(links)).tuned(10.0 ** rng.uniform(-1, 2))
 
 
 def _hops(joined: list[tuple[int, int]], a: int, b: int) -> int:
@@ -74,12 +72,22 @@ def believed(structure: Structure, connections: dict[str, dict[str, float | None
     return found
 
 
+def guessed_system(rng: Generator, structure: Structure) -> tuple[dict[str, object], bool]:
+    """`system:` with guesses of the springs, and of all dampers or of none; whether of none."""
+    system, nothing_said = structure.settings(), rng.random() < 0.5
+    for link in structure.connections:
+        system["connections"][link.name] |= {  # type: ignore[index]
+            "k": guessed(rng, link.values["k"]), "c": None if nothing_said else guessed(rng, link.values["c"]),
+        }  # fmt: skip
+    return system, nothing_said
+
+
 def springs_and_dampers(system: dict[str, object], channels: dict[str, object]) -> dict[str, object]:
     """The experiment that finds all of them, from a record's columns by quantity and DOF."""
     return {
         "defaults": UNKNOWN_STRUCTURE,
         "system": system,
-        "data": {"path": f"{HERE}/record.csv", "time": "t", **channels},
+        "data": record_data(**channels),
         "scheme": {"unknown": ["k_*", "c_*"]},
     }
 
@@ -112,20 +120,12 @@ def draw(seed: int) -> Case:
     felt = getattr(motion, kind)
     table = {"t": times} | {f"f{i + 1}": noisy(rng, pushed[:, i], force_db) for i in shaken}
     table |= {f"y{i + 1}": noisy(rng, felt[:, i], response_db) for i in sensors}
-    system = {"damping": None} | structure.settings()
-    nothing_said = rng.random() < 0.5
-    for link in structure.connections:
-        system["connections"][link.name] |= {  # type: ignore[index]
-            "k": guessed(rng, link.values["k"]), "c": None if nothing_said else guessed(rng, link.values["c"]),
-        }  # fmt: skip
+    system, nothing_said = guessed_system(rng, structure)
     channels = {
         "force": {f"x{i + 1}": f"f{i + 1}" for i in shaken}, kind: {f"x{i + 1}": f"y{i + 1}" for i in sensors},
     }  # fmt: skip
-    settings = springs_and_dampers(system, channels)
-    truth = Truth(
-        structure.parameters(), motion.displacement, motion.velocity, motion.acceleration,
-        tuple(int(i) for i in sensors),
-    )  # fmt: skip
+    settings = springs_and_dampers({"damping": None} | system, channels)
+    truth = motion.truth(structure.parameters(), sensors)
     peer = Told.of(
         structure, believed(structure, system["connections"]),
         tuple(Input(f"f{i + 1}", noise(pushed[:, i], force_db), np.eye(n)[i]) for i in shaken),

@@ -5,21 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from benchmarks.trust.case import Case, Truth
+from benchmarks.trust.case import Case
 from benchmarks.trust.families.topology import damped, guessed, springs_and_dampers
-from benchmarks.trust.structures import Connection, Structure, linear_motion, noisy, simulated
+from benchmarks.trust.structures import Structure, linear_motion, noisy, simulated
 
 
 def draw(seed: int) -> Case:
     """Even seeds are struck, and the blow is measured. Odd ones are let go, which nobody measures."""
     rng = np.random.default_rng([seed, 117])
     n = int(rng.integers(1, 6))
-    mass, row = 10.0 ** rng.uniform(-1, 5) * rng.uniform(0.7, 1.4, n), np.eye(n) - np.eye(n, k=-1)
-    shape = rng.uniform(0.6, 1.5, n)
-    links = (Connection(f"storey_{i + 1}", row[i], values={"k": float(shape[i])}) for i in range(n))
-    unscaled = Structure(tuple(f"x{i + 1}" for i in range(n)), mass, tuple(links))
-    factor = (10.0 ** rng.uniform(-0.5, 1.7) / unscaled.modes()[0][0]) ** 2
-    structure = damped(rng, unscaled.with_values("k", {f"storey_{i + 1}": factor * shape[i] for i in range(n)}))
+    mass = 10.0 ** rng.uniform(-1, 5) * rng.uniform(0.7, 1.4, n)
+    unscaled = Structure.chain(mass, "storey_", k=rng.uniform(0.6, 1.5, n))
+    structure = damped(rng, unscaled.tuned(10.0 ** rng.uniform(-0.5, 1.7)))
     frequencies, shapes = structure.modes()
     ratio = float(shapes[:, 0] @ structure.matrix("c") @ shapes[:, 0]) / (4.0 * np.pi * frequencies[0])
     last = frequencies[-1]
@@ -50,10 +47,7 @@ def draw(seed: int) -> Case:
         }
     channels = {"force": force, "acceleration": {f"x{i + 1}": f"a{i + 1}" for i in sensors}}
     settings = springs_and_dampers({"damping": None} | system, channels)
-    truth = Truth(
-        structure.parameters(), motion.displacement, motion.velocity, motion.acceleration,
-        tuple(int(i) for i in sensors),
-    )  # fmt: skip
+    truth = motion.truth(structure.parameters(), sensors)
     about = (
         f"{n} storeys, {frequencies[0]:.3g} to {last:.3g} Hz, {100 * ratio:.2g} %, {rate:.4g} Hz x {len(times)}, on"
         f" {(sensors + 1).tolist()}, {response_db:.0f} dB, "

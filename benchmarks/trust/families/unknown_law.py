@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.random import Generator
 from scipy.interpolate import CubicSpline
 
-from benchmarks.trust.case import Case, Truth
+from benchmarks.trust.case import Case
 from benchmarks.trust.families.nonlinear import duffing, power_damping
 from benchmarks.trust.families.unmeasured import structure_of
 from benchmarks.trust.structures import Connection, noisy, simulated
@@ -76,7 +76,7 @@ def draw(seed: int) -> Case:
     response_db, force_db = rng.uniform(25, 60), rng.uniform(40, 60)
     table = {"t": times, "f": noisy(rng, unit(times), force_db)}
     table |= {f"a{i + 1}": noisy(rng, motion.acceleration[:, i], response_db) for i in range(n)}
-    truth = Truth(true, motion.displacement, motion.velocity, motion.acceleration, tuple(range(n)))
+    truth = motion.truth(true, range(n))
     about = (
         f"{n} DOFs, {first:.3g} to {last:.3g} Hz, {rate:.4g} Hz x {len(times)}, {response_db:.0f} dB,"
         f" {make.__name__} in {made.name}, of a law that nobody knows over {over}"

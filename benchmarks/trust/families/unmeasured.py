@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from benchmarks.trust.case import HERE, Case, Truth
+from benchmarks.trust.case import Case, record_data
 from benchmarks.trust.structures import Connection, Structure, noise, noisy
 from benchmarks.trust.told import Sensor, Told
 from benchmarks.trust.waves import random_waves
@@ -59,17 +59,11 @@ def draw(seed: int) -> Case:
     settings: dict[str, object] = {
         "defaults": [{"override /system": "structure"}, {"override /data": "csv"}, "_self_"],
         "system": prescribed.settings(),
-        "data": {
-            "path": f"{HERE}/record.csv", "time": "t", "force": columns,
-            kind: {structure.dofs[i]: f"y{i + 1}" for i in sensors},
-        },
+        "data": record_data(force=columns, **{kind: {structure.dofs[i]: f"y{i + 1}" for i in sensors}}),
         "scheme": {"parameter_uncertainty": UNCERTAINTY if uncertain else 0.0}
         | ({} if moving else {"initial_motion": "rest"}),
-    }  # fmt: skip
-    truth = Truth(
-        structure.parameters() if uncertain else {}, motion.displacement, motion.velocity, motion.acceleration,
-        tuple(int(i) for i in sensors),
-    )  # fmt: skip
+    }
+    truth = motion.truth(structure.parameters() if uncertain else {}, sensors)
     peer = None
     if uncertain and everywhere:
         felt_by = tuple(Sensor(f"y{i + 1}", kind, int(i), noise(felt[:, i], response_db)) for i in sensors)

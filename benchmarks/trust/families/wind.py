@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
-from benchmarks.trust.case import Case, Truth
+from benchmarks.trust.case import Case
 from benchmarks.trust.families.nonlinear import bouc_wen, duffing
 from benchmarks.trust.families.unmeasured import structure_of
 from benchmarks.trust.structures import noisy, simulated
@@ -43,7 +43,7 @@ def draw(seed: int) -> Case:
     decibel = rng.uniform(25, 50)
     table = {"t": times} | {f"a{i + 1}": noisy(rng, motion.acceleration[:, i], decibel) for i in range(n)}
     settings, true = structure.unknown(force=dict.fromkeys(structure.dofs), acceleration=structure.columns("a"))
-    truth = Truth(true, motion.displacement, motion.velocity, motion.acceleration, tuple(range(n)))
+    truth = motion.truth(true, range(n))
     about = (
         f"{n} storeys{', a brace' if len(structure.connections) > n else ''}, {first:.3g} to {last:.3g} Hz,"
         f" {rate:.4g} Hz x {len(times)}, {'broad-band' if corner == np.inf else 'coloured'} wind to {ends:.3g} Hz,"
