@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,58 +37,42 @@ def rig() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.arange(SAMPLES) / RATE, noisy[0], noisy[1]
 
 
-def _lines(rows: Sequence[Sequence[object]], separator: str) -> str:
-    return "".join(separator.join(map(str, row)) + "\n" for row in rows)
+Stamp = Callable[[float], str]
+Writer = Callable[[Path], object]
 
 
-def _rows(times: Sequence[object], comma: bool = False, unit: tuple[float, float] = (1.0, 1.0)) -> list[list[str]]:
-    _, f, a = rig()
-    columns = np.column_stack([f / unit[0], a / unit[1]])
-    return [[str(t), *(f"{x:.6g}".replace(".", ",") if comma else f"{x:.6g}" for x in row)]
-            for t, row in zip(times, columns, strict=True)]  # fmt: skip
+def _lines(rows: Sequence[Sequence[str]], separator: str) -> str:
+    return "".join(separator.join(row) + "\n" for row in rows)
 
 
-def _dates(pattern: str) -> list[str]:
-    moments = [BEGIN + timedelta(seconds=float(t)) for t in rig()[0]]
-    return [f"{one.strftime(pattern)}{one.microsecond // 1000:03d}" for one in moments]
+def _rows(stamp: Stamp | None, comma: bool = False, unit: tuple[float, float] = (1.0, 1.0)) -> list[list[str]]:
+    """Cells: a stamp of its time, if any, and force and accelerations in these units."""
+    times, f, a = rig()
+    values = np.column_stack([f / unit[0], a / unit[1]])
+    cells = [[f"{x:.6g}".replace(".", "," if comma else ".") for x in row] for row in values]
+    return cells if stamp is None else [[stamp(t), *row] for t, row in zip(times.tolist(), cells, strict=True)]
 
 
-def _seconds() -> list[str]:
-    return [f"{t:.2f}" for t in rig()[0]]
+def _text(head: str, separator: str, stamp: Stamp | None, encoding: str = "utf-8", **cells: Any) -> Writer:
+    """Writes lines and the rows below them."""
+    return lambda path: path.write_text(head + _lines(_rows(stamp, **cells), separator), encoding=encoding)
 
 
-def local_dates(path: Path) -> None:
-    path.write_text("Datum;F1 [N];A1 [m/s²];A2 [m/s²]\n" + _lines(_rows(_dates("%d.%m.%Y %H:%M:%S.")), ";"))
+def _date(pattern: str, after: str = "") -> Stamp:
+    """A date with its milliseconds behind the pattern."""
+
+    def stamp(t: float) -> str:
+        moment = BEGIN + timedelta(seconds=t)
+        return f"{moment.strftime(pattern)}{moment.microsecond // 1000:03d}{after}"
+
+    return stamp
 
 
-def dates_with_zone(path: Path) -> None:
-    rows = _rows([f"{date} +0100" for date in _dates("%m/%d/%Y %H:%M:%S.")])
-    path.write_text("Timestamp,Force 1 (N),Acc 1 (m/s^2),Acc 2 (m/s^2)\n" + _lines(rows, ","))
+_seconds = "{:.2f}".format
 
 
-def decimal_commas(path: Path) -> None:
-    rows = [["26.11.2026", *row] for row in _rows(_dates("%H:%M:%S,"), comma=True)]
-    path.write_text("Datum;Zeit;Kraft 1 (N);Beschl 1 (m/s²);Beschl 2 (m/s²)\n" + _lines(rows, ";"), encoding="cp1252")
-
-
-def lines_above(path: Path) -> None:
-    above = "Rig 3, second floor\nOperator,Smith\nRate,50\n\n\n"
-    path.write_text(above + "Time,f1,a1,a2\n" + _lines(_rows(_seconds()), ","))
-
-
-def units_in_brackets(path: Path) -> None:
-    rows = _rows([f"{1000 * t:.0f}" for t in rig()[0]], unit=(1e3, GRAVITY))
-    path.write_text("Time (ms),Load cell (kN),Channel 2 (g),Channel 3 (g)\n" + _lines(rows, ","))
-
-
-def unit_row(path: Path) -> None:
-    rows = _rows(_seconds(), unit=(1e3, 1.0))
-    path.write_text("time\tforce\tacc_1\tacc_2\n[s]\t[kN]\t[m/s²]\t[m/s²]\n" + _lines(rows, "\t"), encoding="utf-8")
-
-
-def two_header_rows(path: Path) -> None:
-    head = "Time;Force;Acceleration;\n;Floor 1;Floor 1;Floor 2\ns;N;m/s^2;m/s^2\n"
-    path.write_text(head + _lines(_rows(_seconds()), ";"))
+def _comma_seconds(t: float) -> str:
+    return f"{t:.2f}".replace(".", ",")
 
 
 def gravities_and_millimetres(path: Path) -> None:
@@ -102,17 +87,9 @@ def gravities_and_millimetres(path: Path) -> None:
 
 
 def semicolons(path: Path) -> None:
-    rows = _rows([time.replace(".", ",") for time in _seconds()], comma=True)
-    path.write_text("Zeit;F1;A1;A2;\n" + "".join(";".join(row) + ";\n" for row in rows))
-
-
-def tabs(path: Path) -> None:
-    path.write_text("Chronos\tF1\tA1\tA2\n" + _lines(_rows(_seconds()), "\t"))
-
-
-def utf_16(path: Path) -> None:
-    text = "Time (s)\tf1 (N)\ta1 (m/s²)\ta2 (m/s²)\n" + _lines(_rows(_seconds()), "\t")
-    path.write_bytes(text.encode("utf-16-le"))
+    """One at the end of every line."""
+    rows = [[*row, ""] for row in _rows(_comma_seconds, comma=True)]
+    path.write_text("Zeit;F1;A1;A2;\n" + _lines(rows, ";"))
 
 
 def mat_struct(path: Path) -> None:
@@ -162,64 +139,33 @@ def excel(path: Path) -> None:
     book.save(path)
 
 
-def logger_text(path: Path) -> None:
-    """LabVIEW's: two headers, units and the step in the second one, and a name of comments that no row has."""
-    told = "LabVIEW Measurement\nSeparator\tTab\nTime\t12:27:49.01\n***End_of_Header***\t\n\t\t\t\t\nChannels\t3\n"
-    told += "Samples\t600\t600\t600\t\nY_Unit_Label\tkN\tm/s^2\tm/s^2\t\nX0\t0.0E+0\t0.0E+0\t0.0E+0\t\n"
-    told += "Delta_X\t0.020000\t0.020000\t0.020000\t\n***End_of_Header***\t\t\t\t\n"
-    path.write_text(told + "X_Value\tF1\tA1\tA2\tComment\n" + _lines(_rows([""] * SAMPLES, unit=(1e3, 1.0)), "\t"))
+# LabVIEW's: two headers, units and the step in the second one, and a name of comments that no row has.
+LOGGER_TEXT = (
+    "LabVIEW Measurement\nSeparator\tTab\nTime\t12:27:49.01\n***End_of_Header***\t\n\t\t\t\t\nChannels\t3\n"
+    "Samples\t600\t600\t600\t\nY_Unit_Label\tkN\tm/s^2\tm/s^2\t\nX0\t0.0E+0\t0.0E+0\t0.0E+0\t\n"
+    "Delta_X\t0.020000\t0.020000\t0.020000\t\n***End_of_Header***\t\t\t\t\nX_Value\tF1\tA1\tA2\tComment\n"
+)
+CATMAN = (
+    "catman AP\t5.4.1\nT0\t26.11.2026 12:27:49\nSampling rate\t50 Hz\n\nTime  1 - default sample rate\tF1\tA1\tA2\n"
+    "s\tkN\tm/s²\tm/s²\n50 Hz\tMX840 CH 1\tMX840 CH 2\tMX840 CH 3\n"
+)
+# Campbell's: what the logger is, names, units, and how values were made; in quotes.
+TABLE_ORIENTED = (
+    '"TOA5","CR6","CR6","1234","Std.09","CPU:rig.CR6","4711","Fast"\n"TIMESTAMP","F1","Acc(1)","Acc(2)"\n'
+    '"TS","N","m/s^2","m/s^2"\n"","Smp","Smp","Smp"\n'
+)
 
 
-def catman(path: Path) -> None:
-    head = (
-        "catman AP\t5.4.1\nT0\t26.11.2026 12:27:49\nSampling rate\t50 Hz\n\nTime  1 - default sample rate\tF1\tA1\tA2\n"
-    )
-    head += "s\tkN\tm/s²\tm/s²\n50 Hz\tMX840 CH 1\tMX840 CH 2\tMX840 CH 3\n"
-    rows = _rows([time.replace(".", ",") for time in _seconds()], comma=True, unit=(1e3, 1.0))
-    path.write_text(head + _lines(rows, "\t"), encoding="cp1252")
-
-
-def table_oriented(path: Path) -> None:
-    """Campbell's: what the logger is, names, units, and how values were made; in quotes."""
-    head = '"TOA5","CR6","CR6","1234","Std.09","CPU:rig.CR6","4711","Fast"\n"TIMESTAMP","F1","Acc(1)","Acc(2)"\n'
-    head += '"TS","N","m/s^2","m/s^2"\n"","Smp","Smp","Smp"\n'
-    path.write_text(head + _lines(_rows([f'"{date}"' for date in _dates("%Y-%m-%d %H:%M:%S.")]), ","))
-
-
-def _grouped(path: Path, head: str, separator: str, turned: dict[int, str], quote: str) -> None:
+def _grouped(head: str, separator: str, turned: dict[int, str], quote: str) -> Writer:
     """Digits by threes, in mN and um/s^2."""
-    t, f, a = rig()
-    rows = np.column_stack([t, 1e3 * f, 1e6 * a])
-    text = [[f"{quote}{x:,.2f}{quote}".translate(turned) for x in row] for row in rows]
-    path.write_text(head + _lines(text, separator), encoding="cp1252")
 
+    def write(path: Path) -> None:
+        t, f, a = rig()
+        rows = np.column_stack([t, 1e3 * f, 1e6 * a])
+        text = [[f"{quote}{x:,.2f}{quote}".translate(turned) for x in row] for row in rows]
+        path.write_text(head + _lines(text, separator), encoding="cp1252")
 
-def thousands(path: Path) -> None:
-    _grouped(path, "Time (s),F 1 (mN),A 1 (um/s^2),A 2 (um/s^2)\n", ",", {}, '"')
-
-
-def thousands_with_points(path: Path) -> None:
-    _grouped(path, "Zeit (s);F 1 (mN);A 1 (um/s^2);A 2 (um/s^2)\n", ";", str.maketrans(",.", ".,"), "")
-
-
-def day_numbers(path: Path) -> None:
-    rows = _rows([f"{45000.12345 + t / 86400.0:.10f}" for t in rig()[0]])
-    path.write_text("Time,f1,a1,a2\n" + _lines(rows, ","))
-
-
-def numbered_days(path: Path) -> None:
-    rows = _rows([f"{738960.12345 + t / 86400.0:.10f}" for t in rig()[0]])
-    path.write_text("Date,f1,a1,a2\n" + _lines(rows, ","))
-
-
-def rate_above(path: Path) -> None:
-    path.write_text(
-        "Rig 3\nSample rate [Hz];50\nf1;a1;a2\n" + _lines([row[1:] for row in _rows(_seconds(), True)], ";")
-    )
-
-
-def step_above(path: Path) -> None:
-    path.write_text("# 600 samples, dt=20 ms\nf1,a1,a2\n" + _lines([row[1:] for row in _rows(_seconds())], ","))
+    return write
 
 
 def two_sheets(path: Path) -> None:
@@ -237,17 +183,40 @@ def two_sheets(path: Path) -> None:
     book.save(path)
 
 
-Writer = Callable[[Path], None]
 # Names of files, and what writes them.
 FILES: dict[str, Writer] = {
-    "local dates.csv": local_dates, "zone.csv": dates_with_zone, "commas.csv": decimal_commas, "above.txt": lines_above,
-    "brackets.csv": units_in_brackets, "units.tsv": unit_row, "rows.csv": two_header_rows,
-    "wind.csv": gravities_and_millimetres, "semicolons.csv": semicolons, "tabs.dat": tabs, "wide.txt": utf_16,
+    "local dates.csv": _text("Datum;F1 [N];A1 [m/s²];A2 [m/s²]\n", ";", _date("%d.%m.%Y %H:%M:%S.")),
+    "zone.csv": _text(
+        "Timestamp,Force 1 (N),Acc 1 (m/s^2),Acc 2 (m/s^2)\n", ",", _date("%m/%d/%Y %H:%M:%S.", " +0100")
+    ),
+    "commas.csv": _text(
+        "Datum;Zeit;Kraft 1 (N);Beschl 1 (m/s²);Beschl 2 (m/s²)\n", ";", _date("26.11.2026;%H:%M:%S,"), "cp1252",
+        comma=True,
+    ),
+    "above.txt": _text("Rig 3, second floor\nOperator,Smith\nRate,50\n\n\nTime,f1,a1,a2\n", ",", _seconds),
+    "brackets.csv": _text(
+        "Time (ms),Load cell (kN),Channel 2 (g),Channel 3 (g)\n", ",", lambda t: f"{1000 * t:.0f}", unit=(1e3, GRAVITY)
+    ),
+    "units.tsv": _text(
+        "time\tforce\tacc_1\tacc_2\n[s]\t[kN]\t[m/s²]\t[m/s²]\n", "\t", _seconds, unit=(1e3, 1.0)
+    ),
+    "rows.csv": _text("Time;Force;Acceleration;\n;Floor 1;Floor 1;Floor 2\ns;N;m/s^2;m/s^2\n", ";", _seconds),
+    "wind.csv": gravities_and_millimetres,
+    "semicolons.csv": semicolons,
+    "tabs.dat": _text("Chronos\tF1\tA1\tA2\n", "\t", _seconds),
+    "wide.txt": _text("Time (s)\tf1 (N)\ta1 (m/s²)\ta2 (m/s²)\n", "\t", _seconds, "utf-16-le"),
     "struct.mat": mat_struct, "shaker.uff": universal, "labview.tdms": labview, "sheet.xlsx": excel,
 }  # fmt: skip
 # More of them, of which reading alone is tried.
 LOGGERS: dict[str, Writer] = {
-    "logger.lvm": logger_text, "catman.asc": catman, "toa5.dat": table_oriented, "thousands.csv": thousands,
-    "points.csv": thousands_with_points, "days.csv": day_numbers, "datenum.csv": numbered_days, "rate.csv": rate_above,
-    "step.csv": step_above, "two sheets.xlsx": two_sheets,
-}  # fmt: skip
+    "logger.lvm": _text(LOGGER_TEXT, "\t", lambda t: "", unit=(1e3, 1.0)),
+    "catman.asc": _text(CATMAN, "\t", _comma_seconds, "cp1252", comma=True, unit=(1e3, 1.0)),
+    "toa5.dat": _text(TABLE_ORIENTED, ",", _date('"%Y-%m-%d %H:%M:%S.', '"')),
+    "thousands.csv": _grouped("Time (s),F 1 (mN),A 1 (um/s^2),A 2 (um/s^2)\n", ",", {}, '"'),
+    "points.csv": _grouped("Zeit (s);F 1 (mN);A 1 (um/s^2);A 2 (um/s^2)\n", ";", str.maketrans(",.", ".,"), ""),
+    "days.csv": _text("Time,f1,a1,a2\n", ",", lambda t: f"{45000.12345 + t / 86400.0:.10f}"),
+    "datenum.csv": _text("Date,f1,a1,a2\n", ",", lambda t: f"{738960.12345 + t / 86400.0:.10f}"),
+    "rate.csv": _text("Rig 3\nSample rate [Hz];50\nf1;a1;a2\n", ";", None, comma=True),
+    "step.csv": _text("# 600 samples, dt=20 ms\nf1,a1,a2\n", ",", None),
+    "two sheets.xlsx": two_sheets,
+}
