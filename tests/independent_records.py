@@ -100,9 +100,8 @@ def measured(
     channels, noise = {}, {}
     for quantity in QUANTITIES:
         exact = getattr(truth, quantity)
-        there = (
-            np.isin(np.arange(1, n + 1), sensors.get(quantity, ())) if quantity != "force" else np.arange(n) == n - 1
-        )
+        felt = sensors.get(quantity, ()) if quantity != "force" else (n,)
+        there = np.isin(np.arange(1, n + 1), felt)
         noise[quantity] = np.where(there, exact.std(axis=0) * 10.0 ** (-snr_db / 20.0), np.nan)
         noisy = exact + np.nan_to_num(noise[quantity]) * rng.standard_normal(exact.shape)
         absent = 0.0 if quantity == "force" else np.nan

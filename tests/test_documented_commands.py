@@ -46,10 +46,12 @@ class TrainingBeginsError(Exception):
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the files and the configuration that the pages speak of."""
+    """A folder with the files, the configuration and the run that the pages speak of."""
     folder = tmp_path_factory.mktemp("files")
     write_files(folder)
     write_model_run(folder)
+    (folder / "arriving").mkdir()
+    shutil.copy(RIG, folder / "arriving" / "rig.csv")
     return folder
 
 
@@ -126,21 +128,11 @@ HOURS = re.compile(r"paper_training")
 OF_SWEEPS = re.compile(r"hydra/launcher|hydra/sweeper|hydra\.launcher\.|hydra\.sweeper\.")
 
 
-@pytest.fixture(scope="module")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("measured")
-    write_files(folder)
-    shutil.copy(RIG, folder / "second.csv")
-    (folder / "arriving").mkdir()
-    shutil.copy(RIG, folder / "arriving" / "rig.csv")
-    return folder
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "line", [line for line in (*RUNS, *LOOKS, *MODAL, *FOLLOWED) if line not in GALLERY and not HOURS.search(line)]
 )
-def test_a_documented_command_runs(line: str, measured: Path, pinn_run: PinnRun) -> None:
+def test_a_documented_command_runs(line: str, files: Path, pinn_run: PinnRun) -> None:
     if package := missing_package(line):
         pytest.skip(f"{package} is not installed")
     arguments = [argument for argument in shlex.split(line, comments=True)[1:] if argument != "--multirun"]
@@ -156,9 +148,7 @@ def test_a_documented_command_runs(line: str, measured: Path, pinn_run: PinnRun)
     overrides += ["follow.until_idle=0.2", "follow.poll=0.1"] if options == ["follow"] else []
     # A search is of what its experiment runs.
     overrides = [re.sub(r",search/\w+|^experiment=search/\w+$", "", override) for override in overrides]
-    shutil.copytree(measured, Path.cwd(), dirs_exist_ok=True)
-    if any(override.startswith("model=") for override in overrides):
-        write_model_run(Path.cwd())
+    shutil.copytree(files, Path.cwd(), dirs_exist_ok=True)
     # Of a map on the command line the keys are added anyway.
     job = [override.removeprefix("++") for override in first_job([override for override in overrides if override])]
     outcome = pinn_run(*options, *job).done()

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from calls import register
 
 ROOT = Path(__file__).parents[1]
 PAGE, TUTORIAL = (ROOT / "docs" / name for name in ("extending.md", "tutorial.md"))
@@ -34,7 +35,7 @@ def examples():
 
 EXAMPLES = examples()
 (PYPROJECT,) = [text for language, text in FENCED.findall(PAGE.read_text(encoding="utf-8")) if language == "toml"]
-ENTRY_POINTS = tomllib.loads(PYPROJECT)["project"]["entry-points"]
+ENTRY_POINTS = tomllib.loads(PYPROJECT)["project"]["entry-points"]["pinn_cli.plugins"]
 
 
 def write_package(folder):
@@ -50,12 +51,7 @@ def installed(tmp_path, monkeypatch):
     """The package's folder, in which a test is; Python knows of it what `pip install -e` would tell."""
     folder, known = tmp_path / "my_pinn", set(sys.modules)
     write_package(folder)
-    information = folder / "my_pinn-0.1.dist-info"
-    information.mkdir()
-    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my-pinn\nVersion: 0.1\n")
-    lines = [f"[{group}]\n" + "".join(f"{name} = {value}\n" for name, value in points.items())
-             for group, points in ENTRY_POINTS.items()]  # fmt: skip
-    (information / "entry_points.txt").write_text("\n".join(lines))
+    register(folder, "my_pinn", "\n".join(f"{name} = {place}" for name, place in ENTRY_POINTS.items()))
     monkeypatch.syspath_prepend(folder)
     yield folder
     for name in [name for name in set(sys.modules) - known if name.partition(".")[0] == "my_pinn"]:
@@ -74,21 +70,11 @@ def example(installed, pinn_run):
     return call
 
 
-@pytest.fixture
-def rig(tmp_path, monkeypatch):
-    """rig.npz, made of what the tutorial makes."""
-    monkeypatch.chdir(tmp_path)
-    (tutorial,) = [text for language, text in FENCED.findall(TUTORIAL.read_text(encoding="utf-8")) if language]
-    for text in (tutorial, EXAMPLES["A file format of records"][0]["make_npz.py"]):
+def make(*scripts):
+    """What scripts make, in the folder of the test."""
+    for text in scripts:
         Path("script.py").write_text(text, encoding="utf-8")
         runpy.run_path("script.py")
-
-
-def made(script, heading, monkeypatch, folder):
-    """What an example's own script makes, in the folder in which it then runs."""
-    monkeypatch.chdir(folder)
-    Path("script.py").write_text(EXAMPLES[heading][0][script], encoding="utf-8")
-    runpy.run_path("script.py")
 
 
 def fitness(outcome, estimator="pinn"):
@@ -120,8 +106,7 @@ def test_pip_registers_the_package(tmp_path):
     command = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--no-index"]
     subprocess.run([*command, "--target", str(place), str(tmp_path / "my_pinn")], check=True, cwd=tmp_path)
     (found,) = importlib.metadata.distributions(path=[str(place)])
-    points = {point.name: point.value for point in found.entry_points}
-    assert points == ENTRY_POINTS["pinn_cli.plugins"]
+    assert {point.name: point.value for point in found.entry_points} == ENTRY_POINTS
 
 
 def test_a_law_of_a_connection(example):
@@ -144,13 +129,16 @@ def test_a_network(example):
 
 
 @pytest.mark.slow
-def test_a_file_format_of_records(example, rig):
+def test_a_file_format_of_records(example):
+    """Its script turns the tutorial's record into rig.npz."""
+    (tutorial,) = [text for language, text in FENCED.findall(TUTORIAL.read_text(encoding="utf-8")) if language]
+    make(tutorial, EXAMPLES["A file format of records"][0]["make_npz.py"])
     parameters = example("A file format of records").parameters
     assert parameters.loc["k_1", "estimate"] == pytest.approx(40e3, rel=0.01)
 
 
-def test_a_kind_of_sensor(example, monkeypatch, tmp_path):
-    made("make_tower.py", "A kind of sensor", monkeypatch, tmp_path)
+def test_a_kind_of_sensor(example):
+    make(EXAMPLES["A kind of sensor"][0]["make_tower.py"])
     outcome = example("A kind of sensor")
     parameters = outcome.parameters
     assert parameters.loc["k_1", "estimate"] == pytest.approx(40e3, rel=0.01)
@@ -159,16 +147,16 @@ def test_a_kind_of_sensor(example, monkeypatch, tmp_path):
     assert sensors.loc["displacement of sensor tilt", "free_run_nmse_percent"] < 1.0
 
 
-def test_a_sensor_of_one_s_own_says_by_itself_what_it_feels(installed, pinn_run, monkeypatch, tmp_path):
-    made("make_tower.py", "A kind of sensor", monkeypatch, tmp_path)
+def test_a_sensor_of_one_s_own_says_by_itself_what_it_feels(installed, pinn_run):
+    make(EXAMPLES["A kind of sensor"][0]["make_tower.py"])
     pinn_run("--config-dir", str(installed / "conf"), "data=tower", "data.channels.tilt.dof=1").refused(
         "data.channels.tilt.dof"
     )
 
 
 @pytest.mark.slow  # a file format as well
-def test_a_force_that_moves(example, monkeypatch, tmp_path):
-    made("make_bridge.py", "A force that moves", monkeypatch, tmp_path)
+def test_a_force_that_moves(example):
+    make(EXAMPLES["A force that moves"][0]["make_bridge.py"])
     outcome = example("A force that moves")
     assert outcome.parameters.loc["k_pier", "estimate"] == pytest.approx(2e6, rel=0.03)
     assert outcome.record["verdict"] == "sound"

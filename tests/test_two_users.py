@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 from calls import SMALL
 from filelock import FileLock
+from sweeps import mlflow_runs
 
 from pinn_cli.runs import claim
 from pinn_cli.runs.claim import LOCK, SWEEP_LOCK, held
@@ -229,12 +230,9 @@ def test_two_with_the_same_stores(tmp_path: Path) -> None:
     """MLflow's database is made by whoever comes first; TensorBoard's folder is that of both."""
     pytest.importorskip("mlflow", reason="the extra mlflow is not installed")
     pytest.importorskip("tensorboard", reason="the extra tensorboard is not installed")
-    from mlflow.tracking import MlflowClient
-
     said = both(tmp_path, *[(*QUICK, f"seed={seed}", "tracking=mlflow", "tracking.files=false") for seed in range(2)])
     assert not any("the run goes on" in text for text in said), said
-    client = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/outputs/mlflow.db")
-    runs = client.search_runs([e.experiment_id for e in client.search_experiments()])
+    runs = mlflow_runs(tmp_path / "outputs" / "mlflow.db")
     assert sorted((run.data.params["seed"], run.info.status) for run in runs) == [(s, "FINISHED") for s in "01"]
     shared = ("tracking=tensorboard", "tracking.directory=events")
     both(tmp_path, *[(*QUICK, f"seed={seed}", *shared, f"hydra.run.dir={seed}/run") for seed in range(2)])

@@ -234,15 +234,11 @@ def wing_record(wing: Wing, seed: int, duration: float, rate: float = 60.0, snr_
     spectrum, frequency = np.fft.rfft(rng.standard_normal(count)), np.fft.rfftfreq(count, step)
     force = np.fft.irfft(np.where((frequency > 0.3) & (frequency < 0.4 * rate), spectrum, 0.0), count)
     force *= 100.0 / force.std()
-    motion = np.zeros((count, len(wing.shapes) - 1))
     # Straight lines between the steps have less than the force itself, the more the faster it is.
     within = np.fft.irfft(np.fft.rfft(force) / np.sinc(frequency * step) ** 2, count)
-    for f, zeta, residue in zip(wing.frequencies, wing.ratios, wing.residues.T, strict=True):
-        omega = 2 * np.pi * f
-        b, a, _ = cont2discrete(([1.0, 0.0, 0.0], [1.0, 2 * zeta * omega, omega**2]), step, method="foh")
-        motion += lfilter(np.ravel(b), a, within)[:, None] * residue
+    modes = Vibrating(wing.frequencies, wing.ratios, wing.residues)
     kept = slice(round(SETTLE / step), None, STEPS)
-    motion = motion[kept]
+    motion = modes.accelerations(np.tile(within, (len(wing.ratios), 1)).T, rate * STEPS)[kept]
     motion = motion + rng.standard_normal(motion.shape) * motion.std(0) * 10 ** (-snr_db / 20)
     return np.column_stack((np.arange(len(motion)) / rate, force[kept], motion))
 
