@@ -221,13 +221,13 @@ def test_full_disks(whole: tuple[Path, float], tmp_path: Path) -> None:
 
 def test_killed_in_a_process_of_its_own(tmp_path: Path) -> None:
     """As a user's machine does it: another process takes over, which shares no memory with the first."""
-    program = [sys.executable, "-m", "pinn_cli.main"]
-    killed = subprocess.Popen([*program, *LONG, "hydra.run.dir=run"], cwd=tmp_path)
+    killed = start_process(tmp_path, *LONG, "hydra.run.dir=run")
     while killed.poll() is None and not (tmp_path / "run" / "checkpoint.previous.pt").exists():
         time.sleep(0.01)
     killed.kill()
     assert killed.wait() == -signal.SIGKILL
-    done = subprocess.run([*program, "resume=run"], cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    again = start_process(tmp_path, "resume=run")
+    _, err = again.communicate()
+    assert again.returncode == 0, err
     assert "going on from the checkpoint" in (tmp_path / "run" / "pinn-run.log").read_text()
     assert_same_numbers(run_in_a_child(tmp_path / "whole", *LONG), tmp_path / "run")

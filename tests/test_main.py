@@ -1,18 +1,16 @@
 """Whole runs of the real program, small: what they leave behind, and that the same seed gives the same bytes."""
 
 import io
-import json
-import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from calls import MEASURED, SMALL, PinnRun
+from calls import MEASURED, SMALL, Outcome, PinnRun
 from small_problems import measured, small_chain
+from sweeps import start
 
 from pinn_cli.cli.command_line import Terminal
 from pinn_cli.cli.job import shown
@@ -26,22 +24,15 @@ FILES |= {"response.nc", "run.json", "model.npz", "figures", ".hydra", "pinn-run
 LABELS = ["case", "estimator", "scheme", "ndof", "nonlinearity", "model_error", "snr_db", "seed"]
 
 
-@dataclass(frozen=True)
-class FinishedRun:
-    out: str
-    directory: Path
-
-
 @pytest.fixture(scope="module")
-def small_run(tmp_path_factory: pytest.TempPathFactory) -> FinishedRun:
+def small_run(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
     """One run in a process of its own, as a user starts it."""
-    command = [sys.executable, "-m", "pinn_cli.main", *SMALL, "case=small", "seed=0"]
-    done = subprocess.run(command, cwd=tmp_path_factory.mktemp("run"), capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    return FinishedRun(done.stdout, Path(done.stdout.splitlines()[-1]))
+    process = start(tmp_path_factory.mktemp("run"), *SMALL, "case=small", "seed=0")
+    out, err = process.communicate()
+    return Outcome(process.returncode, out, err).done()
 
 
-def test_a_run_leaves_every_file(small_run: FinishedRun) -> None:
+def test_a_run_leaves_every_file(small_run: Outcome) -> None:
     assert small_run.directory.parts[-3:-1] == ("outputs", "small")
     assert {entry.name for entry in small_run.directory.iterdir()} == FILES
     drawn = {figure.name for figure in (small_run.directory / "figures").iterdir()}
@@ -49,21 +40,21 @@ def test_a_run_leaves_every_file(small_run: FinishedRun) -> None:
     assert max(map(len, small_run.out.splitlines()[:-1])) <= 100
 
 
-def test_the_log_tells_the_stages(small_run: FinishedRun) -> None:
+def test_the_log_tells_the_stages(small_run: Outcome) -> None:
     lines = (small_run.directory / "pinn-run.log").read_text().splitlines()
     assert all("[pinn_cli." in line for line in lines)
     assert any("estimate:" in line for line in lines)
 
 
-def test_the_fitness_table(small_run: FinishedRun) -> None:
+def test_the_fitness_table(small_run: Outcome) -> None:
     fitness = pd.read_csv(small_run.directory / "fitness.csv")
     assert list(fitness.columns) == [*LABELS, "group", "quantity", "fitness_percent", "range_fitness_percent"]
     assert set(fitness["group"]) == {"all", "first", "last", "observed", "unobserved", "dof_1", "dof_2", "dof_3"}
     assert set(fitness["seed"]) == {0}
 
 
-def test_the_record_of_a_run_says_what_made_it(small_run: FinishedRun) -> None:
-    record = json.loads((small_run.directory / "run.json").read_text())
+def test_the_record_of_a_run_says_what_made_it(small_run: Outcome) -> None:
+    record = small_run.record
     assert (record["seed"], record["device"], record["threads"]) == (0, "cpu", 1)
     stages = record["seconds"]
     assert 0.0 < stages["start_up"] < stages["table_at"] <= stages["total"] - stages["figures"]
@@ -92,7 +83,7 @@ def test_a_reader_that_leaves_costs_no_result(monkeypatch: pytest.MonkeyPatch) -
     assert "table_at" in stages.seconds
 
 
-def test_the_response_is_labelled(small_run: FinishedRun) -> None:
+def test_the_response_is_labelled(small_run: Outcome) -> None:
     with xr.open_dataset(small_run.directory / "response.nc") as response:
         assert dict(response.sizes) == {"time": 256, "dof": 3, "connection": 3}
         assert response["dof"].values.tolist() == [1, 2, 3]
@@ -101,7 +92,7 @@ def test_the_response_is_labelled(small_run: FinishedRun) -> None:
                 assert response[quantity + suffix].attrs["units"]
 
 
-def test_the_free_run(small_run: FinishedRun) -> None:
+def test_the_free_run(small_run: Outcome) -> None:
     table, fitness = (pd.read_csv(small_run.directory / f"{name}.csv") for name in ("free_run", "fitness"))
     assert list(table) == [*LABELS, "against", *fitness.columns[len(LABELS) :]]
     assert set(table["estimator"]) == {"free_run"}
@@ -112,12 +103,6 @@ def test_the_free_run(small_run: FinishedRun) -> None:
     with xr.open_dataset(small_run.directory / "response.nc") as response:
         difference = response["displacement_free_run"] - response["displacement"]
         assert 0.0 < float(abs(difference).max()) < 0.01 * float(abs(response["displacement"]).max())
-
-
-def test_the_same_seed_gives_the_same_bytes(small_run: FinishedRun, pinn_run: PinnRun) -> None:
-    again = pinn_run(*SMALL, "case=small", "seed=0", "figures=false").directory
-    for name in TABLES:
-        assert (small_run.directory / name).read_bytes() == (again / name).read_bytes()
 
 
 def test_a_sweep_joins_its_tables(pinn_run: PinnRun) -> None:
@@ -148,7 +133,7 @@ def test_a_baseline_is_compared_with(pinn_run: PinnRun) -> None:
     assert verdict.splitlines()[-2].startswith("verdict: ")
 
 
-def test_a_record_whose_forces_are_all_unknown(small_run: FinishedRun, pinn_run: PinnRun, tmp_path: Path) -> None:
+def test_a_record_whose_forces_are_all_unknown(small_run: Outcome, pinn_run: PinnRun, tmp_path: Path) -> None:
     with xr.open_dataset(small_run.directory / "response.nc") as response:
         columns = {f"a{dof}": response["acceleration_true"].sel(dof=dof).values for dof in (1, 2, 3)}
         pd.DataFrame({"t": response["time"].values, **columns}).to_csv(tmp_path / "rig.csv", index=False)
@@ -185,10 +170,14 @@ def test_the_verdict_is_told_and_status_4_where_it_is_strict(pinn_run: PinnRun, 
     assert pinn_run(f"resume={done.directory}", "strict=false").status == 0
 
 
-def test_a_sound_run_passes(pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sound_run_passes_and_the_same_seed_gives_the_same_bytes(
+    small_run: Outcome, pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(run_report, "judge", lambda *_: Verdict.of([]))
-    done = pinn_run(*QUICK, "strict=true")
+    done = pinn_run(*QUICK, "case=small", "seed=0", "strict=true")
     assert (done.status, done.out.splitlines()[-2]) == (0, "verdict: sound")
+    for name in TABLES:
+        assert (small_run.directory / name).read_bytes() == (done.directory / name).read_bytes()
 
 
 @pytest.mark.slow
@@ -288,12 +277,8 @@ def written_chain(law: str, **parameters: float) -> list[str]:
     springs = [
         f"spring_{i}: {{between: [{ends[i - 1]}, {ends[i]}], law: {law}, {values}}}" for i in range(1, len(ends))
     ]
-    return [
-        "system=structure",
-        "system.dofs=[x1,x2,x3]",
-        "system.mass=10",
-        f"system.connections={{{', '.join(springs)}}}",
-    ]
+    connections = f"system.connections={{{', '.join(springs)}}}"
+    return ["system=structure", "system.dofs=[x1,x2,x3]", "system.mass=10", connections]
 
 
 @pytest.mark.slow  # system/test_topology.py compares their parameters and connections

@@ -5,7 +5,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -16,6 +15,7 @@ import xarray as xr
 from calls import SMALL, PinnRun
 from independent_records import Structure, measured
 from storeys import RATE, C, K, M, record, response, system, written
+from sweeps import start
 
 from pinn_cli.record.response import Response
 
@@ -188,13 +188,7 @@ KILLED = (*system(1.02 * K), "scheme.parameter_uncertainty=0.05", "figures=false
 PATIENCE = ("follow.poll=0.05", "follow.until_idle=1")
 
 
-def started(folder: Path, *arguments: str) -> subprocess.Popen[bytes]:
-    """The program in a process of its own."""
-    nowhere = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    return subprocess.Popen([sys.executable, "-m", "pinn_cli.main", *arguments], cwd=folder, **nowhere)
-
-
-def killed_after(process: subprocess.Popen[bytes], done: Path, later: float) -> None:
+def killed_after(process: subprocess.Popen[str], done: Path, later: float) -> None:
     """SIGKILL so many seconds after a file is there."""
     until = time.monotonic() + 120.0
     while not done.is_file():
@@ -222,12 +216,12 @@ def assert_same_numbers(one: Path, other: Path) -> None:
 def test_killed_windows_end_with_the_same_numbers(tmp_path: Path) -> None:
     data = written(record(3, duration=10.02).record, tmp_path / "one.csv")
     command = (*KILLED, *data, *WINDOWS)
-    assert started(tmp_path, *command, "hydra.run.dir=whole").wait() == 0
+    assert start(tmp_path, *command, "hydra.run.dir=whole").wait() == 0
     place = tmp_path / "run" / "windows"
-    killed_after(started(tmp_path, *command, "hydra.run.dir=run"), place / "0001" / "window.json", 0.0)
+    killed_after(start(tmp_path, *command, "hydra.run.dir=run"), place / "0001" / "window.json", 0.0)
     kept = (place / "0001" / "window.json").stat().st_mtime_ns
-    killed_after(started(tmp_path, *command, "hydra.run.dir=run", "resume=auto"), place / "0002" / "window.json", 0.1)
-    assert started(tmp_path, *command, "hydra.run.dir=run", "resume=auto").wait() == 0
+    killed_after(start(tmp_path, *command, "hydra.run.dir=run", "resume=auto"), place / "0002" / "window.json", 0.1)
+    assert start(tmp_path, *command, "hydra.run.dir=run", "resume=auto").wait() == 0
     assert (place / "0001" / "window.json").stat().st_mtime_ns == kept
     assert_same_numbers(tmp_path / "whole", tmp_path / "run")
 
@@ -238,16 +232,16 @@ def test_a_killed_follower_ends_with_the_same_numbers(tmp_path: Path) -> None:
     data = written(record(3, duration=10.02).record, tmp_path / "one.csv")
     lines = (tmp_path / "one.csv").read_text().splitlines(keepends=True)
     undisturbed = (*KILLED, *data, *WINDOWS)
-    assert started(tmp_path, *undisturbed, "hydra.run.dir=whole").wait() == 0
+    assert start(tmp_path, *undisturbed, "hydra.run.dir=whole").wait() == 0
     growing = tmp_path / "growing.csv"
     growing.write_text("".join(lines[:260]) + lines[260][:7])
     source = [argument.replace("one.csv", "growing.csv") for argument in data]
     follow = ("follow", *KILLED, *source, *WINDOWS, "hydra.run.dir=run", *PATIENCE)
     place = tmp_path / "run" / "windows"
     # Its second window is what is being waited for, or what had come when nothing more did.
-    killed_after(started(tmp_path, *follow[:-1]), place / "0001" / "window.json", 0.3)
+    killed_after(start(tmp_path, *follow[:-1]), place / "0001" / "window.json", 0.3)
     growing.write_text("".join(lines[:400]))
-    killed_after(started(tmp_path, *follow[:-1]), place / "0002" / "window.json", 0.0)
+    killed_after(start(tmp_path, *follow[:-1]), place / "0002" / "window.json", 0.0)
     growing.write_text("".join(lines))
-    assert started(tmp_path, *follow).wait() == 0
+    assert start(tmp_path, *follow).wait() == 0
     assert_same_numbers(tmp_path / "whole", tmp_path / "run")
