@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
+from operator import call
 
 import numpy as np
 import pandas as pd
@@ -135,16 +136,12 @@ def main() -> None:
         for seed in range(given.seeds)
     ]
     with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
-        found = pd.concat(pool.map(_called, trials))
+        found = pd.concat(pool.map(call, trials))
     command = " ".join(["make calibration", *[f'ARGS="{" ".join(sys.argv[1:])}"'] * (len(sys.argv) > 1)])
     for name, text in (("calibration", coverage(found)), ("calibration-sampled", sampling(found))):
         print(f"{text}\n", flush=True)
         if given.write:
             write(PAGE, name, text, command)
-
-
-def _called(trial: Trial) -> pd.DataFrame:
-    return trial()
 
 
 if __name__ == "__main__":

@@ -124,16 +124,20 @@ class Model:
         return out
 
 
-def gaussian(model: Model, spread: Callable[[Array, Array], tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Last mean (S,) and covariance (S, S) of a filter whose Gaussian is points and weights, as ``spread`` has them."""
+def gaussian(model: Model, far: float) -> tuple[Array, Array]:
+    """Last mean (S,) and covariance (S, S) of a filter whose Gaussian is its mean and two points along each axis.
+
+    They lie so many deviations apart from it: the root of the number of axes is an unscented filter's (Arasaratnam and
+    Haykin 2009), and so near that what is between them is straight an extended filter's.
+    """
     mean, covariance = model.begins
     for i in range(len(model.force) - 1):
-        points, weights = spread(mean, covariance)
+        points, weights = spread(mean, covariance, far)
         points = model.after(points, i)
         mean = weights @ points
         off = points - mean
         covariance = (weights * off.T) @ off + np.diag(model.driven)
-        points, weights = spread(mean, covariance)
+        points, weights = spread(mean, covariance, far)
         shown = model.felt(points, i + 1)
         seen = weights @ shown
         off, moved = points - mean, shown - seen
@@ -146,17 +150,8 @@ def gaussian(model: Model, spread: Callable[[Array, Array], tuple[Array, Array]]
     return mean, covariance
 
 
-def cubature(mean: Array, covariance: Array) -> tuple[Array, Array]:
-    """Points at the root of the size along each axis (Arasaratnam and Haykin 2009), an unscented filter's."""
-    return _along(mean, covariance, np.sqrt(len(mean)))
-
-
-def differences(mean: Array, covariance: Array) -> tuple[Array, Array]:
-    """The same so near that what is between them is straight: an extended filter's."""
-    return _along(mean, covariance, 1e-2)
-
-
-def _along(mean: Array, covariance: Array, far: float) -> tuple[Array, Array]:
+def spread(mean: Array, covariance: Array, far: float) -> tuple[Array, Array]:
+    """Points (2 S + 1, S) and weights."""
     values, vectors = np.linalg.eigh(covariance)
     root = far * vectors * np.sqrt(np.maximum(values, 0.0))
     weights = np.full(2 * len(mean) + 1, 0.5 / far**2)
@@ -208,8 +203,8 @@ def _normalised(log_weight: Array) -> Array:
 
 
 FILTERS: dict[str, Callable[[Model, np.random.Generator], tuple[Array, Array]]] = {
-    "extended Kalman filter": lambda model, rng: gaussian(model, differences),
-    "unscented (cubature) Kalman filter": lambda model, rng: gaussian(model, cubature),
+    "extended Kalman filter": lambda model, rng: gaussian(model, 1e-2),
+    "unscented (cubature) Kalman filter": lambda model, rng: gaussian(model, np.sqrt(model.states + len(model.names))),
     "ensemble Kalman filter": ensemble,
     "particle filter": particles,
 }

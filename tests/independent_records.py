@@ -11,6 +11,11 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.response import QUANTITIES, Response
 
 
+def chain_matrix(values: np.ndarray) -> np.ndarray:
+    """Of springs or dampers between storeys, the first one on the ground."""
+    return np.diag(values + np.append(values[1:], 0.0)) - np.diag(values[1:], 1) - np.diag(values[1:], -1)
+
+
 @dataclass(frozen=True, eq=False)
 class Structure:
     """Storeys from the ground up: masses kg, dampers N s/m, springs N/m, N/m^3 and N/m^2."""
@@ -24,9 +29,8 @@ class Structure:
     @property
     def frequencies(self) -> np.ndarray:
         """Natural frequencies of the linear structure, Hz."""
-        k = self.k
-        stiffness = np.diag(k + np.append(k[1:], 0.0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
-        return np.sqrt(np.linalg.eigvalsh(stiffness / np.sqrt(np.outer(self.m, self.m)))) / (2.0 * np.pi)
+        scaled = chain_matrix(self.k) / np.sqrt(np.outer(self.m, self.m))
+        return np.sqrt(np.linalg.eigvalsh(scaled)) / (2.0 * np.pi)
 
     def moved(self, force, time: np.ndarray) -> Response:
         """Motion from rest under a force on the roof, N, a function of time."""

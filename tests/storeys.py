@@ -4,7 +4,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from independent_records import IndependentRecord, Structure, measured
+from independent_records import IndependentRecord, Structure, chain_matrix, measured
 from scipy.linalg import expm
 
 from pinn_cli.record.record import Record
@@ -14,11 +14,6 @@ M = np.array([2000.0, 2000.0, 1500.0])
 K = np.array([1.5e6, 1.4e6, 1.2e6])
 C = 2e-3 * K
 RATE, DURATION = 50.0, 12.0
-
-
-def chain_matrix(values: np.ndarray) -> np.ndarray:
-    """Of springs or dampers between storeys, the first one on the ground."""
-    return np.diag(values + np.append(values[1:], 0.0)) - np.diag(values[1:], 1) - np.diag(values[1:], -1)
 
 
 def under_waves(

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from storeys import K, chain_matrix, record, system, under_waves, written
 
 from pinn_cli.report.fitness import fitness_percent
 
-RATE, DURATION, DB = 100.0, 30.0, 30.0
+RATE = 100.0
 MASS, STIFFNESS, DAMPING, HARDENING = 1500.0, 6.0e5, 900.0, 4.0e9
 SPRING = (
     "data=csv", "data.time=t", "system=structure", "system.dofs=[x]", f"system.mass={{x: {MASS}}}",
@@ -33,20 +34,33 @@ def law(e: np.ndarray) -> np.ndarray:
     return STIFFNESS * e + 1.0e7 * e**2 + HARDENING * e**3
 
 
+def integrated(
+    rates: Callable[[float, np.ndarray], np.ndarray], time: np.ndarray, size: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """States (N, size) from rest, and their rates."""
+    solved = solve_ivp(rates, time[[0, -1]], np.zeros(size), t_eval=time, max_step=0.2 / RATE, rtol=1e-8, atol=1e-11)
+    states = solved.y.T
+    return states, np.array([rates(t, state) for t, state in zip(time, states, strict=True)])
+
+
+def write_noisy(
+    path: Path, rng: np.random.Generator, time: np.ndarray, columns: dict[str, np.ndarray], snr_db: float
+) -> Path:
+    noisy = {name: x + 10.0 ** (-snr_db / 20.0) * x.std() * rng.standard_normal(len(x)) for name, x in columns.items()}
+    pd.DataFrame({"t": time} | noisy).to_csv(path, index=False)
+    return path
+
+
 def spring_written(path: Path) -> Path:
-    rng, time = np.random.default_rng(11), np.arange(round(RATE * DURATION)) / RATE
+    rng, time = np.random.default_rng(11), np.arange(round(RATE * 30.0)) / RATE
     force = 2000.0 * white_below(12.0, RATE, time.shape, rng)
     pushed = make_interp_spline(time, force, 5)
 
     def rates(t: float, state: np.ndarray) -> np.ndarray:
         return np.array([state[1], (pushed(t) - law(state[0]) - DAMPING * state[1]) / MASS])
 
-    solved = solve_ivp(rates, time[[0, -1]], np.zeros(2), t_eval=time, max_step=0.2 / RATE, rtol=1e-8, atol=1e-11)
-    felt = np.array([rates(t, state)[1] for t, state in zip(time, solved.y.T, strict=True)])
-    columns = {"f": force, "x": solved.y[0], "a": felt}
-    noisy = {name: x + 10.0 ** (-DB / 20.0) * x.std() * rng.standard_normal(len(x)) for name, x in columns.items()}
-    pd.DataFrame({"t": time} | noisy).to_csv(path, index=False)
-    return path
+    states, moved = integrated(rates, time, 2)
+    return write_noisy(path, rng, time, {"f": force, "x": states[:, 0], "a": moved[:, 1]}, 30.0)
 
 
 @pytest.mark.slow
@@ -66,7 +80,6 @@ def test_a_law_that_nobody_knows_lies_in_its_band(pinn_run: PinnRun, tmp_path: P
     assert (outcome.directory / "figures" / "restoring.png").is_file()
 
 
-STOP_RATE, STOP_DURATION, STOP_DB = 100.0, 20.0, 40.0
 STOP_MASS, TRUE = (3.8, 3.9), {"c_wall": 3.8, "k_wall": 2300.0, "c_stop": 4.2, "k_stop": 1600.0, "k_g_stop": 1800.0}
 STOP = (
     "data=csv", "data.time=t", "figures=false", "system=structure", "system.dofs=[a, b]",
@@ -76,8 +89,8 @@ STOP = (
 
 
 def stop_written(path: Path, sides: str, gap: float) -> Path:
-    rng, time = np.random.default_rng(7), np.arange(round(STOP_RATE * STOP_DURATION)) / STOP_RATE
-    force = 60.0 * white_below(12.0, STOP_RATE, time.shape, rng)
+    rng, time = np.random.default_rng(7), np.arange(round(RATE * 20.0)) / RATE
+    force = 60.0 * white_below(12.0, RATE, time.shape, rng)
     pushed = make_interp_spline(time, force, 5)
 
     def rates(t: float, state: np.ndarray) -> np.ndarray:
@@ -88,12 +101,8 @@ def stop_written(path: Path, sides: str, gap: float) -> Path:
         stop = TRUE["c_stop"] * (w - v) + TRUE["k_stop"] * e + TRUE["k_g_stop"] * contact
         return np.array([v, w, (stop - wall) / STOP_MASS[0], (pushed(t) - stop) / STOP_MASS[1]])
 
-    solved = solve_ivp(rates, time[[0, -1]], np.zeros(4), t_eval=time, max_step=0.2 / STOP_RATE, rtol=1e-8, atol=1e-11)
-    felt = np.array([rates(t, state)[2:] for t, state in zip(time, solved.y.T, strict=True)])
-    columns = {"f": force, "a": felt[:, 0], "b": felt[:, 1]}
-    noisy = {name: x + 10.0 ** (-STOP_DB / 20.0) * x.std() * rng.standard_normal(len(x)) for name, x in columns.items()}
-    pd.DataFrame({"t": time} | noisy).to_csv(path, index=False)
-    return path
+    _, moved = integrated(rates, time, 4)
+    return write_noisy(path, rng, time, {"f": force, "a": moved[:, 2], "b": moved[:, 3]}, 40.0)
 
 
 @pytest.mark.slow
@@ -156,22 +165,20 @@ def test_an_offset_and_quadratic_springs_of_zero_leave_a_good_run_sound(pinn_run
     assert done.record["verdict"] == "sound"
 
 
-STOREY, RATIO_RATE = 2000.0, 100.0
+STOREY = 2000.0
 SPRINGS, ZETA = np.array([1.5e6, 1.4e6, 1.2e6]), np.array([0.02, 0.015, 0.025])
 
 
-def chain_of_ratios(seed: int, duration: float) -> dict[str, np.ndarray]:
-    """Columns of accelerometers on three storeys under a force on the roof, 40 dB."""
+def chain_of_ratios(path: Path, seed: int) -> Path:
+    """A record of accelerometers on three storeys under a force on the roof, 40 dB."""
     rng, stiffness = np.random.default_rng(seed), chain_matrix(SPRINGS)
     squares, shapes = eigh(stiffness, STOREY * np.eye(3))
     damping = STOREY**2 * shapes @ np.diag(2.0 * ZETA * np.sqrt(squares)) @ shapes.T
     waves = 2.0 * np.pi * rng.uniform(0.3, 15.0, 40), rng.uniform(0.0, 2.0 * np.pi, 40)
-    time = np.arange(round(duration * RATIO_RATE)) / RATIO_RATE
+    time = np.arange(round(20.0 * RATE)) / RATE
     acting = np.array([0.0, 0.0, 80.0])
-    _, _, a, force = under_waves(np.full(3, STOREY), (damping, stiffness), acting, waves, time, RATIO_RATE)
-    columns = {"f": 80.0 * force, **{f"a{i + 1}": a[:, i] for i in range(3)}}
-    noisy = {name: x + 0.01 * np.std(x) * rng.standard_normal(len(x)) for name, x in columns.items()}
-    return {"t": time, **noisy}
+    _, _, a, force = under_waves(np.full(3, STOREY), (damping, stiffness), acting, waves, time, RATE)
+    return write_noisy(path, rng, time, {"f": 80.0 * force, **{f"a{i + 1}": a[:, i] for i in range(3)}}, 40.0)
 
 
 RECORD = (
@@ -183,8 +190,7 @@ RECORD = (
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_stiffnesses_and_ratios_are_found_together(pinn_run: PinnRun, tmp_path, seed):
-    path = tmp_path / "record.csv"
-    pd.DataFrame(chain_of_ratios(seed, 20.0)).to_csv(path, index=False)
+    path = chain_of_ratios(tmp_path / "record.csv", seed)
     outcome = pinn_run(*RECORD, f"data.path={path}", "system.damping={ratio: [null, null, null]}").done()
     found = outcome.parameters
     true = {f"k_{i + 1}": k for i, k in enumerate(SPRINGS)} | {f"zeta_{i + 1}": zeta for i, zeta in enumerate(ZETA)}
@@ -199,8 +205,7 @@ def test_stiffnesses_and_ratios_are_found_together(pinn_run: PinnRun, tmp_path, 
 
 @pytest.mark.slow
 def test_dampers_between_the_masses_are_doubted(pinn_run: PinnRun, tmp_path):
-    path = tmp_path / "record.csv"
-    pd.DataFrame(chain_of_ratios(2, 20.0)).to_csv(path, index=False)
+    path = chain_of_ratios(tmp_path / "record.csv", 2)
     outcome = pinn_run(*RECORD, f"data.path={path}", "scheme.unknown=[k_*, c_*]")
     ran = outcome.record
     assert ran["verdict"] != "sound", outcome.out
@@ -210,8 +215,7 @@ def test_dampers_between_the_masses_are_doubted(pinn_run: PinnRun, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("windows", [(), ("data.window=10", "data.overlap=2")], ids=["whole", "windows"])
 def test_without_a_word_each_mode_in_the_band_has_a_ratio(pinn_run: PinnRun, tmp_path, windows):
-    path = tmp_path / "record.csv"
-    pd.DataFrame(chain_of_ratios(3, 20.0)).to_csv(path, index=False)
+    path = chain_of_ratios(tmp_path / "record.csv", 3)
     outcome = pinn_run(*RECORD, f"data.path={path}", "scheme.unknown=[k_*]", *windows).done()
     assert "nothing is said of damping" in outcome.out + outcome.err
     found = outcome.parameters

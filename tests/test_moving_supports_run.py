@@ -49,11 +49,19 @@ def noisy(x: np.ndarray, seed: int, db: float = 40.0) -> np.ndarray:
     return x + np.sqrt(np.mean(x**2)) * 10.0 ** (-db / 20.0) * np.random.default_rng(seed).normal(size=len(x))
 
 
-@pytest.mark.slow
-def test_springs_dampers_bands_and_what_comes(pinn_run: PinnRun, tmp_path) -> None:
+@pytest.fixture
+def seen(tmp_path) -> dict[str, np.ndarray]:
+    """The columns of seen.csv: the table, m, and the first mass, m/s^2."""
     time, table, _, motion = recorded(1)
-    columns = {"t": time, "s": 1e3 * noisy(table, 2), "a": noisy(motion[:, 2, 0], 3)}
+    columns = {"t": time, "s": noisy(table, 2), "a": noisy(motion[:, 2, 0], 3)}
     pd.DataFrame(columns).to_csv(tmp_path / "seen.csv", index=False)
+    return columns
+
+
+@pytest.mark.slow
+def test_springs_dampers_bands_and_what_comes(pinn_run: PinnRun, tmp_path, seen) -> None:
+    _, table, _, motion = recorded(1)
+    pd.DataFrame(seen | {"s": 1e3 * seen["s"]}).to_csv(tmp_path / "seen.csv", index=False)
     record = ("data=csv", "data.time=t", "figures=false", *SYSTEM)
     channel = "s: {sensor: displacement, support: table, unit: mm}"
     outcome = pinn_run(
@@ -72,7 +80,7 @@ def test_springs_dampers_bands_and_what_comes(pinn_run: PinnRun, tmp_path) -> No
             off = response[quantity].values - motion[:, order]
             assert np.mean(np.abs(off) < 1.96 * response[f"{quantity}_std"].values) > 0.8, quantity
         left = response["support_displacement"].values[:, 0] - table
-        assert np.sqrt(np.mean(left**2)) < np.sqrt(np.mean((1e-3 * columns["s"] - table) ** 2))
+        assert np.sqrt(np.mean(left**2)) < np.sqrt(np.mean((seen["s"] - table) ** 2))
         off = response["drift"].sel(connection="mount").values - (motion[:, 0, 0] - table)
         assert np.mean(np.abs(off) < 1.96 * response["drift_std"].sel(connection="mount").values) > 0.8
     time, table, _, motion = recorded(5)
@@ -106,10 +114,8 @@ def test_what_cannot_be_meant(pinn_run: PinnRun, tmp_path, overrides, message) -
     pinn_run("data=csv", f"data.path={tmp_path / 'x.csv'}", "data.time=t", *SYSTEM, *given, *overrides).refused(message)
 
 
+@pytest.mark.usefixtures("seen")
 def test_inspect_shows_what_moves_and_keeps_its_channel(pinn_run: PinnRun, tmp_path) -> None:
-    time, table, _, motion = recorded(1)
-    columns = {"t": time, "s": noisy(table, 2), "a": noisy(motion[:, 2, 0], 3)}
-    pd.DataFrame(columns).to_csv(tmp_path / "seen.csv", index=False)
     channels = "data.channels={s: {sensor: displacement, support: table}, a: {sensor: acceleration, dof: frame}}"
     given = ("data=csv", f"data.path={tmp_path / 'seen.csv'}", "data.time=t", *SYSTEM, channels, "figures=false")
     outcome = pinn_run("inspect", *given).done()
@@ -118,11 +124,9 @@ def test_inspect_shows_what_moves_and_keeps_its_channel(pinn_run: PinnRun, tmp_p
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("seen")
 def test_window_by_window_from_several_starts(pinn_run: PinnRun, tmp_path) -> None:
     """What the user says is a start beside the one that the spectra tell: whichever wins hands over."""
-    time, table, _, motion = recorded(1)
-    columns = {"t": time, "s": noisy(table, 2), "a": noisy(motion[:, 2, 0], 3)}
-    pd.DataFrame(columns).to_csv(tmp_path / "seen.csv", index=False)
     outcome = pinn_run(
         "data=csv", f"data.path={tmp_path / 'seen.csv'}", "data.time=t", *SYSTEM, "figures=false", "data.window=9",
         "data.overlap=2", f"data.channels={{{S}, a: {{sensor: acceleration, dof: frame}}}}", "scheme=state_parameter",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -106,7 +105,7 @@ def plain(value: object) -> dict[str, object]:
 
     def of(x: object) -> object:
         if isinstance(x, dict):
-            return {_key(k): of(v) for k, v in x.items()}
+            return {of(k): of(v) for k, v in x.items()}
         if isinstance(x, list | tuple):
             return [of(v) for v in x]
         if isinstance(x, np.ndarray):
@@ -118,12 +117,3 @@ def plain(value: object) -> dict[str, object]:
     found = of(value)
     assert isinstance(found, dict)
     return found
-
-
-def _key(key: object) -> object:
-    return key.item() if isinstance(key, np.generic) else key
-
-
-def as_text(parameters: dict[str, float]) -> str:
-    """Parameters as JSON, for the tables."""
-    return json.dumps({name: float(f"{value:.9g}") for name, value in parameters.items()})

@@ -22,6 +22,7 @@ from functools import cache
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from multiprocessing import get_context
+from operator import call
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import CodeType, FrameType, ModuleType
@@ -75,9 +76,8 @@ class Change:
         tree = ast.parse(text)
         for target, value in named_values(tree):
             if target.id == self.constant.name:
-                changed = ast.parse(f"type(x)((x) * {self.factor!r})", mode="eval").body
-                value_at = ast.parse(f"(lambda x: {ast.unparse(changed)})({ast.unparse(value)})", mode="eval").body
-                return ast.fix_missing_locations(_Replaced(value, value_at).visit(tree))
+                changed = f"(lambda x: type(x)(x * {self.factor!r}))({ast.unparse(value)})"
+                return ast.fix_missing_locations(_Replaced(value, ast.parse(changed, mode="eval").body).visit(tree))
         raise ValueError(f"{self.constant.path} has no number {self.constant.name}")
 
 
@@ -327,11 +327,7 @@ def _judged(every: Sequence[Found]) -> Judged:
 def _side_by_side(tasks: Sequence[Callable[[], R]]) -> Iterator[R]:
     """What they find, in their order."""
     with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn"), initializer=_prepared) as pool:
-        yield from pool.map(_called, tasks)
-
-
-def _called(task: Callable[[], R]) -> R:
-    return task()
+        yield from pool.map(call, tasks)
 
 
 @cache
