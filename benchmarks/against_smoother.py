@@ -43,35 +43,32 @@ def errors(estimate: Estimate, truth: Response) -> dict[str, float]:
     return {quantity: float(np.nanmean(100.0 - score)) for quantity, score in scores.items()}
 
 
-def smoothed(prepared: PreparedProblem, seed: int, level: float | None = None) -> Estimate:
-    """The smoother's estimate, with its process noise in N or, for None, the most probable one.
+def measured(snr_db: float, seeds: int) -> Iterator[dict[str, object]]:
+    """A row per estimator and seed: ``estimator, snr_db, seed`` and the error of every quantity.
 
     Raises:
-        DivergenceError: It found none.
+        DivergenceError: The smoother found no estimate.
     """
-    return KalmanSmoother(process_noise=level).solve(prepared.problem, RunContext("cpu", seed))
-
-
-def measured(snr_db: float, seeds: int) -> Iterator[dict[str, object]]:
-    """A row per estimator and seed: ``estimator, snr_db, seed`` and the error of every quantity."""
     fixed, levels = [], []
+
+    def row(name: str, seed: int, estimate: Estimate, prepared: PreparedProblem) -> dict[str, object]:
+        return {"estimator": name, "snr_db": snr_db, "seed": seed, **errors(estimate, prepared.truth.response)}
+
     for seed in range(seeds):
         drawn = [f"noise.snr_db={snr_db}", f"seed={seed}", f"excitation.seed={seed}", "simulation.hold=exact"]
         for name, setting in (("uncertain", UNCERTAIN), ("fixed", FIXED)):
             config = RunConfig.read(compose_config([*drawn, setting]))
-            prepared = prepare_problem(config)
-            ours = config.estimator.solve(prepared.problem, RunContext("cpu", seed))
-            yield {"estimator": name, "snr_db": snr_db, "seed": seed, **errors(ours, prepared.truth.response)}
+            prepared, run = prepare_problem(config), RunContext("cpu", seed)
+            yield row(name, seed, config.estimator.solve(prepared.problem, run), prepared)
         fixed.append(prepared)
-        found = smoothed(prepared, seed)
+        found = KalmanSmoother().solve(prepared.problem, run)
         levels.append(found.noise.discrepancy)
-        yield {"estimator": "evidence", "snr_db": snr_db, "seed": seed, **errors(found, prepared.truth.response)}
+        yield row("evidence", seed, found, prepared)
     centre = float(np.exp(np.mean(np.log(levels))))
     for level in centre * np.array(FACTORS):
         for seed, prepared in enumerate(fixed):
-            found = smoothed(prepared, seed, float(level))
-            row = {"estimator": f"process noise {level:.3g} N", "snr_db": snr_db, "seed": seed}
-            yield {**row, **errors(found, prepared.truth.response)}
+            found = KalmanSmoother(process_noise=float(level)).solve(prepared.problem, RunContext("cpu", seed))
+            yield row(f"process noise {level:.3g} N", seed, found, prepared)
 
 
 def compared(rows: pd.DataFrame) -> pd.DataFrame:

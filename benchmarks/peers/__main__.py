@@ -155,30 +155,22 @@ def settings_tuned(script: Path) -> int:
 
 
 def measured(peer: Peer) -> dict[str, object]:
-    """The row of one peer."""
-    directory = PLACE / peer.record
-    record = PLACE / f"{peer.record}.csv"
-    if peer.script is None and peer.name.endswith(" modes"):
+    """The row of one peer, as the table has it."""
+    directory, record, found, lines, tuned = PLACE / peer.record, PLACE / f"{peer.record}.csv", None, 1, 0
+    if peer.script is not None:
+        script = HERE / peer.script
+        found = PLACE / f"{script.stem}{'.npz' if peer.record == 'chain' else '.csv'}"
+        seconds = processor_seconds([environment(), script, record, found])
+        lines, tuned = lines_written(script), settings_tuned(script)
+    elif peer.name.endswith(" modes"):
         found, seconds = own_modes(record)
-        return row(peer, modal_errors(directory, pd.read_csv(found)), seconds, 1, 0)
-    if peer.script is None:
+    else:
         directory, seconds = own_run(peer.record)
         write_record(directory, record)
-        accuracy = fitness(directory, None) if peer.record == "chain" else modal_errors(directory, None)
-        return row(peer, accuracy, seconds, 1, 0)
-    script = HERE / peer.script
-    estimate = PLACE / f"{script.stem}{'.npz' if peer.record == 'chain' else '.csv'}"
-    seconds = processor_seconds([environment(), script, record, estimate])
     if peer.record == "chain":
-        with np.load(estimate) as arrays:
-            accuracy = fitness(directory, dict(arrays))
+        accuracy = fitness(directory, None if found is None else dict(np.load(found)))
     else:
-        accuracy = modal_errors(directory, pd.read_csv(estimate))
-    return row(peer, accuracy, seconds, lines_written(script), settings_tuned(script))
-
-
-def row(peer: Peer, accuracy: str, seconds: float, lines: int, tuned: int) -> dict[str, object]:
-    """As the table has it."""
+        accuracy = modal_errors(directory, None if found is None else pd.read_csv(found))
     return {
         "record": peer.record, "program": peer.name, "accuracy": accuracy, "seconds": round(seconds, 1), "lines": lines,
         "tuned": tuned,
