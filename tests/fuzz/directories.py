@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from fuzz.changes import HISTORIES
-from fuzz.trial import FINISHED, MEASURED, QUICK, SEARCHED, STOPPED, SWEPT, WINDOWED, Trial, rig
+from fuzz.trial import FINISHED, MEASURED, QUICK, SEARCHED, STOPPED, SWEPT, UNFOLDING, WINDOWED, Trial, rig
 from hypothesis import strategies as st
 
 Form = tuple[str, Any]
@@ -29,9 +29,7 @@ YAML_TEXTS = (
     "5", "x", "a: b", "- {a: b}", "- [1, [2]]", "- 5", "- null", "- 'seed='", "- '=5'", "- seed=0,1", "- 'a b c'",
     "[", "",
     "- !!python/name:os.system", "- &a [*a]", "\t", "- x: 1\n  x: 2", "- 2024-05-01",
-    "a: &a [x, x, x, x, x, x, x, x]\n" + "".join(
-        f"{n}: &{n} [{', '.join(['*' + o] * 8)}]\n" for o, n in zip("abcdefghij", "bcdefghijk", strict=True)
-    ),
+    UNFOLDING,
 )  # fmt: skip
 CSV_TEXTS = ("", "a", "a,b\n1\n", "a,b\n1,2,3\n", '"', "\x00\x00", "group,quantity\nall,x\n", "\n\n\n", "\ufeff")
 OF_RUN_JSON = (
@@ -181,30 +179,27 @@ def terminal(draw: st.DrawFn) -> Trial:
             return Trial("terminal", ("collect=sweep",), files, "swept")
         case "reason":
             key, value = draw(st.sampled_from((("reasons", [escape]), ("verdict", escape), ("case", escape))))
-            calls = (("resume=run", "strict=true"), (*QUICK, "model=run", "scheme=predict"), ("load", "run"))
+            calls = (("resume=run", "strict=true"), _PREDICTED, ("load", "run"))
             return Trial("terminal", draw(st.sampled_from(calls)), {"run/run.json": ("set", [key, value])}, "finished")
         case "failure":
             content = {"status": 2, "reason": escape, "traceback": f"Traceback\n{escape}"}
-            return Trial("terminal", draw(st.sampled_from((("collect=sweep",), ("load", "sweep")))),
-                         {"sweep/seed=0*/failure.json": ("text", json.dumps(content))}, "swept")  # fmt: skip
+            files = {"sweep/seed=0*/failure.json": ("text", json.dumps(content))}
+            return Trial("terminal", draw(st.sampled_from(_SHOWN)), files, "swept")
         case "name":
             column, text = draw(st.sampled_from((("group", escape), ("quantity", escape), ("estimator", escape))))
-            return Trial(
-                "terminal", ("collect=sweep",), {"sweep/seed=0*/fitness.csv": ("set", [column, text])}, "swept"
-            )
+            files = {"sweep/seed=0*/fitness.csv": ("set", [column, text])}
+            return Trial("terminal", ("collect=sweep",), files, "swept")
         case "search":
             change = draw(st.sampled_from(("trial_params SET param_name", "trial_user_attributes SET key")))
             text = escape.replace("\x00", "").replace("'", "")
-            return Trial(
-                "terminal", ("collect=sweep",), {"sweep/search.db": ("sql", f"UPDATE {change} = '{text}'")}, "searched"
-            )
+            files = {"sweep/search.db": ("sql", f"UPDATE {change} = '{text}'")}
+            return Trial("terminal", ("collect=sweep",), files, "searched")
     named = escape.replace("\n", "").replace("\r", "") if draw(st.booleans()) else draw(st.sampled_from(NAMES))
     rows = rig()
     rows[0] = ["t", "f", named]
     rig_csv = {"rig.csv": ("text", "\n".join(",".join(row) for row in rows))}
     if draw(st.booleans()):
-        arguments = ("inspect", "data=csv", "data.path=rig.csv")
-        return Trial("terminal", arguments, rig_csv)
+        return Trial("terminal", ("inspect", "data=csv", "data.path=rig.csv"), rig_csv)
     own = [a for a in MEASURED if "acceleration" not in a and a != "figures=false"]
     form = draw(st.sampled_from((
         {"acceleration": {1: named}}, {"channels": [{"column": named, "quantity": "acceleration", "dof": 1}]},

@@ -5,7 +5,7 @@ from typing import Any
 
 from fuzz.changes import BOMBS
 from fuzz.overrides import HANDLER
-from fuzz.trial import FINISHED, MEASURED, QUICK, STOPPED, Trial, rig
+from fuzz.trial import FINISHED, MEASURED, QUICK, STOPPED, UNFOLDING, Trial, rig
 from hypothesis import strategies as st
 
 CELLS = (
@@ -35,9 +35,7 @@ FRAGMENTS = (
     "case: 2024-05-01",
     "case: 0o17", "seed: 1:30", "seed: 1_0", "case: \ud7ff", "# only a comment", "", "{", "[" * 3000, "a: " * 50,
     "network: {degree: [[[[1]]]]}", "case: true", "hydra: 5", "hydra: {job_logging: {handlers: {x: {(): os.mkdir}}}}",
-    "a: &a [x, x, x, x, x, x, x, x]\n" + "".join(
-        f"{n}: &{n} [{', '.join(['*' + o] * 8)}]\n" for o, n in zip("abcdefghij", "bcdefghijk", strict=True)
-    ),
+    UNFOLDING,
 )  # fmt: skip
 RUN_FILES = (
     ".hydra/config.yaml", ".hydra/hydra.yaml", ".hydra/overrides.yaml", ".hydra", "run.json", "checkpoint.pt",
@@ -184,10 +182,9 @@ def disk(draw: st.DrawFn) -> Trial:
     }
     match draw(st.sampled_from(("place", "place", "small", "outputs", "beside", "case"))):
         case "place":
-            place, setting = draw(st.sampled_from(PLACES)), "hydra.run.dir"
-            if draw(st.booleans()):
-                return Trial("disk", (*QUICK, f"{setting}={place}", "resume=auto"), files)
-            return Trial("disk", (*QUICK, f"{setting}={place}"), files)
+            place = draw(st.sampled_from(PLACES))
+            resumes = ("resume=auto",) if draw(st.booleans()) else ()
+            return Trial("disk", (*QUICK, f"hydra.run.dir={place}", *resumes), files)
         case "small":
             arguments = draw(st.sampled_from((STOPPED, FINISHED, (*FINISHED, "tracking=tensorboard"))))
             limit = draw(st.sampled_from((0, 10, 500, 2000, 8000, 20000, 60000)))

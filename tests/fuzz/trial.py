@@ -179,6 +179,10 @@ WINDOWED = (
     *MEASURED, "scheme=state_parameter", "scheme.unknown=[k_1]", "data.window=4", "data.overlap=1", "hydra.run.dir=run",
 )  # fmt: skip
 STARTS = {"finished": FINISHED, "stopped": STOPPED, "swept": SWEPT, "searched": SEARCHED, "windowed": WINDOWED}
+# YAML each of whose lines is eight of the one before it.
+UNFOLDING = "a: &a [x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{n}: &{n} [{', '.join(['*' + o] * 8)}]\n" for o, n in zip("abcdefghij", "bcdefghijk", strict=True)
+)
 # Of a run that was killed: what it would have written next.
 UNWRITTEN = {"stopped": ("run.json",), "windowed": ("run.json", "windows/0002/window.json")}
 
