@@ -1,5 +1,6 @@
 """Records of frames that unknown forces shake, by numpy and scipy alone: exact steps at a fine rate, decimated."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,12 @@ def frame(floors: int, first_frequency: float, damping: float = 0.02) -> tuple[n
     rate = np.sqrt(np.linalg.eigvalsh(chain_matrix(k) / 1000.0)[0])
     k = k * (2.0 * np.pi * first_frequency / rate) ** 2
     return m, 2.0 * damping / (2.0 * np.pi * first_frequency) * k, k
+
+
+def storeys(*each: Mapping[str, object]) -> tuple[list[str], dict[str, dict[str, object]]]:
+    """Names of floors from the ground up, and the storeys below them with these laws and values."""
+    names = [f"x{i}" for i in range(len(each))]
+    return names, {f"storey_{i}": {"between": ["ground", *names][i : i + 2], **own} for i, own in enumerate(each)}
 
 
 def white_below(edge: float, rate: float, shape: tuple[int, ...], random: np.random.Generator) -> np.ndarray:
@@ -102,10 +109,6 @@ def ambient_record(
     nothing = np.full_like(a, np.nan)
     unforced = np.zeros(floors, dtype=bool)
     record = Record(time, nothing, nothing.copy(), measured, nothing.copy(), unforced=unforced)
-    names = [f"x{i}" for i in range(floors)]
-    connections = {
-        f"storey_{i}": {"between": ["ground", *names][i : i + 2], "law": "linear", "c": c[i], "k": k[i]}
-        for i in range(floors)
-    }
+    names, connections = storeys(*({"law": "linear", "c": a, "k": b} for a, b in zip(c, k, strict=True)))
     structure = build_structure(names, dict(zip(names, m, strict=True)), connections)
     return AmbientRecord(structure, record, Response(time, u, v, a, f), noise)

@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 import pandas as pd
 import pytest
-from ambient_records import ambient_record, frame
+from ambient_records import AmbientRecord, ambient_record, frame, storeys
 from one_record import by_spline
 from small_estimates import Case, results_of
 from small_problems import excitation, measured, small_chain
@@ -37,6 +37,11 @@ from pinn_cli.verdict.sensor_findings import noise_findings
 def solved(made, uncertainty=0.0):
     problem = SparseRecovery(parameter_uncertainty=uncertainty).pose(made.structure, [made.record])
     return problem, by_spline(problem)
+
+
+def unsolved(made: AmbientRecord, **summary) -> Estimate:
+    """An estimate of the truth with nothing but this summary."""
+    return Estimate(made.truth, made.truth, [], pd.DataFrame(), summary)
 
 
 def inside(estimate: np.ndarray, std: np.ndarray, truth: np.ndarray) -> float:
@@ -93,11 +98,7 @@ def test_uncertain_parameters_come_from_the_spectra_and_the_motion_allows_for_th
 @pytest.mark.parametrize(("first_frequency", "seed"), [(4.0, 0), (1.5, 1)])
 def test_springs_and_dampers_without_a_start_come_from_the_resonances(first_frequency, seed):
     made = ambient_record(first_frequency, 50.0, 60.0, 20.0, seed=seed)
-    names = [f"x{i}" for i in range(3)]
-    connections = {
-        f"storey_{i}": {"between": ["ground", *names][i : i + 2], "law": "linear", "c": None, "k": None}
-        for i in range(3)
-    }
+    names, connections = storeys(*[{"law": "linear", "c": None, "k": None}] * 3)
     masses = dict(zip(names, made.structure.parameters["m"].tolist(), strict=True))
     nothing = build_partial_structure(names, masses, connections)
     problem = StateParameter(unobserved=[], unknown="missing").pose(nothing, [made.record])
@@ -116,8 +117,7 @@ def test_a_sensor_of_another_scale_than_it_says_makes_uncertain_parameters_quest
         made.structure, [replace(made.record, acceleration=scaled)]
     )
     known = known_parameters(problem)
-    estimate = Estimate(made.truth, made.truth, [], pd.DataFrame(), {"spectral_misfit": known.misfit})
-    found = input_findings(problem.alone, estimate, made.structure)
+    found = input_findings(problem.alone, unsolved(made, spectral_misfit=known.misfit), made.structure)
     assert any(finding.kind == "spectra" and finding.word == "questionable" for finding in found)
     right = known_parameters(SparseRecovery(parameter_uncertainty=0.1).pose(made.structure, [made.record]))
     assert right.misfit == 0.0
@@ -125,20 +125,18 @@ def test_a_sensor_of_another_scale_than_it_says_makes_uncertain_parameters_quest
 
 def test_uncertain_parameters_beside_a_nonlinear_connection_are_questionable_beside_the_likeliest_forces():
     made = ambient_record(4.0, 50.0, 20.0, 15.0)
-    names, connections = ["x0", "x1", "x2"], {}
-    for i, (c, k) in enumerate(zip(*(made.structure.parameters[kind].tolist() for kind in ("c", "k")), strict=True)):
-        own = {"between": ["ground", *names][i : i + 2], "c": c, "k": k}
-        connections[f"storey_{i}"] = own | ({"law": "duffing", "kappa": 1.0} if i == 0 else {"law": "linear"})
+    laws = {"law": "duffing", "kappa": 1.0}, {"law": "linear"}, {"law": "linear"}
+    values = zip(*(made.structure.parameters[kind].tolist() for kind in ("c", "k")), laws, strict=True)
+    names, connections = storeys(*({"c": c, "k": k, **law} for c, k, law in values))
     bent = build_structure(names, dict.fromkeys(names, 1000.0), connections)
     pushed = np.full_like(made.record.force, np.nan)
     pushed[:, 0] = made.truth.force[:, 0]
     problem = SparseRecovery(parameter_uncertainty=0.1).pose(bent, [replace(made.record, force=pushed)])
     assert known_parameters(problem) is None
-    found = input_findings(problem.alone, Estimate(made.truth, made.truth, [], pd.DataFrame(), {}), bent)
+    found = input_findings(problem.alone, unsolved(made), bent)
     assert any(finding.kind == "output_only_parameters" for finding in found)
     # With the forces integrated out, beside masses on which none acts: a spring between two that carry one is not held.
-    summary = {"at_marginal_peak": True}
-    integrated = Estimate(made.truth, made.truth, [], pd.DataFrame(), summary)
+    integrated = unsolved(made, at_marginal_peak=True)
     between, every = "c_storey_2, k_storey_2", "parameters"
     for on, told in (((2,), []), ((1, 2), [between]), ((0, 1, 2), [every])):
         some = np.zeros_like(made.record.force)
@@ -149,11 +147,11 @@ def test_uncertain_parameters_beside_a_nonlinear_connection_are_questionable_bes
         assert [finding.suspect for finding in found if finding.kind == "output_only_parameters"] == told
     # Where the forces have the spectrum that the record shows, this holds them: forces on all DOFs, each with a sensor.
     for misfit, told in ((0.1, []), (0.5, [every])):
-        shown = replace(integrated, summary=summary | {"misfit_unknown_force": misfit})
+        shown = unsolved(made, at_marginal_peak=True, misfit_unknown_force=misfit)
         found = input_findings(problem, shown, bent)
         assert [finding.suspect for finding in found if finding.kind == "output_only_parameters"] == told
     known = SparseRecovery(parameter_uncertainty=0.0).pose(bent, [replace(made.record, force=pushed)])
-    found = input_findings(known.alone, Estimate(made.truth, made.truth, [], pd.DataFrame(), {}), bent)
+    found = input_findings(known.alone, unsolved(made), bent)
     assert not any(finding.kind == "output_only_parameters" for finding in found)
 
 
@@ -165,7 +163,7 @@ def test_sensors_are_rightly_followed_where_as_many_forces_are_unknown(measured,
     problem = SparseRecovery(parameter_uncertainty=0.0).pose(made.structure, [replace(made.record, force=pushed)])
     samples = float(len(made.record.time))
     noise = FoundNoise(taken={"acceleration": np.array([samples, np.nan, samples])})
-    found = noise_findings(problem.alone, Estimate(made.truth, made.truth, [], pd.DataFrame(), {}, noise=noise))
+    found = noise_findings(problem.alone, replace(unsolved(made), noise=noise))
     assert free != any(finding.kind == "copied" for finding in found)
 
 
