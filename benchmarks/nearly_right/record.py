@@ -16,6 +16,7 @@ import pandas as pd
 import yaml
 
 from benchmarks.nearly_right.machines import KINDS, Measured, measured
+from benchmarks.trust.case import defaults
 
 
 def experiment(truth: Measured, path: Path) -> dict[str, object]:
@@ -30,12 +31,9 @@ def experiment(truth: Measured, path: Path) -> dict[str, object]:
     for quantity, dof in model.sensors:
         data.setdefault(quantity, {})[dof] = f"{quantity}_{dof}"  # type: ignore[index]
     return {
-        "defaults": [
-            {"override /system": "linear" if model.speed is None else "friction"},
-            {"override /data": "csv"},
-            {"override /scheme": "state_parameter"},
-            "_self_",
-        ],
+        "defaults": defaults(
+            system="linear" if model.speed is None else "friction", data="csv", scheme="state_parameter"
+        ),
         "case": "nearly_right",
         "system": system,
         "data": data | {"stop": float(f"{truth.time[truth.half - 1]:.9g}")},

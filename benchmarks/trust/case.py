@@ -12,13 +12,17 @@ import yaml
 
 HERE = "{folder}"  # in settings: the folder of the case's files
 BEFORE = "{before}"  # in settings: the directory of the run before, of a case with two
-# What an experiment of a person's own structure begins with, whose parameters are unknown.
-UNKNOWN_STRUCTURE = [
-    {"override /system": "structure"}, {"override /data": "csv"}, {"override /scheme": "state_parameter"}, "_self_",
-]  # fmt: skip
-
 Settings = Mapping[str, object]
 Arrays = dict[str, np.ndarray]
+
+
+def defaults(**groups: str) -> list[object]:
+    """What an experiment begins with that chooses these options of groups."""
+    return [*({f"override /{group}": option} for group, option in groups.items()), "_self_"]
+
+
+# Of a person's own structure whose parameters are unknown.
+UNKNOWN_STRUCTURE = defaults(system="structure", data="csv", scheme="state_parameter")
 
 
 def record_data(name: str = "record.csv", **columns: object) -> dict[str, object]:

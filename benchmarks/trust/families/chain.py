@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
-from benchmarks.trust.case import Case, record_data
+from benchmarks.trust.case import Case, defaults, record_data
 from benchmarks.trust.structures import Structure, noise, noisy, simulated, sinusoids
 from benchmarks.trust.told import Input, Sensor, Told
 
@@ -51,15 +51,13 @@ def draw(seed: int) -> Case:
     unknown = seed % 2 == 1
     prescribed = k * 10.0 ** rng.uniform(-1, 1) * rng.uniform(0.7, 1.4, n) if unknown else k
     settings: dict[str, object] = {
-        "defaults": [
-            {"override /system": "duffing" if cubic.any() else "linear"},
-            {"override /data": "csv"},
-            *([{"override /scheme": "state_parameter"}] if unknown else []),
-            "_self_",
-        ],
+        "defaults": defaults(
+            system="duffing" if cubic.any() else "linear", data="csv",
+            **({"scheme": "state_parameter"} if unknown else {}),
+        ),
         "system": {"ndof": n, "m": mass, "c": c, "k": prescribed} | ({"kappa": kappa} if cubic.any() else {}),
         "data": record_data(force={dof + 1: "f"}, **{kind: {int(i) + 1: f"y{i + 1}" for i in sensors}}),
-    }
+    }  # fmt: skip
     if unknown:
         settings["scheme"] = {"unknown": ["k_*"]}
     truth = motion.truth(linear.parameters("k") if unknown else {}, sensors)

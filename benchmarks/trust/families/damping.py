@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.random import Generator
 
-from benchmarks.trust.case import Case, record_data
+from benchmarks.trust.case import Case, defaults, record_data
 from benchmarks.trust.families.ground import building, shaking
 from benchmarks.trust.families.topology import frame, guessed
 from benchmarks.trust.structures import Structure, damping_matrix, linear_motion, noisy, sinusoids, uncertainty
@@ -79,9 +79,8 @@ def draw(seed: int) -> Case:
     table |= {f"a{i + 1}": noisy(rng, felt[:, i], response_db) for i in sensors}
     true = structure.parameters("k") if unknown != "damping" else {}
     true |= damping if unknown != "stiffness" else {}
-    defaults = [{"override /system": "linear" if kind == "chain" else "structure"}, {"override /data": "csv"}]
     settings = {
-        "defaults": [*defaults, {"override /scheme": "state_parameter"}, "_self_"],
+        "defaults": defaults(system="linear" if kind == "chain" else "structure", data="csv", scheme="state_parameter"),
         "system": system(rng, structure, (how, damping), unknown),
         "data": record_data(**where, acceleration={dof(structure, i): f"a{i + 1}" for i in sensors}),
         "scheme": {"unknown": list(true)},

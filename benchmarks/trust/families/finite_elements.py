@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.random import Generator
 from scipy.linalg import eigh
 
-from benchmarks.trust.case import HERE, Case, Truth, record_data
+from benchmarks.trust.case import HERE, Case, Truth, defaults, record_data
 from benchmarks.trust.structures import noisy
 from benchmarks.trust.waves import random_waves
 
@@ -78,10 +78,7 @@ def draw(seed: int) -> Case:
 
     damping_known = bool(rng.random() < 0.5)
     settings: dict[str, object] = {
-        "defaults": [
-            {"override /system": "matrices"}, {"override /data": "csv"}, {"override /scheme": "state_parameter"},
-            "_self_",
-        ],
+        "defaults": defaults(system="matrices", data="csv", scheme="state_parameter"),
         "system": {
             "path": f"{HERE}/model.npz", "dofs": named, "modes": reached + int(rng.integers(1, 4)),
             "factors": dict.fromkeys(names), "damping": {"ratio": ratio if damping_known else None},

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from benchmarks.trust.case import Case, record_data
+from benchmarks.trust.case import Case, defaults, record_data
 from benchmarks.trust.structures import Structure, linear_motion, noisy, simulated, sinusoids
 
 
@@ -40,12 +40,7 @@ def draw(seed: int) -> Case:
     true = {"c": c, "k": k} | ({"kappa": kappa} if cubic else {})
     off = {name: x * rng.uniform(1.2, 1.5) ** rng.choice([-1.0, 1.0]) for name, x in true.items()}
     settings: dict[str, object] = {
-        "defaults": [
-            {"override /system": "duffing" if cubic else "linear"},
-            {"override /data": "csv"},
-            {"override /scheme": "bayesian"},
-            "_self_",
-        ],
+        "defaults": defaults(system="duffing" if cubic else "linear", data="csv", scheme="bayesian"),
         "system": {"ndof": n, "m": mass, **off},
         "data": record_data(force={int(place.argmax()) + 1: "f"}, **{kind: {i + 1: f"y{i + 1}" for i in sensors}}),
     }

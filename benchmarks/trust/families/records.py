@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.random import Generator
 
 from benchmarks.trust.buildings import Shaking, building, columns, guessed, shaking
-from benchmarks.trust.case import BEFORE, UNKNOWN_STRUCTURE, Arrays, Case, Settings, record_data
+from benchmarks.trust.case import BEFORE, UNKNOWN_STRUCTURE, Arrays, Case, Settings, defaults, record_data
 from benchmarks.trust.structures import Motion, Structure
 
 
@@ -112,8 +112,7 @@ def _identification(rng: Generator, structure: Structure, kinds: str) -> dict[st
 
 def _again(scheme: str, data: dict[str, object]) -> Settings:
     """An experiment with the model of the run before."""
-    overrides = [{"override /data": "csv"}, {"override /scheme": scheme}]
-    return {"defaults": [*overrides, "_self_"], "model": BEFORE, "data": data}
+    return {"defaults": defaults(data="csv", scheme=scheme), "model": BEFORE, "data": data}
 
 
 def _data(name: str, shaken: Shaking, sensed: tuple[int, ...]) -> dict[str, object]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from benchmarks.trust.case import Case, record_data
+from benchmarks.trust.case import Case, defaults, record_data
 from benchmarks.trust.structures import Connection, Structure, noise, noisy
 from benchmarks.trust.told import Sensor, Told
 from benchmarks.trust.waves import random_waves
@@ -57,7 +57,7 @@ def draw(seed: int) -> Case:
                for link in structure.connections}  # fmt: skip
         prescribed = prescribed.with_values(kind_of, off)
     settings: dict[str, object] = {
-        "defaults": [{"override /system": "structure"}, {"override /data": "csv"}, "_self_"],
+        "defaults": defaults(system="structure", data="csv"),
         "system": prescribed.settings(),
         "data": record_data(force=columns, **{kind: {structure.dofs[i]: f"y{i + 1}" for i in sensors}}),
         "scheme": {"parameter_uncertainty": UNCERTAINTY if uncertain else 0.0}
