@@ -10,6 +10,7 @@ from vibrating_records import Wing, wing, wing_record, write_wing
 
 BAND, INSIDE = "data.band=[4,12]", slice(1, 4)
 MODAL = ("system=modal", "scheme=state_parameter", "figures=false")
+LINEAR = ("system=linear", "system.ndof=2", "system.m=1", "system.c=1", "system.k=1")
 
 
 @pytest.fixture(scope="module")
@@ -17,10 +18,15 @@ def made() -> Wing:
     return wing(5, 2, (5.19, 6.61, 6.88))
 
 
+def written(made: Wing, seed: int, folder: Path, *sensors: str) -> tuple[str, ...]:
+    """A record of the wing, and the settings that name its columns."""
+    path = write_wing(wing_record(made, seed, 16.0), folder / "wing.csv")
+    return "data=csv", f"data.path={path}", "data.time=t", *sensors
+
+
 @pytest.fixture
 def columns(made: Wing, tmp_path: Path) -> tuple[str, ...]:
-    path = write_wing(wing_record(made, 5, 16.0), tmp_path / "wing.csv")
-    return "data=csv", f"data.path={path}", "data.time=t", "data.force={1: f}", "data.acceleration={1: a1, 2: a2}"
+    return written(made, 5, tmp_path, "data.force={1: f}", "data.acceleration={1: a1, 2: a2}")
 
 
 @pytest.mark.slow
@@ -51,14 +57,7 @@ def test_a_mode_that_is_left_out_is_named(pinn_run: PinnRun, columns: tuple[str,
 @pytest.mark.slow
 def test_a_driven_point_without_a_sensor(pinn_run: PinnRun, tmp_path: Path) -> None:
     true = wing(6, 2, (5.19, 6.61, 9.17), driven=False)
-    path = write_wing(wing_record(true, 6, 16.0), tmp_path / "wing.csv")
-    sensors = (
-        "data=csv",
-        f"data.path={path}",
-        "data.time=t",
-        "data.force={engine: f}",
-        "data.acceleration={tip: a1, root: a2}",
-    )
+    sensors = written(true, 6, tmp_path, "data.force={engine: f}", "data.acceleration={tip: a1, root: a2}")
     done = pinn_run(*sensors, BAND, *MODAL).done()
     found = done.parameters["estimate"]
     largest = np.abs(true.residues[:, INSIDE]).max(axis=0)
@@ -72,10 +71,7 @@ def test_a_driven_point_without_a_sensor(pinn_run: PinnRun, tmp_path: Path) -> N
     [
         (("system=modal", "scheme=state_parameter"), "data.band=None: must be given with system=modal"),
         (("system=modal", BAND), "scheme="),
-        (
-            (BAND, "system=linear", "system.ndof=2", "system.m=1", "system.c=1", "system.k=1"),
-            "data.band=[4, 12]: must be",
-        ),
+        ((BAND, *LINEAR), "data.band=[4, 12]: must be"),
         ((*MODAL, BAND, "system.modes=[3.0]"), "system.modes=3.0: must be frequencies within data.band=[4, 12]"),
         ((*MODAL, BAND, "system.modes=many"), "system.modes=many: must be null"),
         ((*MODAL, BAND, "system.dofs=3"), "system.dofs=DOF 3: must be points with a sensor or the force"),
