@@ -228,11 +228,6 @@ WITHIN_95 = 1.959964
 UNKNOWN = ("scheme=state_parameter", "scheme.unknown=[k_*,kappa_1]")
 
 
-@pytest.fixture
-def made() -> IndependentRecord:
-    return frame_record(rate=100.0, duration=20.0)
-
-
 def frame_written(made: IndependentRecord, folder: Path) -> tuple[str, ...]:
     """The record as a file, and the settings that name its columns and the structure."""
     record, s = made.record, made.structure
@@ -246,7 +241,8 @@ def frame_written(made: IndependentRecord, folder: Path) -> tuple[str, ...]:
 
 
 @pytest.mark.slow
-def test_the_motion_of_a_known_frame(pinn_run: PinnRun, made: IndependentRecord, tmp_path: Path) -> None:
+def test_the_motion_of_a_known_frame(pinn_run: PinnRun, tmp_path: Path) -> None:
+    made = frame_record()
     done = pinn_run(*frame_written(made, tmp_path)).done()
     with xr.open_dataset(done.directory / "response.nc") as response:
         for quantity, least in (("displacement", 98.5), ("velocity", 98.5), ("acceleration", 97.0)):
@@ -258,7 +254,8 @@ def test_the_motion_of_a_known_frame(pinn_run: PinnRun, made: IndependentRecord,
 
 
 @pytest.mark.slow
-def test_unknown_springs_from_the_default_start(pinn_run: PinnRun, made: IndependentRecord, tmp_path: Path) -> None:
+def test_unknown_springs_from_the_default_start(pinn_run: PinnRun, tmp_path: Path) -> None:
+    made = frame_record()
     nothing = ("system.k=null", "system.kappa=[null,0,0]")
     done = pinn_run(*frame_written(made, tmp_path), *UNKNOWN, *nothing).done()
     table, s = done.parameters, made.structure

@@ -300,6 +300,15 @@ def uncertainty(structure: Structure, where: np.ndarray, sensed: np.ndarray, ban
     return float(np.sqrt(np.max(squares[: len(rows)] / spread[: len(rows)] ** 2)))
 
 
+def storeys(rng: Generator, n: int, braced: float) -> dict[str, np.ndarray]:
+    """Rows of the storeys by name and, in this share of all cases, of a brace over two of them."""
+    rows = {f"storey_{i + 1}": row for i, row in enumerate(np.eye(n) - np.eye(n, k=-1))}
+    if n > 1 and rng.random() < braced:
+        top = int(rng.integers(1, n))
+        rows["brace"] = np.eye(n)[top] - (np.eye(n)[top - 2] if top > 1 else 0.0)
+    return rows
+
+
 def sinusoids(
     rng: Generator, low: float, high: float, rms: float, lines: int = 300
 ) -> Callable[[np.ndarray], np.ndarray]:

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from benchmarks.trust.case import Case
 from benchmarks.trust.families.topology import believed, damped, guessed_system, springs_and_dampers
-from benchmarks.trust.structures import Connection, Structure, linear_motion, noise, noisy, uncertainty
+from benchmarks.trust.structures import Connection, Structure, linear_motion, noise, noisy, storeys, uncertainty
 from benchmarks.trust.told import Input, Sensor, Told
 
 RECORDED = Path(__file__).resolve().parents[4] / "shared" / "data" / "ground_motion"  # of people, not in the repository
@@ -26,15 +26,10 @@ def building(rng: Generator, fewest: int, most: int) -> Structure:
     """Storeys, some with a brace over two of them; masses within a factor of 1.5, springs of 2.5; no dampers."""
     n = int(rng.integers(fewest, most + 1))
     mass = 10.0 ** rng.uniform(-1, 6) * rng.uniform(0.8, 1.2, n)
-    rows = list(np.eye(n) - np.eye(n, k=-1))
-    names = [f"storey_{i + 1}" for i in range(n)]
-    if n > 1 and rng.random() < 0.4:
-        top = int(rng.integers(1, n))
-        rows.append(np.eye(n)[top] - (np.eye(n)[top - 2] if top > 1 else 0.0))
-        names.append("brace")
+    rows = storeys(rng, n, 0.4)
     shape = rng.uniform(0.6, 1.5, len(rows)) * np.where(np.arange(len(rows)) < n, 1.0, 0.4)
     dofs = tuple(f"floor_{i + 1}" for i in range(n))
-    links = (Connection(name, row, values={"k": float(k)}) for name, row, k in zip(names, rows, shape, strict=True))
+    links = (Connection(*of, values={"k": float(k)}) for of, k in zip(rows.items(), shape, strict=True))
     return Structure(dofs, mass, tuple(links)).tuned(10.0 ** rng.uniform(-1, 1.5))
 
 

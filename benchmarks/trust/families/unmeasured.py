@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.trust.case import Case, defaults, record_data
-from benchmarks.trust.structures import Connection, Structure, noise, noisy
+from benchmarks.trust.structures import Connection, Structure, noise, noisy, storeys
 from benchmarks.trust.told import Sensor, Told
 from benchmarks.trust.waves import random_waves
 
@@ -80,15 +80,10 @@ def draw(seed: int) -> Case:
 
 def structure_of(rng: np.random.Generator, n: int, mass: float, first: float) -> Structure:
     """A chain of n storeys with a brace across two of them in a third of all cases; damping of 0.5 to 3 %."""
-    rows = list(np.eye(n) - np.eye(n, k=-1))
-    names = [f"storey_{i + 1}" for i in range(n)]
-    stiff = list(rng.uniform(0.6, 1.4, n))
-    if n > 1 and rng.random() < 0.33:
-        top = int(rng.integers(1, n))
-        rows.append(np.eye(n)[top] - (np.eye(n)[top - 2] if top > 1 else 0.0))
-        names.append("brace")
+    stiff, rows = list(rng.uniform(0.6, 1.4, n)), storeys(rng, n, 0.33)
+    if "brace" in rows:
         stiff.append(rng.uniform(0.1, 0.6))
-    links = [Connection(name, row, values={"k": float(k)}) for name, row, k in zip(names, rows, stiff, strict=True)]
+    links = [Connection(*of, values={"k": float(k)}) for of, k in zip(rows.items(), stiff, strict=True)]
     unscaled = Structure(tuple(f"x{i + 1}" for i in range(n)), mass * rng.uniform(0.7, 1.3, n), tuple(links))
     found = unscaled.modes()[0]
     k = {link.name: link.values["k"] * (first / found[0]) ** 2 for link in links}
