@@ -59,7 +59,7 @@ LOOKS = [line for line in EVERY if line.startswith("pinn-run inspect")]
 # What takes minutes is cut short, what a command goes through is not; a setting of its own comes later, and holds.
 SHORT = {
     r"^(?!.*(figures|paper/))": ("figures=false",),  # docs/test_gallery.py draws them
-    r"^(?!.*(data=|model=|experiment=examples))": ("simulation.duration=15", "simulation.samples=513"),
+    r"^(?!.*(data=|model=|experiment=examples|my_rig))": ("simulation.duration=15", "simulation.samples=513"),
     r"simulation\.duration": ("simulation.samples=1025",),
     r"data\.path=rig\.csv(?!.*(stop|until|model=|validation))": ("data.stop=5",),
     r"network=mlp(?!.*(adam|lbfgs))": ("training.iterations=5",),

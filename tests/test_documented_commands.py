@@ -23,6 +23,7 @@ from documented_commands import (
     write_model_run,
 )
 
+from pinn_cli.cli.composing import compose_config
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.inspecting import Inspected
 from pinn_cli.cli.options import read_options
@@ -75,14 +76,11 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     "line", [pytest.param(line, marks=pytest.mark.slow if SIMULATED_LONG.search(line) else ()) for line in RUNS]
 )
-def test_a_documented_run_gets_as_far_as_training(composed: Compose, line: str, rig: Path) -> None:
+def test_a_documented_run_gets_as_far_as_training(line: str, rig: Path) -> None:
     if package := missing_package(line):
         pytest.skip(f"{package} is not installed")
-    arguments = [argument for argument in shlex.split(line, comments=True)[1:] if argument != "--multirun"]
-    while "--config-dir" in arguments:
-        place = arguments.index("--config-dir")
-        arguments[place : place + 2] = [f"hydra.searchpath=[file://{rig / arguments[place + 1]}]"]
-    config = RunConfig.read(composed(*first_job(shortened(arguments))), rig)
+    options = read_options(shlex.split(line, comments=True)[1:])
+    config = RunConfig.read(compose_config(first_job(shortened(options.overrides)), options.config_dir), rig)
     true, prescribed = config.model_error.structures(config.structure)
     record = config.observe(config.source.measure(true).record)
     modes = config.modes
