@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 from calls import MEASURED, SMALL, Outcome, PinnRun
+from interrupted_runs import without_figures
 from small_problems import measured, small_chain
 from sweeps import start
 
@@ -207,7 +208,8 @@ RIG = (
 )  # fmt: skip
 
 
-def test_what_the_estimator_does_not_see(pinn_run: PinnRun) -> None:
+def test_what_the_estimator_does_not_see(pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch) -> None:
+    without_figures(monkeypatch)
     structure = small_chain("linear")
     record = measured(structure, snr_db=40.0, duration=20.0, samples=401).record
     columns = {"t": record.time, "f": record.force[:, 0], **{f"a{i}": record.acceleration[:, i - 1] for i in (1, 2, 3)}}
