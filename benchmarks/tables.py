@@ -156,7 +156,7 @@ def _modes_of(
     driven: bool = True,
 ) -> list[str]:  # fmt: skip
     """A row: median error (largest) and coverage of 90 % intervals of each quantity; runs of ten."""
-    from wings import wing, wing_record, write_wing  # of tests/
+    from vibrating_records import wing, wing_record, write_wing  # of tests/
 
     found: list[pd.DataFrame] = []
     sound = 0

@@ -160,6 +160,11 @@ def test_a_number_is_changed_where_it_stands_and_alone() -> None:
         assert type(eval(text)) is type(number)
 
 
+def test_the_table_of_numbers_has_none_that_is_gone() -> None:
+    table = pd.read_csv(CHECKOUT / "benchmarks" / "trust" / "constants.csv")
+    assert set(table["constant"]) <= {one.label for one in constants()}
+
+
 @pytest.mark.slow
 def test_a_number_is_tried_where_a_function_names_it_alone() -> None:
     every = {one.label: one for one in constants()}

@@ -39,11 +39,9 @@ from pinn_cli.training.noise_model import FoundNoise
 # Those that figures are drawn from; others may lie in the directory, a user's own among them.
 DRAWN_TABLES = ("history", "parameters", "identifiability", "correlation")
 FIGURES = (
-    "response", "residuals", "error_map", "drift", "hysteresis", "parameters", "correlation", "modes", "structure",
-    "history", "posterior",
+    "response", "residuals", "error_map", "frequency_response", "drift", "discrepancy", "restoring", "hysteresis",
+    "parameters", "correlation", "modes", "structure", "history", "posterior",
 )  # fmt: skip
-
-
 OF_TIME = ("response", "drift")  # those that can be asked for a part of the record
 
 
@@ -53,7 +51,9 @@ class Plots:
     - ``response()``: estimated response with 95 % bands, measurements, and the truth where it is known, DOF by DOF
     - ``residuals()``: what the estimate leaves of every sensor, over time, frequency and lag
     - ``error_map()``: error, or standard deviation where there is no truth, over time and DOF
+    - ``frequency_response()``: of a record of modes in a band
     - ``drift()``: how far every connection is stretched; ``hysteresis()``: loops of those that have memory
+    - ``restoring()``: forces of connections whose law was sought; ``discrepancy()``: what the model leaves out
     - ``parameters()``: with 90 % intervals; ``correlation()``: which of them the record cannot tell apart
     - ``modes()``: shapes with frequencies and damping ratios
     - ``structure()``: masses and connections of a structure that is no chain

@@ -137,6 +137,11 @@ class Structure:
         return {k: at[np.unique(which, return_index=True)[1]] for k, (at, which) in self.carriers.items()}
 
     @property
+    def has_linear_laws(self) -> bool:
+        """Whether every connection's law is linear, whatever its parameters."""
+        return all(isinstance(group.nonlinearity, Linear) for group in self.groups)
+
+    @property
     def nonlinearity_name(self) -> str:
         """What the tables call its laws."""
         return "+".join(dict.fromkeys(group.nonlinearity.name for group in self.groups))

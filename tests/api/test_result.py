@@ -1,5 +1,6 @@
 """Results read from the directory of a run: tables, response, posterior and figures, in Python and in a notebook."""
 
+import re
 from io import BytesIO
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from pinn_cli import InputError, Result, load, run
+from pinn_cli.report import figures
 
 UNKNOWN = ("scheme=state_parameter", "scheme.unobserved=[2]", "scheme.unknown=[k_2]", "system=linear")
 
@@ -74,6 +76,12 @@ def test_figures_are_those_that_the_run_drew(tmp_path: Path) -> None:
         result.plot.response(between=(2, 1))
     with pytest.raises(InputError, match="response and drift take it"):
         result.plot.modes(between=(1.0, 2.0))
+
+
+def test_every_figure_that_a_run_may_draw_can_be_asked_for(result: Result) -> None:
+    """`restoring` stood among the names, and was no figure."""
+    drawn = set(re.findall(r'builders\["(\w+)"\]', Path(figures.__file__).read_text()))
+    assert {"restoring", "discrepancy", "frequency_response"} < drawn <= set(dir(result.plot))
 
 
 def test_a_directory_that_is_none(result: Result, tmp_path: Path) -> None:

@@ -51,7 +51,7 @@ def with_other_damping(problem: Problem, values: Mapping[str, np.ndarray]) -> Pr
     It is asked of a linear structure of masses and connections, with every parameter by kind at its solution.
     """
     structure = problem.structure
-    plain = not structure.is_modal and structure.nonlinearity_name == "linear" and problem.prior is None
+    plain = not structure.is_modal and structure.has_linear_laws and problem.prior is None
     if not plain or structure.coordinates > MOST_COORDINATES or problem.initial_state is not None:
         return None
     if RATIO in structure.parameters:

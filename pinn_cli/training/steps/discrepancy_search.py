@@ -161,7 +161,7 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
     point, discrepancy, idle, stride = start, largest, 0, SCAN_FACTOR
     force, is_held = noise.discrepancy, False
     is_soft = largest > SUSPICIOUS_DISCREPANCY * force
-    may_stray = is_soft and evidence.problem.first.structure.nonlinearity_name != "linear"
+    may_stray = is_soft and not evidence.problem.first.structure.has_linear_laws
     best: Trained | None = None
     indifferent = min(filter(None, map(negligible, evidence.equations.by_record, noise.records)), default=0.0)
     while discrepancy > FINEST_OF_START * largest and idle < PATIENCE:

@@ -60,7 +60,7 @@ def solve_under_known_levels(evidence: Evidence, noise: NoiseLevels) -> Trained 
         # forces or the ground are functions that are found with the motion.
         stiff = levels.windows is not None or not equations.dynamics.is_plain
         bilinear = stiff and len(problem.uncertain) > 0
-        if problem.structure.nonlinearity_name != "linear" or bilinear:
+        if bilinear or not problem.structure.has_linear_laws:
             softer = converged(evidence.train(softened(known_noise, force), point, ON_THE_WAY))
             if softer is None:
                 return None

@@ -44,8 +44,9 @@ def part_of_record(whole: JointProblem, network: LinearReadout) -> tuple[Problem
     problem, record = whole.first, whole.first.record
     informed = len(whole) > 1 or problem.prior is not None or problem.initial_state is not None
     irregular = bool(record.calibrated) or record.repeats is not None
-    linear = problem.structure.nonlinearity_name == "linear"
-    if informed or irregular or problem.inputs.unmeasured or not problem.identifies or not linear:
+    if informed or irregular or problem.inputs.unmeasured:
+        return None
+    if not (problem.identifies and problem.structure.has_linear_laws):
         return None
     if not isinstance(network, SplineNetwork) or network.channels > 1:
         return None

@@ -70,7 +70,7 @@ def knots_wanted(evidence: RecordEvidence, solution: RecordSolution) -> float:
         return 1.0
     band, frequencies = record_band(equations.problem.record), _natural_frequencies(equations, solution)
     reached = max(band, BEYOND_RESONANCE * float(np.max(frequencies, initial=0.0)))
-    error = acceleration_error(evidence, solution, reached if _is_linear(equations) else np.inf)
+    error = acceleration_error(evidence, solution, reached if equations.dynamics.structure.has_linear_laws else np.inf)
     # A little above the highest natural frequency in the band.
     resonance = min(band, BEYOND_RESONANCE * float(max(frequencies[frequencies <= band], default=band)))
     wanted = max(
@@ -94,11 +94,8 @@ def _for_the_motion(evidence: RecordEvidence, solution: RecordSolution, error: n
             square += values.square().sum((0, 1)).numpy() / RESOLUTION_DRAWS
     std = np.sqrt(square / segments.samples)
     worst = float(np.max(error[std > 0] / std[std > 0], initial=0.0))
-    return float((worst / (TOLERATED if _is_linear(equations) else TOLERATED_NONLINEAR)) ** (1.0 / ORDER))
-
-
-def _is_linear(equations: NormalEquations) -> bool:
-    return equations.dynamics.structure.nonlinearity_name == "linear"
+    tolerated = TOLERATED if equations.dynamics.structure.has_linear_laws else TOLERATED_NONLINEAR
+    return float((worst / tolerated) ** (1.0 / ORDER))
 
 
 def _for_the_sensors(solution: RecordSolution, error: np.ndarray, band: float) -> float:

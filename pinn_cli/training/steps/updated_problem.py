@@ -152,7 +152,7 @@ def _carried_to(inference: Inference, problem: JointProblem, solver: Solver) -> 
         levels.append(replace(noise, discrepancy=discrepancy, points_per_sample=per_sample))
         points.append(carried_over(point, coarse, fine))
     carried_noise, point = replace(inference.trained.noise, records=tuple(levels)), now.joined(points)
-    if problem.structure.nonlinearity_name != "linear" or now.uncertain:
+    if now.uncertain or not problem.structure.has_linear_laws:
         point = softer_point(evidence, carried_noise, point)
     again = evidence.train(carried_noise, point)
     # About turns single steps of Gauss-Newton leave a little undone; what settles the levels goes on.

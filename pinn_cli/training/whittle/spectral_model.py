@@ -33,7 +33,6 @@ from pinn_cli.record.cross_spectra import CrossSpectra, band_edges, taper
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import signal_edges
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.frequency_response import Acting, FrequencyResponse
 from pinn_cli.system.parameters import MASS, ParameterVector
 from pinn_cli.system.quantities import FORCE, MOTION
@@ -61,10 +60,9 @@ def is_spectral(problem: Problem) -> bool:
     What acts is forces, or a ground that nobody measured, and sensors need columns without gaps, gains or delays.
     """
     inputs, structure, record = problem.inputs, problem.structure, problem.record
-    linear = all(isinstance(group.nonlinearity, Linear) for group in structure.groups)
     beside = inputs.measures_ground or inputs.supports or inputs.loads or len(structure.memory) or record.calibrated
     plain = record.intersample == "band_limited" and record.repeats is None and not problem.priors
-    return inputs.unmeasured and linear and not beside and plain
+    return inputs.unmeasured and structure.has_linear_laws and not beside and plain
 
 
 def band_lines(record: Record) -> list[int] | None:
