@@ -78,10 +78,13 @@ class Subdomains:
         """Averages in all."""
         return len(self.interval)
 
-    def __call__(self, values: Tensor) -> Tensor:
-        """Averages (I, ..., 1, C) of grouped histories (I, ..., S, C), times the square root of their points."""
-        weight = self.weight.reshape(len(self.weight), *[1] * (values.ndim - 3), 1, -1)
-        return in_groups(weight, values)
+    def __call__(self, values: Tensor, groups: slice = slice(None)) -> Tensor:
+        """Averages (I, ..., 1, C) of grouped histories (I, ..., S, C), times the square root of their points.
+
+        The histories may be of some groups alone.
+        """
+        weight = self.weight[groups]
+        return in_groups(weight.reshape(len(weight), *[1] * (values.ndim - 3), 1, -1), values)
 
     def by_interval(self, averages: Tensor) -> Tensor:
         """(intervals, n) averages over whole intervals, of (I, 1, n), in the order of time, scaled alike."""

@@ -341,14 +341,13 @@ def force_border(equations: NormalEquations, point: Point, noise: NoiseModel, te
 
 def force_histories(equations: NormalEquations, terms: Sequence[ForceTerm]) -> tuple[Tensor, np.ndarray]:
     """Forces as the equations are enforced, (I, S or 1, D), and how much of them every equation has, (functions, D)."""
-    like, averages = equations.target.force, equations.averages
-    groups, samples = equations.physics.mask.shape
+    like, (groups, samples) = equations.target.force, equations.physics.mask.shape
     distribution = np.empty((equations.dynamics.size, len(terms)))
     # One by one: before they are averaged they take several times the room.
-    histories = like.new_empty((groups, samples if averages is None else 1, len(terms)))
+    histories = like.new_empty((groups, samples if equations.averages is None else 1, len(terms)))
     for d, term in enumerate(terms):
         gathered = equations.physics.gather(torch.as_tensor(term.history).to(like)[:, None])
-        histories[..., d : d + 1] = gathered if averages is None else averages(gathered)
+        histories[..., d : d + 1] = equations.averaged(gathered)
         distribution[:, d] = term.distribution
     return histories, distribution
 
@@ -362,13 +361,11 @@ def equation_columns(equations: NormalEquations, point: Point) -> Iterator[tuple
     """
     for part in equations.windows(equations.physics):
         segments, rows = equations.physics.part(part), equations.motion.rows(equations.physics, point, part=part)
-        averages = None if equations.averages is None else equations.averages.part(part)
         places = equations.layout.columns(segments.feature)
         for function in torch.nonzero(equations.target.equation).flatten().tolist():
             jacobian = rows.jacobian(segments, slice(function, function + 1))[:, 0]
             by = equations.pattern.uncertain_columns(rows.parameter[:, :, function], function)
-            if averages is not None:
-                jacobian, by = averages(jacobian), averages(by)
+            jacobian, by = (equations.averaged(x, part) for x in (jacobian, by))
             yield part, function, sparse_rows(jacobian, places[:, function], equations.layout.size), by
 
 

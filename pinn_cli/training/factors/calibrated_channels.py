@@ -346,9 +346,8 @@ class SensorFilter(Factor):
     def __init__(self, frame: Frame, channel: CalibratedChannel, state: int) -> None:
         super().__init__(frame)
         self.channel, self.state, self.order = channel, state, channel.channel.filter_order
-        self.segments, averages = frame.physics, frame.averages
-        jet = self.segments.orders
-        self.features = jet if averages is None else tuple(averages(phi) for phi in jet)
+        self.segments = frame.physics
+        self.features = tuple(frame.averaged(phi) for phi in self.segments.orders)
         self.weight = (EXACT * (float(np.std(channel.channel.measured)) or 1.0)) ** -2
 
     def _corner(self, parameters: Mapping[str, Tensor]) -> float:

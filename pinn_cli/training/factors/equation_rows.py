@@ -257,17 +257,13 @@ def own_by_parameter(
 
 
 class EquationsOfMotion(Residuals):
-    """Force that the motion takes minus the force that acts, N (paper, eq. 10c).
-
-    Attributes:
-        averages: Over the knot intervals; None: the equations hold at every point.
-    """
+    """Force that the motion takes minus the force that acts, N (paper, eq. 10c)."""
 
     name = "physics"
 
     def __init__(self, frame: Frame) -> None:
         super().__init__(frame)
-        self.segments, self.averages, target = frame.physics, frame.averages, frame.target
+        self.segments, target = frame.physics, frame.target
         self.acting, self._enforced = self.segments.gather(target.force), target.equation
         self._between = None if target.force_between is None else self.segments.gather(target.force_between)
         self._kept: tuple[Point | None, Tensor] = None, target.force
@@ -281,10 +277,8 @@ class EquationsOfMotion(Residuals):
     def residual(self, point: Point, part: slice = EVERY) -> Tensor:
         """As it is enforced: averages (I, 1, n), or (I, S, n); kept until the point changes."""
         if point is not self._kept[0]:
-            forces = []
-            for window in self.frame.windows(self.segments):
-                force = self.force(point, window)
-                forces.append(force if self.averages is None else self.averages.part(window)(force))
+            windows = self.frame.windows(self.segments)
+            forces = [self.frame.averaged(self.force(point, window), window) for window in windows]
             self._kept = point, torch.cat(forces) if len(forces) > 1 else forces[0]
         return self._kept[1][part]
 
@@ -294,8 +288,7 @@ class EquationsOfMotion(Residuals):
         variance = torch.as_tensor(noise.physics_variance).to(like)
         if self._between is not None:
             # The errors of neighbouring points go together: they do not average out.
-            between = self._between if self.averages is None else self.averages(self._between)
-            variance = variance + between.square()
+            variance = variance + self.frame.averaged(self._between).square()
         return self._enforced / variance
 
     def rows(self, segments: Segments, point: Point, part: slice = EVERY) -> EquationRows:
@@ -307,26 +300,23 @@ class EquationsOfMotion(Residuals):
 
     def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
         """See :meth:`Factor.add_to`."""
-        weight = self.weight(noise)
+        weight, every = self.weight(noise), self.frame.averages
         for part, residual in self.residuals(point):
-            averages = None if self.averages is None else self.averages.part(part)
+            averages = None if every is None else every.part(part)
             rows, weighed = self.rows(self.segments, point, part), weight if weight.ndim == 1 else weight[part]
             features = None if averages is None else self._features(part)
             rows.add_to(sums, self.segments.part(part), residual, weighed, averages, features)
 
     def _averaged(self, part: slice) -> LocalFeatures:
         """Features of some averages, of every derivative."""
-        assert self.averages is not None
-        averaged = self.averages.part(part)(self.segments.jet[part])
+        averaged = self.frame.averaged(self.segments.jet[part], part)
         return LocalFeatures(self.segments.feature[part], averaged.transpose(1, 2))
 
     def moved(self, point: Point, steps: Sequence[Point]) -> Iterator[tuple[slice, list[Tensor]]]:
         """Window by window which groups, and how the residual, linearised at a point, changes with small steps."""
         for part in self.frame.windows(self.segments):
             rows, segments = self.rows(self.segments, point, part), self.segments.part(part)
-            averages = None if self.averages is None else self.averages.part(part)
-            moved = [self._moved(rows, segments, step) for step in steps]
-            yield part, moved if averages is None else [averages(force) for force in moved]
+            yield part, [self.frame.averaged(self._moved(rows, segments, step), part) for step in steps]
 
     def _moved(self, rows: EquationRows, segments: Segments, step: Point) -> Tensor:
         """(I, S, n), of some groups."""

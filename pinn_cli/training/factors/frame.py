@@ -133,6 +133,10 @@ class Frame:
         size = min(size, max(FEWEST_COVARIANCES, ROWS_AT_ONCE // width**2)) if width else size
         return [slice(start, min(start + size, groups)) for start in range(0, groups, size)]
 
+    def averaged(self, values: Tensor, part: slice = EVERY) -> Tensor:
+        """Histories (I, ..., S, C) of some groups as the equations hold: averages (I, ..., 1, C), or as they are."""
+        return values if self.averages is None else self.averages(values, part)
+
     def states(self, segments: Segments, point: Point, part: slice = EVERY) -> States:
         """Motion at a point, of some groups; residuals, rows and losses all ask for it."""
         if point is not self._kept_point:
