@@ -255,7 +255,7 @@ def occupied_share(evidence: RecordEvidence, solution: RecordSolution) -> float:
     enforced = unforced if bool(unforced.any()) else equations.target.equation
     residual, step = equations.motion.residual(solution.point), 1.0 / equations.network.free_intervals
     if equations.averages is None:
-        residual, step = equations.physics.scatter(residual), equations.problem.record.step
+        residual, step = equations.physics.scatter(residual), equations.problem.record.step / equations.refinement
     else:
         residual = equations.averages.by_interval(residual)
     return occupied_band(residual[:, enforced].numpy(), step, equations.network.free_intervals / 2.0)

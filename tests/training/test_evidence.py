@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 from one_record import evidence_of, levels_of, residuals_of, shown_noise
 from scipy.interpolate import BSpline
 from small_problems import QUANTITIES, excitation, measured, small_chain
@@ -20,7 +22,7 @@ from pinn_cli.training.levels import settled
 from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.record_evidence import log_density, seen_powers
+from pinn_cli.training.record_evidence import log_density, occupied_share, seen_powers
 from pinn_cli.training.steps.discrepancy_search import scanned
 from pinn_cli.training.steps.windows_discrepancy import widened
 
@@ -135,6 +137,23 @@ def test_colour_widens_a_narrow_discrepancy_and_leaves_a_white_one():
         growth[share] = widened(evidence, best).noise.discrepancy / best.noise.discrepancy
     assert growth[1.0] < 1.4
     assert growth[0.1] > 1.5 * growth[1.0]
+
+
+@pytest.mark.parametrize("degree", [5, 6])
+def test_the_band_that_is_filled_is_that_of_the_points_where_the_equations_hold(monkeypatch, degree: int):
+    """Of finer points than samples the step was taken for the samples': half of the band seemed empty."""
+    of_samples, _, _ = disturbed(0.1, 1)
+    problem = of_samples.problem.first
+    equations = NormalEquations(Spline(intervals=450, degree=degree).build(problem.record), problem)
+    assert equations.refinement > 1
+    time, top = equations.target.physics_time.numpy(), equations.network.free_intervals / 2.0
+    rng, frequency = np.random.default_rng(0), np.arange(0.1, top, 0.1)
+    phase = rng.uniform(0.0, 2.0 * np.pi, (len(frequency), 3))
+    force = np.cos(2.0 * np.pi * frequency[None, :, None] * time[:, None, None] + phase).sum(axis=1)
+    filled = equations.averaged(equations.physics.gather(torch.as_tensor(force)))
+    monkeypatch.setattr(equations.motion, "residual", lambda point: filled)
+    evidence = evidence_of(equations).records[0]
+    assert occupied_share(evidence, SimpleNamespace(point=None)) > 0.7
 
 
 def believed_and_unknown(start: float | None) -> tuple[Evidence, NoiseLevels]:
