@@ -8,7 +8,7 @@ import torch
 from hypothesis import strategies as st
 from scipy.sparse import csc_matrix, diags
 
-from pinn_cli.model.knowledge import EndState, Levels
+from pinn_cli.model.knowledge import EndState, ParameterKnowledge
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.network import CONTINUITIES
 from pinn_cli.network.spline import Spline
@@ -16,7 +16,7 @@ from pinn_cli.record.channel import CALIBRATED, Calibration, Channel
 from pinn_cli.record.data_channels import FELT_BY
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.problem import BEGINNINGS, FREE, GAUSSIAN_PROCESS, THROUGH, JointPrior, Problem, TurningPoints
+from pinn_cli.scheme.problem import BEGINNINGS, FREE, GAUSSIAN_PROCESS, THROUGH, Problem, TurningPoints
 from pinn_cli.system.building import damped
 from pinn_cli.system.finite_elements import FiniteElements
 from pinn_cli.system.quantities import CONNECTION_FORCE, FORCE, GROUND, HIGH_PASS, MOTION, SUPPORT, TILT
@@ -205,7 +205,8 @@ def goes_on(problem: Problem, rng: Generator) -> Problem:
     unit = np.concatenate(([q.prior_std for q in problem.uncertain], rng.uniform(0.5, 2.0, states)))
     covariance, nothing = correlation * np.outer(unit, unit), np.zeros(p)
     state = EndState(0.0, rng.normal(size=states), covariance[p:, p:], covariance[p:, :p])
-    prior = JointPrior(correlation[:p, :p], unit[:p], nothing, nothing, Levels({}, np.nan, 1.0, np.nan, np.nan))
+    mean = np.array([q.prescribed for q in problem.uncertain])
+    prior = ParameterKnowledge(mean, covariance[:p, :p], nothing, nothing, unit[:p])
     return replace(problem, prior=prior, initial_state=state)
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import lsq_linear
 
 from pinn_cli.model.truncated_gaussian import TruncatedGaussian
@@ -48,6 +50,24 @@ class ParameterKnowledge:
     spread: float = 1.0
 
     @property
+    def std(self) -> np.ndarray:
+        """(p,), standard deviations that noise leaves open."""
+        out: np.ndarray = np.sqrt(np.diag(self.covariance))
+        return out
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """(p, p)."""
+        out: np.ndarray = self.covariance / np.outer(self.std, self.std)
+        return out
+
+    @cached_property
+    def precision(self) -> np.ndarray:
+        """(p, p), the inverse of the correlation."""
+        root = np.linalg.inv(np.linalg.cholesky(self.correlation))
+        return root.T @ root
+
+    @property
     def sharing(self) -> np.ndarray:
         """(p,) bool: the parameters that share the common spread."""
         return np.zeros(len(self.mean), bool) if self.prescribed is None else np.isfinite(self.prescribed)
@@ -58,7 +78,7 @@ class ParameterKnowledge:
         if not sharing.any() or spread == self.spread:
             return self
         assert self.prescribed is not None
-        unit = np.where(sharing, self.first_std, np.sqrt(np.diag(self.covariance)))
+        unit = np.where(sharing, self.first_std, self.std)
         pull = np.where(sharing, np.nan_to_num(self.prescribed) - self.mean, 0.0) / unit
         precision = np.linalg.inv(self.covariance / np.outer(unit, unit))
         values, vectors = np.linalg.eigh(precision - np.diag(sharing / self.spread**2))
@@ -91,10 +111,9 @@ class ParameterKnowledge:
         """(p,), the peak above least values (p,): those that a bound holds move the others along."""
         if not (self.mean < lower).any():
             return self.mean
-        unit = np.sqrt(np.diag(self.covariance))
-        root = np.linalg.inv(np.linalg.cholesky(self.covariance / np.outer(unit, unit)))
-        bounded = lsq_linear(root, root @ (self.mean / unit), (lower / unit, np.inf))
-        out: np.ndarray = np.maximum(unit * bounded.x, lower)
+        root = np.linalg.inv(np.linalg.cholesky(self.correlation))
+        bounded = lsq_linear(root, root @ (self.mean / self.std), (lower / self.std, np.inf))
+        out: np.ndarray = np.maximum(self.std * bounded.x, lower)
         return out
 
     def of(self, chosen: np.ndarray) -> ParameterKnowledge:
@@ -104,6 +123,19 @@ class ParameterKnowledge:
         prescribed = None if self.prescribed is None else self.prescribed[chosen]
         covariance = self.covariance[np.ix_(chosen, chosen)]
         return ParameterKnowledge(mean, covariance, told, weight, first, prescribed, self.spread)
+
+    def with_independent(self, mean: Sequence[float], std: Sequence[float]) -> ParameterKnowledge:
+        """With parameters behind these that have nothing to do with them."""
+        nothing = np.zeros(len(std))
+        return ParameterKnowledge(
+            np.append(self.mean, mean),
+            block_diag(self.covariance, np.diag(np.square(std))),
+            np.append(self.told, nothing),
+            np.append(self.weight, nothing),
+            np.append(self.first_std, std),
+            None if self.prescribed is None else np.append(self.prescribed, np.full(len(std), np.nan)),
+            self.spread,
+        )
 
 
 @dataclass(frozen=True, eq=False)

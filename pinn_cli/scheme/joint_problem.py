@@ -11,7 +11,7 @@ import numpy as np
 from pinn_cli.model.knowledge import Model, ParameterKnowledge
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import sensor_parameters
-from pinn_cli.scheme.problem import JointPrior, Problem, inputs_of
+from pinn_cli.scheme.problem import Problem, inputs_of
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.parameters import MASS, Parameter
 from pinn_cli.system.priors import Prior
@@ -97,7 +97,6 @@ class JointProblem:
         ]
         nothing = np.zeros(count)
         before = known if updates else ParameterKnowledge(mean, covariance, nothing, nothing, std)
-        prior = JointPrior.of(before, model.levels)
         sensors = sensor_parameters(record)
         problem = Problem(
             model.structure.with_values({p: p.prescribed for p in parameters}),
@@ -106,7 +105,8 @@ class JointProblem:
             acceleration_through,
             initial_motion,
             inputs=inputs_of(model.structure, record, unknown_force),
-            prior=prior.with_independent([p.prior_std for p in sensors]),
+            prior=before.with_independent([p.prescribed for p in sensors], [p.prior_std for p in sensors]),
+            earlier_levels=model.levels,
         )
         return cls.of(problem)
 

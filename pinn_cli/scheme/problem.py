@@ -6,7 +6,7 @@ Beside the forces that were measured there act the ground, and forces that nobod
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -69,61 +69,6 @@ class TurningPoints:
 
 
 @dataclass(frozen=True, eq=False)
-class JointPrior:
-    """Beside the means and standard deviations that the parameters themselves have; p of them.
-
-    Attributes:
-        correlation: (p, p).
-        first_std: (p,), what the prior before the first record allowed, in the parameters' units.
-        told, weight: See :class:`pinn_cli.model.knowledge.ParameterKnowledge`; of the records before this one.
-        prescribed, spread: Likewise; of the first prior.
-        levels: Noise that the last record was found to have: near it this one's is looked for.
-    """
-
-    correlation: np.ndarray
-    first_std: np.ndarray
-    told: np.ndarray
-    weight: np.ndarray
-    levels: Levels
-    prescribed: np.ndarray | None = None
-    spread: float = 1.0
-
-    @classmethod
-    def of(cls, known: ParameterKnowledge, levels: Levels) -> JointPrior:
-        """What earlier records say."""
-        std = np.sqrt(np.diag(known.covariance))
-        correlation = known.covariance / np.outer(std, std)
-        return cls(correlation, known.first_std, known.told, known.weight, levels, known.prescribed, known.spread)
-
-    def known(self, mean: np.ndarray, std: np.ndarray) -> ParameterKnowledge:
-        """The same as knowledge, with the parameters' means and standard deviations (p,)."""
-        covariance = self.correlation * np.outer(std, std)
-        before = self.told, self.weight, self.first_std, self.prescribed, self.spread
-        return ParameterKnowledge(mean, covariance, *before)
-
-    @cached_property
-    def precision(self) -> np.ndarray:
-        """(p, p), the inverse of the correlation."""
-        root = np.linalg.inv(np.linalg.cholesky(self.correlation))
-        return root.T @ root
-
-    def with_independent(self, std: Sequence[float]) -> JointPrior:
-        """With parameters behind these that have nothing to do with them, and their standard deviations."""
-        p, more = len(self.correlation), len(std)
-        correlation = np.eye(p + more)
-        correlation[:p, :p] = self.correlation
-        nothing = np.zeros(more)
-        return replace(
-            self,
-            correlation=correlation,
-            first_std=np.concatenate((self.first_std, std)),
-            told=np.concatenate((self.told, nothing)),
-            weight=np.concatenate((self.weight, nothing)),
-            prescribed=None if self.prescribed is None else np.append(self.prescribed, np.full(more, np.nan)),
-        )
-
-
-@dataclass(frozen=True, eq=False)
 class SpectralEstimate:
     """What spectra say of parameters; the motion under a measured force then says no more of them.
 
@@ -156,7 +101,10 @@ class Problem:
             (``derivative``), with the observer equation (paper, eq. 8; ``observer``), or with ``both``.
         initial_motion: Whether the motion begins anyhow (``free``) or at ``rest`` at the record's first sample.
         inputs: What acts beside measured forces.
-        prior: What earlier records say of the uncertain parameters together; None: each is believed by itself.
+        prior: What earlier records say of the uncertain parameters together, whose own values are what bounds leave of
+            it; None: each is believed by itself.
+        earlier_levels: Noise that the last record was found to have: near it this one's is looked for; None: no earlier
+            record says.
         initial_state: Where the motion of an earlier record ended, if this one goes on from there: its first sample is
             that record's last. The parameters of ``with_parameters`` are the first of ``uncertain``.
         turning_points: Where the equations of motion hold less well for a spline; None: they hold everywhere alike.
@@ -170,7 +118,8 @@ class Problem:
     acceleration_through: str = "derivative"
     initial_motion: str = FREE
     inputs: Inputs = field(default_factory=Inputs)
-    prior: JointPrior | None = None
+    prior: ParameterKnowledge | None = None
+    earlier_levels: Levels | None = None
     initial_state: EndState | None = None
     hand_over: float | None = None
     turning_points: TurningPoints | None = None

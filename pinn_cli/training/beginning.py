@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pinn_cli.model.knowledge import EndState
+from pinn_cli.model.knowledge import EndState, ParameterKnowledge
 from pinn_cli.record.channels import FINEST_KNOWN
-from pinn_cli.scheme.problem import JointPrior, Problem
+from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.quantities import INITIAL_STATE
 
@@ -80,7 +80,7 @@ def _size(state: EndState, problem: Problem) -> np.ndarray:
     return out
 
 
-def _joint(problem: Problem, prior: JointPrior, state: EndState, std: np.ndarray) -> np.ndarray:
+def _joint(problem: Problem, prior: ParameterKnowledge, state: EndState, std: np.ndarray) -> np.ndarray:
     """(p + F, p + F), the correlation of parameters and state; sensors have nothing to do with a state."""
     p, count = len(problem.uncertain), state.with_parameters.shape[1]
     unit = np.array([parameter.prior_std for parameter in problem.uncertain])

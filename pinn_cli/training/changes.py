@@ -19,7 +19,7 @@ from scipy.special import chdtrc
 
 from pinn_cli.model.knowledge import ParameterKnowledge
 from pinn_cli.scheme.joint_problem import JointProblem
-from pinn_cli.scheme.problem import JointPrior, Problem
+from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.training.estimate import Change, Changes, Estimate, RunContext
 from pinn_cli.training.estimator import TrainedNetwork
@@ -142,20 +142,19 @@ def left_open(known: ParameterKnowledge, problem: Problem, changes: Changes) -> 
 
 
 def _earlier(problem: Problem) -> ParameterKnowledge:
-    """What the records before say."""
+    """What the records before say, about the values that bounds leave of the parameters."""
     assert problem.prior is not None
     mean, std = (np.array([getattr(p, name) for p in problem.uncertain]) for name in ("prescribed", "prior_std"))
-    return problem.prior.known(mean, std)
+    return replace(problem.prior, mean=mean, covariance=problem.prior.correlation * np.outer(std, std))
 
 
 def _knowing(problem: Problem, known: ParameterKnowledge) -> Problem:
     """The problem of an update whose earlier records say this; its structure stays."""
-    assert problem.prior is not None
     uncertain = tuple(
         replace(p, prescribed=max(float(m), 0.0) if p.positive else float(m), prior_std=float(s))
-        for p, m, s in zip(problem.uncertain, known.mean, np.sqrt(np.diag(known.covariance)), strict=True)
+        for p, m, s in zip(problem.uncertain, known.mean, known.std, strict=True)
     )
-    return replace(problem, uncertain=uncertain, prior=JointPrior.of(known, problem.prior.levels))
+    return replace(problem, uncertain=uncertain, prior=known)
 
 
 def _open(problem: Problem, j: int) -> float:

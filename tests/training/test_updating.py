@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from storeys import C, K, M, record
 
-from pinn_cli.model.knowledge import Levels, ParameterKnowledge
-from pinn_cli.scheme.problem import JointPrior, Problem
+from pinn_cli.model.knowledge import ParameterKnowledge
+from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.changes import IMPROBABLE, common_spread, found_changes, left_open, released, under_spread
 
 P = 6
-LEVELS = Levels({}, 1.0, 1.0, 1.0, 1.0)
 
 
 @dataclass
@@ -39,7 +38,7 @@ def solved(given: Case, rng: np.random.Generator, change: np.ndarray, hidden: fl
     measured = given.truth + change + np.linalg.cholesky(given.R) @ rng.standard_normal(P)
     std = np.sqrt(np.diag(given.C))
     weight = np.full(P, 1.0)
-    prior = JointPrior(given.C / np.outer(std, std), 100.0 * std, hidden * weight, weight, LEVELS)
+    prior = ParameterKnowledge(mean, given.C, hidden * weight, weight, 100.0 * std)
     uncertain = tuple(Parameter("k", i, mean[i], std[i]) for i in range(P))
     problem = Problem(None, None, uncertain, prior=prior)  # type: ignore[arg-type]
     covariance = np.linalg.inv(np.linalg.inv(given.C) + np.linalg.inv(given.R))
@@ -247,8 +246,7 @@ def test_an_update_looks_at_earlier_records_again_under_another_spread():
         replace(p, prescribed=float(m), prior_std=float(s), positive=True)
         for p, m, s in zip(chosen, mean, std, strict=True)
     )
-    prior = JointPrior.of(known, Levels({}, 1.0, 1.0, 1.0, 1.0))
-    problem = Problem(structure, record(1).record, uncertain, "derivative", "free", prior=prior)
+    problem = Problem(structure, record(1).record, uncertain, "derivative", "free", prior=known)
     found, asked = under_spread(problem, 0.3), known.with_spread(0.3)
     np.testing.assert_allclose([p.prescribed for p in found.uncertain], asked.mean)
     np.testing.assert_allclose([p.prior_std for p in found.uncertain], np.sqrt(np.diag(asked.covariance)))

@@ -38,9 +38,9 @@ def solve_under_known_levels(evidence: Evidence, noise: NoiseLevels) -> Trained 
     problem = evidence.problem.first
     if problem.spectral is not None:
         return _under_levels(evidence, noise, problem.spectral.levels)
-    if problem.prior is None:
+    if problem.earlier_levels is None:
         return None
-    levels, equations = problem.prior.levels, evidence.equations.by_record[0]
+    levels, equations = problem.earlier_levels, evidence.equations.by_record[0]
     if not np.isfinite(levels.discrepancy) or not levels.force > 0:
         return None
     force, _ = force_and_velocity_scale(problem)
@@ -112,8 +112,8 @@ def _as_driven(evidence: Evidence, trained: Trained, discrepancy: float) -> Trai
 
 def as_fine_as_before(design: NetworkDesign, problem: Problem, network: LinearReadout) -> NetworkDesign:
     """A design, whose network this is, with as many features a second as the model's record turned out to need."""
-    assert problem.prior is not None
-    factor = problem.prior.levels.features * problem.record.duration / network.count
+    assert problem.earlier_levels is not None
+    factor = problem.earlier_levels.features * problem.record.duration / network.count
     return design.finer(factor, problem.record) or design if factor >= WORTHWHILE else design
 
 

@@ -41,7 +41,7 @@ NEAR_LOSS = 1e-3
 def combine_windows(inference: Inference) -> Inference | None:
     """The solution of a window under the discrepancy that all windows say; None of a record that is none."""
     first = inference.problem.first
-    goes_on = first.prior is not None and first.prior.levels.windows is not None
+    goes_on = first.earlier_levels is not None and first.earlier_levels.windows is not None
     is_window = first.hand_over is not None or goes_on
     if inference.solver.known_parameters is not None or inference.problem.has_unknown_forces or not is_window:
         return None
@@ -51,8 +51,8 @@ def combine_windows(inference: Inference) -> Inference | None:
 
 def of_all_windows(evidence: Evidence, trained: Trained) -> tuple[Trained, DiscrepancyEvidence]:
     """The solution under the discrepancy that all windows say, from that of a window, and what they say of it."""
-    prior = evidence.problem.first.prior
-    before = None if prior is None else prior.levels.windows
+    earlier_levels = evidence.problem.first.earlier_levels
+    before = None if earlier_levels is None else earlier_levels.windows
     unit = discrepancy_unit(evidence)
     top = float(np.log10(trained.noise.discrepancy / unit))
     earlier = np.inf if before is None or not before.common else float(np.log10(before.start))

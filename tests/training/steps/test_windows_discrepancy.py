@@ -35,8 +35,8 @@ def window(
     def floors(_: object, trained: Any) -> list[Any]:
         return [SimpleNamespace(discrepancy=min(LEAST, trained.noise.discrepancy))]
 
-    prior = None if before is None else SimpleNamespace(levels=SimpleNamespace(windows=before))
-    problem = SimpleNamespace(first=SimpleNamespace(prior=prior))
+    levels = None if before is None else SimpleNamespace(windows=before)
+    problem = SimpleNamespace(first=SimpleNamespace(earlier_levels=levels))
     evidence: Any = SimpleNamespace(problem=problem, train=train, each_record=floors)
     return of_all_windows(evidence, train(NOISE.with_discrepancy(own)))
 
