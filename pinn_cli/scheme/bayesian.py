@@ -165,7 +165,7 @@ class Bayesian(EstimationScheme):
         said = (replace(p, said=given.get(p, math.nan)) for p in chosen)
         unknown = tuple(_unknown(p, priors[p], starts[p], p in given_priors) for p in said)
         structure = prescribed.with_values({p: p.prescribed for p in unknown})
-        return JointProblem.of(*map(_with_priors, JointProblem.of_records(structure, records, unknown, *self.settings)))
+        return JointProblem.of_records(structure, records, unknown, *self.settings).changed(_with_priors)
 
 
 def _unknown(parameter: Parameter, prior: Prior, start: Start, chosen_by_user: bool) -> Parameter:

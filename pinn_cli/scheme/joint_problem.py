@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import starmap
+from typing import Any
 
 import numpy as np
 
@@ -144,19 +146,19 @@ class JointProblem:
 
     def present(self, values: Mapping[str, np.ndarray]) -> JointProblem:
         """The same with damping of the whole in the modes of some masses and stiffnesses, see `Structure.present`."""
-        return JointProblem(tuple(problem.present(values) for problem in self.by_record))
+        return self.changed(lambda problem: problem.present(values))
 
     def in_coordinates_of(self, structure: Structure) -> JointProblem:
         """The same with its structure in the coordinates that a reduction of its finite-element model has."""
         return self.changed(lambda problem: problem.in_coordinates_of(structure))
 
-    def changed(self, how: Callable[[Problem], Problem]) -> JointProblem:
-        """The same with the problem of every record changed, from every start."""
+    def changed(self, how: Callable[..., Problem], *by_record: Sequence[Any]) -> JointProblem:
+        """The same with the problem of every record changed, from every start; ``by_record`` is what else it takes."""
 
         def all_of(problems: tuple[JointProblem, ...]) -> tuple[JointProblem, ...]:
-            return tuple(joint.changed(how) for joint in problems)
+            return tuple(joint.changed(how, *by_record) for joint in problems)
 
-        changed = tuple(how(problem) for problem in self.by_record)
+        changed = tuple(starmap(how, zip(self.by_record, *by_record, strict=True)))
         return JointProblem(changed, all_of(self.other_starts), lambda: all_of(self.elsewhere()))
 
     @property

@@ -176,7 +176,7 @@ def _beyond_bounds(estimate: Estimate) -> Iterator[Finding]:
     """
     if estimate.known is None:
         return
-    free = zip(estimate.parameters, estimate.known.mean, np.sqrt(np.diag(estimate.known.covariance)), strict=False)
+    free = zip(estimate.parameters, estimate.known.mean, estimate.known.std, strict=False)
     far = [
         (mean / std, mean, std, p.name) for p, mean, std in free if p.parameter.positive and mean < -MOST_MOVED * std
     ]

@@ -15,7 +15,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import with_every_force
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.evidence import converged, model_log_evidence
@@ -90,10 +89,9 @@ def _log_evidence(inference: Inference) -> float:
 
 def _of_one(smooth: Inference, number: int) -> Inference | None:
     """The story without all forces but one, which acts for all of them; None where it cannot be solved."""
-    problems, networks, points, levels = [], [], [], []
+    networks, points, levels = [], [], []
     for (before, point), noise in zip(smooth.by_record, smooth.trained.noise.records, strict=True):
-        inputs, at = before.problem.inputs, before.dynamics.forces
-        problems.append(replace(before.problem, inputs=replace(inputs, forces=(inputs.forces[number],))))
+        at = before.dynamics.forces
         networks.append(before.network)
         others = np.delete(np.arange(at.start, at.stop), number)
         points.append(np.delete(before.layout.weights(point.unknowns).numpy(), others, axis=1))
@@ -102,7 +100,8 @@ def _of_one(smooth: Inference, number: int) -> Inference | None:
         together = float(noise.innovation[at].sum())
         quiet = replace(noise, force=force, innovation=innovation)
         levels.append(quiet.driven_by(together, slice(at.start, at.start + 1)))
-    evidence = smooth.solver.evidence(JointProblem.of(*problems), networks)
+    problem = smooth.problem.changed(lambda p: replace(p, inputs=replace(p.inputs, forces=(p.inputs.forces[number],))))
+    evidence = smooth.solver.evidence(problem, networks)
     pairs = zip(evidence.equations.by_record, points, smooth.by_record, strict=True)
     begun = [
         Point(forced.layout.unknowns(torch.as_tensor(weights)), point.parameters)
@@ -119,12 +118,11 @@ def _settled(story: Inference) -> Inference:
 
 def _with_force(inference: Inference) -> Inference | None:
     """The same motion under forces with the spectrum that the discrepancy has, then under their own level."""
-    solver, before = inference.solver, inference.evidence.equations.by_record
+    before, noise_before = inference.evidence.equations.by_record, inference.trained.noise
     drives = inference.evidence.each_record(spectrum_of_discrepancy, inference.trained)
-    records = list(zip(inference.problem, drives, inference.trained.noise.records, strict=True))
-    problem = JointProblem.of(*(of_spectrum(with_every_force(one), drive) for one, drive, _ in records))
+    problem = inference.problem.changed(with_every_force).changed(of_spectrum, drives)
     try:
-        evidence = solver.evidence(problem, [equations.network for equations in before])
+        evidence = inference.solver.evidence(problem, [equations.network for equations in before])
     except InputError:  # memory
         return None
     pairs = list(zip(inference.by_record, evidence.equations.by_record, strict=True))
@@ -135,9 +133,9 @@ def _with_force(inference: Inference) -> Inference | None:
         points.append(Point(forced.layout.unknowns(weights), point.parameters))
     levels = [
         _driven(noise, forced, noise.discrepancy if drive is None else float(np.sqrt(np.mean(drive.levels**2))))
-        for (_, drive, noise), forced in zip(records, evidence.equations.by_record, strict=True)
+        for noise, drive, forced in zip(noise_before.records, drives, evidence.equations.by_record, strict=True)
     ]
-    noise = replace(inference.trained.noise, records=tuple(levels))
+    noise = replace(noise_before, records=tuple(levels))
     trained = evidence.train(noise, evidence.equations.joined(points))
     story = None if trained is None else _settled(replace(inference, evidence=evidence, trained=trained))
     return None if story is None or converged(story.trained) is None else story

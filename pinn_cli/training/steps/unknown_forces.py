@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.evidence import Evidence, Trained, converged
 from pinn_cli.training.solver import Inference
@@ -23,7 +22,7 @@ def widen_force_band(inference: Inference) -> Inference | None:
     factors, solver = inference.evidence.each_record(reaches_beyond, inference.trained), inference.solver
     if max(factors) <= 1.0:
         return None
-    records = list(zip(solver.designs, factors, inference.problem, strict=True))
+    records = zip(solver.designs, factors, inference.problem, strict=True)
     designs = tuple(design.finer(factor, record_problem.record) for design, factor, record_problem in records)
     if not all(designs):
         return None
@@ -32,8 +31,8 @@ def widen_force_band(inference: Inference) -> Inference | None:
         edge, correlation_time = problem.inputs.edge * factor, problem.inputs.correlation_time / factor
         return replace(problem, inputs=replace(problem.inputs, edge=edge, correlation_time=correlation_time))
 
-    problem = JointProblem.of(*(wider(record_problem, factor) for _, factor, record_problem in records))
-    return first_solution(problem, replace(solver, designs=designs))  # type: ignore[arg-type]
+    again = replace(solver, designs=designs)  # type: ignore[arg-type]
+    return first_solution(inference.problem.changed(wider, factors), again)
 
 
 def fit_force_spectrum(inference: Inference) -> Inference | None:
@@ -41,10 +40,8 @@ def fit_force_spectrum(inference: Inference) -> Inference | None:
     drives = inference.evidence.each_record(spectrum_in_band, inference.trained)
     if not any(drives):
         return None
-    pairs = zip(inference.problem, drives, strict=True)
-    problem = JointProblem.of(*(of_spectrum(record_problem, drive) for record_problem, drive in pairs))
     solver, networks = inference.solver, [equations.network for equations in inference.evidence.equations.by_record]
-    evidence = solver.evidence(problem, networks)
+    evidence = solver.evidence(inference.problem.changed(of_spectrum, drives), networks)
     again = _driven(inference, evidence, [None if drive is None else drive.levels for drive in drives])
     if again is None:
         return None

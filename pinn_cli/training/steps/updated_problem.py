@@ -42,12 +42,9 @@ def with_turning_points(inference: Inference, problem: JointProblem) -> JointPro
     """The problem with the turning points of a solution of it; the same where all laws are smooth."""
     if problem.first.dynamics.structure is problem.first.structure:  # a contact's law is solved as another one
         return problem
-    records = zip(problem, inference.by_record, inference.trained.noise.records, strict=True)
-    turning = (
-        replace(record_problem, turning_points=_turning_points(*solution, noise.discrepancy))
-        for record_problem, solution, noise in records
-    )
-    return JointProblem.of(*turning)
+    records = zip(inference.by_record, inference.trained.noise.records, strict=True)
+    turning = [_turning_points(*solution, noise.discrepancy) for solution, noise in records]
+    return problem.changed(lambda one, points: replace(one, turning_points=points), turning)
 
 
 def _turning_points(equations: NormalEquations, point: Point, discrepancy: float) -> TurningPoints | None:
