@@ -23,7 +23,7 @@ from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system.topology import build_partial_structure, build_structure
+from pinn_cli.system.topology import build_structure
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.estimator import TrainedNetwork
 from pinn_cli.training.gauss_newton import GaussNewton
@@ -100,7 +100,7 @@ def test_springs_and_dampers_without_a_start_come_from_the_resonances(first_freq
     made = ambient_record(first_frequency, 50.0, 60.0, 20.0, seed=seed)
     names, connections = storeys(*[{"law": "linear", "c": None, "k": None}] * 3)
     masses = dict(zip(names, made.structure.parameters["m"].tolist(), strict=True))
-    nothing = build_partial_structure(names, masses, connections)
+    nothing = build_structure(names, masses, connections)
     problem = StateParameter(unobserved=[], unknown="missing").pose(nothing, [made.record])
     estimate = by_spline(problem)
     for p in estimate.parameters:

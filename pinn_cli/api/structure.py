@@ -25,7 +25,7 @@ from pinn_cli.system import structure
 from pinn_cli.system.building import build_chain, law_called, law_settings
 from pinn_cli.system.modes import NaturalModes
 from pinn_cli.system.quantities import GROUND
-from pinn_cli.system.topology import build_structure
+from pinn_cli.system.topology import build_structure, whole
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -176,7 +176,7 @@ class Structure(structure.Structure):
         Raises:
             InputError: Naming ``system.<setting>``.
         """
-        return cls._of(build_structure(dofs, mass, connections, drifts=drifts))
+        return cls._of(whole(build_structure(dofs, mass, connections, drifts=drifts)))
 
     @classmethod
     def _of(cls, built: structure.Structure) -> Self:

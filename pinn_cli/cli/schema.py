@@ -36,7 +36,7 @@ MADE_BY = {
     "follow": "pinn_cli.record.windows.Patience",
     "report": "pinn_cli.report.export.report_settings",
     "system": "pinn_cli.system.building.build_partial_chain",
-    "system structure": "pinn_cli.system.topology.build_partial_structure",
+    "system structure": "pinn_cli.system.topology.build_structure",
     "system matrices": "pinn_cli.system.finite_elements.build_finite_elements",
     "system modal": "pinn_cli.system.building.build_modal",
 }

@@ -106,27 +106,28 @@ def read_structure(config: DictConfig, base: Path | None, model: Model | None = 
             hint = "simulate the structure of that run" if simulated else "leave system out: the run has it"
             raise InputError("system", differs, f"the structure of the run model={config.model}", hint)
         return structure if simulated else model.structure
-    if config.system.get("kind") == "matrices":
-        return _finite_elements(config, base)
     from pinn_cli.system.building import build_chain, build_modal, build_partial_chain
     from pinn_cli.system.quantities import FORCE, MOTION
-    from pinn_cli.system.topology import build_partial_structure, build_structure
+    from pinn_cli.system.topology import build_structure, whole
 
-    if config.system.get("kind") == MODAL:  # of modes that the record has yet to tell, at the points that it names
+    kind = config.system.get("kind")
+    if kind == MODAL:  # of modes that the record has yet to tell, at the points that it names
         if simulated:
             raise InputError("system", MODAL, "another one with data=simulated", "a record tells the modes")
         return construct(build_modal, config.system, "system", measured=_dofs(config, (FORCE, *MOTION)))
-
-    named = config.system.get("kind") == "structure"
-    whole, incomplete = (build_structure, build_partial_structure) if named else (build_chain, build_partial_chain)
-    return construct(whole if simulated else incomplete, config.system, "system")
+    if kind == "matrices":
+        structure = _finite_elements(config, base)
+    elif kind == "structure":
+        structure = construct(build_structure, config.system, "system")
+    else:
+        return construct(build_chain if simulated else build_partial_chain, config.system, "system")
+    return whole(structure) if simulated else structure
 
 
 def _finite_elements(config: DictConfig, base: Path | None) -> Structure:
     """A reduced model, with the static responses of the DOFs that carry a force or a sensor of a measured record."""
     from pinn_cli.system.finite_elements import build_finite_elements
     from pinn_cli.system.quantities import FORCE, MOTION
-    from pinn_cli.system.topology import whole
 
     if _is_simulated(config):
         forces = config.excitation.get("dofs")
@@ -135,8 +136,7 @@ def _finite_elements(config: DictConfig, base: Path | None) -> Structure:
         # With factors the model is reduced anew, sensors included, to coordinates as few as its first ones.
         quantities = (FORCE,) if config.system.get("factors") else (FORCE, *MOTION)
         loaded = list(dict.fromkeys(_dofs(config, quantities)))
-    structure = construct(build_finite_elements, config.system, "system", base=base, loaded=loaded)
-    return whole(structure) if _is_simulated(config) else structure
+    return construct(build_finite_elements, config.system, "system", base=base, loaded=loaded)
 
 
 def _dofs(config: DictConfig, quantities: Collection[str]) -> list[Any]:

@@ -45,14 +45,16 @@ class _Connection:
 
 def build_structure(
     dofs: Sequence[str],
-    mass: float | Mapping[str, float],
+    mass: float | Mapping[str, float | None] | None,
     connections: Mapping[str, Mapping[str, Any]],
     kind: str = "structure",
     drifts: Mapping[str, Sequence[str]] | None = None,
     damping: Mapping[str, Any] | None = None,
     supports: Sequence[str] = (),
 ) -> Structure:
-    """A structure of which everything is given.
+    """A structure of which a value may be missing, null or left out: it is NaN there, see :func:`whole`.
+
+    Of an optional parameter (an order of a polynomial) null says that the connection has it.
 
     Args:
         dofs: Names of the coordinates.
@@ -67,7 +69,17 @@ def build_structure(
     Raises:
         InputError: Naming ``system.<setting>``.
     """
-    return whole(build_partial_structure(dofs, mass, connections, kind, drifts, damping, supports))
+    names, moving = checked_names(dofs), _checked_supports(supports, entries(dofs))
+    if moving and damping is not None:
+        hint = "it is of the motion beside one ground: give the connections dampers"
+        raise InputError("system.damping", dict(damping), "null with system.supports", hint)
+    if damping is not None and isinstance(connections, Mapping):
+        connections = {
+            k: {"c": 0.0, **entry} if isinstance(entry, Mapping) else entry for k, entry in connections.items()
+        }
+    structure = connected(names, _masses(mass, names), connections, moving)
+    tell_if_loose(structure)
+    return damped(replace(structure, pairs=drift_pairs(drifts, names, structure)), damping)
 
 
 def whole(structure: Structure) -> Structure:
@@ -82,32 +94,6 @@ def whole(structure: Structure) -> Structure:
             hint = "0 is a value; null is for what is unknown of a measured record"
             raise InputError(setting, "nothing", "given", hint)
     return structure
-
-
-def build_partial_structure(
-    dofs: Sequence[str],
-    mass: float | Mapping[str, float | None] | None,
-    connections: Mapping[str, Mapping[str, Any]],
-    kind: str = "structure",
-    drifts: Mapping[str, Sequence[str]] | None = None,
-    damping: Mapping[str, Any] | None = None,
-    supports: Sequence[str] = (),
-) -> Structure:
-    """The same where a value may be missing, null or left out: it is NaN in the structure.
-
-    Of an optional parameter (an order of a polynomial) null says that the connection has it.
-    """
-    names, moving = checked_names(dofs), _checked_supports(supports, entries(dofs))
-    if moving and damping is not None:
-        hint = "it is of the motion beside one ground: give the connections dampers"
-        raise InputError("system.damping", dict(damping), "null with system.supports", hint)
-    if damping is not None and isinstance(connections, Mapping):
-        connections = {
-            k: {"c": 0.0, **entry} if isinstance(entry, Mapping) else entry for k, entry in connections.items()
-        }
-    structure = connected(names, _masses(mass, names), connections, moving)
-    tell_if_loose(structure)
-    return damped(replace(structure, pairs=drift_pairs(drifts, names, structure)), damping)
 
 
 def drift_pairs(drifts: Any, names: tuple[str, ...], structure: Structure) -> Pairs | None:

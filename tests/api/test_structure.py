@@ -74,6 +74,8 @@ def test_named_structures() -> None:
     record = frame.simulate(TIME, {"x2": 100.0 * FORCE})
     assert record.to_frame().columns.tolist()[-1] == "force.x2"
     assert frame.modes().columns.tolist()[-2:] == ["shape_x1", "shape_x2"]
+    with pytest.raises(InputError, match=r"^system\.mass\.x1=nothing"):
+        Structure.connected(["x1", "x2"], {"x1": None, "x2": 1500.0}, connections)
 
 
 def test_noise_is_that_of_the_ratio(chain: Structure) -> None:

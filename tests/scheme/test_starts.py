@@ -29,7 +29,7 @@ from pinn_cli.scheme.unknowns import parameters_called, unknown_parameters
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Polynomial
-from pinn_cli.system.topology import build_partial_structure, build_structure
+from pinn_cli.system.topology import build_structure
 
 CONNECTIONS = {
     "storey_1": {"between": ["ground", "x1"], "law": "duffing", "c": 4500, "k": 1.5e6, "kappa": 1e9},
@@ -126,7 +126,7 @@ def test_what_the_user_says_is_a_start_of_its_own_beside_those_of_the_record(mad
 def test_without_a_spring_the_force_says_how_large_damping_and_friction_may_be(made):
     """A mass on a guide; a spring of no stiffness was 0 / 0."""
     guide = {"between": ["ground", "x"], "law": "friction", "speed": 0.01, "c": None, "k": 0.0, "F_c": None}
-    structure = build_partial_structure(["x"], {"x": 2000.0}, {"guide": guide})
+    structure = build_structure(["x"], {"x": 2000.0}, {"guide": guide})
     one = slice(2, 3)
     columns = {q: getattr(made.record, q)[:, one] for q in ("displacement", "velocity", "acceleration", "force")}
     record = Record(made.record.time, **columns, unforced=np.zeros(1, bool))
@@ -227,7 +227,7 @@ def test_what_is_missing_is_told_as_it_would_be_given():
         "storey": {"between": ["ground", "x1"], "law": "linear", "c": 1.0, "k": None},
         "tie": {"between": ["x1", "x2"], "law": "linear", "c": None, "k": 3.0},
     }
-    structure = build_partial_structure(["x1", "x2"], {"x1": 1.0, "x2": None}, connections)
+    structure = build_structure(["x1", "x2"], {"x1": 1.0, "x2": None}, connections)
     with pytest.raises(InputError, match="kg.*N s/m.*N/m.*m_x2, c_tie, k_storey") as error:
         check_given(structure)
     assert error.value.setting == "system.mass.x2, system.connections.tie.c, system.connections.storey.k"

@@ -18,7 +18,7 @@ from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.parameters import PRIOR_WIDTH
 from pinn_cli.system.priors import HalfNormal, Normal
-from pinn_cli.system.topology import build_partial_structure
+from pinn_cli.system.topology import build_structure
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +129,7 @@ def test_a_law_says_which_of_its_parameters_cannot_be_negative(measurements):
         "joint": joint | {"n": 1.0, "delta_eta": None},
         "rest": {"between": ["b", "c"], "law": "linear", "k": 1.0, "c": 1.0},
     }
-    structure = build_partial_structure(["a", "b", "c"], {"a": 1.0, "b": 1.0, "c": 1.0}, connections)
+    structure = build_structure(["a", "b", "c"], {"a": 1.0, "b": 1.0, "c": 1.0}, connections)
     scheme = StateParameter(unobserved=[], unknown=["*_joint"])
     record = scheme.observe(measurements.record)
     free = {p.kind for p in scheme.pose(structure, [record]).alone.uncertain if p.unknown and not p.positive}

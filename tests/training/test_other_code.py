@@ -18,7 +18,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, Linear
-from pinn_cli.system.topology import build_partial_structure
+from pinn_cli.system.topology import build_structure
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.verdict.judge import judge
 
@@ -107,7 +107,7 @@ def rocked(seed: int) -> Record:
 @pytest.mark.parametrize("seed", range(3))
 def test_its_law_is_identified(seed):
     law = {"law": "baber_noori", "c": JOINT_C, "k": None, "n": 1.0} | dict.fromkeys(list(TRUE)[1:])
-    structure = build_partial_structure(["x"], {"x": JOINT_M}, {"joint": {"between": ["ground", "x"], **law}})
+    structure = build_structure(["x"], {"x": JOINT_M}, {"joint": {"between": ["ground", "x"], **law}})
     record = rocked(seed)
     scheme = StateParameter(unobserved=[], unknown=UNKNOWN, parameter_uncertainty=0.0, initial_motion="rest")
     problem = scheme.pose(scheme.adapted(structure, [record]), [record])
