@@ -15,11 +15,10 @@ import numpy as np
 from omegaconf import OmegaConf
 
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.calibration import calibrated_starts
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import FREE, GAUSSIAN_PROCESS, Problem
 from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Sensors, Through, UnknownForce, check_given
-from pinn_cli.scheme.starts import Start, Starts
+from pinn_cli.scheme.starts import Start, Starts, calibrated
 from pinn_cli.scheme.unknowns import (
     check_used,
     checked_positive,
@@ -156,8 +155,7 @@ class Bayesian(EstimationScheme):
         # Of a simulated structure what is prescribed would be the truth.
         given = {p: p.prescribed for p in chosen if math.isfinite(p.prescribed) and not records[0].simulated}
         (starts,) = Starts(prescribed, records, chosen, given, 1)
-        values = {p: start.value for p, start in starts.items()}
-        records = [calibrated_starts(each, values) for each in records]
+        records = calibrated(records, starts)
         given_priors = read_priors(self.priors, prescribed)
         stds = {p: PRIOR_WIDTH * starts[p].scale for p in chosen}
         wide = {p: HalfNormal(std) if p.kind in positive else Normal(0.0, std) for p, std in stds.items()}

@@ -5,8 +5,7 @@ Gains and delays that are in doubt, in the frequency domain: a factor on the spe
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,18 +21,6 @@ from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE, HIGH_PASS, OF_O
 
 # Delays that are tried within one period of the highest frequency.
 PER_PERIOD = 8
-
-
-def calibrated_starts(record: Record, starts: Mapping[Parameter, float]) -> Record:
-    """The record whose sensors' unknown gains and delays start where a screening has found them.
-
-    Parameters of the structure may stand among the starts.
-    """
-    by_sensor: defaultdict[str, dict[str, float]] = defaultdict(dict)
-    for parameter, value in starts.items():
-        if parameter.kind in CALIBRATION_UNITS:
-            by_sensor[parameter.label][parameter.kind] = value
-    return record.started_at(by_sensor)
 
 
 def sensor_parameters(record: Record) -> tuple[Parameter, ...]:

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 
 from pinn_cli.model.knowledge import Model
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.calibration import calibrated_starts, sensor_parameters
+from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import FREE, GAUSSIAN_PROCESS
 from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Sensors, Through, UnknownForce, check_given
-from pinn_cli.scheme.starts import Starts
+from pinn_cli.scheme.starts import Starts, calibrated
 from pinn_cli.scheme.unknowns import believed_parameters, checked_uncertainty
 from pinn_cli.system.structure import Structure
 
@@ -65,5 +65,4 @@ def _calibrated(prescribed: Structure, records: Sequence[Record]) -> list[Record
     if not any(parameter.unknown for record in records for parameter in sensor_parameters(record)):
         return list(records)
     (starts,) = Starts(prescribed, records, (), {}, most=1)
-    values = {parameter: start.value for parameter, start in starts.items()}
-    return [calibrated_starts(record, values) for record in records]
+    return calibrated(records, starts)

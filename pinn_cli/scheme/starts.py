@@ -8,6 +8,7 @@ stiff they are together. Where no force is known, they come from the record's ow
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -25,6 +26,7 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.system.damping import of_ratio
 from pinn_cli.system.parameters import FACTOR, LINEAR_UNITS, MASS, Parameter
+from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.system.structure import Structure
 
 AUTO, GIVEN = "auto", "given"
@@ -89,6 +91,18 @@ class Start:
     value: float
     scale: float
     prior_scale: float | None = None
+
+
+def calibrated(records: Sequence[Record], start: Mapping[Parameter, Start]) -> list[Record]:
+    """The records whose sensors' unknown gains and delays start where a start has them.
+
+    Parameters of the structure may stand in it.
+    """
+    by_sensor: defaultdict[str, dict[str, float]] = defaultdict(dict)
+    for parameter, found in start.items():
+        if parameter.kind in CALIBRATION_UNITS:
+            by_sensor[parameter.label][parameter.kind] = found.value
+    return [record.started_at(by_sensor) for record in records]
 
 
 def checked_starts(starts: Any) -> int | None:

@@ -14,11 +14,10 @@ import torch
 
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.calibration import calibrated_starts
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import FREE, GAUSSIAN_PROCESS
 from pinn_cli.scheme.scheme import Beginning, EstimationScheme, Sensors, Through, UnknownForce, check_given
-from pinn_cli.scheme.starts import AUTO, Start, Starts, checked_starts
+from pinn_cli.scheme.starts import AUTO, Start, Starts, calibrated, checked_starts
 from pinn_cli.scheme.unknowns import (
     believed_parameters,
     check_used,
@@ -131,10 +130,8 @@ class StateParameter(EstimationScheme):
                 self._unknown(replace(p, positive=p.kind in positive), start[p], given.get(p, math.nan)) for p in chosen
             ]
             uncertain = tuple(sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.index)))
-            values = {parameter: parameter_start.value for parameter, parameter_start in start.items()}
-            calibrated = [calibrated_starts(each, values) for each in records]
             structure = prescribed.with_values({p: p.prescribed for p in unknown})
-            return JointProblem.of_records(structure, calibrated, uncertain, *self.settings)
+            return JointProblem.of_records(structure, calibrated(records, start), uncertain, *self.settings)
 
         starts = Starts(prescribed, records, chosen, given, self.starts)
         first, *others = map(posed, starts)

@@ -15,10 +15,11 @@ from storeys import RATE, C, K, M, record, response
 from pinn_cli.record.channel import WIDEST_DELAY, WIDEST_GAIN, Calibration, Channel, unknown_calibration
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.bayesian import Bayesian
-from pinn_cli.scheme.calibration import calibrated_starts, sensor_parameters
+from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
+from pinn_cli.scheme.starts import Start, calibrated
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
@@ -218,7 +219,8 @@ def test_what_is_believed_stays_where_it_is_believed():
         changed("acceleration", 0, 1.0, 0), calibration={**BELIEVED, "delay": Calibration(0.0, 0.05, True)}
     )
     own = with_channels(channel)
-    found = {Parameter("gain", 0, label=channel.key): 2.0, Parameter("delay", 0, label=channel.key): 0.02}
-    again = calibrated_starts(own, {**found, Parameter("k", 0): 5.0})
+    found = {Parameter(kind, 0, label=channel.key): Start(x, x) for kind, x in {"gain": 2.0, "delay": 0.02}.items()}
+    spring = {Parameter("k", 0): Start(5.0, 5.0)}
+    (again,) = calibrated([own], found | spring)
     assert (again.calibrated[0].number("gain").value, again.calibrated[0].number("delay").value) == (1.0, 0.02)
-    assert calibrated_starts(own, {Parameter("k", 0): 5.0}) is own
+    assert calibrated([own], spring) == [own]
