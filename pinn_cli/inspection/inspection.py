@@ -11,9 +11,8 @@ import pandas as pd
 from pinn_cli.inspection.modes import ModalRecord
 from pinn_cli.inspection.proposal import Look, Said, proposed_settings
 from pinn_cli.inspection.report import InspectionReport
-from pinn_cli.record.channels import clipped_percent, constant_percent, dropouts, hum, of_mains
+from pinn_cli.record.checks import GRAVITY, CheckedRecord, clipped_percent, constant_percent
 from pinn_cli.record.cross_spectra import CrossSpectra
-from pinn_cli.record.files.table import told_mark
 from pinn_cli.record.identification.lines import RecordMode
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import QUANTITIES
@@ -36,16 +35,14 @@ PEAK_COLUMNS = (
 )  # fmt: skip
 # Samples of a channel below which nothing is said of it but how many there are.
 FEWEST_OF_CHANNEL = 16
-# Parts of a channel that are worth a word, %; signal to noise below which it shows little, dB; and scatter of the steps
-# in time, % of a step.
-CLIPPED, CONSTANT, QUIET_DB, JITTER = 0.05, 5.0, 10.0, 3.0
+# Part of a channel that is worth a word, %; signal to noise below which it shows little, dB; scatter of the steps in
+# time, % of a step.
+CONSTANT, QUIET_DB, JITTER = 5.0, 10.0, 3.0
 
 # A force that is mostly below this part of its deviation comes in blows; the median of a normal distribution's size.
 BLOWS, NORMAL_MEDIAN = 0.2, 0.6745
 # Two sensors of one DOF agree within this part; less coherent than this, they say nothing of each other.
 AGREE, COHERENT = 0.1, 0.5
-# An acceleration whose mean is more than this part of its rms has an offset; gravity is recognised within a fiftieth.
-OFFSET, GRAVITY = 0.1, 9.80665
 # What an acceleration is of that which a displacement or velocity says, where one of the two is in another unit.
 _RATIOS = {
     1.0 / GRAVITY: "the acceleration is in g?",
@@ -68,7 +65,7 @@ def channel_table(signals: Sequence[Signal], sampling: Sampling) -> pd.DataFrame
 
 
 def _row(signal: Signal, sampling: Sampling) -> dict[str, object]:
-    there = signal.values[np.isfinite(signal.values)]
+    there = signal.there
     row: dict[str, object] = dict.fromkeys(CHANNEL_COLUMNS, np.nan) | {
         "channel": signal.name, "column": signal.column, "quantity": signal.quantity, "dof": signal.place,
         "unit": signal.shown_unit, "samples": len(there),
@@ -142,19 +139,20 @@ def inspect_record(
         spectra = replace(spectra, acting=[acts.get(signal.column, signal) for signal in spectra.acting])
         channels = channels.assign(channel=[s.name for s in signals], dof=[s.place for s in signals])
         notes = [*notes, note]
+    checked = CheckedRecord([signal for signal in signals if len(signal.there) >= FEWEST_OF_CHANNEL], sampling)
+    faults = [fault for i in range(len(checked.signals)) for fault in checked.faults_of(i)]
     notes += [note for _, note in converted if note]
     notes += [
         *_of_sampling(sampling),
         *_of_channels(channels),
-        *_marks(alive, sampling),
-        *_offsets(alive, sampling),
+        *(fault.text for fault in faults),
         *_of_one_dof(spectra),
+        *modal.remarks,
     ]
-    notes += [*modal.remarks, *_hums(alive, sampling)]
     notes += [*_opposed(spectra, peaks), *_against_the_ground(spectra, peaks)]
     look = Look(
         signals, sampling, highest, len(peaks), frequencies is not None, bool(guesses),
-        [signal.column for signal in alive if signal.quantity == "acceleration" and _has_offset(signal)],
+        [of.signal.column for of in faults if of.kind == "offset" and of.signal.quantity == "acceleration"],
         [signal.column for signal, note in converted if note],
     )  # fmt: skip
     settings, remarks = proposed_settings(said, look)
@@ -189,66 +187,19 @@ def _of_sampling(sampling: Sampling) -> Iterator[str]:
 
 
 def _of_channels(channels: pd.DataFrame) -> Iterator[str]:
+    """What may be no fault, and is worth a question before a run; of the noise a run knows more."""
     for row in channels.to_dict(orient="records"):
         name = row["channel"]
         if row["missing_percent"] > 0.0:
             missing, gap = row["missing_percent"], row["longest_gap_s"]
             yield f"{missing:.2g} % of the samples of {name} are missing, at most {gap:.3g} s at a time"
-        if row["least"] == row["largest"]:
-            yield f"{name} reads {row['mean']:g} throughout: a dead sensor?"
-            continue
-        if row["clipped_percent"] > CLIPPED:
-            yield f"{row['clipped_percent']:.2g} % of {name} sits at its largest or least value: clipped?"
         # Between blows a load cell may read the same throughout.
-        if row["constant_percent"] > CONSTANT and not (row["quantity"] == "force" and row["noise"] == 0.0):
+        is_pulses = row["quantity"] == "force" and row["noise"] == 0.0
+        if row["constant_percent"] > CONSTANT and row["least"] < row["largest"] and not is_pulses:
             yield f"{row['constant_percent']:.2g} % of {name} are repeated values: held, or a slower sensor?"
         if row["snr_db"] < QUIET_DB:
             doubt = "" if row["noise_is_visible"] else ", if its flat spectrum is noise, and not what white forces do"
             yield f"{name} is hardly above its noise: {row['snr_db']:.1f} dB{doubt}"
-
-
-def _marks(signals: Sequence[Signal], sampling: Sampling) -> Iterator[str]:
-    regular = [sampling.on_regular(signal.values) for signal in signals]
-    for i, signal in enumerate(signals):
-        if signal.is_input:  # what acts may well be in pulses
-            continue
-        if told := told_mark(signal.values):
-            yield f"{signal.name} {told}"
-        elif runs := dropouts(regular[i], regular[:i] + regular[i + 1 :]):
-            samples, first = sum(end - begin for begin, end in runs), sampling.regular[runs[0][0]]
-            yield f"{signal.name} drops out: {samples} samples in {len(runs)} runs rest, first at {first:.4g} s"
-
-
-def _has_offset(signal: Signal) -> bool:
-    there = signal.values[np.isfinite(signal.values)]
-    return abs(float(there.mean())) > OFFSET * float(there.std())
-
-
-def _offsets(signals: Sequence[Signal], sampling: Sampling) -> Iterator[str]:
-    for signal in signals:
-        if signal.quantity not in ("acceleration", GROUND):
-            continue
-        there = signal.values[np.isfinite(signal.values)]
-        mean, rms = float(there.mean()), float(there.std())
-        gravity = next((g for g in (GRAVITY, 1.0) if abs(abs(mean) / g - 1.0) < 0.02), None)
-        if gravity is not None and abs(mean) > rms:
-            unit = "m/s^2" if gravity == GRAVITY else "g"
-            yield f"the mean of {signal.name} is {mean:.4g}: gravity, in {unit}?"
-        elif _has_offset(signal):
-            drift = abs(mean) * sampling.duration
-            yield (
-                f"the mean of {signal.name} is {mean:.3g}, {abs(mean) / rms:.0%} of its rms: integrated over the record"
-                f" it is a velocity of {drift:.3g} that nobody had"
-            )
-
-
-def _hums(signals: Sequence[Signal], sampling: Sampling) -> Iterator[str]:
-    acting = [sampling.on_regular(signal.values) for signal in signals if signal.is_input]
-    for signal in (signal for signal in signals if not signal.is_input):
-        line = hum(sampling.on_regular(signal.values), 1.0 / sampling.rate, acting)
-        if line is not None:
-            where = of_mains(line[0], 1.0 / sampling.rate)
-            yield f"{signal.name} hums: {line[1]:.0%} of its power is a steady line at {where}"
 
 
 def _of_one_dof(spectra: CrossSpectra[Signal]) -> Iterator[str]:

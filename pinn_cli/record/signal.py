@@ -77,10 +77,14 @@ class Signal:
         return self.quantity in INPUTS
 
     @property
+    def there(self) -> np.ndarray:
+        """(J,), the samples that are not missing."""
+        return self.values[np.isfinite(self.values)]
+
+    @property
     def varies(self) -> bool:
         """Whether there are numbers enough, and not all the same."""
-        there = self.values[np.isfinite(self.values)]
-        return len(there) >= MINIMUM_SAMPLES and bool(np.ptp(there) > 0.0)
+        return len(self.there) >= MINIMUM_SAMPLES and bool(np.ptp(self.there) > 0.0)
 
     @property
     def order(self) -> int:

@@ -23,7 +23,8 @@ import numpy as np
 import pandas as pd
 from scipy.special import kolmogorov
 
-from pinn_cli.record.channels import clipped_percent, constant_percent, every_channel
+from pinn_cli.record.channels import every_channel
+from pinn_cli.record.checks import clipped_percent, constant_percent
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.record.spectrum import band_share, signal_edges

@@ -1,6 +1,6 @@
-"""What a channel says against itself, and what is wrong with one, or the force, where others call the structure right.
+"""What is wrong with one channel, or the force, where others call the structure right; first samples that are far off.
 
-By itself a channel is still, a copy, clipped, drops out, is off its zero, hums, or is far off at first.
+What a channel shows by itself is taken over from the checks of a record.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.record.channel import Channel
-from pinn_cli.record.channels import channels, dropouts, hum, of_mains
-from pinn_cli.record.files.table import told_mark
-from pinn_cli.record.response import MEASURED_QUANTITIES, RESPONSE_QUANTITIES
-from pinn_cli.record.spectrum import mean_deviation
+from pinn_cli.record.channels import channels
+from pinn_cli.record.checks import DEVIATIONS, LEAST_OFFSET, CheckedRecord, told_offset
+from pinn_cli.record.response import RESPONSE_QUANTITIES
+from pinn_cli.record.signal import Sampling, Signal
 from pinn_cli.system.left_out import rms
 from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
-from pinn_cli.verdict.finding import Finding
+from pinn_cli.verdict.finding import Finding, failed_if
 from pinn_cli.verdict.prediction import Comparison, compare, comparisons
 
 if TYPE_CHECKING:
@@ -56,13 +56,6 @@ _UNIT_FACTORS = {
     2 * math.pi: ("2 pi", "Hz and rad/s"),
 }
 
-# A clipped channel has this share of its samples exactly at an extreme value, and at least so many of them.
-CLIPPED_SHARE, CLIPPED_SAMPLES = 0.002, 8
-# A coarse converter puts many samples onto every level; onto the outermost no more than a few times as many as onto
-# the next (a sine wave: 2.4 times).
-CLIPPED_OVER_NEXT = 5
-# An offset, over the channel's rms and over what its lowest frequencies leave open.
-LEAST_OFFSET, DEVIATIONS = 0.05, 10.0
 # The beginning of a record, as a share of it. It is far off where what is left there is so large a part of the signal,
 # and so many times what is left of the rest.
 BEGINNING, FAR_OFF, ABOVE_REST = 0.02, 0.5, 5.0
@@ -121,8 +114,8 @@ def _faults_of(c: Comparison) -> Iterator[Finding]:
 
 
 def _offset_finding(channel: Channel, offset: float, rms: float) -> Finding:
-    text = f"the {channel.name} has an offset of {offset:.4g} ({100 * abs(offset) / rms:.0f} % of its rms)"
-    return Finding("offset", channel.name, f"{text}; subtract it from its column")
+    text = f"the {channel.name} {told_offset(offset, rms)}; subtract it from its column"
+    return Finding("offset", channel.name, text)
 
 
 def factor_finding(name: str, setting: str, value: float, of: str, std: float = 0.0, source: str = "") -> Finding:
@@ -233,54 +226,21 @@ def unit_of(factor: float, std: float = 0.0) -> str:
 
 
 def record_faults(record: Record, carried: Sequence[int] = ()) -> list[Finding]:
-    """The faults of all channels, at most one of each.
+    """What sensors show by themselves (:mod:`pinn_cli.record.checks`), of each the gravest; forces may do anything.
 
     Args:
         record: Whose channels they are.
         carried: DOFs that nothing holds: they may move on and on.
     """
-    every = channels(record, (*RESPONSE_QUANTITIES, GROUND, *SUPPORT))
-    first = (next(_by_itself(every[: i + 1], record, carried), None) for i in range(len(every)))
-    return [fault for fault in first if fault is not None]
-
-
-def _by_itself(seen: Sequence[Channel], record: Record, carried: Sequence[int]) -> Iterator[Finding]:
-    """What is wrong with the last of some channels, the gravest first."""
-    *others, channel = seen
-    name, x = channel.name, channel.measured
-    if not np.ptp(x) > 0:
-        yield Finding("still", name, f"the {name} is {x[0]:.4g} throughout; leave that sensor out", "failed")
-    for other in others:  # noise alone would make them differ
-        if np.array_equal(other.measured, x):
-            text = f"the {name} is a copy of the {other.name}: all of its samples are the same"
-            yield Finding("copy", name, f"{text}; look for its own column, or leave it out")
-    if told := told_mark(x):
-        yield Finding("mark", name, f"the {name} {told}")
-    levels, counts = np.unique(x, return_counts=True)
-    least = max(CLIPPED_SAMPLES, CLIPPED_SHARE * len(x))
-    for end, step in ((-1, -1), (0, 1)):
-        if len(levels) > 2 and counts[end] >= least and counts[end] >= CLIPPED_OVER_NEXT * counts[end + step]:
-            exactly = f"{100 * counts[end] / len(x):.1f} % of its samples are exactly that"
-            text = f"the {name} is clipped at {levels[end]:.4g}: {exactly}"
-            yield Finding("clip", name, f"{text}; measure again with a wider range, or leave it out")
-    # Equal samples in a row for longer than the channel takes to move, while something else moves.
-    if runs := dropouts(x, [c.measured for c in channels(record, MEASURED_QUANTITIES, [name])]):
-        samples, first = sum(end - begin for begin, end in runs), record.time[runs[0][0]]
-        text = f"{samples} samples in {len(runs)} runs do not change, the first at {first:.4g} s"
-        remedy = "cut these out with data.start and data.stop, or leave it out"
-        yield Finding("dropout", name, f"the {name} drops out: {text}; {remedy}")
-    # A mean that no motion has: an acceleration's is the velocity won over the duration, a velocity's the way gone. A
-    # displacement may have one, under a force that has.
-    mean, rms = float(np.mean(x)), float(np.std(x))
-    is_held = channel.order > 0 and channel.dof not in carried
-    if is_held and abs(mean) >= LEAST_OFFSET * rms and abs(mean) >= DEVIATIONS * mean_deviation(x):
-        yield _offset_finding(channel, mean, rms)
-    acting = channels(record, (FORCE, GROUND, *SUPPORT), excused=[name])
-    if steady := hum(x, record.step, [input_channel.measured for input_channel in acting]):
-        line, share = steady
-        text = f"{100 * share:.0f} % of its power is a steady line at {of_mains(line, record.step)}"
-        remedy = "which nothing that acts has; filter it out, or leave that sensor out"
-        yield Finding("hum", name, f"the {name} hums: {text}, {remedy}")
+    every = channels(record, (*RESPONSE_QUANTITIES, FORCE, GROUND, *SUPPORT))
+    signals = [Signal(channel.name, channel.measured, channel.quantity, channel.where) for channel in every]
+    checked = CheckedRecord(signals, Sampling(record.time))
+    findings = []
+    for i, channel in enumerate(every):
+        told = (fault for fault in checked.faults_of(i) if fault.kind != "offset" or channel.dof not in carried)
+        if channel.quantity != FORCE and (fault := next(told, None)):
+            findings.append(Finding(fault.kind, channel.name, fault.text, failed_if(fault.kind == "still")))
+    return findings
 
 
 def first_sample_findings(record: Record, estimate: Estimate) -> list[Finding]:

@@ -71,9 +71,10 @@ def test_gaps_missing_rows_clipped_held_and_dead_channels(record):
         record, a1=Signal("a1", clipped, "acceleration", "1"), a5=Signal("a5", held, "acceleration", "5"),
         dead=Signal("d", np.full(len(f), 0.25), "displacement", "2"),
     )  # fmt: skip
-    assert "of acceleration of DOF 1 sits at its largest or least value: clipped?" in said
+    level = 1.5 * a[:, 0].std()
+    assert f"the acceleration of DOF 1 is clipped at {level:.4g} and {-level:.4g}: 1" in said
     assert "% of acceleration of DOF 5 are repeated values: held, or a slower sensor?" in said
-    assert "displacement of DOF 2 reads 0.25 throughout: a dead sensor?" in said
+    assert "the displacement of DOF 2 is 0.25 throughout: a dead sensor?" in said
     marked = np.where(np.arange(len(f)) % 500 == 3, -7999.0, a[:, 0])
     text = "acceleration of DOF 1 is -7999 in 6 samples, far from all others: if it marks gaps, name it in data.missing"
     assert text in notes(record, a1=Signal("a1", marked, "acceleration", "1"))
@@ -83,8 +84,8 @@ def test_gaps_missing_rows_clipped_held_and_dead_channels(record):
     ("noise", "offset", "expected"),
     [
         (1.0, 0.0, "acceleration of DOF 1 is hardly above its noise: "),
-        (0.0, 0.5, "the mean of acceleration of DOF 1 is 0.5, 26% of its rms: integrated over the record"),
-        (0.0, 9.81, "the mean of acceleration of DOF 1 is 9.81: gravity, in m/s^2?"),
+        (0.0, 0.5, "the acceleration of DOF 1 has an offset of 0.5 (26 % of its rms): integrated over the record"),
+        (0.0, 9.81, "the acceleration of DOF 1 has an offset of 9.81 (516 % of its rms): as of gravity in m/s^2"),
     ],
 )
 def test_noise_and_offsets(record, noise, offset, expected):
@@ -112,7 +113,7 @@ def test_sensors_that_contradict_each_other_and_hum_of_the_mains(record):
     time, _, _, a = record
     line = 0.5 * a[:, 0].std() * np.sin(2.0 * np.pi * 60.0 * time)
     told = notes(record, a1=Signal("a1", a[:, 0] + line, "acceleration", "1"))
-    assert "acceleration of DOF 1 hums: 11% of its power is a steady line at 60 Hz of the mains" in told
+    assert "acceleration of DOF 1 hums: 11 % of its power is a steady line at 60 Hz of the mains" in told
     assert "or at 10 Hz" in told  # at 50 Hz nothing tells them apart
 
 

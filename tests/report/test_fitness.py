@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import kstwo
 
 from pinn_cli.record.channel import CALIBRATED, Channel
-from pinn_cli.record.channels import clipped_percent, constant_percent
+from pinn_cli.record.checks import clipped_percent, constant_percent
 from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report.figures.sensors import compared_channels, residuals_figure
 from pinn_cli.report.fitness import (

@@ -15,11 +15,14 @@ from small_problems import small_chain
 from storeys import K, system, written
 from storeys import record as storeys_record
 
+from pinn_cli.inspection.inspection import inspect_record
+from pinn_cli.inspection.proposal import Said
 from pinn_cli.model.knowledge import Misfit
 from pinn_cli.record.channels import channels
 from pinn_cli.record.free_run import free_run
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import QUANTITIES
+from pinn_cli.record.signal import Signal
 from pinn_cli.verdict.channel_faults import channel_faults, first_sample_findings, record_faults
 from pinn_cli.verdict.prediction import predicted
 
@@ -136,8 +139,18 @@ def zeros(x):
     ],
 )
 def test_a_fault_is_seen_without_any_model(frame_record, kind, change):
-    (found,) = record_faults(altered(frame_record, 2, change))
+    record = altered(frame_record, 2, change)
+    (found,) = record_faults(record)
     assert (found.kind, found.suspect) == (kind, "acceleration of DOF 2")
+    assert found.word == ("failed" if kind == "still" else "questionable")
+    assert found.text in notes(record)
+
+
+def notes(record):
+    """What a look at the record says."""
+    every = channels(record, ("acceleration", "force"))
+    signals = [Signal(channel.name, channel.measured, channel.quantity, channel.where) for channel in every]
+    return inspect_record(signals, record.time, Said(), None).notes
 
 
 @pytest.mark.parametrize("mains", [50.0, 60.0])
@@ -153,9 +166,11 @@ def test_hum_is_told_where_nothing_that_acts_has_it(frame_record, mains):
 
 
 def test_a_copy_of_another_channel_is_named(frame_record):
-    (found,) = record_faults(altered(frame_record, 2, lambda _: frame_record.acceleration[:, 0]))
+    record = altered(frame_record, 2, lambda _: frame_record.acceleration[:, 0])
+    (found,) = record_faults(record)
     assert (found.kind, found.suspect) == ("copy", "acceleration of DOF 2")
     assert "copy of the acceleration of DOF 1" in found.text
+    assert found.text in notes(record)
 
 
 def test_what_is_no_fault(frame, frame_record):

@@ -233,17 +233,6 @@ def mark(values: np.ndarray) -> float | None:
     return None
 
 
-def told_mark(values: np.ndarray) -> str | None:
-    """What is to be said of such a number, behind a name; None: there is none."""
-    value = mark(values)
-    if value is None:
-        return None
-    count, missing = int(np.sum(values == value)), "name it in data.missing, as the file has it"
-    others = values[np.isfinite(values) & (values != value)]
-    where = "as no other number is" if others.min() < value < others.max() else "far from all others"
-    return f"is {value:.6g} in {count} samples, {where}: if it marks gaps, {missing}"
-
-
 def _missing(values: np.ndarray) -> np.ndarray:
     """(N,), which numbers mark missing values by nines."""
     sizes = np.abs(values)
