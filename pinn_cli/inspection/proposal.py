@@ -23,6 +23,10 @@ _PER_MASS = (
     "no force was measured, so no mass can be found: system.m=1 is taken, and stiffness and damping come out per kg of"
     " mass; system.m=... in kg, a number or one per DOF, gives N/m and N s/m"
 )
+_NO_SENSOR = (
+    "no column is a sensor of the motion, and an estimate needs one: data.displacement, data.velocity or"
+    " data.acceleration; to shake a simulated structure with a ground's record: excitation=ground_motion"
+)
 _MASSES_TOO = "masses are unknown, too, and the measured force tells them; if you know them, give system.m=... in kg"
 
 
@@ -125,6 +129,8 @@ def proposed_settings(said: Said, look: Look) -> tuple[list[str], list[str]]:
     replaced = {setting_of(text) for text in added}
     kept = [override for override in said.overrides if setting_of(override) not in replaced]
     plain = [re.sub(r"^\+\+(?=[\w.]+=\{)", "", override) for override in (*kept, *added)]
+    if look.identified and all(signal.is_input for signal in look.identified):
+        remarks = [_NO_SENSOR]
     if said.in_memory:  # whose name is of no use to anybody: data=... is an argument
         plain = [override for override in plain if setting_of(override) not in ("data", "data.path")]
     return plain, remarks

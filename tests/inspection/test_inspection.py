@@ -188,6 +188,16 @@ def test_a_force_without_a_number_acts_where_it_is_seen_to(record):
     assert not any("moves against" in note for note in found.notes)
 
 
+def test_a_record_of_the_ground_alone_has_no_modes_and_says_what_an_estimate_lacks(pinn_run, tmp_path):
+    """It was no record with a sensor, by which sizes of a matrix were divided."""
+    time = np.arange(0.0, 30.0, 0.02)
+    ground = np.random.default_rng(0).standard_normal(len(time)) * np.exp(-time / 10.0)
+    pd.DataFrame({"t (s)": time, "ground acceleration (m/s^2)": ground}).to_csv(tmp_path / "quake.csv", index=False)
+    said = pinn_run("inspect", "quake.csv").done().out
+    assert "no natural frequency stands out" in said
+    assert "data.acceleration; to shake a simulated structure" in " ".join(said.split())
+
+
 def test_what_columns_are_is_guessed_by_their_names(record):
     _, f, _, a = record
     plain = {"f": Signal("Force 5 (N)", f), "a1": Signal("a1", a[:, 0]), "a5": Signal("acc_5", a[:, 4]),

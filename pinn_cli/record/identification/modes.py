@@ -218,7 +218,9 @@ def _scales(values: np.ndarray, step: float) -> Iterator[tuple[np.ndarray, float
 
 
 def _by_order(values: np.ndarray, sensors: int, step: float) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-    """Order, its poles (P, 2), frequency in Hz and damping ratio, and their shapes (P, S)."""
+    """Order, its poles (P, 2), frequency in Hz and damping ratio, and their shapes (P, S); nothing without a sensor."""
+    if not sensors:
+        return
     size = np.maximum(values[:, :sensors].std(axis=0), 1e-300)
     moving, back = values[:, :sensors] / size, np.diag(size)
     if sensors > MOST_SENSORS:  # their principal components instead
