@@ -31,6 +31,16 @@ UNCOUPLED = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
+class _Springs:
+    """Linear connections: weights of the coordinates (C, n), dampers and springs (C,), names."""
+
+    weights: np.ndarray
+    c: np.ndarray
+    k: np.ndarray
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class FiniteElements:
     """A finite-element model and how it becomes a structure, whatever coordinates it is reduced to.
 
@@ -197,29 +207,25 @@ def _static(names: tuple[str, ...], chosen: Any, added: Structure | None, loaded
     return np.array([names.index(name) for name in entries(chosen)], dtype=np.int64)
 
 
-def _springs(
-    reduced: ReducedModel, C: csc_matrix | None, damping_ratio: Any
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
-    """The modes' own springs and dampers, and dampers that couple them where C is not diagonal in them.
-
-    Weights of the coordinates in each (C, n), dampers c and springs k (C,), and their names.
-    """
+def _springs(reduced: ReducedModel, C: csc_matrix | None, damping_ratio: Any) -> _Springs:
+    """The modes' own springs and dampers, and dampers that couple them where C is not diagonal in them."""
     n, k = len(reduced.stiffness), reduced.stiffness
     residual = n - reduced.modes
     names = [f"mode_{i + 1}" for i in range(reduced.modes)] + [f"residual_{i + 1}" for i in range(residual)]
     weights = np.eye(n)
     if C is None:
-        return weights, 2.0 * _ratios(damping_ratio, n) * np.sqrt(k), k, tuple(names)
+        return _Springs(weights, 2.0 * _ratios(damping_ratio, n) * np.sqrt(k), k, tuple(names))
     if damping_ratio is not None:
         raise InputError("system.damping_ratio", damping_ratio, "null where there is a C", "C holds the damping")
     damping = reduced.vectors.T @ (C @ reduced.vectors)
     c, coupling = np.diag(damping).copy(), damping - np.diag(np.diag(damping))
     if np.abs(coupling).max(initial=0.0) <= UNCOUPLED * np.abs(c).max(initial=0.0):
-        return weights, c, k, tuple(names)
+        return _Springs(weights, c, k, tuple(names))
     values, vectors = np.linalg.eigh(damping)
     names += [f"damper_{i + 1}" for i in range(n)]
     nothing = np.zeros(n)
-    return np.vstack([weights, vectors.T]), np.append(nothing, values), np.append(k, nothing), tuple(names)
+    coupled = np.vstack([weights, vectors.T])
+    return _Springs(coupled, np.append(nothing, values), np.append(k, nothing), tuple(names))
 
 
 def _ratios(given: Any, n: int) -> np.ndarray:
@@ -250,17 +256,12 @@ def _moved_by_ground(ground: Any, size: int) -> np.ndarray:
     return moved
 
 
-def _assembled(
-    names: tuple[str, ...],
-    shapes: np.ndarray,
-    springs: tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]],
-    added: Structure | None,
-) -> Structure:
-    """The modes' springs first, see :func:`_springs`, then the user's connections, in the modes' coordinates."""
-    n, (weights, c, k, own_names) = shapes.shape[1], springs
-    groups = [ConnectionGroup(Linear(), Incidence(csr_matrix(weights)))]
-    parameters = {MASS: torch.ones(n, dtype=torch.float64), "c": torch.tensor(c), "k": torch.tensor(k)}
-    connections = own_names
+def _assembled(names: tuple[str, ...], shapes: np.ndarray, springs: _Springs, added: Structure | None) -> Structure:
+    """The modes' springs first, then the user's connections, in the modes' coordinates."""
+    n = shapes.shape[1]
+    groups = [ConnectionGroup(Linear(), Incidence(csr_matrix(springs.weights)))]
+    parameters = {MASS: torch.ones(n, dtype=torch.float64), "c": torch.tensor(springs.c), "k": torch.tensor(springs.k)}
+    connections = springs.names
     if added is not None:
         for group in added.groups:
             stretched = np.asarray(group.incidence.matrix @ shapes)
@@ -269,7 +270,7 @@ def _assembled(
             if name != MASS:
                 parameters[name] = torch.cat([parameters[name], values]) if name in parameters else values
         connections += added.labels.connections
-    return Structure(parameters, tuple(groups), Labels(names, connections, own_names[:n]))
+    return Structure(parameters, tuple(groups), Labels(names, connections, springs.names[:n]))
 
 
 def _with_parts(structure: Structure, reduced: ReducedModel, parts: Parts) -> Structure:

@@ -19,7 +19,7 @@ from pinn_cli.system.connection_groups import ConnectionGroup, GroupPart, Linear
 from pinn_cli.system.damping import StructuralDamping
 from pinn_cli.system.incidence import Incidence, Pairs
 from pinn_cli.system.parameters import FACTOR, LINEAR_TITLES, LINEAR_UNITS, MASS, Labels, Parameter
-from pinn_cli.system.shapes import Shapes
+from pinn_cli.system.shapes import OfMasses, Shapes
 
 
 class Reduction(Protocol):
@@ -99,7 +99,7 @@ class Structure:
     @cached_property
     def shapes(self) -> Shapes:
         """How the DOFs move with the coordinates."""
-        return Shapes(None, self.with_ground) if self.mode_shapes is None else self.mode_shapes
+        return OfMasses(self.with_ground) if self.mode_shapes is None else self.mode_shapes
 
     @property
     def is_modal(self) -> bool:
