@@ -391,6 +391,7 @@ def _force(
     if estimate.correlation is not None:
         spread = by[:, has] * np.array([p.std for p in estimate.parameters])[has]
         std = np.sqrt(np.einsum("li,ij,lj->l", spread, estimate.correlation[np.ix_(has, has)], spread))
+        std = np.hypot(std, structure.unresolved_force(e.numpy(), de.numpy())[:, connection])
     truth = results.truth.parameters
     if truth is not None and set(truth) == set(structure.parameters):
         true = results.prescribed.connection_force(e.numpy(), de.numpy(), truth)[:, connection]

@@ -271,6 +271,14 @@ class Structure:
             forces.append(force if z is None or not part.states else force + z[..., part.states[0]])
         return namespace(e).concatenate(forces, -1)
 
+    def unresolved_force(self, e: Array, de: Array, parameters: Mapping[str, Array] | None = None) -> Array:
+        """Standard deviation of what their laws are too coarse for, see :meth:`Nonlinearity.unresolved`, (..., C)."""
+        p = self.parameters_like(e) if parameters is None else parameters
+        places = [part.connections for part in self.parts]
+        groups = zip(self.groups, self.parts, places, strict=True)
+        found = [g.nonlinearity.unresolved(e[..., at], de[..., at], part.of_group(p)) for g, part, at in groups]
+        return namespace(e).concatenate(found, -1)
+
     def hidden_rate(self, e: Array, de: Array, z: Array, parameters: Mapping[str, Array] | None = None) -> Array:
         """dz/dt of the hidden forces (..., h), N/s, from elongations and rates (..., C) and the hidden forces."""
         p = self.parameters_like(e) if parameters is None else parameters

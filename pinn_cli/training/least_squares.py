@@ -40,6 +40,7 @@ class LeastSquares:
         lower: (p,), bounds in prior standard deviations from the prescribed values; -inf without one.
         scale: (p,), prior standard deviations.
         unknown: (p,) bool: to be identified; the others are believed, and share one spread.
+        curve: (p,), of which curve that nobody has a law for it is a term, counted from 0; -1: of none.
         is_plain, is_linear: Whether all records' equations are.
     """
 
@@ -51,6 +52,7 @@ class LeastSquares:
         self.lower = self._gathered([equations.lower for equations in self.by_record])
         self.scale = self._gathered([equations.scale.numpy() for equations in self.by_record])
         self.unknown = self._gathered([equations.unknown.numpy() for equations in self.by_record]).astype(bool)
+        self.curve = np.array(self._curves(), dtype=int)
         joint = self.by_record[0].joint_precision
         self._precision = torch.as_tensor(np.eye(len(self.uncertain)) if joint is None else joint)
         # Of every parameter, how many records but the first bring its prior along.
@@ -59,6 +61,19 @@ class LeastSquares:
         self._ends = np.cumsum(sizes)[:-1].tolist()
         self.members = side_by_side(records, sizes)
         self._placed: tuple[Point | None, list[Any]] = None, []
+
+    def _curves(self) -> list[int]:
+        """See :attr:`curve`; what earlier records say of a term stands for itself."""
+        structure, number = self.by_record[0].dynamics.structure, dict[tuple[int, str], int]()
+        if self.by_record[0].problem.prior is not None:
+            return [-1] * len(self.uncertain)
+        out = []
+        for p in self.uncertain:
+            connection = int(structure.members[p.kind][p.index]) if p.kind in structure.members else -1
+            curves = structure.laws[connection].curves if connection >= 0 and p.unknown else ()
+            of = [(connection, kinds[0]) for kinds in curves if p.kind in kinds]
+            out.append(number.setdefault(of[0], len(number)) if of else -1)
+        return out
 
     def _gathered(self, values: Sequence[np.ndarray]) -> np.ndarray:
         """(p,) from what every record has for its own parameters; all must have the same for the same one.
@@ -147,7 +162,11 @@ class LeastSquares:
 
     def precision(self, noise: NoiseLevels) -> Tensor:
         """(p,), prior precision of every parameter by itself: believed ones share one spread."""
-        return torch.as_tensor(np.where(self.unknown, 1.0 + noise.firmness**2, noise.spread**-2))
+        out = np.where(self.unknown, 1.0 + noise.firmness**2, noise.spread**-2)
+        if len(noise.roughness):
+            terms = self.curve >= 0
+            out[terms] += noise.roughness[self.curve[terms]] ** -2 - 1.0
+        return torch.as_tensor(out)
 
     def prior_precision(self, noise: NoiseLevels) -> Tensor:
         """(p, p), of all parameters together; earlier records may have told of them."""

@@ -17,7 +17,7 @@ from pinn_cli.record.channel import CALIBRATED
 from pinn_cli.record.channels import FINEST_KNOWN
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.evidence import Evidence, Trained
-from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.record_evidence import ForceResiduals, RecordEvidence, RecordSolution
 from pinn_cli.training.sensor_samples import SensorSamples
 from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN, negligible
@@ -74,8 +74,11 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
         noise_of_records = (
             replace(_moved(*move), taken_up=new.taken_up) for move, new in zip(moves, updates, strict=True)
         )
-        noise = NoiseLevels(tuple(noise_of_records), evidence.learned_spread(trained))
-        moved = [*np.concatenate(strides), np.log(noise.spread / trained.noise.spread)]
+        roughness = evidence.learned_roughness(trained)
+        shared = replace(trained.noise, spread=evidence.learned_spread(trained), roughness=roughness)
+        noise = replace(shared, records=tuple(noise_of_records))
+        rougher = np.log(roughness / (trained.noise.roughness if len(trained.noise.roughness) else 1.0))
+        moved = [*np.concatenate(strides), np.log(noise.spread / trained.noise.spread), *rougher]
         again = evidence.train(noise, trained.solution.point, goes_on=bool(np.abs(moved).max() < NEAR_LEVEL))
         # One that is still on its way is followed as long as it is the more probable one already.
         if again is None or not (again.solution.converged or again.log_evidence > trained.log_evidence):
@@ -87,7 +90,7 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
         losing = losing + 1 if trained.log_evidence < best.log_evidence - LOST else 0
         if losing == LOSING or idle == IDLE:
             break
-        if np.abs(np.concatenate(change)).max(initial=0.0) < SETTLED or abs(gain) < NEGLIGIBLE_GAIN:
+        if np.abs(np.concatenate([*change, rougher])).max(initial=0.0) < SETTLED or abs(gain) < NEGLIGIBLE_GAIN:
             break
     return _with_its_spread(evidence, best)
 

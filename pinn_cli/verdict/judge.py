@@ -183,7 +183,10 @@ def judge(
     if not causes and (explains or follows_well or (lacks_something and follows)):
         causes = lacks
     if not causes and prediction is not None:
-        causes = channel_faults(prediction, excused)
+        # That it is a sensor, and no more, says nothing beside deviations that allow as much.
+        unexplained = [finding.suspect for finding in findings if finding.kind == "free_run"]
+        faults_of_one = channel_faults(prediction, excused)
+        causes = [finding for finding in faults_of_one if finding.kind != "sensor" or finding.suspect in unexplained]
     moved = [abs(p.estimate - p.prescribed) / abs(p.prescribed) for p in estimate.parameters if p.prescribed]
     if not causes and not problem.identifies and max(moved, default=0.0) > LEAST_GAIN_FAULT / 4:
         # A gain that believed parameters have made up for shows against the prescribed ones.

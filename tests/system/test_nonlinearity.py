@@ -91,6 +91,27 @@ def test_functions_of_a_curve_are_no_spring_and_none_at_rest(over, span):
     np.testing.assert_allclose(slope, difference / 2e-7, rtol=1e-5)
 
 
+@pytest.mark.parametrize("terms", [10, 30])
+@pytest.mark.parametrize("over", ["elongation", "speed"])
+def test_a_curve_says_what_it_is_too_coarse_for(over, terms):
+    """Curves whose second derivative is white noise, which is what the prior says, and what comes nearest to them."""
+    law, at, rng = Spline(**{over: 1.0}, terms=terms), np.linspace(-1.0, 1.0, 8001)[:, None], np.random.default_rng(5)
+    moved = (at, 0.0 * at) if over == "elongation" else (0.0 * at, at)
+    unit = np.eye(terms)[:, :, None]
+    functions = np.concatenate([law.force(*moved, dict(zip(law.parameters, one, strict=True))) for one in unit], -1)
+    missed, told = 0.0, 0.0
+    for _ in range(20):
+        bends = rng.standard_normal(len(at)) / np.hypot(at[:, 0], NEAR_REST[over]) ** 1.5
+        curve = np.cumsum(np.cumsum(bends))
+        curve -= curve[len(curve) // 2]
+        made_of = np.linalg.lstsq(np.concatenate([at, functions], 1), curve, rcond=None)[0]
+        values = dict(zip(law.parameters, made_of[1:, None], strict=True))
+        missed += np.mean((curve - at[:, 0] * made_of[0] - functions @ made_of[1:]) ** 2)
+        told += np.mean(law.unresolved(*moved, values) ** 2)
+    assert 0.7 < np.sqrt(missed / told) < 1.3
+    assert not np.any(Linear().unresolved(*moved, {}))
+
+
 @pytest.mark.parametrize("span", [-1.0, 0.0, [0.1, 0.2], [-0.1], "wide"])
 def test_a_curve_goes_from_below_zero_to_above(span):
     with pytest.raises(InputError, match=r"system\.nonlinearity\.elongation"):

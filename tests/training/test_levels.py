@@ -19,6 +19,8 @@ from pinn_cli.record.simulated import Noise, Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.connection import Spline as LawOfACurve
 from pinn_cli.system.quantities import GROUND
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.evidence import Evidence, Trained
@@ -272,3 +274,24 @@ def test_content_that_ends_short_of_the_nyquist_frequency_passes_for_noise_only_
     )  # fmt: skip
     cell = SensorSamples(record.column(GROUND, 0), record)
     assert cell.shown == pytest.approx(0.1 if behind_filters else 0.005, rel=0.15)
+
+
+def test_how_rough_a_curve_is_is_what_is_most_probable():
+    """Of a cubic spring that is taken for a curve that nobody has a law for."""
+    plain = storey_record((0.3, 12.0), 600, 60.0, 3.0, 40.0, 3)
+    size = plain.truth.displacement.std()
+    made = storey_record((0.3, 12.0), 600, 60.0, 3.0, 40.0, 3, kappa=0.05 / size**2)
+    law = LawOfACurve(elongation=1.1 * float(np.abs(made.truth.displacement).max()), terms=8)
+    of, starts = made.structure, law.starts(float(made.structure.k[0]), float(size))
+    structure = build_chain(1, law, m=of.m, c=of.c, k=of.k, **dict.fromkeys(law.parameters, 0.0))
+    terms = (structure.parameter(kind, 0) for kind in law.parameters)
+    uncertain = tuple(replace(p, prior_std=10.0 * starts[p.kind][-1], unknown=True) for p in terms)
+    equations = NormalEquations(Spline().build(made.record), Problem(structure, made.record, uncertain))
+    evidence = evidence_of(equations)
+    once = settled(evidence, searched(evidence, levels_of(starting_noise(equations)), lambda: None))
+    (found,) = once.noise.roughness
+    assert found < 0.5
+    others = [replace(once.noise, roughness=np.array([factor * found])) for factor in (1.0 / 3.0, 3.0)]
+    for trained in (evidence.train(noise, once.solution.point) for noise in others):
+        assert trained is not None
+        assert trained.log_evidence < once.log_evidence

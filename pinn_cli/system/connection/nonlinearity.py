@@ -27,6 +27,7 @@ class Nonlinearity(ABC):
         units: Unit of each of its parameters, powers as ``m^3``; one that is left out is printed without.
         nonnegative: Parameters that make no physical sense below zero.
         optional: Parameters that a connection may be without, beyond ``parameters``.
+        curves: Kinds of parameters that are the terms of a curve, of every curve: the record tells how rough each is.
         spans: Between which elongations, m, and which speeds, m/s, the law is one; beyond, it is a guess.
         reversal_speed: Speed of the elongation over which the force turns when the motion does, m/s, 0 where it has a
             corner there; None: the force is smooth. A simulation divides the steps in which that happens.
@@ -40,6 +41,7 @@ class Nonlinearity(ABC):
     units: Mapping[str, str] = {}
     nonnegative: tuple[str, ...] = ("c", "k")
     optional: ClassVar[tuple[str, ...]] = ()
+    curves: Sequence[Sequence[str]] = ()
     spans: Mapping[str, tuple[float, float]] = {}
     reversal_speed: float | None = None
     is_stiff: bool = False
@@ -74,6 +76,10 @@ class Nonlinearity(ABC):
             elongation: Root mean square of what the connection may be stretched by, m.
         """
         return {}
+
+    def unresolved(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
+        """Standard deviation of what a force may do that the law is too coarse for, N; otherwise as :meth:`force`."""
+        return 0.0 * e
 
     @abstractmethod
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:

@@ -23,6 +23,10 @@ OVER_SPAN = np.linspace(-1.0, 1.0, 2001)
 # Distance from rest over the span from which on knots are the further apart the further from rest they are: dry
 # friction turns over in a hundredth of the speeds that occur, and far from rest a curve is smooth.
 NEAR_REST = {"elongation": 1.0, "speed": 0.01}
+# Standard deviation between two knots of a curve whose second derivative is white noise (which the prior of a smoothing
+# spline says) and which is known at both, with its slope, over the distance squared times the second derivative as
+# far as the knots follow it: its variance is d^3 / 420 of the noise's, that of what they follow 1 / d.
+BETWEEN_KNOTS = 420.0**-0.5
 
 
 class Spline(Nonlinearity):
@@ -50,39 +54,50 @@ class Spline(Nonlinearity):
         self,
         elongation: float | Sequence[float] | None = None,
         speed: float | Sequence[float] | None = None,
-        terms: int = 10,
+        terms: int = 30,
     ) -> None:
         self.terms = whole_number("system.nonlinearity.terms", terms, least=1, most=MOST_TERMS)
         given = {"elongation": elongation, "speed": speed}
         self.spans: Mapping[str, tuple[float, float]] = {k: _span(k, x) for k, x in given.items() if x is not None}
-        self.curves = {LETTERS[k]: _Curve(LETTERS[k], span, self.terms, NEAR_REST[k]) for k, span in self.spans.items()}
-        if not self.curves:
+        self._curves = {
+            LETTERS[k]: _Curve(LETTERS[k], span, self.terms, NEAR_REST[k]) for k, span in self.spans.items()
+        }
+        if not self._curves:
             allowed, hint = "given in m, or speed in m/s", "the force is a curve up to there: the largest that occurs"
             raise InputError("system.nonlinearity.elongation", None, allowed, hint)
-        self.parameters = tuple(kind for curve in self.curves.values() for kind in curve.kinds)
+        self.curves = tuple(curve.kinds for curve in self._curves.values())
+        self.parameters = tuple(kind for kinds in self.curves for kind in kinds)
         self.titles: Mapping[str, str] = {kind: f"Term {kind[2:]} of the curve" for kind in self.parameters}
         self.units: Mapping[str, str] = dict.fromkeys(self.parameters, "N")
 
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`."""
         total = 0.0 * e
-        for letter, curve in self.curves.items():
+        for letter, curve in self._curves.items():
             total = total + curve.force(e if letter == "g" else de, parameters)
         return total
+
+    def unresolved(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
+        """See :meth:`Nonlinearity.unresolved`."""
+        square = 0.0 * e
+        for letter, curve in self._curves.items():
+            square = square + curve.unresolved(e if letter == "g" else de, parameters) ** 2
+        root: Array = square**0.5
+        return root
 
     def starts(self, stiffness: float, elongation: float) -> Mapping[str, tuple[float, ...]]:
         """See :meth:`Nonlinearity.starts`: no curve; what counts is the spring's force, and rough terms are smaller."""
         force = stiffness * elongation
-        pairs = [pair for curve in self.curves.values() for pair in zip(curve.kinds, curve.smaller, strict=True)]
+        pairs = [pair for curve in self._curves.values() for pair in zip(curve.kinds, curve.smaller, strict=True)]
         return {kind: (0.0, force, force * smaller) for kind, smaller in pairs}
 
     def stiffness_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray | float:
         """See :meth:`Nonlinearity.stiffness_at_rest`."""
-        return self.curves["g"].slope_at_rest(parameters) if "g" in self.curves else 0.0
+        return self._curves["g"].slope_at_rest(parameters) if "g" in self._curves else 0.0
 
     def damping_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray | float:
         """See :meth:`Nonlinearity.damping_at_rest`."""
-        return self.curves["h"].slope_at_rest(parameters) if "h" in self.curves else 0.0
+        return self._curves["h"].slope_at_rest(parameters) if "h" in self._curves else 0.0
 
 
 class _Curve:
@@ -104,9 +119,10 @@ class _Curve:
         # A bend counts over the distance of knots there: a step near rest is as rough as a wide one further out.
         first, last = np.arcsinh((np.array([-end, end]) - rest) / near).tolist()
         self._knots = rest + near * np.sinh(np.linspace(first, last, terms + 2))
+        self._rest, self._near, self._apart = float(rest[0]), near, (last - first) / (terms + 1)
         distance = np.hypot(end * OVER_SPAN - rest, near)
         raw, at_rest = (
-            np.concatenate([np.stack((x**0, x), -1), _cubes(x, self._knots)], -1) for x in (OVER_SPAN, rest)
+            np.concatenate([np.stack((x**0, x), -1), _beyond(x, self._knots) ** 3], -1) for x in (OVER_SPAN, rest)
         )
         bent = np.pad(6.0 * np.maximum(end * OVER_SPAN[:, None] - self._knots, 0.0), ((0, 0), (2, 0)))
         beyond = np.pad([self._knots**0, self._knots], ((0, 0), (2, 0)))
@@ -121,11 +137,23 @@ class _Curve:
 
     def force(self, at: Array, parameters: Mapping[str, Array]) -> Array:
         """At elongations, or at speeds (..., C), N."""
-        x = (at - self._middle) / self._half
-        weights = namespace(at).stack([parameters[kind] for kind in self.kinds], -1) @ _like(self._made_of, at)
-        cubes = _cubes(x, _like(self._knots, at))
+        x, weights = self._of(at, parameters)
+        cubes = _beyond(x, _like(self._knots, at)) ** 3
         curve: Array = weights[..., 0] + weights[..., 1] * x + (weights[..., 2:] * cubes).sum(-1)
         return curve
+
+    def unresolved(self, at: Array, parameters: Mapping[str, Array]) -> Array:
+        """See :data:`BETWEEN_KNOTS`: (..., C), N."""
+        x, weights = self._of(at, parameters)
+        bend = 6.0 * (weights[..., 2:] * _beyond(x, _like(self._knots, at))).sum(-1)
+        apart = self._apart**2 * ((x - self._rest) ** 2 + self._near**2)
+        between: Array = BETWEEN_KNOTS * apart * abs(bend)
+        return between
+
+    def _of(self, at: Array, parameters: Mapping[str, Array]) -> tuple[Array, Array]:
+        """Where that is in the span (..., C), and what the curve is made of, (C, 2 + knots)."""
+        terms = namespace(at).stack([parameters[kind] for kind in self.kinds], -1)
+        return (at - self._middle) / self._half, terms @ _like(self._made_of, at)
 
     def slope_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray:
         """(C,), N/m or N s/m."""
@@ -141,10 +169,10 @@ def _span(name: str, given: Any) -> tuple[float, float]:
     return float(ends[0]), float(ends[1])
 
 
-def _cubes(x: Array, knots: Array) -> Array:
-    """(..., knots), of what is beyond each knot."""
+def _beyond(x: Array, knots: Array) -> Array:
+    """(..., knots), how far x is beyond each knot, and 0 before it."""
     beyond = x[..., None] - knots
-    return ((beyond + abs(beyond)) / 2.0) ** 3
+    return (beyond + abs(beyond)) / 2.0
 
 
 def _like(values: np.ndarray, x: Array) -> Any:

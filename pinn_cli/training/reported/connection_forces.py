@@ -29,8 +29,9 @@ def connection_forces(posterior: ReadoutPosterior) -> tuple[np.ndarray, np.ndarr
         e, de = (structure.elongation(dynamics.stretching(x)) for x in (jet.value, jet.rate))
         force = structure.connection_force(e, de, parameters, jet.value[..., dynamics.hidden])
         group.place(force[..., torch.as_tensor(structure.added)], forces)
-        std = [_deviation(posterior, group, slope, c) for c in structure.added.tolist()]
-        group.place(torch.stack(std, -1), deviations)
+        std = torch.stack([_deviation(posterior, group, slope, c) for c in structure.added.tolist()], -1)
+        coarse = structure.unresolved_force(e, de, parameters)[..., torch.as_tensor(structure.added)]
+        group.place(torch.hypot(std, coarse), deviations)
     return forces.numpy(), deviations.numpy()
 
 
