@@ -18,8 +18,6 @@ from pinn_cli.training.normal_matrix.bordered import BorderedFactor, Eliminated,
 from pinn_cli.training.record_evidence import OF_PARAMETERS, RecordEvidence, RecordSolution
 
 R = TypeVar("R")
-# Terms of a curve of which its roughness is read at least, and the most that this moves in a round, either way.
-LEAST_TOLD, ROUGHNESS_STEP = 0.5, 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,19 +138,6 @@ class Evidence:
             return trained.noise.spread
         variance = np.diag(trained.factor.corner_covariance)[believed]
         return updated_spread(x, variance, trained.noise.spread)
-
-    def learned_roughness(self, trained: Trained) -> np.ndarray:
-        """(curves,), how large the terms of every curve are over their priors (MacKay 1992): s^2 = sum x^2 / gamma."""
-        curve = self.equations.curve
-        terms, before = curve >= 0, trained.noise.roughness
-        count = curve.max(initial=-1) + 1
-        before = before if len(before) else np.ones(count)
-        x, of = trained.solution.point.parameters.numpy()[terms], curve[terms]
-        open_part = np.diag(trained.factor.corner_covariance)[terms] / before[of] ** 2
-        determined = np.bincount(of, (1.0 - open_part).clip(min=0.0), count)
-        now = np.sqrt(np.bincount(of, x**2, count) / np.maximum(determined, LEAST_TOLD))
-        found: np.ndarray = np.clip(now, before / ROUGHNESS_STEP, np.minimum(before * ROUGHNESS_STEP, 1.0))
-        return found
 
 
 def _part(

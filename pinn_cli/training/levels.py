@@ -74,7 +74,7 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
         noise_of_records = (
             replace(_moved(*move), taken_up=new.taken_up) for move, new in zip(moves, updates, strict=True)
         )
-        roughness = evidence.learned_roughness(trained)
+        roughness = rougher_or_smoother(evidence, trained)
         shared = replace(trained.noise, spread=evidence.learned_spread(trained), roughness=roughness)
         noise = replace(shared, records=tuple(noise_of_records))
         rougher = np.log(roughness / (trained.noise.roughness if len(trained.noise.roughness) else 1.0))
@@ -106,6 +106,22 @@ def _with_its_spread(evidence: Evidence, trained: Trained) -> Trained:
         return trained
     again = evidence.train(replace(trained.noise, spread=spread), trained.solution.point)
     return trained if again is None else max(trained, again, key=lambda trained: trained.log_evidence)
+
+
+def rougher_or_smoother(evidence: Evidence, trained: Trained) -> np.ndarray:
+    """(curves,), most probable prior deviations of the terms of each, over those given: s^2 = sum x^2 / gamma.
+
+    Up to those; of a curve that the record hardly tells as if it told one term.
+    """
+    curve, before = evidence.equations.curve, trained.noise.roughness
+    terms, count = curve >= 0, curve.max(initial=-1) + 1
+    before = before if len(before) else np.ones(count)
+    x, of = trained.solution.point.parameters.numpy()[terms], curve[terms]
+    left_open = np.diag(trained.factor.corner_covariance)[terms] / before[of] ** 2
+    told = np.bincount(of, (1.0 - left_open).clip(min=0.0), count)
+    now = np.sqrt(np.bincount(of, x**2, count) / np.maximum(told, 1.0))
+    found: np.ndarray = np.clip(now, before / LARGEST_CHANGE, np.minimum(before * LARGEST_CHANGE, 1.0))
+    return found
 
 
 def values_taken(evidence: RecordEvidence, solution: RecordSolution) -> tuple[dict[str, np.ndarray], np.ndarray]:
