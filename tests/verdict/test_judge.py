@@ -40,6 +40,17 @@ def test_a_ruined_channel_makes_it_questionable_and_comes_first(problem, estimat
     assert verdict.reasons[0].suspect == "acceleration of DOF 2"
 
 
+@pytest.mark.parametrize(("std", "blamed"), [(0.01, True), (10.0, False)])
+def test_a_sensor_is_blamed_without_a_cause_only_where_deviations_do_not_allow_what_it_shows(
+    problem, estimate, std, blamed
+):
+    noise = np.random.default_rng(1).standard_normal
+    record = altered(problem.record, 2, lambda x: x + 0.6 * x.std() * noise(len(x)))
+    known = [replace(p, std=std) if p.kind == "k" else p for p in estimate.parameters]
+    verdict = judge(replace(problem, record=record), replace(estimate, parameters=known))
+    assert [finding.kind == "sensor" for finding in verdict.reasons].count(True) == int(blamed)
+
+
 def test_the_prescribed_chain_tells_the_cause_where_the_estimated_one_absorbed_it(problem, estimate):
     absorbed = [replace(p, estimate=20.0) if p.name == "k_1" else p for p in estimate.parameters]
     record = altered(problem.record, 3, lambda x: x / 9.80665)
