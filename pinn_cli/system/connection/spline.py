@@ -11,7 +11,7 @@ from scipy.linalg import eigh, null_space
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_finite_number, whole_number
-from pinn_cli.system.array_namespace import Array, namespace
+from pinn_cli.system.array_namespace import Array
 from pinn_cli.system.connection.nonlinearity import Nonlinearity
 
 MOST_TERMS = 30
@@ -152,8 +152,10 @@ class _Curve:
 
     def _of(self, at: Array, parameters: Mapping[str, Array]) -> tuple[Array, Array]:
         """Where that is in the span (..., C), and what the curve is made of, (C, 2 + knots)."""
-        terms = namespace(at).stack([parameters[kind] for kind in self.kinds], -1)
-        return (at - self._middle) / self._half, terms @ _like(self._made_of, at)
+        x, terms = (at - self._middle) / self._half, [parameters[kind] for kind in self.kinds]
+        if isinstance(at, np.ndarray):  # a simulation asks at every step, and np.stack looks at each of them
+            return x, np.moveaxis(np.array(terms), 0, -1) @ self._made_of
+        return x, torch.stack(terms, -1) @ _like(self._made_of, at)
 
     def slope_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray:
         """(C,), N/m or N s/m."""
