@@ -120,6 +120,11 @@ def test_a_curve_goes_from_below_zero_to_above(span):
         Spline()
 
 
+def test_curves_have_thirty_terms_in_all():
+    assert len(Spline(0.1).parameters) == len(Spline(0.1, 0.2).parameters) == 30
+    assert len(Spline(0.1, 0.2, terms=30).parameters) == 60
+
+
 @pytest.mark.parametrize("orders", [[2], [3], [7], [2, 3], [2, 5, 7], [2, 3, 4, 5, 6, 7]])
 def test_a_polynomial_spring_is_the_sum_of_its_powers(orders):
     e = np.linspace(-0.3, 0.4, 12).reshape(4, 3)

@@ -41,7 +41,7 @@ class Spline(Nonlinearity):
     Args:
         elongation: Over which g is a curve, m: up to a number either way, or from one to another; None: there is no g.
         speed: Of the elongation, over which h is a curve, m/s, likewise.
-        terms: Of each curve.
+        terms: Of each curve; None: 30 of all.
 
     Raises:
         InputError: Neither span is given, or one does not go from below zero to above it; ``terms`` is no number from 1
@@ -54,11 +54,12 @@ class Spline(Nonlinearity):
         self,
         elongation: float | Sequence[float] | None = None,
         speed: float | Sequence[float] | None = None,
-        terms: int = 30,
+        terms: int | None = None,
     ) -> None:
-        self.terms = whole_number("system.nonlinearity.terms", terms, least=1, most=MOST_TERMS)
         given = {"elongation": elongation, "speed": speed}
         self.spans: Mapping[str, tuple[float, float]] = {k: _span(k, x) for k, x in given.items() if x is not None}
+        terms = MOST_TERMS // max(1, len(self.spans)) if terms is None else terms
+        self.terms = whole_number("system.nonlinearity.terms", terms, least=1, most=MOST_TERMS)
         self._curves = {
             LETTERS[k]: _Curve(LETTERS[k], span, self.terms, NEAR_REST[k]) for k, span in self.spans.items()
         }
