@@ -57,7 +57,7 @@ LAWS: dict[str, dict[str, Any]] = {
     },
     "jenkins": {"k_t": 9.0, "F_c": 2.5},
     "gap": {"k_g": 9.0, "gap": 0.4},
-    "spline": {"elongation": 1.0, "terms": 10} | {f"g_{i}": 4.0 / i for i in range(1, 11)},
+    "spline": {"elongation": 1.0} | {f"g_{i}": 4.0 / i for i in range(1, 31)},
 }
 WITH_MEMORY = ("bouc_wen", "baber_noori", "jenkins")
 DAMPING = (None, {"ratio": 0.05}, {"rayleigh": [0.1, 0.02]}, {"ratio": [0.05, 0.02]})

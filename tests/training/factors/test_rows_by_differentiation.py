@@ -178,12 +178,15 @@ def reported(own: NormalEquations, at: Point) -> dict[str, torch.Tensor]:
 def assert_deviations(own: NormalEquations, at: Point, factor: BorderedFactor, covariance: np.ndarray) -> None:
     """Of all that is reported, against the dense covariance of all unknowns and parameters."""
     posterior = ReadoutPosterior(own, at, factor)
-    value, told = reported(own, at), posterior.sensed(own.observation)
+    value, told, coarse = reported(own, at), posterior.sensed(own.observation), dict[str, np.ndarray]()
     told |= {f"function {order}": x for order, x in enumerate(posterior.functions(own.observation))}
     told |= {"force": posterior.force(own.physics)} if "force" in value else {}
     if "connection force" in value:
         force, told["connection force"] = connection_forces(posterior)
         assert_close(force, value["connection force"].numpy())
+        structure, seen = own.dynamics.structure, own.flat_states(own.observation, at)[:2]
+        ends = (structure.elongation(own.dynamics.stretching(x)) for x in seen)
+        coarse["connection force"] = structure.unresolved_force(*ends, own.parameters(at))[:, structure.added].numpy()
     if "energy" in value:
         energy, told["energy"] = dissipated_energy(posterior)
         assert_close(energy, value["energy"].numpy())
@@ -194,6 +197,7 @@ def assert_deviations(own: NormalEquations, at: Point, factor: BorderedFactor, c
     for name, by in zip(value, slopes, strict=True):
         rows = torch.cat(by, -1).numpy()
         expected = np.sqrt(np.maximum(((rows @ covariance) * rows).sum(-1), 0.0))
+        expected = np.hypot(expected, np.ravel(coarse[name][some[name]])) if name in coarse else expected
         found, least = np.ravel(told[name][some[name]]), 1e-7 * expected.max()
         np.testing.assert_allclose(found, expected, rtol=1e-5, atol=least, err_msg=name)
 
