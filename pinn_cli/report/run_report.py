@@ -202,10 +202,12 @@ class RunReport:
         results, estimate, posterior = self.results, self.results.estimate, self.results.posterior
         verdict, free, ((fitness, parameter_table), *others) = self.verdict, self.free_run, self.tables
         their_fitness, theirs = next(iter(others), (None, None))
+        terms = parameter_table["parameter"].isin([p.name for p in estimate.parameters if p.parameter.of_curve])
         scored = bool(np.isfinite(fitness[list(FORMULAS)].to_numpy()).any())
         paragraphs = [
             "" if results.run.simulated else text.sensors_text(self.residuals, results.run.baseline),
-            text.parameters_text(parameter_table, self._warnings, theirs),
+            text.parameters_text(parameter_table[~terms], self._warnings, theirs),
+            text.curves_text(int(terms.sum())),
             text.fitness_text(fitness, results.record.observed, published_fitness_of(self.labels)),
             text.free_run_text(*free, results.run.truth_label) if scored else text.free_run_line(*free),
             text.stories_text(estimate.stories),

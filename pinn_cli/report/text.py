@@ -225,6 +225,11 @@ def parameters_text(table: pd.DataFrame, warnings: Sequence[str] = (), baseline:
     return "\n".join(lines)
 
 
+def curves_text(terms: int) -> str:
+    """Where the terms of curves that nobody has a law for are, which say nothing one by one; empty without any."""
+    return f"{terms} terms of curves: parameters.csv; the forces with their bands: restoring.csv" if terms else ""
+
+
 def parameters_shown(table: pd.DataFrame, baseline: pd.DataFrame | None = None) -> list[Shown]:
     """Of the unknown parameters, and behind them of the prescribed ones, with a note of those left out."""
     table, columns = _with_interval(table), {"estimate": Column("estimate", 12, number), **_INTERVAL}

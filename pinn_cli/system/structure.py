@@ -161,8 +161,8 @@ class Structure:
         unit, title = (LINEAR_UNITS | {**law.units}).get(kind, ""), (LINEAR_TITLES | {**law.titles}).get(kind, "")
         if isinstance(law, StructuralDamping):
             return Parameter(kind, index, value, unit=unit, title=title, alone=len(self.parameters[kind]) == 1)
-        label = self.labels.owner(kind, connection)
-        return Parameter(kind, index, value, unit=unit, title=title, label=label)
+        label, of_curve = self.labels.owner(kind, connection), any(kind in kinds for kinds in law.curves)
+        return Parameter(kind, index, value, unit=unit, title=title, label=label, of_curve=of_curve)
 
     def every_parameter(self) -> Iterator[Parameter]:
         """All of them, kind by kind."""

@@ -17,7 +17,9 @@ from pinn_cli.report.parameters import (
     posterior_correlation,
     worst_sampled,
 )
-from pinn_cli.report.text import MARK, WIDTH
+from pinn_cli.report.text import MARK, WIDTH, curves_text
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.connection import Spline
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import Changes, ParameterEstimate
 
@@ -142,3 +144,18 @@ def test_the_worst_sampled_keep_their_order():
     diagnostics = make_diagnostics(make_samples()).assign(ess_tail=[900.0, 800.0, 10.0, 900.0, 20.0, 900.0])
     assert worst_sampled(diagnostics, 3) == ["c_1", "k_1", "kappa_1"]
     assert worst_sampled(diagnostics, 9) == list(DUFFING)
+
+
+def test_nothing_is_said_of_one_term_of_a_curve():
+    law = Spline(elongation=0.1, terms=4)
+    chain = build_chain(1, law, m=1.0, c=1.0, k=1.0, **dict.fromkeys(law.parameters, 0.0))
+    poor = [
+        ParameterEstimate(replace(p, prior_std=10.0, unknown=True), 1.0, 5.0, -7.0, 9.0)
+        for p in chain.every_parameter()
+        if p.kind not in ("m", "c")
+    ]
+    assert [p.parameter.of_curve for p in poor] == [False, True, True, True, True]
+    together = np.full((5, 5), 0.999) + 0.001 * np.eye(5)
+    assert all("k_1" in warning for warning in identifiability_warnings(poor, together))
+    assert "4 terms" in curves_text(4)
+    assert curves_text(0) == ""
