@@ -119,17 +119,17 @@ def _change(compared: Comparison, prediction: Prediction, other: Prediction) -> 
 def random_structure(problem: Problem, estimate: Estimate, random: np.random.Generator) -> Structure:
     """The estimated structure with every parameter off by its standard deviation at random, correlations allowed for.
 
-    Signs are kept but of what may have either: a stiffness that is known to itself has no negative values.
+    Signs are kept, but of terms of a curve: a stiffness that is known to itself has no negative values.
     """
     std = np.nan_to_num([p.std for p in estimate.parameters])
     z = random.normal(size=len(std))
     if estimate.correlation is not None and len(std):
         values, vectors = np.linalg.eigh(np.nan_to_num(estimate.correlation))
         z = vectors @ (np.sqrt(np.maximum(values, 0.0)) * z)
-    moved = [
-        replace(p, estimate=value) if (value := p.estimate + float(move)) * p.estimate > 0 or p.parameter.signed else p
-        for p, move in zip(estimate.parameters, std * z, strict=True)
-    ]
+    moved = []
+    for p, move in zip(estimate.parameters, std * z, strict=True):
+        value = p.estimate + float(move)
+        moved.append(replace(p, estimate=value) if value * p.estimate > 0 or p.parameter.of_curve else p)
     return estimated_structure(problem.structure, moved)
 
 
