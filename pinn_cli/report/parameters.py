@@ -134,8 +134,8 @@ def identifiability_warnings(parameters: Sequence[ParameterEstimate], correlatio
     unknown = [p for p in parameters if p.unknown]
     if unknown and not any(np.isfinite(p.std) for p in unknown):
         return ["this training gives no standard deviations: nothing tells how far to trust the unknown ones"]
-    individual = [warning for p in unknown if not p.parameter.of_curve for warning in _individual_warning(p)]
-    shared = dict.fromkeys(said for p, said in _inseparable(parameters, correlation) if not p.parameter.of_curve)
+    individual = [warning for p in unknown if not p.parameter.curve for warning in _individual_warning(p)]
+    shared = dict.fromkeys(said for p, said in _inseparable(parameters, correlation) if not p.parameter.curve)
     return [*individual, *shared]
 
 

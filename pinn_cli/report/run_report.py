@@ -202,7 +202,7 @@ class RunReport:
         results, estimate, posterior = self.results, self.results.estimate, self.results.posterior
         verdict, free, ((fitness, parameter_table), *others) = self.verdict, self.free_run, self.tables
         their_fitness, theirs = next(iter(others), (None, None))
-        terms = parameter_table["parameter"].isin([p.name for p in estimate.parameters if p.parameter.of_curve])
+        terms = parameter_table["parameter"].isin([p.name for p in estimate.parameters if p.parameter.curve])
         scored = bool(np.isfinite(fitness[list(FORMULAS)].to_numpy()).any())
         paragraphs = [
             "" if results.run.simulated else text.sensors_text(self.residuals, results.run.baseline),

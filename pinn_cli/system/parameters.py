@@ -54,7 +54,7 @@ class Parameter:
         title: What a figure calls its kind; "" where it goes by its symbol.
         label: Name of its mass, connection or sensor; "": its number.
         alone: Whether it is the whole structure's, which has one of its kind.
-        of_curve: Whether it is a term of a curve that nobody has a law for, which says nothing by itself.
+        curve: Of which curve that nobody has a law for it is a term, which says nothing by itself; "": of none.
         prior: Where its posterior distribution is wanted.
     """
 
@@ -70,7 +70,7 @@ class Parameter:
     title: str = field(default="", compare=False)
     label: str = field(default="", compare=False)
     alone: bool = field(default=False, compare=False)
-    of_curve: bool = field(default=False, compare=False)
+    curve: str = field(default="", compare=False)
     prior: Prior | None = field(default=None, compare=False)
 
     @property

@@ -161,8 +161,9 @@ class Structure:
         unit, title = (LINEAR_UNITS | {**law.units}).get(kind, ""), (LINEAR_TITLES | {**law.titles}).get(kind, "")
         if isinstance(law, StructuralDamping):
             return Parameter(kind, index, value, unit=unit, title=title, alone=len(self.parameters[kind]) == 1)
-        label, of_curve = self.labels.owner(kind, connection), any(kind in kinds for kinds in law.curves)
-        return Parameter(kind, index, value, unit=unit, title=title, label=label, of_curve=of_curve)
+        label = self.labels.owner(kind, connection)
+        curve = "".join(f"{kinds[0]} of connection {connection}" for kinds in law.curves if kind in kinds)
+        return Parameter(kind, index, value, unit=unit, title=title, label=label, curve=curve)
 
     def every_parameter(self) -> Iterator[Parameter]:
         """All of them, kind by kind."""

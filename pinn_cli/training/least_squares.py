@@ -64,16 +64,14 @@ class LeastSquares:
 
     def _curves(self) -> list[int]:
         """See :attr:`curve`; what earlier records say of a term stands for itself."""
-        structure, number = self.by_record[0].dynamics.structure, dict[tuple[int, str], int]()
-        if self.by_record[0].problem.prior is not None:
-            return [-1] * len(self.uncertain)
-        out = []
-        for p in self.uncertain:
-            connection = int(structure.members[p.kind][p.index]) if p.kind in structure.members else -1
-            curves = structure.laws[connection].curves if connection >= 0 and p.unknown else ()
-            of = [(connection, kinds[0]) for kinds in curves if p.kind in kinds]
-            out.append(number.setdefault(of[0], len(number)) if of else -1)
-        return out
+        told = self.by_record[0].problem.prior is not None
+        of = [p.curve if p.unknown and not told else "" for p in self.uncertain]
+        names = list(dict.fromkeys(filter(None, of)))
+        return [names.index(name) if name else -1 for name in of]
+
+    def roughness(self, noise: NoiseLevels) -> np.ndarray:
+        """(curves,), see :attr:`NoiseLevels.roughness`: ones before any was found."""
+        return noise.roughness if len(noise.roughness) else np.ones(self.curve.max(initial=-1) + 1)
 
     def _gathered(self, values: Sequence[np.ndarray]) -> np.ndarray:
         """(p,) from what every record has for its own parameters; all must have the same for the same one.
@@ -163,9 +161,8 @@ class LeastSquares:
     def precision(self, noise: NoiseLevels) -> Tensor:
         """(p,), prior precision of every parameter by itself: believed ones share one spread."""
         out = np.where(self.unknown, 1.0 + noise.firmness**2, noise.spread**-2)
-        if len(noise.roughness):
-            terms = self.curve >= 0
-            out[terms] += noise.roughness[self.curve[terms]] ** -2 - 1.0
+        terms = self.curve >= 0
+        out[terms] += self.roughness(noise)[self.curve[terms]] ** -2 - 1.0
         return torch.as_tensor(out)
 
     def prior_precision(self, noise: NoiseLevels) -> Tensor:

@@ -77,7 +77,7 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
         roughness = rougher_or_smoother(evidence, trained)
         shared = replace(trained.noise, spread=evidence.learned_spread(trained), roughness=roughness)
         noise = replace(shared, records=tuple(noise_of_records))
-        rougher = np.log(roughness / (trained.noise.roughness if len(trained.noise.roughness) else 1.0))
+        rougher = np.log(roughness / evidence.equations.roughness(trained.noise))
         moved = [*np.concatenate(strides), np.log(noise.spread / trained.noise.spread), *rougher]
         again = evidence.train(noise, trained.solution.point, goes_on=bool(np.abs(moved).max() < NEAR_LEVEL))
         # One that is still on its way is followed as long as it is the more probable one already.
@@ -113,9 +113,8 @@ def rougher_or_smoother(evidence: Evidence, trained: Trained) -> np.ndarray:
 
     Up to those; of a curve that the record hardly tells as if it told one term.
     """
-    curve, before = evidence.equations.curve, trained.noise.roughness
-    terms, count = curve >= 0, curve.max(initial=-1) + 1
-    before = before if len(before) else np.ones(count)
+    curve, before = evidence.equations.curve, evidence.equations.roughness(trained.noise)
+    terms, count = curve >= 0, len(before)
     x, of = trained.solution.point.parameters.numpy()[terms], curve[terms]
     left_open = np.diag(trained.factor.corner_covariance)[terms] / before[of] ** 2
     told = np.bincount(of, (1.0 - left_open).clip(min=0.0), count)

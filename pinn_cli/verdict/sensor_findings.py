@@ -129,7 +129,7 @@ def random_structure(problem: Problem, estimate: Estimate, random: np.random.Gen
     moved = []
     for p, move in zip(estimate.parameters, std * z, strict=True):
         value = p.estimate + float(move)
-        moved.append(replace(p, estimate=value) if value * p.estimate > 0 or p.parameter.of_curve else p)
+        moved.append(replace(p, estimate=value) if value * p.estimate > 0 or p.parameter.curve else p)
     return estimated_structure(problem.structure, moved)
 
 

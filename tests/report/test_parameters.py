@@ -154,7 +154,7 @@ def test_nothing_is_said_of_one_term_of_a_curve():
         for p in chain.every_parameter()
         if p.kind not in ("m", "c")
     ]
-    assert [p.parameter.of_curve for p in poor] == [False, True, True, True, True]
+    assert [bool(p.parameter.curve) for p in poor] == [False, True, True, True, True]
     together = np.full((5, 5), 0.999) + 0.001 * np.eye(5)
     assert all("k_1" in warning for warning in identifiability_warnings(poor, together))
     assert "4 terms" in curves_text(4)
