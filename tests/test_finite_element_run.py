@@ -135,7 +135,10 @@ def test_a_mass_on_a_dof_that_the_model_does_not_have_is_named(in_folder_with_a_
     "scheme",
     [
         ["scheme=state_parameter", "scheme.parameter_uncertainty=0"],
-        ["scheme=bayesian", "posterior.chains=2", "posterior.warmup=200", "posterior.draws=200"],
+        pytest.param(
+            ["scheme=bayesian", "posterior.chains=2", "posterior.warmup=200", "posterior.draws=200"],
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["estimated", "sampled"],
 )

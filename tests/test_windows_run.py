@@ -155,7 +155,7 @@ def softened(seed: int, when: float, left: float) -> Response:
 @pytest.mark.parametrize(
     ("seed", "when", "left"),
     [
-        (2, 18.0, 0.92),  # inside one
+        pytest.param(2, 18.0, 0.92, marks=pytest.mark.slow),  # inside one
         pytest.param(3, 15.0, 0.95, marks=pytest.mark.slow),  # in what two have in common
         pytest.param(4, 26.0, 0.9, marks=pytest.mark.slow),  # in the last one
         pytest.param(5, 18.0, 1.0, marks=pytest.mark.slow),

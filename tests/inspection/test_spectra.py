@@ -129,6 +129,7 @@ def test_a_sensor_away_from_the_force_that_is_turned_or_in_another_unit(chain, f
     assert word in text
 
 
+@pytest.mark.slow
 def test_a_mass_that_is_another_one(chain):
     assert told(chain, structure(chain)) == []
     (text,) = told(chain, structure(chain, m=[1.0, 1.0, 1.5, 1.0, 1.0]))

@@ -87,7 +87,7 @@ def conjugate(likelihood: ParameterLikelihood, priors) -> tuple[np.ndarray, np.n
 # How close moments come, in standard deviations: of parameters, and the mean of the noise.
 CLOSE = [
     # Four hundred draws of NUTS know a mean to 0.05 standard deviations, and those to 4 %; two thousand to half.
-    (Conditional(1, 100, 400), TWO, 0.2, 0.2),
+    pytest.param(Conditional(1, 100, 400), TWO, 0.2, 0.2, marks=pytest.mark.slow),
     (Marginal(1, 100, 400), TWO, 0.2, 0.2),
     pytest.param(Conditional(2, 200, 1000), None, 0.1, 0.1, marks=pytest.mark.slow),
     pytest.param(Marginal(2, 200, 1000), None, 0.1, 0.1, marks=pytest.mark.slow),

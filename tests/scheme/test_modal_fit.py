@@ -37,6 +37,7 @@ def scores(fit: ModalFit, true: Wing) -> np.ndarray:
     return np.array(out).T
 
 
+@pytest.mark.slow
 def test_six_modes_two_of_them_four_per_cent_apart() -> None:
     true = wing(3, 2, SIX)
     fit = searched(spectra(wing_record(true, 3, 25.0)))

@@ -64,7 +64,9 @@ def covered(estimate: Estimate, truth, quantity: str) -> np.ndarray:
     return (np.abs(error) < WITHIN_95 * getattr(estimate.std, quantity)).mean(axis=0)
 
 
-@pytest.mark.parametrize(("hold", "design"), [("exact", Fourier()), ("zero_order", Spline())])
+@pytest.mark.parametrize(
+    ("hold", "design"), [pytest.param("exact", Fourier(), marks=pytest.mark.slow), ("zero_order", Spline())]
+)
 def test_an_unobserved_dof_is_recovered(hold, design):
     estimate, truth = recovered(record=example(hold).record, design=design), example(hold).truth.response
     for quantity in QUANTITIES:

@@ -119,6 +119,7 @@ def test_its_law_is_identified(seed):
     assert judge(problem.alone, estimate).word == "sound"
 
 
+@pytest.mark.slow
 def test_a_mode_that_has_soon_died_out_after_a_release_is_followed():
     """Two masses let go by a rope; of the roof alone, the second mode is gone after a tenth of the record."""
     m, c, k, rate, duration = np.array([31.7, 29.0]), np.array([104.0, 72.5]), np.array([3.35e5, 2.34e5]), 260.0, 4.28

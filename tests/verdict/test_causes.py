@@ -79,6 +79,10 @@ def turned(record):
     return altered(record, 3, lambda x: -x)
 
 
+def slow(*values):
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
 ASTRAY = {"frame": {}, "beam": {"factor": [2.0, 0.4]}, "cubic": {"k": [40.0, 5.0, 20.0]}}
 THIRD = "acceleration of DOF 3"
 FAULTS = [
@@ -89,13 +93,13 @@ FAULTS = [
     ("frame", lambda r: exchanged(r, 1, 3), "swap", "acceleration of DOFs 1 and 3"),
     ("beam", lambda r: altered(r, 1, lambda x: -x), "sign", "acceleration of DOF tip"),
     ("beam", lambda r: altered(r, 3, lambda x: 1.4 * x), "gain", "acceleration of DOF b"),
-    ("beam", lambda r: altered(r, 2, lambda x: np.roll(x, 3)), "delay", "acceleration of DOF a"),
+    slow("beam", lambda r: altered(r, 2, lambda x: np.roll(x, 3)), "delay", "acceleration of DOF a"),
     ("beam", lambda r: altered(r, 1, lambda x: 1.5 * x, "force"), "gain", "force of DOF tip"),
-    ("beam", lambda r: exchanged(r, 1, 2), "swap", "acceleration of DOFs tip and a"),
+    slow("beam", lambda r: exchanged(r, 1, 2), "swap", "acceleration of DOFs tip and a"),
     # The sensor that is on the second DOF is said to be on the fourth.
-    ("beam", lambda r: exchanged(r, 2, 4), "misplaced", "acceleration of DOF c"),
-    ("cubic", turned, "sign", THIRD),
-    ("cubic", lambda r: exchanged(r, 1, 2), "swap", "acceleration of DOFs 1 and 2"),
+    slow("beam", lambda r: exchanged(r, 2, 4), "misplaced", "acceleration of DOF c"),
+    slow("cubic", turned, "sign", THIRD),
+    slow("cubic", lambda r: exchanged(r, 1, 2), "swap", "acceleration of DOFs 1 and 2"),
     ("cubic", lambda r: altered(r, 3, lambda x: 1.5 * x, "force"), "gain", "force of DOF 3"),
 ]
 

@@ -117,7 +117,10 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
+FAST = ("friction", "m", "gain", "force")
+
+
+@pytest.mark.parametrize("kind", [pytest.param(kind, marks=() if kind in FAST else pytest.mark.slow) for kind in KINDS])
 def test_what_moves_the_estimate_comes_first_and_is_not_sound(problem, estimate, kind: str):
     of, text = KINDS[kind]
     doubt = Doubt(kind, of, 3.0, 0.2, "N", 40.0, 5.0, "k_1")
@@ -149,6 +152,7 @@ def test_where_a_doubt_explains_little_the_spectra_are_asked(problem, estimate, 
     assert [reason.suspect for reason in verdict.reasons] == suspects
 
 
+@pytest.mark.slow
 def test_a_fault_goes_before_what_a_model_lacks_that_is_excused_from_following_the_sensors(problem, estimate):
     wide = [replace(p, std=0.5 * p.estimate) for p in estimate.parameters]
     uncertain = replace(estimate, parameters=wide, doubts=(Doubt("mode", "DOF 1", 0.7, 0.1, "kg", 40.0, 5.0, "k_1"),))

@@ -75,6 +75,7 @@ def test_with_the_right_model_nothing_is_left_out_but_the_noise_of_the_load_cell
     assert found.misfit.acting == pytest.approx(np.sqrt(np.mean(each.record.force**2)))
 
 
+@pytest.mark.slow
 def test_a_wrong_mass_below_the_load_cell_is_left_out_whatever_the_cell_is_taken_for():
     seen = record(1, duration=6.0, snr_db=40.0).record
     found = estimated(seen, HEAVIER)

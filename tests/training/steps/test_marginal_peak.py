@@ -62,6 +62,7 @@ def off(estimate: Estimate) -> np.ndarray:
     return np.array([p.estimate / truth[p.name] - 1.0 for p in told if p.name in truth])
 
 
+@pytest.mark.slow
 def test_a_mass_is_right_where_a_third_of_what_acts_is_left_out():
     """It was 8 % too small where such a model was said to explain nothing."""
     assert abs(off(identified(pushed(2)))[0]) < 0.02

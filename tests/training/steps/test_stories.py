@@ -206,6 +206,7 @@ def test_the_force_has_the_place_of_what_the_model_lacks():
     assert "force" not in named
 
 
+@pytest.mark.slow
 def test_a_force_of_any_history_on_one_dof_is_told_with_its_place():
     """White from 0.5 to 8 Hz on DOF 1, which nobody measured, beside the measured one on the roof."""
     estimate = found(storeys(drag=0.0, pushing=8.0))
