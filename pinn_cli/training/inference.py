@@ -6,8 +6,9 @@ weight is 1 / sigma^2 of a noise level. A damped Gauss-Newton step solves its no
 (:mod:`pinn_cli.training.minimise`); their inverse is the covariance of W and theta. With W and theta integrated out the
 levels have an evidence (:mod:`pinn_cli.training.evidence`; MacKay 1992), by which they are found:
 
-1. **Spectra first.** Forces that nobody measured leave the motion of a linear structure open: Whittle's likelihood of
-   the sensors' spectra tells its parameters, and they are held.
+1. **Spectra first.** Forces that nobody measured leave the motion open: Whittle's likelihood of the sensors' spectra
+   tells the parameters of a linear structure, and they are held. Those of another one are held from the first solution
+   to where what is integrated out moves them.
 2. **Soft to stiff.** From one start of the parameters after the other, until a model holds, the discrepancy, a force
    that stands for what the model leaves out, comes down from the force that acts to its most probable level; each
    solution begins at the last. Then all levels follow sigma^2 <- |r|^2 / (N - gamma).

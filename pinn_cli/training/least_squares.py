@@ -182,7 +182,7 @@ class LeastSquares:
         repeated, known_parameters = self._repeated * self.precision(noise).numpy(), self.by_record[0].known_parameters
         held = None if known_parameters is None else known_parameters.covariance
         pull = repeated * point.parameters.numpy()
-        return SharedSystem(self.members, self.columns, systems, repeated, pull, held)
+        return SharedSystem(self.members, self.columns, systems, repeated, pull, held, noise.held)
 
 
 def joined_parameters(parameters: Sequence[Sequence[Parameter]]) -> tuple[tuple[Parameter, ...], list[np.ndarray]]:

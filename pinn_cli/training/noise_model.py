@@ -127,6 +127,7 @@ class NoiseLevels:
         spread: Prior standard deviation of the uncertain parameters, in common, over the one that was prescribed.
         firmness: Prior standard deviation of the unknown parameters over the one with which they are held at their
             start besides, on the way to a solution; 0: they are not.
+        held: Whether all parameters stay where they are: only the motion is solved for.
         roughness: (curves,), of curves that nobody has a law for: prior standard deviation of the terms of each over
             the one that was given; empty: that.
     """
@@ -134,6 +135,7 @@ class NoiseLevels:
     records: tuple[NoiseModel, ...]
     spread: float = 1.0
     firmness: float = 0.0
+    held: bool = False
     roughness: np.ndarray = field(default_factory=lambda: np.ones(0))
 
     def each(self, function: Callable[..., NoiseModel], *arguments: Any) -> NoiseLevels:

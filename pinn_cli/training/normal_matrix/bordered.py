@@ -109,6 +109,10 @@ class Eliminated:
         """W (size,) that goes with x (p,), from the reduced gradient."""
         return -self.readout.solved(reduced[0], x)
 
+    def following(self, x: np.ndarray) -> np.ndarray:
+        """W (size,) that goes with x (p,) from a solution."""
+        return -self.readout.solved(np.zeros(self.readout.size), x)
+
 
 @dataclass(frozen=True, eq=False)
 class ParameterFactor:
@@ -176,6 +180,7 @@ class SharedSystem:
         pull: (p,), the same of their gradients.
         held: (p, p), covariance of parameters that something else determines: they stay where they are; None: nothing
             has.
+        motion_alone: Whether the parameters stay where they are all the same.
     """
 
     members: Items[Any]
@@ -184,6 +189,7 @@ class SharedSystem:
     repeated: np.ndarray
     pull: np.ndarray
     held: np.ndarray | None = None
+    motion_alone: bool = False
 
     def factor(self, damping: float = 0.0) -> SharedFactor | None:
         """Cholesky factors with the diagonal scaled to one plus ``damping``; None if not positive definite."""
@@ -235,16 +241,31 @@ class SharedFactor(ParameterFactor):
         are met exactly and not by a penalty or a transformation. The weights are those of all records, one after the
         other.
         """
-        members, columns = system.members, system.columns
-        reduced = members.keep(Eliminated.reduced, self.eliminated, system.systems)
-        right = system.pull.copy()
-        for places, part in zip(columns, members.map(itemgetter(1), reduced), strict=True):
-            right[places] += part
-        right = right if system.held is None else np.zeros_like(right)
+        reduced = self._reduced(system)
+        right = self._right_hand_side(system, reduced)
+        right = np.zeros_like(right) if system.motion_alone or system.held is not None else right
         x = self.corner_covariance @ right
         x = self._bounded(right, lower) if lower is not None and np.any(x < lower) else x
-        steps = members.map(Eliminated.readout_step, self.eliminated, reduced, [x[places] for places in columns])
-        return np.concatenate(steps), x
+        members, parts = system.members, [x[places] for places in system.columns]
+        return np.concatenate(members.map(Eliminated.readout_step, self.eliminated, reduced, parts)), x
+
+    def slope(self, system: SharedSystem) -> np.ndarray:
+        """(p,), of -1/2 the loss by the parameters, the motion following them."""
+        return self._right_hand_side(system, self._reduced(system))
+
+    def following(self, members: Items[Any], columns: Sequence[np.ndarray], x: np.ndarray) -> np.ndarray:
+        """How the readout weights (size,) of a solution follow a step x (p,) of its parameters, -A^-1 B x."""
+        steps = members.map(Eliminated.following, self.eliminated, [x[places] for places in columns])
+        return np.concatenate(steps)
+
+    def _reduced(self, system: SharedSystem) -> Sequence[Any]:
+        return system.members.keep(Eliminated.reduced, self.eliminated, system.systems)
+
+    def _right_hand_side(self, system: SharedSystem, reduced: Sequence[Any]) -> np.ndarray:
+        right = system.pull.copy()
+        for places, part in zip(system.columns, system.members.map(itemgetter(1), reduced), strict=True):
+            right[places] += part
+        return right
 
     def _bounded(self, right: np.ndarray, lower: np.ndarray) -> np.ndarray:
         """The x >= lower (lower <= 0) that makes |R^T x - R^-1 right| least, R R^T the Schur complement.

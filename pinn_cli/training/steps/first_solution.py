@@ -86,7 +86,21 @@ def first_solution(problem: JointProblem, solver: Solver) -> Inference:
         inference = _through_a_part(problem, solver, network, part)
         problem = replace(problem, elsewhere=tuple)  # what lies there has been looked for
     inference = inference or _from_the_starts(problem, solver)[0]
-    return replace(inference, trained=solver.settled(inference.evidence, inference.trained))
+    return replace(inference, trained=solver.settled(inference.evidence, _held(inference)))
+
+
+def _held(inference: Inference) -> Trained:
+    """The solution, whose parameters stay where they are if forces are unknown that would follow them anywhere.
+
+    Together with the most probable of these forces, and their levels, parameters run away. What is integrated out moves
+    them: see :mod:`pinn_cli.training.steps.marginal_likelihood`. Those of which something is believed begin there.
+    """
+    trained, evidence, point = inference.trained, inference.evidence, inference.trained.solution.point
+    if not inference.problem.has_unknown_forces or inference.is_informed:
+        return trained
+    unknown = torch.as_tensor(evidence.equations.unknown)
+    believed = replace(point, parameters=torch.where(unknown, point.parameters, 0.0))
+    return evidence.train(replace(trained.noise, held=True), believed) or trained
 
 
 def _through_a_part(

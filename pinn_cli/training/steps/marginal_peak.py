@@ -6,11 +6,7 @@ is most probable. In stiff physics it is a constant. Under a large discrepancy i
 sensors, errors of its accelerations make a regression on them too flat, and an unknown mass comes out too small. The
 slope of that factor pulls at the parameters, as a constant force that is worked out anew where they have moved.
 
-What frequencies beyond the end of the forces that nobody measured say is taken back with it. Unknown forces are
-processes that go on above the band where forces act. That a sensor shows next to nothing up there would tell of a
-structure that passes nothing on: of 16 records of cubic storeys in a wind that ends below the record's band,
-stiffnesses came out up to 5 standard deviations too small. Counted up to the end alone, they are as far off as they
-should be.
+Under forces that nobody measured it is no small change, see :mod:`pinn_cli.training.steps.marginal_likelihood`.
 """
 
 from __future__ import annotations
@@ -20,9 +16,8 @@ from dataclasses import replace
 import numpy as np
 from torch import Tensor
 
-from pinn_cli.system.quantities import MOTION, OUTSIDE_THE_EQUATIONS
+from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
 from pinn_cli.training.evidence import converged, model_log_evidence, of_motion
-from pinn_cli.training.factors.channel_at_point import weighted
 from pinn_cli.training.factors.factor import Factor
 from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseModel
@@ -31,8 +26,7 @@ from pinn_cli.training.normal_matrix.traced_sums import Met
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.solver import Inference
 from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN
-from pinn_cli.training.steps.force_spectrum import drive_in_record
-from pinn_cli.training.steps.unknown_forces import set_force_level
+from pinn_cli.training.steps.marginal_likelihood import most_probable_parameters, pulled
 
 # How far a round may move any parameter, in its standard deviations, and how far is not worth a round.
 LARGEST_MOVE, NEGLIGIBLE_PULL = 2.0, 0.1
@@ -44,16 +38,14 @@ PARTS_OF_PULL = (1.0, 0.25)
 PART_OF_VALUE, OF_BENT = 0.1, ((0.02, 8.0 / 0.24), (0.04, -1.0 / 0.24))
 # Part of what residuals move with a parameter that they may bend, and be linear but for rounding.
 LEAST_BENT = 1e-8
-# Frequencies at most at which what lies beyond the end is looked at: a resonance there must be among them.
-FREQUENCIES_BEYOND = 1024
-# Part of a parameter's standard deviation that its derivative is the difference over.
-PART_OF_STD = 0.1
 
 
 def move_to_marginal_peak(inference: Inference) -> Inference | None:
     """The solution with the most probable parameters, the motion integrated out; None where it has them."""
     if inference.is_informed or inference.at_marginal_peak or not inference.explains_something:
         return None
+    if inference.problem.has_unknown_forces:
+        return most_probable_parameters(inference)
     evidence, trained = inference.evidence, inference.trained
     held, pulls, moved = zip(*evidence.each_record(pull_on, trained), strict=True)
     if not np.isfinite(moved).all():
@@ -69,9 +61,7 @@ def move_to_marginal_peak(inference: Inference) -> Inference | None:
             continue
         # Where an accelerometer is compared with the equations nothing says how probable that is: NaN.
         if not model_log_evidence(evidence, again) - model_log_evidence(evidence, trained) < -NEGLIGIBLE_GAIN:
-            at_peak = replace(inference, trained=again)
-            # As large as the forces are with these parameters: with less damping smaller ones make the same motion.
-            return set_force_level(at_peak) or at_peak
+            return replace(inference, trained=again)
         # Near the peak a move gains half of its square, of which less than that cannot be told.
         if 0.5 * max(moved) ** 2 < NEGLIGIBLE_GAIN:
             inference = replace(inference, at_marginal_peak=True)
@@ -96,11 +86,9 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
     covariance = solution.factor.corner_covariance[:p, :p]
     std, pull = np.sqrt(np.diag(covariance)), np.zeros(p)
     before = np.zeros(p) if equations.pull is None else equations.pull
-    # Under forces that nobody measured, what is believed of a parameter does not hold it.
-    anyhow = equations.dynamics.inputs.unmeasured
     start = np.array([p.prescribed for p in equations.uncertain])
     values = start / equations.scale.numpy() + point.parameters.numpy()
-    wanted = [(p.unknown or anyhow) and p.kind not in OUTSIDE_THE_EQUATIONS for p in equations.uncertain]
+    wanted = [p.unknown and p.kind not in OUTSIDE_THE_EQUATIONS for p in equations.uncertain]
     if any(wanted):
         alone = of_motion(evidence, noise)
         of_equations, of_all = (equations.assemble(point, levels).readout_inverse() for levels in (alone, noise))
@@ -125,11 +113,8 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
             for factor, levels, met, share in through:
                 above, below = (equations.traced(factor, end, levels, met) for end in point.beside(i, width))
                 slope += weight * share * met.trace(above, below)
-        # A discrepancy in a part of the band has as much fewer values: it was widened for these. What drives an unknown
-        # force was not, and leaves far more of the motion open.
-        pull[i] = slope if anyhow else noise.occupied * slope
-    if anyhow:
-        pull -= slope_beyond(evidence, solution, np.where(wanted, std, 0.0))
+        # A discrepancy in a part of the band has as much fewer values: it was widened for these.
+        pull[i] = noise.occupied * slope
     # The record may be computed in another process, which alone knows what pulls at it.
     change = pull - before
     move = float(np.max(np.abs(covariance @ change) / std, initial=0.0))
@@ -142,59 +127,3 @@ def _is_straight(equations: NormalEquations, between: Tensor, ends: tuple[Point,
     above, below = map(equations.motion.residual, ends)
     bent, moved = (float(x.abs().max()) for x in (above + below - 2.0 * between, above - below))
     return bent <= LEAST_BENT * moved
-
-
-def pulled(evidence: RecordEvidence, solution: RecordSolution, pull: np.ndarray | None) -> None:
-    """Let it pull at the parameters of one record from now on; None: nothing does."""
-    evidence.equations.pull, evidence.equations.pulled_from = pull, solution.point.parameters
-
-
-def log_density_beyond(evidence: RecordEvidence, solution: RecordSolution, end: float, point: Point) -> float:
-    """Whittle's log likelihood at a point of sensors that show their noise alone from a frequency (Hz) on.
-
-    Of the equations linearised at the motion, on the average over the record: -sum of log det S + tr S^-1 R, with R the
-    noise and S what the process of the forces makes of the sensors beside it.
-    """
-    equations = evidence.equations
-    dynamics, noise, record = equations.dynamics, solution.noise, equations.problem.record
-    assert noise.innovation is not None
-    forces = np.arange(dynamics.forces.start, dynamics.forces.stop)
-    lines = (_top(evidence) - end) * record.step * len(record.time)
-    number = min(FREQUENCIES_BEYOND, max(1, round(lines)))
-    s = 2j * np.pi * (end + (_top(evidence) - end) * (np.arange(number) + 0.5) / number)[:, None, None]
-    mass, damping, stiffness = evidence.mean_equations(point)
-    driven = np.zeros((dynamics.size, len(forces)))
-    # White noise of the points has so much power per frequency less than that of the samples.
-    driven[forces, np.arange(len(forces))] = noise.innovation[forces] / equations.refinement**0.5
-    moved = np.linalg.solve(
-        stiffness + s * damping + s**2 * np.diag(mass), np.broadcast_to(driven, (len(s), *driven.shape))
-    )
-    sensors = {place: sensor.channel for place, sensor in evidence.sensors.items() if sensor.channel.quantity in MOTION}
-    rows = np.zeros((len(s), len(sensors), dynamics.size), dtype=complex)
-    for i, channel in enumerate(sensors.values()):
-        for function, order, weight in weighted(dynamics, channel.quantity, channel.weights):
-            rows[:, i, function] += weight * s[:, 0, 0] ** order
-    noise_of = np.array([noise.response[name][i] for name, i in sensors])
-    shown = rows @ moved / noise_of[:, None]  # in units in which R is the identity
-    spectrum = np.eye(len(sensors)) + shown @ shown.conj().transpose(0, 2, 1)
-    of_noise = np.trace(np.linalg.inv(spectrum), axis1=1, axis2=2).real
-    return -lines * float((np.linalg.slogdet(spectrum)[1] + of_noise).mean())
-
-
-def slope_beyond(evidence: RecordEvidence, solution: RecordSolution, std: np.ndarray) -> np.ndarray:
-    """(p,) slope of :func:`log_density_beyond` by prior deviations; zeros where forces do not end.
-
-    Of the parameters whose posterior standard deviation (p,), in prior ones, is not 0.
-    """
-    seen, slope = drive_in_record(evidence, solution), np.zeros(len(std))
-    end = np.inf if seen is None else seen.end
-    for i in np.flatnonzero(std if end < _top(evidence) else slope).tolist():
-        width = PART_OF_STD * float(std[i])
-        above, below = (log_density_beyond(evidence, solution, end, at) for at in solution.point.beside(i, width))
-        slope[i] = (above - below) / (2.0 * width)
-    return slope
-
-
-def _top(evidence: RecordEvidence) -> float:
-    """Hz, up to which both the samples and the features tell something."""
-    return 0.5 * min(1.0 / evidence.equations.problem.record.step, evidence.equations.network.free_intervals)
