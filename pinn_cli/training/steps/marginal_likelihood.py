@@ -125,7 +125,7 @@ class MarginalDensity:
         along = np.eye(self.size)[q:]
         for direction, level in zip(along, steps[q:], strict=True):
             direction[:q] = (self._slope(level, q) - slope[:q]) / WIDTH_OF_DIFFERENCE
-            # All four with the step of the motion that follows levels: about a corner it gains something by itself.
+            # All four with the step of the motion that follows levels: what it gains by itself is in none alone.
             far, near = (
                 sum(self._nearby(self._at + sign * width * direction) for sign in (1.0, -1.0))
                 for width in (2.0 * WIDTH_OF_DIFFERENCE, WIDTH_OF_DIFFERENCE)
@@ -143,8 +143,8 @@ class MarginalDensity:
         """
         noise, equations = self._levels(u), self.evidence.equations
         point = self._followed(self._parameters(u))
-        loss = self._loss(point, noise)
-        if loss > self._loss(self.last.solution.point, noise) + NEGLIGIBLE_GAIN or u[len(self.start) :].any():
+        loss, changed = self._loss(point, noise), u[len(self.start) :] != self._at[len(self.start) :]
+        if changed.any() or loss > self._loss(self.last.solution.point, noise) + NEGLIGIBLE_GAIN:
             again = equations.followed(point, noise)
             point = again if self._loss(again, noise) < loss else point
         trained = self.evidence.at(point, noise)
