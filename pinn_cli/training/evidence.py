@@ -104,13 +104,15 @@ class Evidence:
         return Trained(solution, noise, factor, self.log_evidence(solution.point, noise, factor))
 
     def at(self, point: Point, noise: NoiseLevels) -> Trained | None:
-        """A point as it is, taken for the solution; None where the Hessian is too stiff for a Cholesky factor."""
+        """A point as it is, taken for the solution, whose evidence is not worked out: NaN.
+
+        None where the Hessian is too stiff for a Cholesky factor.
+        """
         factor = self.equations.assemble(point, noise).factor()
         self.count(1)
         if factor is None:
             return None
-        solution = Solution(point, math.nan, 0, False, 1)
-        return Trained(solution, noise, factor, self.log_evidence(point, noise, factor))
+        return Trained(Solution(point, math.nan, 0, False, 1), noise, factor, math.nan)
 
     def log_evidence(self, point: Point, noise: NoiseLevels, factor: SharedFactor) -> float:
         """-1/2 [chi^2 + sum of log variances + log det Hessian - log det prior] at the most probable point."""

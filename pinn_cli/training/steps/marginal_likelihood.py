@@ -144,7 +144,7 @@ class MarginalDensity:
         noise, equations = self._levels(u), self.evidence.equations
         point = self._followed(self._parameters(u))
         loss, changed = self._loss(point, noise), u[len(self.start) :] != self._at[len(self.start) :]
-        if changed.any() or loss > self._loss(self.last.solution.point, noise) + NEGLIGIBLE_GAIN:
+        if changed.any() or loss > self.last.solution.loss + NEGLIGIBLE_GAIN:
             again = equations.followed(point, noise)
             point = again if self._loss(again, noise) < loss else point
         trained = self.evidence.at(point, noise)
