@@ -36,7 +36,7 @@ def carry_out(job: Job, watch: Watch) -> None:
         keep_imported()
     with stages("estimate"):
         estimate = config.estimator.solve(problem, replace(job.context, watch=watch))
-    problem = problem if estimate.structure is None else problem.in_coordinates_of(estimate.structure)
+    problem = problem if estimate.structure is None else problem.in_basis_of(estimate.structure)
     current().settle()
     with stages("posterior"):
         posterior = posterior_result(config.posterior, problem, estimate, job.context)

@@ -203,19 +203,26 @@ def results_of(job: Job, problem: JointProblem, estimate: Estimate, **more: Any)
 
     The problem is the one that was solved, in the coordinates of its solution.
     """
-    from pinn_cli.report.results import Results, checked_times, further_results
+    from pinn_cli.report.results import Results, checked_times, further_results, in_functions_of
     from pinn_cli.training.calibrated_record import as_calibrated
 
     config, prepared = job.config, job.prepared
-    record, prescribed = as_calibrated(prepared.record, estimate.by_record[0]), prepared.prescribed
+    record, prescribed, truths = (
+        as_calibrated(prepared.record, estimate.by_record[0]),
+        prepared.prescribed,
+        prepared.truths,
+    )
+    if estimate.structure is not None:
+        prescribed = prescribed.in_basis_of(estimate.structure)
+        truths = tuple(in_functions_of(truth, prepared.true, estimate.structure) for truth in truths)
     linear = None  # what the paper's figure of a linear model compares with
     if job.draws and config.source.simulated and config.model_error.name == "linear":
         linear = config.source.measure(prepared.true.linearised()).truth.response
     results = Results(
         config.description,
-        prescribed if estimate.structure is None else prescribed.in_coordinates_of(estimate.structure),
+        prescribed,
         record,
-        prepared.truth,
+        truths[0],
         estimate,
         problem=None if config.scheme.predicts else replace(problem.first, record=record),  # there is nothing to judge
         linear_response=linear,
@@ -225,7 +232,7 @@ def results_of(job: Job, problem: JointProblem, estimate: Estimate, **more: Any)
         shown=None if config.between is None else checked_times("report.between", config.between, record.time),
         **more,
     )
-    return replace(results, further=further_results(results, problem.by_record[1:], prepared.truths[1:]))
+    return replace(results, further=further_results(results, problem.by_record[1:], truths[1:]))
 
 
 def look_and_tell(word: str, composed: DictConfig, terminal: Terminal | None = None) -> None:

@@ -128,6 +128,13 @@ def checked_times(setting: str, between: Any, time: np.ndarray) -> tuple[float, 
     raise InputError(setting, between, "two times of the record in s, the earlier one first, such as [1.2, 1.6]", hint)
 
 
+def in_functions_of(truth: Truth, true: Structure, structure: Structure) -> Truth:
+    """The truth with terms of curves as those of the functions that the structure of an estimate has."""
+    if truth.parameters is None or set(truth.parameters) != set(structure.parameters):
+        return truth
+    return replace(truth, parameters=true.with_functions_of(structure).parameters_like(np.empty(0)))
+
+
 def further_results(first: Results, problems: Sequence[Problem], truths: Sequence[Truth]) -> tuple[Results, ...]:
     """Those of the records that were solved together with the first one, whose estimate is that of all.
 

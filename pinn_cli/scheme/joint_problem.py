@@ -148,9 +148,9 @@ class JointProblem:
         """The same with damping of the whole in the modes of some masses and stiffnesses, see `Structure.present`."""
         return self.changed(lambda problem: problem.present(values))
 
-    def in_coordinates_of(self, structure: Structure) -> JointProblem:
-        """The same with its structure in the coordinates that a reduction of its finite-element model has."""
-        return self.changed(lambda problem: problem.in_coordinates_of(structure))
+    def in_basis_of(self, structure: Structure) -> JointProblem:
+        """The same with its structure in the coordinates and with the functions of laws that another of it has."""
+        return self.changed(lambda problem: problem.in_basis_of(structure))
 
     def changed(self, how: Callable[..., Problem], *by_record: Sequence[Any]) -> JointProblem:
         """The same with the problem of every record changed, from every start; ``by_record`` is what else it takes."""

@@ -129,13 +129,20 @@ class Problem:
         """The same with damping of the whole in the modes of some masses and stiffnesses, see `Structure.present`."""
         return replace(self, structure=self.structure.present(values))
 
-    def in_coordinates_of(self, structure: Structure) -> Problem:
-        """The same with its structure in the coordinates that a reduction of its finite-element model has."""
-        if structure.shares_coordinates(self.structure):
+    def in_basis_of(self, structure: Structure) -> Problem:
+        """The same with its structure in the coordinates and with the functions of laws that another of it has.
+
+        A term may then be as large as its function is smooth.
+        """
+        if structure.shares_basis(self.structure):
             return self
-        structure = self.structure.in_coordinates_of(structure)
+        before, structure = self.structure, self.structure.in_basis_of(structure)
         held = {p: float(structure.parameters[p.kind][p.index]) for p in structure.every_parameter()}
-        moved = tuple(replace(p, prescribed=held.get(p, p.prescribed)) for p in self.uncertain)
+        widened = {p: structure.term_size(p) / before.term_size(p) for p in held if p.curve}
+        moved = tuple(
+            replace(p, prescribed=held.get(p, p.prescribed), prior_std=p.prior_std * widened.get(p, 1.0))
+            for p in self.uncertain
+        )
         return replace(self, structure=structure, uncertain=moved)
 
     @cached_property

@@ -108,8 +108,8 @@ class WindowSolver:
             raise DivergenceError(f"{window.name}: {error}") from error
         prescribed, observed = self.prescribed, observed_digest([problem.alone.record])
         if estimate.structure is not None:
-            problem = problem.in_coordinates_of(estimate.structure)
-            prescribed = prescribed.in_coordinates_of(estimate.structure)
+            problem = problem.in_basis_of(estimate.structure)
+            prescribed = prescribed.in_basis_of(estimate.structure)
         record = as_calibrated(problem.alone.record, estimate)
         solved = replace(problem.alone, record=record)
         results = Results(

@@ -171,6 +171,11 @@ class Structure:
             for index in range(len(values)):
                 yield self.parameter(kind, index)
 
+    def term_size(self, parameter: Parameter) -> float:
+        """How large a term of a curve that nobody has a law for may be, over that of the smoothest function."""
+        law = self.laws[self.members[parameter.kind][parameter.index]]
+        return law.starts(1.0, 1.0)[parameter.kind][-1]
+
     def ends(self, parameter: Parameter) -> np.ndarray:
         """The coordinates, counted from 0, whose equations of motion contain a parameter."""
         if parameter.kind == MASS:
@@ -384,12 +389,27 @@ class Structure:
         )
         return replace(self, groups=groups)
 
-    def shares_coordinates(self, other: Structure) -> bool:
-        """Whether another structure of the same model has the same coordinates."""
-        return self.mode_shapes is other.mode_shapes
+    def shares_basis(self, other: Structure) -> bool:
+        """Whether another structure of the same model has the same coordinates, and its laws the same functions."""
+        laws = ([g.nonlinearity for g in side.groups if not g.damps_whole] for side in (self, other))
+        return self.mode_shapes is other.mode_shapes and all(x is y for x, y in zip(*laws, strict=True))
 
-    def in_coordinates_of(self, other: Structure) -> Structure:
-        """The same model, of finite elements, with these parameters, in the coordinates of another reduction of it.
+    def in_basis_of(self, other: Structure) -> Structure:
+        """The same model, with these parameters, in the coordinates and with the functions that another of it has."""
+        moved = self if self.mode_shapes is other.mode_shapes else self._in_coordinates_of(other)
+        return moved.with_functions_of(other)
+
+    def with_functions_of(self, other: Structure) -> Structure:
+        """The same model, with these parameters, with laws of the functions that another of it has."""
+        return self._with_laws([group.nonlinearity for group in other.groups])
+
+    def bending_at(self, parameters: Mapping[str, np.ndarray]) -> Structure:
+        """The same with curves that nobody has a law for in functions that bend where they do at these parameters."""
+        groups = zip(self.groups, self.parts, strict=True)
+        return self._with_laws([group.nonlinearity.bending_at(part.of_group(parameters)) for group, part in groups])
+
+    def _in_coordinates_of(self, other: Structure) -> Structure:
+        """Of finite elements, in the coordinates of another reduction of it, with laws of the same functions as before.
 
         What springs and dampers of the coordinates were beside those that the model gives them, they are again.
         """
@@ -402,11 +422,12 @@ class Structure:
             now = values[kind][:springs]
             kept = torch.where(given.isfinite() & (given != 0), made * now / given, now)
             values[kind] = torch.cat([kept, values[kind][springs:]])
-        damping = (group for group in self.groups if group.damps_whole)
+        connections, others = ([g for g in side.groups if not g.damps_whole] for side in (self, other))
+        pairs, damping = zip(connections, others, strict=True), (g for g in self.groups if g.damps_whole)
         return replace(
             self,
             parameters=values,
-            groups=(*(group for group in other.groups if not group.damps_whole), *damping),
+            groups=(*(replace(new, nonlinearity=mine.nonlinearity) for mine, new in pairs), *damping),
             labels=replace(self.labels, connections=other.labels.connections),
             influence=other.influence,
             mode_shapes=other.mode_shapes,
@@ -425,7 +446,7 @@ class Structure:
             return self
         other = self.reduction.at(at)
         fits = [group.incidence.shape[0] for group in (self.groups[0], other.groups[0])]
-        return self.in_coordinates_of(other) if fits[0] == fits[1] else self
+        return self._in_coordinates_of(other) if fits[0] == fits[1] else self
 
     def is_exact_at(self, factors: np.ndarray, tolerance: float) -> bool:
         """Whether its coordinates are exact within a relative tolerance of factors (P,), or there are no others."""
@@ -453,7 +474,13 @@ class Structure:
         if all(law is group.nonlinearity for law, group in zip(laws, self.groups, strict=True)):
             return self
         groups = (replace(group, nonlinearity=law) for law, group in zip(laws, self.groups, strict=True))
-        return replace(self, groups=tuple(groups))
+        values, before = dict(self.parameters), self.parameters_like(np.empty(0))
+        for law, group, part in zip(laws, self.groups, self.parts, strict=True):
+            if law is not group.nonlinearity:
+                for kind, terms in law.terms_of(group.nonlinearity, part.of_group(before)).items():
+                    values[kind] = values[kind].clone()
+                    values[kind][part.parameters[kind]] = torch.as_tensor(terms).to(values[kind])
+        return replace(self, parameters=values, groups=tuple(groups))
 
     def linearised(self) -> Structure:
         """The same without its nonlinearities: m, c, k stay, kappa or mu go (the paper's 'linear' model error)."""

@@ -103,7 +103,7 @@ class GaussNewton(Training):
             "narrowed_by_refinement": inference.narrowed, "at_marginal_peak": inference.at_marginal_peak,
         }  # fmt: skip
         estimate = replace(estimate, summary=summary, rivals=inference.rivals, handed_over=handed)
-        if not inference.evidence.problem.structure.shares_coordinates(problem.structure):
+        if not inference.evidence.problem.structure.shares_basis(problem.structure):
             estimate = replace(estimate, structure=inference.evidence.problem.structure)
         estimate = with_stories(inference, estimate)
         if not problem.priors:

@@ -36,7 +36,13 @@ from pinn_cli.training.steps.quiet_load_cells import quiet_load_cells
 from pinn_cli.training.steps.rivals import choose_equivalent_structure
 from pinn_cli.training.steps.smooth_force import fit_smooth_force
 from pinn_cli.training.steps.unknown_forces import fit_force_spectrum, set_force_level, widen_force_band
-from pinn_cli.training.steps.updated_problem import loosen_at_turning_points, refine_features, update_modes
+from pinn_cli.training.steps.updated_problem import (
+    loosen_at_turning_points,
+    lower_discrepancy,
+    place_knots,
+    refine_features,
+    update_modes,
+)
 from pinn_cli.training.steps.windows_discrepancy import combine_windows, count_independent_values
 
 # From a solution to a better one; None: there is none. Each is asked so many times at most.
@@ -45,8 +51,11 @@ STEPS: tuple[tuple[Step, int], ...] = (
     (widen_force_band, 1),
     (fit_force_spectrum, 3),
     (update_modes, 3),
+    (place_knots, 6),
     (loosen_at_turning_points, 6),
     (refine_features, 2),
+    (place_knots, 3),
+    (lower_discrepancy, 6),
     (update_modes, 3),
     (choose_equivalent_structure, 1),
     (quiet_load_cells, 1),

@@ -37,7 +37,7 @@ def test_units():
         (Polynomial([7, 2]), {"k_2": "N/m^2", "k_7": "N/m^7"}),
         (Friction(0.1), {"F_c": "N"}),
         (Gap(), {"k_g": "N/m", "gap": "m"}),
-        (Spline(speed=0.3, terms=1), {"h_1": "N"}),
+        (Spline(speed=0.3, terms=2), {"h_1": "N", "h_2": "N"}),
     ):
         chain = build_chain(2, kind, m=1.0, c=1.0, k=1.0, **dict.fromkeys(own, 1.0))
         assert {p.kind: p.unit for p in chain.every_parameter()} == units | own
@@ -77,11 +77,12 @@ def test_functions_of_a_curve_are_no_spring_and_none_at_rest(over, span):
     np.testing.assert_allclose(functions.T @ functions / len(at), np.eye(6), atol=5e-3)
     np.testing.assert_allclose(at[:, 0] @ functions / len(at), 0.0, atol=2e-3 * high)
     np.testing.assert_allclose(force(rest[:1], law.parameters[3]), 0.0, atol=1e-9)
-    half, beyond = (high - low) / 2.0, np.linspace(-9.0 / 7.0, 9.0 / 7.0, 4001)[:, None]  # up to the last knots
-    wide = (low + high) / 2.0 + half * beyond
-    distance = np.hypot(wide[1:-1], NEAR_REST[over] * half) ** 1.5
-    bent = distance * np.diff(np.stack([force(wide, kind) for kind in law.parameters], -1), 2, axis=0)
-    assert np.all(np.diff(np.mean(bent**2, axis=0)) > 0.0)
+    # The first is a parabola, and each of the others is rougher than the one before.
+    distance = np.hypot(at[8:-4:4], NEAR_REST[over] * (high - low) / 2.0) ** 2.5
+    roughness = np.mean((distance * np.diff(functions[::4], 3, axis=0)) ** 2, axis=0)
+    assert np.all(np.diff(roughness) > 0.0)
+    parabola = np.polynomial.Polynomial.fit(at[:, 0], functions[:, 0], 2)
+    np.testing.assert_allclose(functions[:, 0], parabola(at[:, 0]), atol=1e-6)
     outside = force(high * np.array([[2.0], [3.0], [4.0]]), law.parameters[1])
     assert outside[2] - outside[1] == pytest.approx(outside[1] - outside[0])
     ones = dict.fromkeys(law.parameters, np.ones(1))
@@ -108,8 +109,55 @@ def test_a_curve_says_what_it_is_too_coarse_for(over, terms):
         values = dict(zip(law.parameters, made_of[1:, None], strict=True))
         missed += np.mean((curve - at[:, 0] * made_of[0] - functions @ made_of[1:]) ** 2)
         told += np.mean(law.unresolved(*moved, values) ** 2)
-    assert 0.7 < np.sqrt(missed / told) < 1.3
+    assert 0.6 < np.sqrt(missed / told) < 1.3
     assert not np.any(Linear().unresolved(*moved, {}))
+
+
+def nearest(law: Spline, curve: np.ndarray, at: np.ndarray) -> tuple[dict[str, np.ndarray], float]:
+    """Terms of the curve that comes nearest, beside a spring, and how far it is off at most."""
+    unit = np.eye(law.terms)[:, :, None]
+    forces = [law.force(at, 0.0 * at, dict(zip(law.parameters, one, strict=True))) for one in unit]
+    functions = np.concatenate([at, *forces], 1)
+    made_of = np.linalg.lstsq(functions, curve, rcond=None)[0]
+    return dict(zip(law.parameters, made_of[1:, None], strict=True)), float(np.max(abs(curve - functions @ made_of)))
+
+
+@pytest.mark.parametrize("span", [0.02, (-0.01, 0.03)])
+def test_knots_move_to_where_a_curve_bends(span):
+    law, (low, high) = Spline(span), span if isinstance(span, tuple) else (-span, span)
+    at = np.linspace(low, high, 8001)[:, None]
+    kinked = np.maximum(at[:, 0] - 0.3 * high, 0.0) / high
+    missed = [nearest(law, kinked, at)[1]]
+    for _ in range(3):
+        terms = nearest(law, kinked, at)[0]
+        finer = law.bending_at(terms)
+        knots = np.array(finer.knots["elongation"])
+        assert len(knots) == law.terms
+        np.testing.assert_allclose(knots[[0, -1]], (low, high))
+        # Between functions a curve goes over as the one that comes nearest.
+        carried = finer.terms_of(law, terms)
+        apart = finer.force(at, 0.0 * at, carried) - law.force(at, 0.0 * at, terms)
+        assert np.max(abs(apart)) < 3.0 * missed[-1]
+        law = finer
+        missed.append(nearest(law, kinked, at)[1])
+    assert np.argmin(np.diff(knots)) in np.flatnonzero(abs(knots - 0.3 * high) < 0.1 * high)
+    assert missed[-1] < 0.1 * missed[0]
+
+
+def test_knots_stay_where_nothing_bends():
+    law = Spline(0.02, 0.3)
+    assert law.bending_at(dict.fromkeys(law.parameters, np.zeros(2))) is law
+    (smooth,) = (x for x in law.curves if x[0] == "g_1")
+    terms = dict.fromkeys(law.parameters, np.zeros(1)) | {smooth[0]: np.ones(1)}
+    moved = law.bending_at(terms)
+    assert moved.bending_at(moved.terms_of(law, terms)) is moved
+
+
+@pytest.mark.parametrize("knots", [{"elongation": [-0.02, 0.0, 0.01]}, {"elongation": [0.02, 0.0, -0.02]}, {}, 3.0])
+def test_given_knots_rise_from_one_end_of_the_span_to_the_other(knots):
+    assert Spline(0.02, knots={"elongation": [-0.02, 0.0, 0.01, 0.02]}).terms == 4
+    with pytest.raises(InputError, match=r"system\.nonlinearity\.knots\.elongation"):
+        Spline(0.02, knots=knots)
 
 
 @pytest.mark.parametrize("span", [-1.0, 0.0, [0.1, 0.2], [-0.1], "wide"])

@@ -58,6 +58,14 @@ class Nonlinearity(ABC):
         """The law with states that are counted at the size of a record's motion, m, where nobody said otherwise."""
         return self
 
+    def bending_at(self, parameters: Mapping[str, np.ndarray]) -> Nonlinearity:
+        """The law whose curves can bend where they do at these parameters, each (connections,)."""
+        return self
+
+    def terms_of(self, other: Nonlinearity, parameters: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+        """Terms of its curves, each (connections,), with which it does what another does with these parameters."""
+        return {}
+
     def stiffness_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray | float:
         """dr_n/de of a connection at rest, N/m, which with k says how long the steps of a simulation may be."""
         return 0.0

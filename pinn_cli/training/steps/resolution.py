@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 
@@ -141,7 +143,7 @@ def _natural_frequencies(equations: NormalEquations, solution: RecordSolution) -
 
 
 def carried_over(point: Point, coarse: NormalEquations, fine: NormalEquations) -> Point:
-    """The same motion and parameters in the features of a finer spline, or in other coordinates."""
+    """The same motion and parameters in the features of a finer spline, in other coordinates, with other functions."""
     segments, times = fine.physics, fine.target.physics_time
     motion = coarse.flat_states(coarse.network.segments(times), point).displacement
     before, after = (equations.dynamics.structure.reduction for equations in (coarse, fine))
@@ -150,4 +152,10 @@ def carried_over(point: Point, coarse: NormalEquations, fine: NormalEquations) -
         n = len(turn)
         motion = torch.cat([motion[:, :n] @ turn.T, motion[:, n:]], 1)
     weights = FeatureProjection(fine.network, segments).coefficients(motion).to(motion)
-    return Point(fine.layout.unknowns(weights), point.parameters)
+    values = {k: x.detach().cpu() for k, x in coarse.parameters(point).items()}
+    moved = replace(coarse.problem.structure, parameters=values).in_basis_of(fine.problem.structure).parameters
+    parameters = point.parameters.clone()
+    for i, p in enumerate(fine.uncertain):
+        if p.curve:
+            parameters[i] = (moved[p.kind][p.index] - p.prescribed) / fine.scale[i]
+    return Point(fine.layout.unknowns(weights), parameters)

@@ -17,9 +17,11 @@ from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import TurningPoints
 from pinn_cli.system.parameters import FACTOR
+from pinn_cli.training.evidence import Trained
 from pinn_cli.training.minimise import Point
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.solver import Inference, Solver
+from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN, SCAN_FACTOR
 from pinn_cli.training.steps.known_levels import WORTHWHILE, softer_point
 from pinn_cli.training.steps.resolution import carried_over, knots_wanted
 
@@ -88,8 +90,40 @@ def update_modes(inference: Inference) -> Inference | None:
 def problem_in_own_modes(inference: Inference) -> JointProblem | None:
     """The problem in the modes at a solution's parameters; None where they are those that it has."""
     before, problem = inference.problem.structure, _present(inference)
-    moved = not problem.structure.shares_coordinates(before) or problem.structure.damping_change(before) > SAME_MODES
+    moved = not problem.structure.shares_basis(before) or problem.structure.damping_change(before) > SAME_MODES
     return problem if moved else None
+
+
+def place_knots(inference: Inference) -> Inference | None:
+    """The solution with knots where its curves bend that nobody has a law for; None where that is no more probable."""
+    first, known = inference.problem.first, inference.solver.known_parameters
+    if first.prior is not None or first.hand_over is not None or first.priors or known is not None:
+        return None
+    structure = first.structure.bending_at(_values(inference))
+    if structure.shares_basis(first.structure):
+        return None
+    again = _carried_to(inference, inference.problem.in_basis_of(structure), inference.solver)
+    return again if again is not None and _gains(again.trained, inference.trained) else None
+
+
+def lower_discrepancy(inference: Inference) -> Inference | None:
+    """The solution under a smaller discrepancy, where that is more probable once all levels follow; else None.
+
+    What a curve could not follow has passed for one. Levels that make up for each other creep back from there.
+    """
+    evidence, before = inference.evidence, inference.trained
+    if not (evidence.equations.curve >= 0).any():
+        return None
+    noise = before.noise.with_discrepancy(before.noise.discrepancy / SCAN_FACTOR)
+    again = evidence.train(noise, before.solution.point)
+    if again is None:
+        return None
+    again = inference.solver.settled(evidence, again)
+    return replace(inference, trained=again) if _gains(again, before) else None
+
+
+def _gains(after: Trained, before: Trained) -> bool:
+    return after.log_evidence > before.log_evidence + NEGLIGIBLE_GAIN
 
 
 def loosen_at_turning_points(inference: Inference) -> Inference | None:
@@ -128,14 +162,19 @@ def refine_features(inference: Inference) -> Inference | None:
 
 def _present(inference: Inference) -> JointProblem:
     """The problem of a solution, with damping of the whole and coordinates in the modes of the structure there."""
-    equations, point = inference.by_record[0]
-    problem, values = inference.problem, {k: x.numpy() for k, x in equations.parameters(point).items()}
+    problem, values = inference.problem, _values(inference)
     # A state that is handed over has its coordinates, and so have parameters that spectra determine.
     first = problem.first
-    free = first.prior is None and first.hand_over is None and equations.known_parameters is None
+    free = first.prior is None and first.hand_over is None and inference.solver.known_parameters is None
     if free and FACTOR in values and not problem.structure.is_exact_at(values[FACTOR], SAME_FACTORS):
-        problem = problem.in_coordinates_of(problem.structure.reduced_at(values[FACTOR]))
+        problem = problem.in_basis_of(problem.structure.reduced_at(values[FACTOR]))
     return problem.present(values)
+
+
+def _values(inference: Inference) -> dict[str, np.ndarray]:
+    """Every parameter of the structure by kind."""
+    equations, point = inference.by_record[0]
+    return {kind: x.numpy() for kind, x in equations.parameters(point).items()}
 
 
 def _carried_to(inference: Inference, problem: JointProblem, solver: Solver) -> Inference | None:

@@ -12,6 +12,8 @@ from small_problems import measured, small_chain
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.connection import Spline as CurveOfForce
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.minimise import Point
@@ -117,3 +119,25 @@ def test_a_motion_is_carried_over_to_finer_features():
     for one, other in zip(before[:3], after[:3], strict=True):
         middle = slice(20, -20)
         np.testing.assert_allclose(other[middle], one[middle], atol=2e-2 * float(one.abs().max()))
+
+
+def test_a_curve_is_carried_over_to_other_knots():
+    law, rng = CurveOfForce(elongation=1.0, terms=8), np.random.default_rng(3)
+    structure = build_chain(1, law, m=1.0, c=0.2, k=15.0, **dict.fromkeys(law.parameters, 0.0))
+    record = measured(small_chain("linear", ndof=1)).record.keep({"acceleration": (1,)})
+    terms = tuple(replace(p, prior_std=2.0, unknown=True) for p in structure.every_parameter() if p.curve)
+    problem = Problem(structure, record, terms)
+    (before,) = posed(problem, Spline()).equations.by_record
+    at = Point(before.start().unknowns, torch.as_tensor(rng.standard_normal(8)))
+    values = {kind: x.numpy() for kind, x in before.parameters(at).items()}
+    moved = problem.in_basis_of(structure.bending_at(values))
+    assert not moved.structure.shares_basis(structure)
+    (after,) = posed(moved, Spline()).equations.by_record
+    found = {kind: x.numpy() for kind, x in after.parameters(carried_over(at, before, after)).items()}
+    e = np.linspace(-1.0, 1.0, 41)[:, None]
+    force = structure.connection_force(e, 0.0 * e, values)
+    apart = moved.structure.connection_force(e, 0.0 * e, found) - force
+    assert np.sqrt(np.mean(apart**2)) < 0.3 * np.sqrt(np.mean((force - 15.0 * e) ** 2))
+    # A term may be as large as its function is smooth, whichever functions there are.
+    sizes = [[one.term_size(p) for p in terms] for one in (structure, moved.structure)]
+    np.testing.assert_allclose([p.prior_std for p in moved.uncertain], 2.0 * np.divide(*sizes[::-1]))
