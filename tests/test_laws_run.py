@@ -78,6 +78,12 @@ def test_a_law_that_nobody_knows_lies_in_its_band(pinn_run: PinnRun, tmp_path: P
     assert over["std"].median() < 0.02 * over["force"].abs().max()
     assert np.all(np.abs(speed["force"] - DAMPING * speed["at"]) <= 4.0 * speed["std"] + 1e-9)
     assert (outcome.directory / "figures" / "restoring.png").is_file()
+    # What was found does under the same force what it did, by its own knots, until the load cell's noise parts them.
+    record = "data=csv", "data.time=t", "data.channels={f: {sensor: force, dof: x}}", f"data.path={path}"
+    again = pinn_run("model=run", "scheme=predict", *record, "figures=false", "hydra.run.dir=again").done()
+    estimated, predicted = (xr.load_dataset(done.directory / "response.nc") for done in (outcome, again))
+    apart = (predicted["displacement"] - estimated["displacement"])[:200]
+    assert abs(apart).max() < 0.1 * abs(estimated["displacement"][:200]).max()
 
 
 STOP_MASS, TRUE = (3.8, 3.9), {"c_wall": 3.8, "k_wall": 2300.0, "c_stop": 4.2, "k_stop": 1600.0, "k_g_stop": 1800.0}

@@ -17,13 +17,15 @@ from omegaconf import OmegaConf
 
 from pinn_cli.cli.config import resolved
 from pinn_cli.cli.source import SIMULATED, chosen_model, read_structure
+from pinn_cli.model.file import NAME as MODEL
+from pinn_cli.model.file import stored_model
 from pinn_cli.record.channel import Channel
 from pinn_cli.record.record import Record, Truth
 from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.report.figures import record_figures, run_figures
 from pinn_cli.report.figures.posterior import posterior_pairs_figure
 from pinn_cli.report.figures.style import for_notebooks
-from pinn_cli.report.results import LABELS, Results, RunDescription, checked_times
+from pinn_cli.report.results import LABELS, Results, RunDescription, checked_times, in_functions_of
 from pinn_cli.runs.histories import read_histories
 from pinn_cli.runs.reading import read_table, undamaged
 from pinn_cli.runs.resume import read_record
@@ -137,6 +139,9 @@ def stored_results(directory: Path) -> Results:
         connections=_connections(data), noise=FoundNoise.read(trained),
     )  # fmt: skip
     truth = Truth(_response(data, "_true"), true.parameters_like(np.empty(0)) if simulated else None)
+    if (directory / MODEL).is_file():
+        solved = stored_model(directory, without=("end_", "misfit_", "draws")).structure
+        prescribed, truth = prescribed.with_functions_of(solved), in_functions_of(truth, true, solved)
     name = str(run.get("baseline", {}).get("name", "none"))
     baseline = None
     if name != "none":

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import inspect
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from io import BytesIO
 from pathlib import Path
@@ -261,7 +261,12 @@ def difference(structure: Structure, other: Structure) -> str:
     kinds, other_kinds = ([group.kinds for group in side.groups] for side in (structure, other))
     if structure.nonlinearity_name != other.nonlinearity_name or kinds != other_kinds:
         return f"{structure.nonlinearity_name} connections, not {other.nonlinearity_name}"
-    if [_group_words(group) for group in structure.groups] != [_group_words(group) for group in other.groups]:
+    words, other_words = ([_group_words(group) for group in side.groups] for side in (structure, other))
+    # What nobody has said an estimate may choose.
+    for said, found in zip(words, other_words, strict=True):
+        found["settings"] = {name: found["settings"][name] for name, x in said["settings"].items() if x is not None}
+        said["settings"] = {name: x for name, x in said["settings"].items() if x is not None}
+    if words != other_words:
         return f"{structure.nonlinearity_name} connections of other settings"
     if structure.labels != other.labels:
         return "other names of connections"
@@ -290,8 +295,14 @@ def _group_words(group: ConnectionGroup) -> dict[str, Any]:
         name = PART if isinstance(law, Substructure) else law.kind
         return {"law": name, "settings": {}, "parts": list(group.parts or ())}
     settings = {name: getattr(law, name) for name in inspect.signature(type(law)).parameters if hasattr(law, name)}
-    plain = {name: list(value) if isinstance(value, tuple) else value for name, value in settings.items()}
-    return {"law": law.name, "settings": plain, "parts": None if group.parts is None else list(group.parts)}
+    return {"law": law.name, "settings": _plain(settings), "parts": None if group.parts is None else list(group.parts)}
+
+
+def _plain(value: Any) -> Any:
+    """With mappings as dicts and sequences as lists."""
+    if isinstance(value, Mapping):
+        return {name: _plain(x) for name, x in value.items()}
+    return [_plain(x) for x in value] if isinstance(value, Sequence) and not isinstance(value, str) else value
 
 
 def _law(words: Mapping[str, Any]) -> Nonlinearity:

@@ -80,8 +80,8 @@ class PopulationReport(LookReport):
 
     @cached_property
     def names(self) -> list[str]:
-        """Of the parameters that all have, in the order of the first."""
-        counted = Counter(p.name for model in self.models.values() for p in model.parameters)
+        """Of the parameters that all have, in the order of the first; terms of curves are each run's own."""
+        counted = Counter(p.name for model in self.models.values() for p in model.parameters if not p.curve)
         return [name for name, count in counted.items() if count == len(self.models)]
 
     @cached_property

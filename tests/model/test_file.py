@@ -20,6 +20,7 @@ from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.connection.friction import Friction
 from pinn_cli.system.connection.polynomial import Polynomial
+from pinn_cli.system.connection.spline import Spline
 from pinn_cli.system.finite_elements import build_finite_elements
 from pinn_cli.system.incidence import Pairs
 from pinn_cli.system.parameters import Labels
@@ -142,13 +143,23 @@ def sliding() -> Structure:
     return build_chain(2, Friction(0.01), m=1.0, c=0.1, k=10.0, F_c=[2.0, 1.0])
 
 
+def curved() -> Structure:
+    """With knots that an estimate has moved."""
+    law = Spline(elongation=(-0.5, 1.0), speed=2.0, terms=5)
+    terms = {kind: np.linspace(1.0, -1.0, 2) / (1 + i) for i, kind in enumerate(law.parameters)}
+    structure = build_chain(2, law, m=1.0, c=0.1, k=10.0, **{kind: x.tolist() for kind, x in terms.items()})
+    moved = structure.bending_at(structure.parameters_like(np.empty(0)))
+    assert not moved.shares_basis(structure)
+    return moved
+
+
 def named() -> Structure:
     labels = Labels(tuple("abc"), ("one", "two", "three", "brace", "other", "damper"))
     pairs = Pairs.of(["roof"], [{0: -1.0, 2: 1.0}], 3)
     return replace(braced(), labels=labels, influence=np.array([1.0, 0.5, 1.0]), pairs=pairs)
 
 
-@pytest.mark.parametrize("make", [braced, shuffled, hysteretic, modal, polynomial, sliding, named])
+@pytest.mark.parametrize("make", [braced, shuffled, hysteretic, modal, polynomial, sliding, curved, named])
 def test_the_same_forces_and_names(make):
     structure = make()
     copy = again(structure)
@@ -204,3 +215,11 @@ def test_what_tells_two_structures_apart(other, word):
 
 def test_values_tell_no_structures_apart():
     assert difference(sliding().with_values({sliding().parameter("k", 1): 99.0}), sliding()) == ""
+
+
+def test_what_nobody_has_said_an_estimate_may_choose():
+    found = curved()
+    law = Spline((-0.5, 1.0), 2.0, terms=5)
+    said = build_chain(2, law, m=1.0, c=0.1, k=10.0, **dict.fromkeys(law.parameters, 0.0))
+    assert difference(said, found) == ""
+    assert "other settings" in difference(found, said)
