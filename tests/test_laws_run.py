@@ -18,6 +18,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.linalg import eigh
 from storeys import K, chain_matrix, record, system, under_waves, written
 
+from pinn_cli.model.file import stored_model
 from pinn_cli.report.fitness import fitness_percent
 
 RATE = 100.0
@@ -122,6 +123,25 @@ def test_stiffness_and_gap_of_a_contact_are_identified(pinn_run: PinnRun, tmp_pa
         estimate, std = table.loc[name, ["estimate", "std"]]
         assert abs(estimate - true) < 4.0 * std, name
         assert std < 0.02 * true, name
+
+
+@pytest.mark.slow
+def test_knots_come_together_where_a_gap_closes(pinn_run: PinnRun, tmp_path: Path):
+    path, gap = stop_written(tmp_path / "stop.csv", "both", 0.03), 0.03
+    wall, stop = "wall: {between: [ground, a], law: linear}", "{between: [a, b], law: spline, elongation: 0.2}"
+    joined = f"system.connections={{{wall}, stop: {stop}}}"
+    outcome = pinn_run(*STOP, joined, f"data.path={path}", "hydra.run.dir=run").done()
+    knots = np.array(stored_model(outcome.directory).structure.laws[1].knots["elongation"])
+    even = 0.4 / (len(knots) - 1)
+    for corner in (-gap, gap):
+        assert np.diff(knots)[np.argmin(abs((knots[1:] + knots[:-1]) / 2.0 - corner))] < 0.5 * even
+    curves = pd.read_csv(outcome.directory / "restoring.csv").set_index("over")
+    over = curves.loc["elongation"]
+    e = over["at"].to_numpy()
+    contact = np.maximum(e - gap, 0.0) - np.maximum(-e - gap, 0.0)
+    true = TRUE["k_stop"] * e + TRUE["k_g_stop"] * contact
+    assert np.mean(np.abs(over["force"] - true) <= 1.96 * over["std"]) > 0.9
+    assert np.sqrt(np.mean((over["force"] - true) ** 2)) < 0.005 * np.abs(true).max()
 
 
 BOUNDED = ("system=duffing", "system.ndof=1", "system.m=12", "system.c=10", "system.k=4e3")
