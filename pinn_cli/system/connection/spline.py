@@ -19,17 +19,17 @@ FEWEST_TERMS, MOST_TERMS = 2, 30
 LETTERS = {"elongation": "g", "speed": "h"}
 SPAN_UNITS = {"elongation": "m", "speed": "m/s"}
 # At which functions are compared with one another, over a span that goes from -1 to 1.
-OVER_SPAN = np.linspace(-1.0, 1.0, 2001)
+OVER_SPAN = np.linspace(-1.0, 1.0, 4001)
 # Distance from rest over the span from which on knots that nobody chose are the further apart the further out they are:
 # dry friction turns over in a hundredth of the speeds that occur, and far from rest a curve is smooth.
-NEAR_REST = {"elongation": 1.0, "speed": 0.01}
+NEAR_REST = {"elongation": 1.0, "speed": 0.005}
 # Standard deviation between two knots of a curve whose second derivative is white noise, as where it has corners, and
 # that is known at both, with its slope, over the distance squared times the second derivative as far as the knots
 # follow it: its variance is d^3 / 420 of the noise's, that of what they follow 1 / d.
 BETWEEN_KNOTS = 420.0**-0.5
 # Knots are moved where the most of it falls below this part, and come no nearer to each other than this over half the
-# span, which are some of the places above: between them functions could not be told apart.
-WORTH_MOVING, NEAREST = 0.7, 0.005
+# span, which are a few of the places above: between them functions could not be told apart.
+WORTH_MOVING, NEAREST = 0.7, 0.002
 
 
 class Spline(Nonlinearity):
@@ -187,18 +187,22 @@ class _Curve:
         """Better knots, half of them where nobody would move them, half where the curve bends; empty: there are none.
 
         What lies between knots is as large everywhere where they are as dense as the root of the bend (de Boor, A
-        Practical Guide to Splines, 1978, chapter 12). Of several connections that is the mean.
+        Practical Guide to Splines, 1978, chapter 12); as dense as the bend itself they come together faster about a
+        corner. Of both, those that leave the less. Of several connections that is the mean.
         """
         bend = abs(_beyond(OVER_SPAN, self._knots) @ (self._terms(parameters) @ self._made_of)[:, 2:].T).mean(-1)
         if not bend.any():
             return []
-        wanted = 1.0 / np.hypot(OVER_SPAN - self._rest, self._near), np.sqrt(bend)
-        density = sum(x / np.trapezoid(x, OVER_SPAN) for x in wanted) / 2.0
-        density = np.minimum(density, 1.0 / (NEAREST * len(self._inner)))
-        passed = np.cumsum(density)
-        moved = np.interp(np.linspace(passed[0], passed[-1], len(self._inner)), passed, OVER_SPAN)
-        now, then = (np.max(_distance(knots, OVER_SPAN) ** 2 * bend) for knots in (self._inner, moved))
-        return self._given(moved) if then < WORTH_MOVING * now else []
+        even = 1.0 / np.hypot(OVER_SPAN - self._rest, self._near)
+        moved = [self._as_dense_as(even / even.sum() + x / x.sum()) for x in (np.sqrt(bend), bend)]
+        now, *then = (np.max(_distance(knots, OVER_SPAN) ** 2 * bend) for knots in (self._inner, *moved))
+        return self._given(moved[int(np.argmin(then))]) if min(then) < WORTH_MOVING * now else []
+
+    def _as_dense_as(self, shares: np.ndarray) -> np.ndarray:
+        """(terms,), of shares over the span, but nowhere denser than :data:`NEAREST`."""
+        density = shares / np.trapezoid(shares, OVER_SPAN)
+        passed = np.cumsum(np.minimum(density, 1.0 / (NEAREST * len(self._inner))))
+        return np.interp(np.linspace(passed[0], passed[-1], len(self._inner)), passed, OVER_SPAN)
 
     @property
     def given_knots(self) -> list[float]:
