@@ -40,7 +40,7 @@ class Spline(Nonlinearity):
     zero, and beyond it becomes a straight line. A term may be the smaller the rougher its function is, which is the
     prior of a smoothing spline of third derivatives (Wahba, Spline Models for Observational Data, 1990, chapter 1) in
     the functions of Demmler and Reinsch: beyond what occurs a curve goes on to bend as it does. Knots that nobody chose
-    are the nearer to each other the nearer to rest they are, over speed a hundred times; an estimator then sets them
+    are the nearer to each other the nearer to rest they are, over speed two hundred times; an estimator then sets them
     where the curve that it finds bends.
 
     Args:
