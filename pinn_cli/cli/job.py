@@ -207,11 +207,8 @@ def results_of(job: Job, problem: JointProblem, estimate: Estimate, **more: Any)
     from pinn_cli.training.calibrated_record import as_calibrated
 
     config, prepared = job.config, job.prepared
-    record, prescribed, truths = (
-        as_calibrated(prepared.record, estimate.by_record[0]),
-        prepared.prescribed,
-        prepared.truths,
-    )
+    record = as_calibrated(prepared.record, estimate.by_record[0])
+    prescribed, truths = prepared.prescribed, prepared.truths
     if estimate.structure is not None:
         prescribed = prescribed.in_basis_of(estimate.structure)
         truths = tuple(in_functions_of(truth, prepared.true, estimate.structure) for truth in truths)

@@ -390,9 +390,9 @@ class Structure:
         return replace(self, groups=groups)
 
     def shares_basis(self, other: Structure) -> bool:
-        """Whether another structure of the same model has the same coordinates, and its laws the same functions."""
-        laws = ([g.nonlinearity for g in side.groups if not g.damps_whole] for side in (self, other))
-        return self.mode_shapes is other.mode_shapes and all(x is y for x, y in zip(*laws, strict=True))
+        """Whether another structure of the same model has the same coordinates, and its curves the same functions."""
+        laws = zip((g.nonlinearity for g in self.groups), (g.nonlinearity for g in other.groups), strict=True)
+        return self.mode_shapes is other.mode_shapes and all(mine is theirs for mine, theirs in laws if mine.curves)
 
     def in_basis_of(self, other: Structure) -> Structure:
         """The same model, with these parameters, in the coordinates and with the functions that another of it has."""
@@ -400,8 +400,10 @@ class Structure:
         return moved.with_functions_of(other)
 
     def with_functions_of(self, other: Structure) -> Structure:
-        """The same model, with these parameters, with laws of the functions that another of it has."""
-        return self._with_laws([group.nonlinearity for group in other.groups])
+        """The same model, with these parameters, with curves of the functions that those of another of it have."""
+        others = [group.nonlinearity for group in other.groups]  # with damping of the whole behind, or without
+        laws = (group.nonlinearity for group in self.groups)
+        return self._with_laws([others[i] if law.curves else law for i, law in enumerate(laws)])
 
     def bending_at(self, parameters: Mapping[str, np.ndarray]) -> Structure:
         """The same with curves that nobody has a law for in functions that bend where they do at these parameters."""
