@@ -152,8 +152,9 @@ def carried_over(point: Point, coarse: NormalEquations, fine: NormalEquations) -
         n = len(turn)
         motion = torch.cat([motion[:, :n] @ turn.T, motion[:, n:]], 1)
     weights = FeatureProjection(fine.network, segments).coefficients(motion).to(motion)
-    values = {k: x.detach().cpu() for k, x in coarse.parameters(point).items()}
-    moved = replace(coarse.problem.structure, parameters=values).in_basis_of(fine.problem.structure).parameters
+    structure, values = coarse.problem.structure, coarse.parameters(point)  # and those of sensors
+    of_structure = {kind: values[kind].detach().cpu() for kind in structure.parameters}
+    moved = replace(structure, parameters=of_structure).in_basis_of(fine.problem.structure).parameters
     parameters = point.parameters.clone()
     for i, p in enumerate(fine.uncertain):
         if p.curve:
