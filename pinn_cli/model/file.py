@@ -261,13 +261,11 @@ def difference(structure: Structure, other: Structure) -> str:
     kinds, other_kinds = ([group.kinds for group in side.groups] for side in (structure, other))
     if structure.nonlinearity_name != other.nonlinearity_name or kinds != other_kinds:
         return f"{structure.nonlinearity_name} connections, not {other.nonlinearity_name}"
-    words, other_words = ([_group_words(group) for group in side.groups] for side in (structure, other))
-    # What nobody has said an estimate may choose.
-    for said, found in zip(words, other_words, strict=True):
-        found["settings"] = {name: found["settings"][name] for name, x in said["settings"].items() if x is not None}
-        said["settings"] = {name: x for name, x in said["settings"].items() if x is not None}
-    if words != other_words:
-        return f"{structure.nonlinearity_name} connections of other settings"
+    for said, found in zip(*(map(_group_words, side.groups) for side in (structure, other)), strict=True):
+        # What nobody has said an estimate may choose.
+        chosen = {name: None for name, value in said["settings"].items() if value is None}
+        if {**found, "settings": found["settings"] | chosen} != said:
+            return f"{structure.nonlinearity_name} connections of other settings"
     if structure.labels != other.labels:
         return "other names of connections"
     # Damping of the whole, which stands behind them, is in the modes of each.

@@ -100,11 +100,12 @@ class Spline(Nonlinearity):
 
     def bending_at(self, parameters: Mapping[str, np.ndarray]) -> Spline:
         """See :meth:`Nonlinearity.bending_at`: with other knots."""
-        moved = {k: self._curves[LETTERS[k]].bending_at(parameters) for k in self.spans}
-        if not any(moved.values()):
+        curves = {k: self._curves[LETTERS[k]] for k in self.spans}
+        knots = {k: curve.bending_at(parameters) for k, curve in curves.items()}
+        if all(knots[k] is curve.inner for k, curve in curves.items()):
             return self
-        knots = {k: x or self._curves[LETTERS[k]].given_knots for k, x in moved.items()}
-        return Spline(self.elongation, self.speed, self.terms, knots)
+        given = {k: curve.given(knots[k]) for k, curve in curves.items()}
+        return Spline(self.elongation, self.speed, self.terms, given)
 
     def terms_of(self, other: Nonlinearity, parameters: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
         """See :meth:`Nonlinearity.terms_of`: of the curves that come nearest over the span."""
@@ -138,6 +139,7 @@ class _Curve:
 
     Attributes:
         kinds: Of the terms.
+        inner: The knots.
         smaller: (terms,), how large each may be over the third, and at most as large as that.
     """
 
@@ -145,7 +147,7 @@ class _Curve:
         # Of so many functions of the knots, two and two more fall to what is asked of them.
         self.kinds = tuple(f"{letter}_{i}" for i in range(1, len(knots) + 1))
         low, high = span
-        self._middle, self._half, self._inner = (low + high) / 2.0, (high - low) / 2.0, knots
+        self._middle, self._half, self.inner = (low + high) / 2.0, (high - low) / 2.0, knots
         self._rest, self._near = -self._middle / self._half, near
         # A curve is straight from a knot beyond the span on, within which it ends in any bend.
         knots = self._knots = np.r_[2.0 * knots[0] - knots[1], knots, 2.0 * knots[-1] - knots[-2]]
@@ -183,8 +185,8 @@ class _Curve:
         between: Array = BETWEEN_KNOTS * apart * abs(bend)
         return between
 
-    def bending_at(self, parameters: Mapping[str, np.ndarray]) -> list[float]:
-        """Better knots, half of them where nobody would move them, half where the curve bends; empty: there are none.
+    def bending_at(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Better knots, half of them where nobody would move them, half where the curve bends; else :attr:`inner`.
 
         What lies between knots is as large everywhere where they are as dense as the root of the bend (de Boor, A
         Practical Guide to Splines, 1978, chapter 12); as dense as the bend itself they come together faster about a
@@ -192,24 +194,20 @@ class _Curve:
         """
         bend = abs(_beyond(OVER_SPAN, self._knots) @ (self._terms(parameters) @ self._made_of)[:, 2:].T).mean(-1)
         if not bend.any():
-            return []
+            return self.inner
         even = 1.0 / np.hypot(OVER_SPAN - self._rest, self._near)
         moved = [self._as_dense_as(even / even.sum() + x / x.sum()) for x in (np.sqrt(bend), bend)]
-        now, *then = (np.max(_distance(knots, OVER_SPAN) ** 2 * bend) for knots in (self._inner, *moved))
-        return self._given(moved[int(np.argmin(then))]) if min(then) < WORTH_MOVING * now else []
+        now, *then = (np.max(_distance(knots, OVER_SPAN) ** 2 * bend) for knots in (self.inner, *moved))
+        return moved[int(np.argmin(then))] if min(then) < WORTH_MOVING * now else self.inner
 
     def _as_dense_as(self, shares: np.ndarray) -> np.ndarray:
         """(terms,), of shares over the span, but nowhere denser than :data:`NEAREST`."""
         density = shares / np.trapezoid(shares, OVER_SPAN)
-        passed = np.cumsum(np.minimum(density, 1.0 / (NEAREST * len(self._inner))))
-        return np.interp(np.linspace(passed[0], passed[-1], len(self._inner)), passed, OVER_SPAN)
+        passed = np.cumsum(np.minimum(density, 1.0 / (NEAREST * len(self.inner))))
+        return np.interp(np.linspace(passed[0], passed[-1], len(self.inner)), passed, OVER_SPAN)
 
-    @property
-    def given_knots(self) -> list[float]:
-        """(terms,), m or m/s."""
-        return self._given(self._inner)
-
-    def _given(self, knots: np.ndarray) -> list[float]:
+    def given(self, knots: np.ndarray) -> list[float]:
+        """(terms,), m or m/s, of knots over a span that goes from -1 to 1."""
         given: list[float] = (self._middle + self._half * knots).tolist()
         return given
 

@@ -154,7 +154,7 @@ def carried_over(point: Point, coarse: NormalEquations, fine: NormalEquations) -
     weights = FeatureProjection(fine.network, segments).coefficients(motion).to(motion)
     structure, values = coarse.problem.structure, coarse.parameters(point)  # and those of sensors
     of_structure = {kind: values[kind].detach().cpu() for kind in structure.parameters}
-    moved = replace(structure, parameters=of_structure).in_basis_of(fine.problem.structure).parameters
+    moved = replace(structure, parameters=of_structure).with_functions_of(fine.problem.structure).parameters
     parameters = point.parameters.clone()
     for i, p in enumerate(fine.uncertain):
         if p.curve:

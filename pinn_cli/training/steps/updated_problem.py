@@ -96,8 +96,8 @@ def problem_in_own_modes(inference: Inference) -> JointProblem | None:
 
 def place_knots(inference: Inference) -> Inference | None:
     """The solution with knots where its curves bend that nobody has a law for; None where that is no more probable."""
-    first, known = inference.problem.first, inference.solver.known_parameters
-    if first.prior is not None or first.hand_over is not None or first.priors or known is not None:
+    first = inference.problem.first
+    if first.priors or not _chooses_its_basis(inference):
         return None
     structure = first.structure.bending_at(_values(inference))
     if structure.shares_basis(first.structure):
@@ -163,12 +163,15 @@ def refine_features(inference: Inference) -> Inference | None:
 def _present(inference: Inference) -> JointProblem:
     """The problem of a solution, with damping of the whole and coordinates in the modes of the structure there."""
     problem, values = inference.problem, _values(inference)
-    # A state that is handed over has its coordinates, and so have parameters that spectra determine.
-    first = problem.first
-    free = first.prior is None and first.hand_over is None and inference.solver.known_parameters is None
-    if free and FACTOR in values and not problem.structure.is_exact_at(values[FACTOR], SAME_FACTORS):
+    is_exact = FACTOR not in values or problem.structure.is_exact_at(values[FACTOR], SAME_FACTORS)
+    if not is_exact and _chooses_its_basis(inference):
         problem = problem.in_basis_of(problem.structure.reduced_at(values[FACTOR]))
     return problem.present(values)
+
+
+def _chooses_its_basis(inference: Inference) -> bool:
+    """A state that is handed over has its coordinates, and so have parameters that spectra or earlier records tell."""
+    return not inference.is_informed and inference.problem.first.hand_over is None
 
 
 def _values(inference: Inference) -> dict[str, np.ndarray]:
