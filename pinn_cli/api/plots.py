@@ -32,6 +32,7 @@ from pinn_cli.runs.resume import read_record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build, check_classes
 from pinn_cli.settings.yaml_file import read_yaml
+from pinn_cli.system.basis import with_functions_of
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS, GROUND
 from pinn_cli.system.structure import Structure
@@ -141,7 +142,7 @@ def stored_results(directory: Path) -> Results:
     truth = Truth(_response(data, "_true"), true.parameters_like(np.empty(0)) if simulated else None)
     if (directory / MODEL).is_file():
         solved = stored_model(directory, without=("end_", "misfit_", "draws")).structure
-        prescribed, truth = prescribed.with_functions_of(solved), in_functions_of(truth, true, solved)
+        prescribed, truth = with_functions_of(prescribed, solved), in_functions_of(truth, true, solved)
     name = str(run.get("baseline", {}).get("name", "none"))
     baseline = None
     if name != "none":

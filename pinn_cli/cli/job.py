@@ -204,13 +204,14 @@ def results_of(job: Job, problem: JointProblem, estimate: Estimate, **more: Any)
     The problem is the one that was solved, in the coordinates of its solution.
     """
     from pinn_cli.report.results import Results, checked_times, further_results, in_functions_of
+    from pinn_cli.system.basis import in_basis_of
     from pinn_cli.training.calibrated_record import as_calibrated
 
     config, prepared = job.config, job.prepared
     record = as_calibrated(prepared.record, estimate.by_record[0])
     prescribed, truths = prepared.prescribed, prepared.truths
     if estimate.structure is not None:
-        prescribed = prescribed.in_basis_of(estimate.structure)
+        prescribed = in_basis_of(prescribed, estimate.structure)
         truths = tuple(in_functions_of(truth, prepared.true, estimate.structure) for truth in truths)
     linear = None  # what the paper's figure of a linear model compares with
     if job.draws and config.source.simulated and config.model_error.name == "linear":

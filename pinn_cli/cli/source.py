@@ -195,6 +195,7 @@ def read_source(
     """
     from pinn_cli.record.simulated import Noise, check_size
     from pinn_cli.record.simulation import Simulation
+    from pinn_cli.system.basis import reduced_at
 
     if not _is_simulated(config):
         if model_error.name != "none":
@@ -209,7 +210,7 @@ def read_source(
     (data,) = data_of_records(config.data)
     simulated = build(data, "data", excitation=excitation, simulation=simulation, noise=noise)
     return Source(
-        lambda true: measured_by_name(partial(simulated.measure, true.reduced_at()), true.labels),
+        lambda true: measured_by_name(partial(simulated.measure, reduced_at(true)), true.labels),
         simulated=True,
         snr_db=noise.snr_db,
         windows=_windows_of(config, simulated, [], follows),

@@ -23,6 +23,7 @@ from pinn_cli.runs.resume import RESULT, read_record
 from pinn_cli.runs.writing import write_bytes
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import located
+from pinn_cli.system.basis import reduced_at
 from pinn_cli.system.building import law_called
 from pinn_cli.system.connection.nonlinearity import Nonlinearity
 from pinn_cli.system.connection_groups import ConnectionGroup
@@ -257,7 +258,7 @@ def difference(structure: Structure, other: Structure) -> str:
     if differs := other_dofs(structure, other):
         return differs
     if other.shapes.exact_at is not None:
-        structure = structure.reduced_at(other.shapes.exact_at)
+        structure = reduced_at(structure, other.shapes.exact_at)
     kinds, other_kinds = ([group.kinds for group in side.groups] for side in (structure, other))
     if structure.nonlinearity_name != other.nonlinearity_name or kinds != other_kinds:
         return f"{structure.nonlinearity_name} connections, not {other.nonlinearity_name}"

@@ -11,6 +11,7 @@ import pandas as pd
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_finite_number
+from pinn_cli.system.basis import with_functions_of
 from pinn_cli.training.calibrated_record import as_calibrated
 
 if TYPE_CHECKING:
@@ -132,7 +133,7 @@ def in_functions_of(truth: Truth, true: Structure, structure: Structure) -> Trut
     """The truth with terms of curves as those of the functions that the structure of an estimate has."""
     if truth.parameters is None or set(truth.parameters) != set(structure.parameters):
         return truth
-    return replace(truth, parameters=true.with_functions_of(structure).parameters_like(np.empty(0)))
+    return replace(truth, parameters=with_functions_of(true, structure).parameters_like(np.empty(0)))
 
 
 def further_results(first: Results, problems: Sequence[Problem], truths: Sequence[Truth]) -> tuple[Results, ...]:

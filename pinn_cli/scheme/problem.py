@@ -18,6 +18,7 @@ from pinn_cli.record.channels import motion_amplitudes, record_band
 from pinn_cli.record.record import Record
 from pinn_cli.record.steps import has_stiff_law
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.basis import in_basis_of, shares_basis, term_size
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import FLAT, Inputs
 from pinn_cli.system.parameters import Parameter
@@ -134,11 +135,11 @@ class Problem:
 
         A term may then be as large as its function is smooth.
         """
-        if structure.shares_basis(self.structure):
+        if shares_basis(structure, self.structure):
             return self
-        before, structure = self.structure, self.structure.in_basis_of(structure)
+        before, structure = self.structure, in_basis_of(self.structure, structure)
         held = {p: float(structure.parameters[p.kind][p.index]) for p in structure.every_parameter()}
-        widened = {p: structure.term_size(p) / before.term_size(p) for p in held if p.curve}
+        widened = {p: term_size(structure, p) / term_size(before, p) for p in held if p.curve}
         moved = tuple(
             replace(p, prescribed=held.get(p, p.prescribed), prior_std=p.prior_std * widened.get(p, 1.0))
             for p in self.uncertain

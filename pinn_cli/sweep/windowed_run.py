@@ -31,6 +31,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.scheme import Scheme
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.sweep.window_store import RESPONSE, Piece, WindowStore, join_responses, joined_fitness, stack_tables
+from pinn_cli.system.basis import in_basis_of
 from pinn_cli.system.quantities import CALIBRATION_UNITS, HIGH_PASS, OF_ONE_CHANNEL
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.calibrated_record import as_calibrated
@@ -109,7 +110,7 @@ class WindowSolver:
         prescribed, observed = self.prescribed, observed_digest([problem.alone.record])
         if estimate.structure is not None:
             problem = problem.in_basis_of(estimate.structure)
-            prescribed = prescribed.in_basis_of(estimate.structure)
+            prescribed = in_basis_of(prescribed, estimate.structure)
         record = as_calibrated(problem.alone.record, estimate)
         solved = replace(problem.alone, record=record)
         results = Results(

@@ -18,7 +18,7 @@ from pinn_cli.system.connection.nonlinearity import Hysteresis, Nonlinearity
 from pinn_cli.system.connection_groups import ConnectionGroup, GroupPart, Linearisation, carriers, group_parts, slopes
 from pinn_cli.system.damping import StructuralDamping
 from pinn_cli.system.incidence import Incidence, Pairs
-from pinn_cli.system.parameters import FACTOR, LINEAR_TITLES, LINEAR_UNITS, MASS, Labels, Parameter
+from pinn_cli.system.parameters import LINEAR_TITLES, LINEAR_UNITS, MASS, Labels, Parameter
 from pinn_cli.system.shapes import OfMasses, Shapes
 
 
@@ -170,11 +170,6 @@ class Structure:
         for kind, values in self.parameters.items():
             for index in range(len(values)):
                 yield self.parameter(kind, index)
-
-    def term_size(self, parameter: Parameter) -> float:
-        """How large a term of a curve that nobody has a law for may be, over that of the smoothest function."""
-        law = self.laws[self.members[parameter.kind][parameter.index]]
-        return law.starts(1.0, 1.0)[parameter.kind][-1]
 
     def ends(self, parameter: Parameter) -> np.ndarray:
         """The coordinates, counted from 0, whose equations of motion contain a parameter."""
@@ -389,74 +384,6 @@ class Structure:
         )
         return replace(self, groups=groups)
 
-    def shares_basis(self, other: Structure) -> bool:
-        """Whether another structure of the same model has the same coordinates, and its curves the same functions."""
-        laws = zip((g.nonlinearity for g in self.groups), (g.nonlinearity for g in other.groups), strict=True)
-        return self.mode_shapes is other.mode_shapes and all(mine is theirs for mine, theirs in laws if mine.curves)
-
-    def in_basis_of(self, other: Structure) -> Structure:
-        """The same model, with these parameters, in the coordinates and with the functions that another of it has."""
-        moved = self if self.mode_shapes is other.mode_shapes else self._in_coordinates_of(other)
-        return moved.with_functions_of(other)
-
-    def with_functions_of(self, other: Structure) -> Structure:
-        """The same model, with these parameters, with curves of the functions that those of another of it have."""
-        others = [group.nonlinearity for group in other.groups]  # with damping of the whole behind, or without
-        laws = (group.nonlinearity for group in self.groups)
-        return self._with_laws([others[i] if law.curves else law for i, law in enumerate(laws)])
-
-    def bending_at(self, parameters: Mapping[str, np.ndarray]) -> Structure:
-        """The same with curves that nobody has a law for in functions that bend where they do at these parameters."""
-        groups = zip(self.groups, self.parts, strict=True)
-        return self._with_laws([group.nonlinearity.bending_at(part.of_group(parameters)) for group, part in groups])
-
-    def _in_coordinates_of(self, other: Structure) -> Structure:
-        """Of finite elements, in the coordinates of another reduction of it, with laws of the same functions as before.
-
-        What springs and dampers of the coordinates were beside those that the model gives them, they are again.
-        """
-        values, springs = dict(self.parameters), self.groups[0].incidence.shape[0]
-        for kind in ("c", "k"):
-            given, made = (
-                now if structure.reduction is None else structure.reduction.structure.parameters[kind][:springs]
-                for structure, now in ((self, values[kind][:springs]), (other, other.parameters[kind][:springs]))
-            )
-            now = values[kind][:springs]
-            kept = torch.where(given.isfinite() & (given != 0), made * now / given, now)
-            values[kind] = torch.cat([kept, values[kind][springs:]])
-        connections, others = ([g for g in side.groups if not g.damps_whole] for side in (self, other))
-        pairs, damping = zip(connections, others, strict=True), (g for g in self.groups if g.damps_whole)
-        return replace(
-            self,
-            parameters=values,
-            groups=(*(replace(new, nonlinearity=mine.nonlinearity) for mine, new in pairs), *damping),
-            labels=replace(self.labels, connections=other.labels.connections),
-            influence=other.influence,
-            mode_shapes=other.mode_shapes,
-            reduction=other.reduction,
-        ).present()
-
-    def reduced_at(self, factors: np.ndarray | None = None) -> Structure:
-        """The same in coordinates that are exact where parts of a finite-element model have some factors (P,).
-
-        None are its own. It is as it was where the model is not at hand, or is no structure there.
-        """
-        if self.reduction is None:
-            return self
-        at = self.parameters_like(np.empty(0))[FACTOR] if factors is None else factors
-        if not (at > 0).all():
-            return self
-        other = self.reduction.at(at)
-        fits = [group.incidence.shape[0] for group in (self.groups[0], other.groups[0])]
-        return self._in_coordinates_of(other) if fits[0] == fits[1] else self
-
-    def is_exact_at(self, factors: np.ndarray, tolerance: float) -> bool:
-        """Whether its coordinates are exact within a relative tolerance of factors (P,), or there are no others."""
-        if self.reduction is None:
-            return True
-        at = self.shapes.exact_at
-        return at is not None and bool(np.all(np.abs(factors / at - 1.0) <= tolerance))
-
     def with_values(self, values: Mapping[Parameter, float]) -> Structure:
         """The same structure with single parameters at other values, all of them float64 on the CPU."""
         tensors = {kind: given.detach().cpu().double().clone() for kind, given in self.parameters.items()}
@@ -466,13 +393,14 @@ class Structure:
 
     def turning_over(self, speed: float) -> Structure:
         """The same with contacts that creep below a speed (m/s) where they stick; its parameters are shared."""
-        return self._with_laws([group.nonlinearity.turning_over(speed) for group in self.groups])
+        return self.with_laws([group.nonlinearity.turning_over(speed) for group in self.groups])
 
     def moving_by(self, elongation: float) -> Structure:
         """The same with laws whose states are counted at the size of a motion, m; its parameters are shared."""
-        return self._with_laws([group.nonlinearity.moving_by(elongation) for group in self.groups])
+        return self.with_laws([group.nonlinearity.moving_by(elongation) for group in self.groups])
 
-    def _with_laws(self, laws: Sequence[Nonlinearity]) -> Structure:
+    def with_laws(self, laws: Sequence[Nonlinearity]) -> Structure:
+        """The same with other laws of every group: terms of curves are those with which they do what they did."""
         if all(law is group.nonlinearity for law, group in zip(laws, self.groups, strict=True)):
             return self
         groups = (replace(group, nonlinearity=law) for law, group in zip(laws, self.groups, strict=True))

@@ -19,6 +19,7 @@ from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
+from pinn_cli.system.basis import shares_basis
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.estimator import Training, built
 from pinn_cli.training.function_space.training import MOST_RESIDUALS, solved_in_function_space
@@ -103,7 +104,7 @@ class GaussNewton(Training):
             "narrowed_by_refinement": inference.narrowed, "at_marginal_peak": inference.at_marginal_peak,
         }  # fmt: skip
         estimate = replace(estimate, summary=summary, rivals=inference.rivals, handed_over=handed)
-        if not inference.evidence.problem.structure.shares_basis(problem.structure):
+        if not shares_basis(inference.evidence.problem.structure, problem.structure):
             estimate = replace(estimate, structure=inference.evidence.problem.structure)
         estimate = with_stories(inference, estimate)
         if not problem.priors:

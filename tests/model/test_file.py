@@ -16,6 +16,7 @@ from structures import braced, hysteretic, modal, shuffled
 
 from pinn_cli.model.file import NAME, difference, read_model, structure_content, structure_of, write_model
 from pinn_cli.model.knowledge import MOST_KEPT, DiscrepancyEvidence, EndState, Levels, Misfit, Model, ParameterKnowledge
+from pinn_cli.system.basis import bending_at, reduced_at, shares_basis
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.connection.friction import Friction
@@ -148,8 +149,8 @@ def curved() -> Structure:
     law = Spline(elongation=(-0.5, 1.0), speed=2.0, terms=5)
     terms = {kind: np.linspace(1.0, -1.0, 2) / (1 + i) for i, kind in enumerate(law.parameters)}
     structure = build_chain(2, law, m=1.0, c=0.1, k=10.0, **{kind: x.tolist() for kind, x in terms.items()})
-    moved = structure.bending_at(structure.parameters_like(np.empty(0)))
-    assert not moved.shares_basis(structure)
+    moved = bending_at(structure, structure.parameters_like(np.empty(0)))
+    assert not shares_basis(moved, structure)
     return moved
 
 
@@ -195,7 +196,7 @@ def test_parts_of_a_finite_element_model(tmp_path):
     np.testing.assert_array_equal(copy.restoring_force(u, u), structure.restoring_force(u, u))
     assert copy.parameter("factor", 0).name == "factor_base"
     # A run reduces it anew at the factors that it finds; whoever has its matrices has the same structure.
-    found = again(structure.reduced_at())
+    found = again(reduced_at(structure))
     assert not np.allclose(found.shapes.matrix, structure.shapes.matrix, rtol=1e-6)
     assert difference(structure.with_parameters(factor=torch.ones(1, dtype=torch.float64)), found) == ""
     assert difference(copy, found) == "other connections"

@@ -10,6 +10,7 @@ import torch
 from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.spectrum import periodogram, pieces
+from pinn_cli.system.basis import with_functions_of
 from pinn_cli.system.parameters import FACTOR
 from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import FeatureProjection
@@ -154,7 +155,7 @@ def carried_over(point: Point, coarse: NormalEquations, fine: NormalEquations) -
     weights = FeatureProjection(fine.network, segments).coefficients(motion).to(motion)
     structure, values = coarse.problem.structure, coarse.parameters(point)  # and those of sensors
     of_structure = {kind: values[kind].detach().cpu() for kind in structure.parameters}
-    moved = replace(structure, parameters=of_structure).with_functions_of(fine.problem.structure).parameters
+    moved = with_functions_of(replace(structure, parameters=of_structure), fine.problem.structure).parameters
     parameters = point.parameters.clone()
     for i, p in enumerate(fine.uncertain):
         if p.curve:

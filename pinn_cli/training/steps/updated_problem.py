@@ -16,6 +16,7 @@ import torch
 from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import TurningPoints
+from pinn_cli.system.basis import bending_at, is_exact_at, reduced_at, shares_basis
 from pinn_cli.system.parameters import FACTOR
 from pinn_cli.training.evidence import Trained
 from pinn_cli.training.minimise import Point
@@ -90,7 +91,7 @@ def update_modes(inference: Inference) -> Inference | None:
 def problem_in_own_modes(inference: Inference) -> JointProblem | None:
     """The problem in the modes at a solution's parameters; None where they are those that it has."""
     before, problem = inference.problem.structure, _present(inference)
-    moved = not problem.structure.shares_basis(before) or problem.structure.damping_change(before) > SAME_MODES
+    moved = not shares_basis(problem.structure, before) or problem.structure.damping_change(before) > SAME_MODES
     return problem if moved else None
 
 
@@ -99,8 +100,8 @@ def place_knots(inference: Inference) -> Inference | None:
     first = inference.problem.first
     if first.priors or not _chooses_its_basis(inference):
         return None
-    structure = first.structure.bending_at(_values(inference))
-    if structure.shares_basis(first.structure):
+    structure = bending_at(first.structure, _values(inference))
+    if shares_basis(structure, first.structure):
         return None
     again = _carried_to(inference, inference.problem.in_basis_of(structure), inference.solver)
     return again if again is not None and _gains(again.trained, inference.trained) else None
@@ -163,9 +164,9 @@ def refine_features(inference: Inference) -> Inference | None:
 def _present(inference: Inference) -> JointProblem:
     """The problem of a solution, with damping of the whole and coordinates in the modes of the structure there."""
     problem, values = inference.problem, _values(inference)
-    is_exact = FACTOR not in values or problem.structure.is_exact_at(values[FACTOR], SAME_FACTORS)
+    is_exact = FACTOR not in values or is_exact_at(problem.structure, values[FACTOR], SAME_FACTORS)
     if not is_exact and _chooses_its_basis(inference):
-        problem = problem.in_basis_of(problem.structure.reduced_at(values[FACTOR]))
+        problem = problem.in_basis_of(reduced_at(problem.structure, values[FACTOR]))
     return problem.present(values)
 
 
