@@ -31,8 +31,8 @@ STARTING_RATIO = 0.02
 ABOVE_FLOOR = 10.0
 # How far one start and width may take a parameter, as a logarithm.
 FARTHEST = np.log(20.0)
-# Evaluations of the misfit for one start and width, at most.
-START_EVALUATIONS = 30
+# Evaluations of the misfit for one start and width, at most, and for those that lead to a solution.
+START_EVALUATIONS, LAST_EVALUATIONS = 30, 300
 
 
 def what_acts(record: Record) -> list[Channel] | None:
@@ -282,8 +282,8 @@ class JointFit:
         """See :class:`pinn_cli.scheme.screening.Candidate`."""
         return self.doubts.calibration(x[self.structure.count :])
 
-    def fitted(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        """The misfit and the unknowns at the bottom of the valley that x lies in."""
+    def fitted(self, x: np.ndarray, most: int) -> tuple[float, np.ndarray]:
+        """The misfit and the unknowns at the bottom of the valley that x lies in, or so many evaluations nearer."""
         if not len(x):
             return self.misfit(x), x
 
@@ -294,7 +294,7 @@ class JointFit:
             return real_rows(np.concatenate([fit.slopes(x).reshape(-1, len(x)) for fit in self.fits]))
 
         bounds = (x - FARTHEST, x + FARTHEST)
-        solution = least_squares(residual, x, jacobian, bounds, loss="soft_l1", f_scale=0.3, max_nfev=START_EVALUATIONS)
+        solution = least_squares(residual, x, jacobian, bounds, loss="soft_l1", f_scale=0.3, max_nfev=most)
         return self.misfit(solution.x), solution.x
 
 

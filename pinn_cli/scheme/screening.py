@@ -19,7 +19,16 @@ import numpy as np
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import doubts_of
-from pinn_cli.scheme.linear_fit import ABOVE_FLOOR, WIDTHS, JointFit, LinearFit, LinearStructure, what_acts
+from pinn_cli.scheme.linear_fit import (
+    ABOVE_FLOOR,
+    LAST_EVALUATIONS,
+    START_EVALUATIONS,
+    WIDTHS,
+    JointFit,
+    LinearFit,
+    LinearStructure,
+    what_acts,
+)
 from pinn_cli.system.frequency_response import Acting
 from pinn_cli.system.modes import RIGID
 from pinn_cli.system.structure import Structure
@@ -34,6 +43,8 @@ SURVIVORS = (6, 4, 3)
 # either way, and so many times all of them at random, with this standard deviation of their logarithms.
 SCATTERED = (60, 8)
 ONE_OFF, ALL_OFF, AT_RANDOM = np.log(2.5), 0.7, 12
+# Ends with so many times the least misfit are worth a start.
+RIVAL = 2.0
 # Times as large must a misfit be with a mass or a spring off by that factor that the record tells.
 TOLD = 1.1
 # Common factors on the stiffnesses that are tried per decade.
@@ -167,17 +178,20 @@ def nearest(
     widths: Sequence[float] = WIDTHS,
 ) -> list[Candidate]:
     """The structures at which starts end, the best first; so many go on to each width of the smoothing."""
-    ends: list[tuple[float, np.ndarray]] = []
+    ends, sharpest = list[tuple[float, np.ndarray]](), widths[0]
     for width, most in zip(widths, survivors, strict=False):
         model.smooth(width)
         starts = [model.aligned(x) for x in starts] if width == WIDTHS[0] else starts
         ranked = sorted((model.misfit(x), i) for i, x in enumerate(starts))
         starts = [starts[i] for _, i in ranked[:most]]
-        nearer = _distinct(model.fitted(x) for x in starts)
+        nearer = _distinct(model.fitted(x, START_EVALUATIONS) for x in starts)
         if ends and ends[0][0] < MUCH and nearer[0][0] > NEARLY_NOTHING:
-            break  # resonances that move with the amplitude have no such sharp picture
-        ends, starts = nearer, [x for _, x in nearer]
-    return _candidates(model, ends)
+            model.smooth(sharpest)  # resonances that move with the amplitude have no sharper picture
+            break
+        ends, starts, sharpest = nearer, [x for _, x in nearer], width
+    # Valleys that are long and flat, as noise makes them, have their bottoms far from where evaluations run out.
+    worth = [(misfit, x) for misfit, x in ends if misfit <= RIVAL * ends[0][0]]
+    return _candidates(model, [*(model.fitted(x, LAST_EVALUATIONS) for _, x in worth), *ends[len(worth) :]])
 
 
 def grid_of_starts(model: JointFit, records: Sequence[Record], guess: Mapping[str, np.ndarray]) -> list[np.ndarray]:

@@ -21,7 +21,16 @@ from pinn_cli.record.cross_spectra import CrossSpectra, misses_samples
 from pinn_cli.record.free_run import NoFreeRunError, affordable, free_run, is_linear
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.linear_fit import ABOVE_FLOOR, STARTING_RATIO, WIDTHS, last_ends, lines_in_band
-from pinn_cli.scheme.screening import HOPELESS, MUCH, NEARLY_NOTHING, SAME_START, Candidate, Screening, common_factors
+from pinn_cli.scheme.screening import (
+    HOPELESS,
+    MUCH,
+    NEARLY_NOTHING,
+    RIVAL,
+    SAME_START,
+    Candidate,
+    Screening,
+    common_factors,
+)
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.system.damping import of_ratio
@@ -35,22 +44,22 @@ RATIOS = 1e-3, 0.3
 # Where no linear chain comes near, free runs take so many common factors on the springs in a decade, in so many decades
 # either way.
 FREE_RUNS, DECADES_OFF = 4, 2.0
-# Candidates with so many times the least misfit are worth a start, so many at most.
-RIVAL, MOST_RIVALS = 2.0, 3
+# Candidates that are worth a start, at most.
+MOST_RIVALS = 3
 
 
-def parameter_scales(structure: Structure, records: Sequence[Record]) -> dict[str, float]:
-    """Kind of parameter to the value with which it alone would carry the force that acts, at the motion that there is.
+def parameter_scales(structure: Structure, records: Sequence[Record]) -> dict[str, np.ndarray]:
+    """Kind of parameter to the values with which each alone would carry the force that acts, at the motion that is.
 
     With F, U, V, A the root mean squares of force, displacement, velocity and acceleration: m is F / A, c is F / V, k
     is F / U, and a nonlinear parameter is F over the force that a value of one makes at (U, V). Only orders of
     magnitude: an elongation is not a displacement. Of several records the median counts.
     """
     by_record = [_scales(structure, record) for record in records]
-    return {kind: float(np.median([scales[kind] for scales in by_record])) for kind in by_record[0]}
+    return {kind: np.median([scales[kind] for scales in by_record], axis=0) for kind in by_record[0]}
 
 
-def _scales(structure: Structure, record: Record) -> dict[str, float]:
+def _scales(structure: Structure, record: Record) -> dict[str, np.ndarray]:
     size = motion_amplitudes(record)
     measured = record.force[:, record.sensors("force")]
     force = float(np.sqrt(np.mean(measured**2))) if measured.size else 0.0
@@ -58,10 +67,10 @@ def _scales(structure: Structure, record: Record) -> dict[str, float]:
     known_masses = masses[np.isfinite(masses) & (masses > 0)]
     if not force > 0:  # that of the masses; where nobody knows those either, of one kilogram
         force = size["acceleration"] * (float(np.median(known_masses)) if known_masses.size else 1.0)
-    scales = {"m": force / size["acceleration"]}
+    scales = {"m": np.full(len(masses), force / size["acceleration"])}
+    # Laws may call parameters of other units by one letter: each has a scale of its own.
     for kind, alone in unit_forces(structure, size["displacement"], size["velocity"]).items():
-        per_unit = float(alone.max())
-        scales[kind] = force / per_unit if per_unit > 0 else 1.0
+        scales[kind] = np.where(alone > 0, force / np.where(alone > 0, alone, 1.0), 1.0)
     return scales
 
 
@@ -247,7 +256,7 @@ class Starts:
         out, springs = {}, unit_forces(prescribed, size, 0.0)
         # A start that is decades below the others is poorly told: its own value would be a prior that shuts the truth
         # out. Where there is no spring at all the force tells what one would be like.
-        typical = {kind: _median_size(linear[kind], scales[kind]) for kind in (MASS, "k")}
+        typical = {kind: _median_size(linear[kind], float(np.median(scales[kind]))) for kind in (MASS, "k")}
         usual = np.full(len(linear["k"]), typical["k"])
         if prescribed.is_modal:
             usual = _stiffness_between_ends(prescribed)
@@ -256,7 +265,7 @@ class Starts:
         mass = linear["m"][last_ends(stretch.toarray())]
         damping = STARTING_RATIO * 2.0 * np.sqrt(mass * np.maximum(np.abs(linear["k"]), usual))
         # A damper is compared with the spring beside it, and one without a spring with the force.
-        damping = np.where(linear["k"] == 0, np.maximum(damping, scales["c"]), damping)
+        damping = np.where(linear["k"] == 0, np.maximum(damping, np.median(scales["c"])), damping)
         ratio = float(np.clip(linear.get("loss", np.array([2.0 * STARTING_RATIO]))[0] / 2.0, *RATIOS))
         of_whole = of_ratio(ratio, linear["m"], stretch, linear["k"]) if prescribed.is_damped_as_whole else {}
         for parameter in unknown:
@@ -287,7 +296,7 @@ class Starts:
                 # A spring as strong as the linear one beside it, at the motion that there is.
                 stiffness = max(float(abs(linear["k"][connection])), float(usual[connection]))
                 per_unit = springs[kind][index]
-                scale = stiffness * size / per_unit if per_unit > 0 else scales[kind]
+                scale = stiffness * size / per_unit if per_unit > 0 else float(scales[kind][index])
                 out[parameter] = Start(value, max(abs(value), scale))
         return out
 

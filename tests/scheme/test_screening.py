@@ -71,6 +71,15 @@ def test_what_is_unknown_comes_out_from_a_guess_a_decade_off(unknown, factors, s
             assert unknown != kind or min(apart, default=1.0) > 0.02
 
 
+def test_the_best_lies_at_the_bottom_of_its_valley():
+    """Noise makes valleys long and flat: a start half-way down one led to a wrong structure whose model held."""
+    screening = Screening(CHAIN, [storeys("displacement", (3,), 5.0)], known("k", "c"), guess(k=0.1))
+    best, *_ = screening.candidates()
+    assert screening.model is not None
+    _, bottom = screening.model.fitted(best.unknowns, most=1000)
+    np.testing.assert_allclose(bottom, best.unknowns, atol=0.01)
+
+
 def test_starts_about_a_structure_that_fits_by_chance_find_the_right_one():
     """The wrong one makes almost what a single sensor saw; the right one lies beyond a hill."""
     wrong = Candidate({}, 1.0, unknowns=np.log(K * np.array([2.0, 0.4, 1.5])))

@@ -138,6 +138,23 @@ def test_without_a_spring_the_force_says_how_large_damping_and_friction_may_be(m
     assert (unknown["c"].prior_std, unknown["F_c"].prior_std) == (10 * unknown["c"].scale, 10 * unknown["F_c"].scale)
 
 
+def test_laws_that_call_parameters_by_one_letter_have_a_size_each(made):
+    """The larger of two was that of both: N s/m beside N (s/m)^3 shut a Van der Pol damper out."""
+    laws = {"k": 1e6, "c": 1e3, "mu": None}
+    connections = {
+        "s1": {"weights": {"x": 1.0}, "law": "van_der_pol", **laws},
+        "s2": {"weights": {"x": 1.0}, "law": "power_damping", "exponent": 3.0, **laws},
+    }
+    structure = build_structure(["x"], {"x": 2000.0}, connections)
+    one = slice(2, 3)
+    columns = {q: getattr(made.record, q)[:, one] for q in ("displacement", "velocity", "acceleration", "force")}
+    record = Record(made.record.time, **columns, unforced=np.zeros(1, bool))
+    size, force = motion_amplitudes(record), record.force.std()
+    rate = size["velocity"]
+    sizes = starting.parameter_scales(structure, [record])["mu"]
+    np.testing.assert_allclose(sizes, force / np.array([rate * (1.0 - size["displacement"] ** 2), rate**3]), rtol=0.01)
+
+
 def test_priors_are_as_wide_as_the_start_is_large_and_as_starts_of_its_kind_are(made):
     """A start decades too low would shut the truth out, were its prior as narrow as that."""
     unknown = [p for p in posed(made, 1.0, prior_width=7.0, starts=1).alone.uncertain if p.unknown]
