@@ -33,11 +33,13 @@ class JointProblem:
         by_record: Of every record. Each has its own sensors, length, noise, initial motion and inputs.
         other_starts: The same from other starts of the unknown parameters, for a training that can compare solutions.
         elsewhere: Makes the same from further starts, for where none of those leads to a model that holds.
+        compared: So many of the starts are compared even if the model holds from the first of them.
     """
 
     by_record: tuple[Problem, ...]
     other_starts: tuple[JointProblem, ...] = ()
     elsewhere: Callable[[], tuple[JointProblem, ...]] = tuple
+    compared: int = 1
 
     @classmethod
     def of(cls, *problems: Problem) -> JointProblem:
@@ -159,7 +161,7 @@ class JointProblem:
             return tuple(joint.changed(how, *by_record) for joint in problems)
 
         changed = tuple(starmap(how, zip(self.by_record, *by_record, strict=True)))
-        return JointProblem(changed, all_of(self.other_starts), lambda: all_of(self.elsewhere()))
+        return JointProblem(changed, all_of(self.other_starts), lambda: all_of(self.elsewhere()), self.compared)
 
     @property
     def priors(self) -> tuple[Prior, ...]:

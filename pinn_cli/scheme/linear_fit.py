@@ -32,7 +32,7 @@ ABOVE_FLOOR = 10.0
 # How far one start and width may take a parameter, as a logarithm.
 FARTHEST = np.log(20.0)
 # Evaluations of the misfit for one start and width, at most, and for those that lead to a solution.
-START_EVALUATIONS, LAST_EVALUATIONS = 30, 300
+START_EVALUATIONS, LAST_EVALUATIONS = 30, 100
 
 
 def what_acts(record: Record) -> list[Channel] | None:
@@ -282,6 +282,10 @@ class JointFit:
         """See :class:`pinn_cli.scheme.screening.Candidate`."""
         return self.doubts.calibration(x[self.structure.count :])
 
+    def slopes(self, x: np.ndarray) -> np.ndarray:
+        """(R, p), of all residuals by the unknowns, as real rows."""
+        return real_rows(np.concatenate([fit.slopes(x).reshape(-1, len(x)) for fit in self.fits]))
+
     def fitted(self, x: np.ndarray, most: int) -> tuple[float, np.ndarray]:
         """The misfit and the unknowns at the bottom of the valley that x lies in, or so many evaluations nearer."""
         if not len(x):
@@ -290,11 +294,8 @@ class JointFit:
         def residual(x: np.ndarray) -> np.ndarray:
             return real_rows(np.concatenate([fit.residual(x).reshape(-1) for fit in self.fits]))
 
-        def jacobian(x: np.ndarray) -> np.ndarray:
-            return real_rows(np.concatenate([fit.slopes(x).reshape(-1, len(x)) for fit in self.fits]))
-
         bounds = (x - FARTHEST, x + FARTHEST)
-        solution = least_squares(residual, x, jacobian, bounds, loss="soft_l1", f_scale=0.3, max_nfev=most)
+        solution = least_squares(residual, x, self.slopes, bounds, loss="soft_l1", f_scale=0.3, max_nfev=most)
         return self.misfit(solution.x), solution.x
 
 

@@ -45,6 +45,8 @@ SCATTERED = (60, 8)
 ONE_OFF, ALL_OFF, AT_RANDOM = np.log(2.5), 0.7, 12
 # Ends with so many times the least misfit are worth a start.
 RIVAL = 2.0
+# Directions that are told least, along which others are looked for.
+LEAST_TOLD = 3
 # Times as large must a misfit be with a mass or a spring off by that factor that the record tells.
 TOLD = 1.1
 # Common factors on the stiffnesses that are tried per decade.
@@ -147,13 +149,18 @@ class Screening:
     def candidates(self) -> list[Candidate]:
         """The best first; none where nothing is unknown.
 
-        Where those in the ratios of the guess lead to none that explains much, what stands on the ground may be softer.
+        Noise makes several valleys of one: beside the best, others lie along what the record tells least. Where those
+        in the ratios of the guess lead to none that explains much, what stands on the ground may be softer.
         """
         if self.model is None:
             return []
         found = nearest(self.model, grid_of_starts(self.model, self.records, self.guess))
-        if found[0].misfit < MUCH or not self.is_driven:
+        if not self.is_driven:
             return found
+        if found[0].misfit < MUCH:
+            beside = _least_told(self.model, found[0].unknowns)
+            ends = [self.model.fitted(x, LAST_EVALUATIONS) for x in beside]
+            return _candidates(self.model, [*((one.misfit, one.unknowns) for one in found), *ends])
         self.model.smooth(WIDTHS[0])
         softer = np.where(self.model.structure.stretch.sum(axis=1) != 0.0, SOFTER_BELOW, 1.0)
         starts = grid_of_starts(self.model, self.records, {**self.guess, "k": self.guess["k"] / softer})
@@ -169,6 +176,19 @@ class Screening:
             return []
         alike, scattered = _alike(self.model, best, self.guess), _scattered(self.model.structure, best)
         return [alike, *nearest(self.model, scattered, SCATTERED, WIDTHS[1:])]
+
+
+def _least_told(model: JointFit, x: np.ndarray) -> list[np.ndarray]:
+    """Starts to either side of x along masses and springs of which the record tells least, whatever else follows."""
+    count = sum(len(model.structure.free[kind]) for kind in ("m", "k"))
+    slopes, others = np.hsplit(model.slopes(x), [count])
+    if others.shape[1]:
+        slopes = slopes - others @ np.linalg.lstsq(others, slopes, rcond=None)[0]
+    _, directions = np.linalg.eigh(slopes.T @ slopes)
+    along = np.zeros((min(LEAST_TOLD, count), len(x)))
+    along[:, :count] = directions.T[: len(along)]
+    along *= ONE_OFF / np.abs(along).max(axis=1, keepdims=True)
+    return [x + sign * step for step in along for sign in (1.0, -1.0)]
 
 
 def nearest(

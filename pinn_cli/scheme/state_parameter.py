@@ -136,7 +136,7 @@ class StateParameter(EstimationScheme):
         starts = Starts(prescribed, records, chosen, given, self.starts)
         first, *others = map(posed, starts)
         elsewhere = cache(lambda: tuple(map(posed, starts.elsewhere())))
-        return replace(first, other_starts=tuple(others), elsewhere=elsewhere)
+        return replace(first, other_starts=tuple(others), elsewhere=elsewhere, compared=starts.compared)
 
     def _chosen(self, prescribed: Structure, records: Sequence[Record]) -> list[Parameter]:
         return unknown_parameters(prescribed, records, self.unknown, self.unknown_force == FREE)

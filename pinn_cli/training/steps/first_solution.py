@@ -126,8 +126,9 @@ def _from_the_starts(
 ) -> tuple[Inference, float]:
     """Of the solutions from all starts, up to the first whose model holds, the most probable one, and the force, N.
 
-    Where none does, one from starts elsewhere whose model does, if there is one that is more probable. Of 138 random
-    structures whose model held from one start, none had another solution from a later one.
+    Those that come as near to the spectra as the first are all compared: of two displacements with 15 dB of noise one
+    with a spring 89 % off explained the record, and the truth was exp(40) times as probable. Where no model holds, one
+    from starts elsewhere whose model does, if there is one that is more probable.
 
     Raises:
         DivergenceError: None could be solved.
@@ -135,9 +136,9 @@ def _from_the_starts(
     paths: list[Path] = []
     failures: list[DivergenceError] = []
     solve, solutions = partial(_solution, solver, networks, paths, failures), list[tuple[Inference, float]]()
-    for solution in filter(None, map(solve, problem.starts)):
-        solutions.append(solution)
-        if _holds(solution):
+    for number, start in enumerate(problem.starts, 1):
+        solutions += filter(None, [solve(start)])
+        if number >= problem.compared and any(map(_holds, solutions)):
             break
     if not solutions:
         raise failures[-1] if failures else DivergenceError("there is no start")
