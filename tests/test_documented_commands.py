@@ -149,6 +149,8 @@ def test_a_documented_command_runs(line: str, files: Path, pinn_run: PinnRun) ->
     shutil.copytree(files, Path.cwd(), dirs_exist_ok=True)
     # Of a map on the command line the keys are added anyway.
     job = [override.removeprefix("++") for override in first_job([override for override in overrides if override])]
+    for made in (o.removeprefix("hydra.run.dir=") for o in job if o.startswith("hydra.run.dir=")):
+        shutil.rmtree(made, ignore_errors=True)  # for other commands it is there already
     outcome = pinn_run(*options, *job).done()
     assert outcome.directory.is_dir()
 
