@@ -45,8 +45,9 @@ SCATTERED = (60, 8)
 ONE_OFF, ALL_OFF, AT_RANDOM = np.log(2.5), 0.7, 12
 # Ends with so many times the least misfit are worth a start.
 RIVAL = 2.0
-# Directions that are told least, along which others are looked for.
-LEAST_TOLD = 3
+# Directions that are told least, along which others are looked for, and how many times as large as at either end a
+# misfit is half-way between two valleys, but for rounding.
+LEAST_TOLD, RIDGE = 3, 1.001
 # Times as large must a misfit be with a mass or a spring off by that factor that the record tells.
 TOLD = 1.1
 # Common factors on the stiffnesses that are tried per decade.
@@ -160,7 +161,8 @@ class Screening:
         if found[0].misfit < MUCH:
             beside = _least_told(self.model, found[0].unknowns)
             ends = [self.model.fitted(x, LAST_EVALUATIONS) for x in beside]
-            return _candidates(self.model, [*((one.misfit, one.unknowns) for one in found), *ends])
+            both = _candidates(self.model, [*((one.misfit, one.unknowns) for one in found), *ends])
+            return _of_valleys(self.model, both)
         self.model.smooth(WIDTHS[0])
         softer = np.where(self.model.structure.stretch.sum(axis=1) != 0.0, SOFTER_BELOW, 1.0)
         starts = grid_of_starts(self.model, self.records, {**self.guess, "k": self.guess["k"] / softer})
@@ -258,6 +260,16 @@ def common_factors(
 def _candidates(model: JointFit, ends: Iterable[tuple[float, np.ndarray]]) -> list[Candidate]:
     """Where fits ended, by their misfits, as structures."""
     return [Candidate(model.structure.parameters(x), misfit, model.calibration(x), x) for misfit, x in _distinct(ends)]
+
+
+def _of_valleys(model: JointFit, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The best of each valley: between two of one there is no ridge, as where a spring is stiff beside all others."""
+    kept: list[Candidate] = []
+    for one in candidates:
+        pairs = [(0.5 * (one.unknowns + other.unknowns), max(one.misfit, other.misfit)) for other in kept]
+        if all(model.misfit(half_way) > RIDGE * misfit for half_way, misfit in pairs):
+            kept.append(one)
+    return kept
 
 
 def _distinct(ends: Iterable[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:

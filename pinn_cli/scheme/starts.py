@@ -44,8 +44,8 @@ RATIOS = 1e-3, 0.3
 # Where no linear chain comes near, free runs take so many common factors on the springs in a decade, in so many decades
 # either way.
 FREE_RUNS, DECADES_OFF = 4, 2.0
-# Candidates that are worth a start, at most.
-MOST_RIVALS = 3
+# Candidates that are worth a start, at most, and times the least misfit of those that noise may have put behind it.
+MOST_RIVALS, AS_NEAR = 3, 1.25
 
 
 def parameter_scales(structure: Structure, records: Sequence[Record]) -> dict[str, np.ndarray]:
@@ -167,7 +167,7 @@ class Starts:
         if self.prescribed.is_modal:
             return 1
         first, *others = self.promising
-        return 1 + sum(candidate.misfit <= RIVAL * first.misfit for candidate in others)
+        return 1 + sum(candidate.misfit <= AS_NEAR * first.misfit for candidate in others)
 
     @cached_property
     def promising(self) -> list[Candidate]:
