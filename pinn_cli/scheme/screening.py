@@ -47,7 +47,7 @@ ONE_OFF, ALL_OFF, AT_RANDOM = np.log(2.5), 0.7, 12
 RIVAL = 2.0
 # Directions that are told least, along which others are looked for, and how many times as large as at either end a
 # misfit is half-way between two valleys, but for rounding.
-LEAST_TOLD, RIDGE = 3, 1.001
+LOOSEST, ACROSS_A_RIDGE = 3, 1.001
 # Times as large must a misfit be with a mass or a spring off by that factor that the record tells.
 TOLD = 1.1
 # Common factors on the stiffnesses that are tried per decade.
@@ -187,7 +187,7 @@ def _least_told(model: JointFit, x: np.ndarray) -> list[np.ndarray]:
     if others.shape[1]:
         slopes = slopes - others @ np.linalg.lstsq(others, slopes, rcond=None)[0]
     _, directions = np.linalg.eigh(slopes.T @ slopes)
-    along = np.zeros((min(LEAST_TOLD, count), len(x)))
+    along = np.zeros((min(LOOSEST, count), len(x)))
     along[:, :count] = directions.T[: len(along)]
     along *= ONE_OFF / np.abs(along).max(axis=1, keepdims=True)
     return [x + sign * step for step in along for sign in (1.0, -1.0)]
@@ -267,7 +267,7 @@ def _of_valleys(model: JointFit, candidates: Sequence[Candidate]) -> list[Candid
     kept: list[Candidate] = []
     for one in candidates:
         pairs = [(0.5 * (one.unknowns + other.unknowns), max(one.misfit, other.misfit)) for other in kept]
-        if all(model.misfit(half_way) > RIDGE * misfit for half_way, misfit in pairs):
+        if all(model.misfit(half_way) > ACROSS_A_RIDGE * misfit for half_way, misfit in pairs):
             kept.append(one)
     return kept
 

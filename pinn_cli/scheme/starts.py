@@ -1,9 +1,9 @@
 """Where unknown parameters start, and how far they may go: what the user says, else what the structure must be like.
 
 Masses, dampers and springs come from linear chains that make of the measured force what the sensors saw
-(:mod:`pinn_cli.scheme.screening`); several where one is not clearly the best. Where none explains half of that, what
-is said of the springs keeps its ratios in another start, and the free run of a structure that is not linear tells how
-stiff they are together. Where no force is known, they come from the record's own scale.
+(:mod:`pinn_cli.scheme.screening`); several where noise may have put the right one behind another. Where none explains
+half of that, what is said of the springs keeps its ratios in another start, and the free run of a structure that is not
+linear tells how stiff they are together. Where no force is known, they come from the record's own scale.
 """
 
 from __future__ import annotations

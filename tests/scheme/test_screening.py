@@ -80,6 +80,24 @@ def test_the_best_lies_at_the_bottom_of_its_valley():
     np.testing.assert_allclose(bottom, best.unknowns, atol=0.01)
 
 
+def within(times: float, record: Record) -> list[np.ndarray]:
+    """Logarithms of stiffnesses over the true ones, of candidates with a misfit of up to so many times the least."""
+    found = Screening(CHAIN, [record], known("k", "c"), guess(k=0.1)).candidates()
+    return [np.log(one.parameters["k"] / K) for one in found if one.misfit <= times * found[0].misfit]
+
+
+def test_what_noise_puts_behind_a_wrong_structure_is_a_candidate_too():
+    """Of one velocity with 3 dB of noise the best fit has a spring twice as stiff; the right one is 7 % behind."""
+    best, right, *_ = within(1.2, storeys("velocity", (2,), 3.0))
+    assert abs(best).max() > 0.5
+    assert abs(right).max() < 0.2
+
+
+def test_a_spring_that_is_stiff_beside_all_others_makes_no_valleys():
+    (stiff,) = within(1.2, storeys("displacement", (2,), 3.0))
+    assert stiff[2] > 5.0
+
+
 def test_starts_about_a_structure_that_fits_by_chance_find_the_right_one():
     """The wrong one makes almost what a single sensor saw; the right one lies beyond a hill."""
     wrong = Candidate({}, 1.0, unknowns=np.log(K * np.array([2.0, 0.4, 1.5])))

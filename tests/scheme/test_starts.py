@@ -109,6 +109,17 @@ def test_starts_elsewhere_are_others_and_only_where_nobody_says_how_many(starts,
     assert all(len(one.alone.record.time) == 50 for one in (*shorter.starts, *shorter.elsewhere()))
 
 
+def test_starts_are_compared_where_noise_may_have_put_one_behind_another(made, monkeypatch):
+    """What the user says is no candidate of the spectra: it is a start where none of these holds."""
+    first, behind, far = (
+        starting.Candidate({"m": made.structure.m, "k": k * made.structure.k}, misfit)
+        for k, misfit in ((1.0, 0.1), (2.0, 0.12), (3.0, 0.15))
+    )
+    found = [first, behind, far]
+    monkeypatch.setattr(starting.Screening, "candidates", lambda screening: found)
+    assert posed(made, 10.0).compared == 2
+
+
 @pytest.mark.parametrize("factor", [0.01, 100.0])
 def test_what_the_user_says_is_a_start_of_its_own_beside_those_of_the_record(made, factor):
     """Unless the record starts there anyway, or a single start is asked for."""

@@ -142,11 +142,11 @@ def _from_the_starts(
             break
     if not solutions:
         raise failures[-1] if failures else DivergenceError("there is no start")
-    best = max(solutions, key=_log_evidence)
+    best = max(solutions, key=_log_density)
     if not _holds(best):
         # Of models that do not hold the one that follows the sensors most would be taken.
         elsewhere = filter(None, map(solve, problem.elsewhere()))
-        best = max(chain([best], filter(_holds, elsewhere)), key=_log_evidence)
+        best = max(chain([best], filter(_holds, elsewhere)), key=_log_density)
     return best
 
 
@@ -178,8 +178,10 @@ def _holds(solution: tuple[Inference, float]) -> bool:
     return holds(solution[0].trained, solution[1])
 
 
-def _log_evidence(solution: tuple[Inference, float]) -> float:
-    return solution[0].trained.log_evidence
+def _log_density(solution: tuple[Inference, float]) -> float:
+    """Of the record and the parameters, which each start counts in its own scales: their volumes do not compare."""
+    trained = solution[0].trained
+    return trained.log_evidence + 0.5 * trained.factor.parameter_log_determinant
 
 
 def soft_to_stiff(evidence: Evidence, noise: NoiseLevels, path: Path) -> Trained:
