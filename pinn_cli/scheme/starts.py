@@ -9,7 +9,7 @@ linear tells how stiff they are together. Where no force is known, they come fro
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -158,8 +158,11 @@ class Starts:
         if self.most is not None or not searched or not self._linear:
             return []
         alike, *others = self._screening.others(self._linear[0])
-        near = [alike, *(c for c in others if c.misfit <= RIVAL * self._linear[0].misfit)]
-        return [self._start(candidate) for candidate in _apart(near, self.promising, self.unknown)[:MOST_RIVALS]]
+        rivals: list[Candidate] = []
+        for candidate in (alike, *(c for c in others if c.misfit <= RIVAL * self._linear[0].misfit)):
+            if all(_are_distinct(candidate, taken, self.unknown) for taken in (*self.promising, *rivals)):
+                rivals.append(candidate)
+        return [self._start(candidate) for candidate in rivals[:MOST_RIVALS]]
 
     @property
     def compared(self) -> int:
@@ -176,8 +179,7 @@ class Starts:
         m, k = (np.where(np.isnan(known[kind]), guess[kind], known[kind]) for kind in ("m", "k"))
         start = Candidate({"m": m, "k": k, "c": np.where(np.isnan(known["c"]), 0.0, known["c"])}, np.inf)
         if most is None:
-            near = [c for c in candidates if c.misfit <= RIVAL * candidates[0].misfit]
-            candidates = _apart(near, (), self.unknown)[:MOST_RIVALS]
+            candidates = [c for c in candidates[:MOST_RIVALS] if c.misfit <= RIVAL * candidates[0].misfit]
         start = replace(start, calibration=candidates[0].calibration if candidates else {})
         among = candidates[:most]
         if not among:
@@ -187,7 +189,7 @@ class Starts:
         own = start if among[0].misfit < MUCH else self._by_own_motion(start)
         said = [self.given.get(p, np.nan) > 0 for p in self.unknown if p.kind in (MASS, "k")]
         wanted = own is not start or (bool(said) and all(said))
-        if wanted and _apart([own], among, self.unknown):
+        if wanted and all(_are_distinct(own, candidate, self.unknown) for candidate in among):
             return [*candidates[: None if most is None else most - 1], own]
         return among
 
@@ -307,18 +309,10 @@ class Starts:
         return out
 
 
-def _apart(
-    candidates: Iterable[Candidate], taken: Sequence[Candidate], unknown: Collection[Parameter]
-) -> list[Candidate]:
-    """Those whose masses and springs are others than those that are taken, and than those before them."""
+def _are_distinct(first: Candidate, second: Candidate, unknown: Collection[Parameter]) -> bool:
+    """Whether two starts are two."""
     places = [(p.kind, p.index) for p in unknown if p.kind in (MASS, "k")]
-    apart: list[Candidate] = []
-    for one in candidates:
-        others = [*taken, *apart]
-        distances = [max(abs(np.log(one.parameters[k][i] / x.parameters[k][i])) for k, i in places) for x in others]
-        if min(distances, default=np.inf) > SAME_START:
-            apart.append(one)
-    return apart
+    return any(abs(np.log(first.parameters[k][i] / second.parameters[k][i])) > SAME_START for k, i in places)
 
 
 def linear_parts(prescribed: Structure, unknown: Collection[Parameter]) -> dict[str, np.ndarray]:

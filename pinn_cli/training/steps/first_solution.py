@@ -127,7 +127,7 @@ def _from_the_starts(
     """Of the solutions from all starts, up to the first whose model holds, the most probable one, and the force, N.
 
     Those that come as near to the spectra as the first are all compared: of two displacements with 15 dB of noise one
-    with a spring 89 % off explained the record, and the truth was exp(40) times as probable. Where no model holds, one
+    with a spring 89 % off explained the record, and the truth was exp(72) times as probable. Where no model holds, one
     from starts elsewhere whose model does, if there is one that is more probable.
 
     Raises:
