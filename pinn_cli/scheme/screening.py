@@ -148,7 +148,7 @@ class Screening:
             self.model = JointFit(fits or [PowerFit(each, linear) for each in observed])
 
     def candidates(self) -> list[Candidate]:
-        """The best first; none where nothing is unknown.
+        """The best of those about the guess first; none where nothing is unknown.
 
         Noise makes several valleys of one: beside the best, others lie along what the record tells least. Where those
         in the ratios of the guess lead to none that explains much, what stands on the ground may be softer.
@@ -159,10 +159,10 @@ class Screening:
         if not self.is_driven:
             return found
         if found[0].misfit < MUCH:
-            beside = _least_told(self.model, found[0].unknowns)
-            ends = [self.model.fitted(x, LAST_EVALUATIONS) for x in beside]
-            both = _candidates(self.model, [*((one.misfit, one.unknowns) for one in found), *ends])
-            return _of_valleys(self.model, both)
+            best, *others = found
+            ends = [self.model.fitted(x, LAST_EVALUATIONS) for x in _least_told(self.model, best.unknowns)]
+            others = _candidates(self.model, [*((one.misfit, one.unknowns) for one in others), *ends])
+            return _of_valleys(self.model, [best, *others])
         self.model.smooth(WIDTHS[0])
         softer = np.where(self.model.structure.stretch.sum(axis=1) != 0.0, SOFTER_BELOW, 1.0)
         starts = grid_of_starts(self.model, self.records, {**self.guess, "k": self.guess["k"] / softer})
@@ -263,7 +263,7 @@ def _candidates(model: JointFit, ends: Iterable[tuple[float, np.ndarray]]) -> li
 
 
 def _of_valleys(model: JointFit, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The best of each valley: between two of one there is no ridge, as where a spring is stiff beside all others."""
+    """The first of each valley: between two of one there is no ridge, as where a spring is stiff beside all others."""
     kept: list[Candidate] = []
     for one in candidates:
         pairs = [(0.5 * (one.unknowns + other.unknowns), max(one.misfit, other.misfit)) for other in kept]
