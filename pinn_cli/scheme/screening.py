@@ -11,7 +11,7 @@ shapes and damping.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -147,26 +147,29 @@ class Screening:
             # Where nobody measured what acts, resonances show in the sensors alone.
             self.model = JointFit(fits or [PowerFit(each, linear) for each in observed])
 
-    def candidates(self) -> list[Candidate]:
+    def candidates(self) -> Iterator[Candidate]:
         """The best of those about the guess first; none where nothing is unknown.
 
         Noise makes several valleys of one: beside the best, others lie along what the record tells least. Where those
         in the ratios of the guess lead to none that explains much, what stands on the ground may be softer.
         """
         if self.model is None:
-            return []
+            return
         found = nearest(self.model, grid_of_starts(self.model, self.records, self.guess))
         if not self.is_driven:
-            return found
-        if found[0].misfit < MUCH:
+            yield from found
+        elif found[0].misfit < MUCH:
             best, *others = found
+            yield best
             ends = [self.model.fitted(x, LAST_EVALUATIONS) for x in _least_told(self.model, best.unknowns)]
             others = _candidates(self.model, [*((one.misfit, one.unknowns) for one in others), *ends])
-            return _of_valleys(self.model, [best, *others])
-        self.model.smooth(WIDTHS[0])
-        softer = np.where(self.model.structure.stretch.sum(axis=1) != 0.0, SOFTER_BELOW, 1.0)
-        starts = grid_of_starts(self.model, self.records, {**self.guess, "k": self.guess["k"] / softer})
-        return _candidates(self.model, [(one.misfit, one.unknowns) for one in (*found, *nearest(self.model, starts))])
+            yield from _of_other_valleys(self.model, best, others)
+        else:
+            self.model.smooth(WIDTHS[0])
+            softer = np.where(self.model.structure.stretch.sum(axis=1) != 0.0, SOFTER_BELOW, 1.0)
+            starts = grid_of_starts(self.model, self.records, {**self.guess, "k": self.guess["k"] / softer})
+            found += nearest(self.model, starts)
+            yield from _candidates(self.model, [(one.misfit, one.unknowns) for one in found])
 
     def others(self, best: Candidate) -> list[Candidate]:
         """What else the record may come from: of few sensors many structures make what these saw.
@@ -262,14 +265,14 @@ def _candidates(model: JointFit, ends: Iterable[tuple[float, np.ndarray]]) -> li
     return [Candidate(model.structure.parameters(x), misfit, model.calibration(x), x) for misfit, x in _distinct(ends)]
 
 
-def _of_valleys(model: JointFit, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The first of each valley: between two of one there is no ridge, as where a spring is stiff beside all others."""
-    kept: list[Candidate] = []
-    for one in candidates:
+def _of_other_valleys(model: JointFit, best: Candidate, others: Iterable[Candidate]) -> Iterator[Candidate]:
+    """The first of each: between two of one there is no ridge, as where a spring is stiff beside all others."""
+    kept = [best]
+    for one in others:
         pairs = [(0.5 * (one.unknowns + other.unknowns), max(one.misfit, other.misfit)) for other in kept]
         if all(model.misfit(half_way) > ACROSS_A_RIDGE * misfit for half_way, misfit in pairs):
             kept.append(one)
-    return kept
+            yield one
 
 
 def _distinct(ends: Iterable[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:

@@ -12,6 +12,7 @@ from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -70,7 +71,7 @@ def _scales(structure: Structure, record: Record) -> dict[str, np.ndarray]:
     scales = {"m": np.full(len(masses), force / size["acceleration"])}
     # Laws may call parameters of other units by one letter: each has a scale of its own.
     for kind, alone in unit_forces(structure, size["displacement"], size["velocity"]).items():
-        scales[kind] = np.where(alone > 0, force / np.where(alone > 0, alone, 1.0), 1.0)
+        scales[kind] = np.divide(force, alone, out=np.ones_like(alone), where=alone > 0)
     return scales
 
 
@@ -216,7 +217,7 @@ class Starts:
     def _linear(self) -> list[Candidate]:
         """Linear structures that come near to the record."""
         scattered = any(misses_samples(channel, record) for record in self.records for channel in record.calibrated)
-        candidates = [] if self.most == 0 else self._screening.candidates()
+        candidates = () if self.most == 0 else islice(self._screening.candidates(), self.most)
         # Where missing samples scatter everything the right one explains a little only.
         return [c for c in candidates if c.misfit < (NEARLY_NOTHING if scattered else HOPELESS)]
 
