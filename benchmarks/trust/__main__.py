@@ -6,6 +6,7 @@ sweeps, and compared with the truth:
     make trust                                            some 600 cases: hours on two cores
     make trust ARGS=--quick                               60 cases: at most 20 minutes
     make trust ARGS="--family ground --seeds 20"          one family
+    make trust ARGS="--seeds 12 --first 500"              structures that nobody has looked at
     make trust ARGS="--family ground --seed 7"            one case, whose files stay
     make trust ARGS="--quick --against REVISION"          the same cases on two revisions: what changed, case by case
     make trust ARGS="--vary training/beginning.TIE"  the quick cases with a number halved and doubled
@@ -50,7 +51,7 @@ def wanted(given: argparse.Namespace) -> list[Drawn]:
     found: list[Drawn] = []
     for family in families:
         number = given.seeds or (QUICK_SPOILT if given.quick and family == "spoilt" else QUICK if given.quick else FULL)
-        found += [(family, seed) for seed in range(number)]
+        found += [(family, given.first + k) for k in range(number)]
     return found
 
 
@@ -116,6 +117,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="60 cases")
     parser.add_argument("--family", nargs="*", choices=FAMILIES, help="these alone")
     parser.add_argument("--seeds", type=int, help="cases of each family")
+    parser.add_argument("--first", type=int, default=0, metavar="SEED", help="of each family (default 0)")
     parser.add_argument("--seed", type=int, help="this one alone; its files stay")
     parser.add_argument("--against", metavar="REVISION", help="compare with this revision")
     parser.add_argument("--vary", nargs="+", metavar="CONSTANT", help="halve and double; all: every one of them")
