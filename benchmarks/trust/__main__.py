@@ -51,7 +51,7 @@ def wanted(given: argparse.Namespace) -> list[Drawn]:
     found: list[Drawn] = []
     for family in families:
         number = given.seeds or (QUICK_SPOILT if given.quick and family == "spoilt" else QUICK if given.quick else FULL)
-        found += [(family, given.first + k) for k in range(number)]
+        found += [(family, seed) for seed in range(given.first, given.first + number)]
     return found
 
 
@@ -117,7 +117,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="60 cases")
     parser.add_argument("--family", nargs="*", choices=FAMILIES, help="these alone")
     parser.add_argument("--seeds", type=int, help="cases of each family")
-    parser.add_argument("--first", type=int, default=0, metavar="SEED", help="of each family (default 0)")
+    parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of each family (default 0)")
     parser.add_argument("--seed", type=int, help="this one alone; its files stay")
     parser.add_argument("--against", metavar="REVISION", help="compare with this revision")
     parser.add_argument("--vary", nargs="+", metavar="CONSTANT", help="halve and double; all: every one of them")
