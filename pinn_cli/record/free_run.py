@@ -19,7 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.signal import lfilter
+from scipy.linalg.lapack import ztbtrs  # scipy.signal has a filter for it, but takes half a second to import
 
 from pinn_cli.record.between_samples import BandLimited, between_samples
 from pinn_cli.record.inputs import support_motion
@@ -79,9 +79,10 @@ def linear_motion(
                 of_values = weights[:, None] * (influence[acting] @ inputs)
                 columns = values[:, acting].reshape(stop - first, POINTS * int(acting.sum()))
                 pushed += columns @ of_values.reshape(-1, len(upper))
+            pushed[0] += through * out[first]
             for j, factor in enumerate(through):
-                before = np.array([factor * out[first, j]])
-                out[first + 1 : stop + 1, j], _ = lfilter([1.0], [1.0, -factor], pushed[:, j], zi=before)
+                recursion = np.stack((np.ones(len(pushed)), np.full(len(pushed), -factor)))
+                out[first + 1 : stop + 1, j] = ztbtrs(recursion, pushed[:, j, None], uplo="L", diag="U")[0][:, 0]
         shapes = modes.vectors[:, upper] * np.where(poles.imag > 0.0, 2.0, 1.0)
         return _real_part(out, shapes), _real_part(out, shapes * poles)
 
