@@ -11,7 +11,14 @@ import numpy as np
 from pinn_cli.record.channel import Channel
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import MEASURED_QUANTITIES, QUANTITIES, RESPONSE_QUANTITIES
-from pinn_cli.record.spectrum import LOWEST_BINS, USABLE_NYQUIST_FRACTION, periodogram, signal_band, visible_floor
+from pinn_cli.record.spectrum import (
+    LOWEST_BINS,
+    USABLE_NYQUIST_FRACTION,
+    periodogram,
+    signal_band,
+    signal_edges,
+    visible_floor,
+)
 from pinn_cli.system.quantities import GROUND, SUPPORT
 
 # Part of a channel's spread, or of whatever else is estimated, to which it is known at best: below it rounding and the
@@ -59,8 +66,9 @@ def motion_amplitudes(record: Record) -> dict[str, float]:
     """Root mean square of displacement (m), velocity (m/s) and acceleration (m/s^2) where the record moves most.
 
     A quantity without a sensor comes from the measured one that is fewest derivatives away, integrated or
-    differentiated in the frequency domain over the record's band. Hidden DOFs may move more: only orders of magnitude
-    matter to those who scale their numbers by it. It is 1 where the channel that it comes from shows nothing at all.
+    differentiated in the frequency domain over the record's band; integrals begin where the channel stands out of its
+    noise, which they would make a displacement of metres. Hidden DOFs may move more: only orders of magnitude matter
+    to those who scale their numbers by it. It is 1 where the channel that it comes from shows nothing at all.
     """
     columns, band, amplitudes = channels(record), record_band(record), {}
     for order, quantity in enumerate(RESPONSE_QUANTITIES):
@@ -98,6 +106,8 @@ def _rms(channel: np.ndarray, step: float, band: float, derivatives: int) -> flo
     if derivatives == 0:
         return float(np.sqrt(np.mean(channel**2)))
     frequency, power = periodogram(channel, step)
-    kept = slice(LOWEST_BINS, max(LOWEST_BINS + 1, int(np.searchsorted(frequency, band, side="right"))))
+    lowest = np.fmax(signal_edges(channel, step)[0], frequency[1]) if derivatives < 0 else frequency[1]
+    first = max(LOWEST_BINS, int(np.searchsorted(frequency, min(lowest, band))))
+    kept = slice(first, max(first + 1, int(np.searchsorted(frequency, band, side="right"))))
     gain = (2.0 * np.pi * frequency[kept]) ** (2 * derivatives)
     return float(np.sqrt(2.0 * np.sum(gain * power[kept]) / len(channel)))
