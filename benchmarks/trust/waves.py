@@ -69,6 +69,9 @@ def random_waves(
 ) -> Waves:
     """Independent Gaussian forces of a band, Hz; they are at their full size after one period of its lower end.
 
+    There is a line in each of as many parts of the band: drawn all over it they leave gaps, and a resonance is driven
+    by far more, or less, than Gaussian forces of that spectrum would.
+
     Args:
         rng: Draws frequencies, sizes and phases.
         band: Lower and upper end, Hz.
@@ -76,7 +79,7 @@ def random_waves(
         lines: How many sinusoids.
         falls: Their rms at a frequency over that at another one; `np.ones_like` for a flat spectrum.
     """
-    frequency = rng.uniform(*band, lines)
+    frequency = np.interp(np.arange(lines) + rng.uniform(size=lines), (0.0, lines), band)
     drawn = rng.normal(size=(lines, len(rms), 2)) @ np.array([1.0, 1j])
     size = drawn * falls(frequency)[:, None]
     return Waves(frequency, size * rms / np.sqrt(0.5 * (np.abs(size) ** 2).sum(0)), 1.0 / band[0])

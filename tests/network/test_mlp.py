@@ -47,6 +47,15 @@ def test_amplitudes_are_of_the_motions_size(sensors):
         assert 0.5 < amplitude / true < 2.0, quantity
 
 
+def test_minutes_of_noise_that_are_integrated_twice_are_no_motion():
+    time = np.arange(0.0, 400.0, 0.04)
+    sine = 1e-3 * np.sin(2.0 * np.pi * time)
+    noisy = -((2.0 * np.pi) ** 2) * sine + np.random.default_rng(0).normal(0.0, 4e-3, len(time))
+    unknown = np.full((len(time), 1), np.nan)
+    record = Record(time, unknown, unknown, noisy[:, None], unknown, unforced=np.zeros(1, bool))
+    assert motion_amplitudes(record)["displacement"] == pytest.approx(sine.std(), rel=0.1)
+
+
 def test_a_silent_record_has_an_amplitude(record):
     silent = Record(**{**vars(record), "acceleration": 0.0 * record.acceleration})
     assert set(motion_amplitudes(silent).values()) == {1.0}
