@@ -427,3 +427,13 @@ class Structure:
         by_group = [group.at_rest(part.of_group(p)) for group, part in zip(self.groups, self.parts, strict=True)]
         stiffness, damping = (np.concatenate(x, axis=1) for x in zip(*by_group, strict=True))
         return stiffness, damping
+
+    def creates_energy(self, parameters: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
+        """(C,) bool: connections whose hysteresis allows a cycle that gives more energy than it takes; see above."""
+        p = self.parameters_like(np.empty(0)) if parameters is None else parameters
+        by_group = zip((group.nonlinearity for group in self.groups), self.parts, strict=True)
+        out = np.zeros(self.incidence.shape[0], dtype=bool)
+        for law, part in by_group:
+            if isinstance(law, Hysteresis):
+                out[part.connections] = law.creates_energy(part.of_group(p))
+        return out

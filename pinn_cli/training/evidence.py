@@ -127,6 +127,15 @@ class Evidence:
         alone = float(np.sum(np.log(self.equations.precision(noise).numpy())))
         return -0.5 * (loss + factor.parameter_log_determinant - alone)
 
+    def values(self, point: Point) -> dict[str, np.ndarray]:
+        """Every parameter of the structure at a point, (members,) by kind."""
+        first = self.equations.by_record[0]
+        return {kind: x.numpy() for kind, x in first.parameters(self.equations.split(point)[0]).items()}
+
+    def creates_energy(self, point: Point) -> bool:
+        """Whether the hysteresis of any connection allows a cycle that gives more energy than it takes."""
+        return bool(self.problem.structure.creates_energy(self.values(point)).any())
+
     def each_record(self, function: Callable[..., R], trained: Trained, *arguments: Sequence[Any]) -> list[R]:
         """What a function makes of every record's own part of a solution, in the order of the records.
 

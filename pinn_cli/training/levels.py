@@ -68,6 +68,11 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
         updates = evidence.each_record(updated, trained, floors)
         updates = [noise.pooled() for noise in updates] if pooled else updates
         levels = trained.noise.records
+        if trained.noise.held:  # what acts, and what the model leaves out, have their own density
+            updates = [
+                replace(new, discrepancy=old.discrepancy, innovation=old.innovation)
+                for new, old in zip(updates, levels, strict=True)
+            ]
         change = [_log_levels(new) - _log_levels(old) for new, old in zip(updates, levels, strict=True)]
         strides = list(map(_stride, before, change))
         moves = zip(levels, strides, floors, strict=True)

@@ -13,7 +13,6 @@ from pinn_cli.record.free_run import is_linear
 from pinn_cli.record.identification.modes import identify
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import reaches_nyquist
-from pinn_cli.system.connection.nonlinearity import Hysteresis
 from pinn_cli.system.modes import modes_of
 from pinn_cli.system.parameters import MASS, Parameter
 from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
@@ -224,16 +223,11 @@ def _unmeasured_forces(problem: Problem) -> np.ndarray:
 
 def _energy(structure: Structure) -> Iterator[Finding]:
     """Connections with memory whose parameters allow them to create energy."""
-    parameters = structure.parameters_like(np.empty(0))
-    for group, part in zip(structure.groups, structure.parts, strict=True):
-        if not isinstance(group.nonlinearity, Hysteresis):
-            continue
-        creates = group.nonlinearity.creates_energy(part.of_group(parameters))
-        for connection in np.arange(part.connections.start, part.connections.stop)[creates]:
-            name = structure.labels.connection(connection)
-            text = f"the hysteresis of connection {name} ({group.nonlinearity.name}) can create energy with its"
-            text += " parameters; where the record's amplitudes do not go, do not trust it"
-            yield Finding("energy", f"connection {name}", text, "sound")
+    for connection in np.flatnonzero(structure.creates_energy()).tolist():
+        name, law = structure.labels.connection(connection), structure.laws[connection].name
+        text = f"the hysteresis of connection {name} ({law}) can create energy with its parameters;"
+        text += " where the record's amplitudes do not go, do not trust it"
+        yield Finding("energy", f"connection {name}", text, "sound")
 
 
 def sampling_findings(problem: Problem, estimate: Estimate, structure: Structure) -> list[Finding]:

@@ -93,13 +93,16 @@ def _held(inference: Inference) -> Trained:
     """The solution, whose parameters stay where they are if forces are unknown that would follow them anywhere.
 
     Together with the most probable of these forces, and their levels, parameters run away. What is integrated out moves
-    them: see :mod:`pinn_cli.training.steps.marginal_likelihood`. Those of which something is believed begin there.
+    them: see :mod:`pinn_cli.training.steps.marginal_likelihood`. Those of which something is believed begin there, and
+    where they have run so far that a hysteresis creates energy, all begin at their start.
     """
     trained, evidence, point = inference.trained, inference.evidence, inference.trained.solution.point
     if not inference.problem.has_unknown_forces or inference.is_informed:
         return trained
-    unknown = torch.as_tensor(evidence.equations.unknown)
-    believed = replace(point, parameters=torch.where(unknown, point.parameters, 0.0))
+    is_start = torch.as_tensor(~evidence.equations.unknown)
+    if evidence.creates_energy(point):
+        is_start = torch.ones_like(is_start)
+    believed = replace(point, parameters=torch.where(is_start, 0.0, point.parameters))
     return evidence.train(replace(trained.noise, held=True), believed) or trained
 
 

@@ -7,8 +7,8 @@ Of a linear structure Whittle's likelihood has them. Of another one they are the
 with the motion at its most probable one, H its Hessian and P that of the equations alone (Tierney and Kadane 1986). The
 most probable motion, forces and parameters together are something else, and may lie anywhere: forces follow wrong
 parameters. So here the parameters are held, and moved by this density alone, together with how large the forces are,
-of which it is a ridge: with less damping, smaller forces make the same motion. The other levels, and the colour of the
-forces, take turns with them.
+of which it is a ridge: with less damping, smaller forces make the same motion. What the model leaves out, the sensors'
+noise and the colour of the forces take turns with them.
 
 What frequencies beyond the end of the forces say is taken back. Unknown forces are processes that go on above the band
 where forces act. That a sensor shows next to nothing up there would tell of a structure that passes nothing on: of 16
@@ -19,6 +19,7 @@ too small. Counted up to the end alone, they are as far off as they should be.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +31,7 @@ from pinn_cli.training.minimise import Point
 from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.solver import Inference
-from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN
+from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN, SCAN_FACTOR, negligible
 from pinn_cli.training.steps.force_spectrum import drive_in_record
 from pinn_cli.training.steps.unknown_forces import CORRELATION_ROUNDS, fit_force_spectrum, set_force_level
 
@@ -54,14 +55,15 @@ class MarginalDensity:
     Args:
         evidence: Of the problem.
         trained: The solution.
+        given: Where the forces of every record end, Hz; None: where the solution says.
     """
 
-    def __init__(self, evidence: Evidence, trained: Trained) -> None:
+    def __init__(self, evidence: Evidence, trained: Trained, given: Sequence[float] | None = None) -> None:
         self.evidence, self.last = evidence, trained
         self.start, self.noise = trained.solution.point.parameters.numpy().copy(), trained.noise
         self.root = np.linalg.cholesky(trained.factor.corner_covariance)
         ends, told = zip(*evidence.each_record(_of_drive, trained), strict=True)
-        self.ends, self.unit = list(ends), 1.0 / np.sqrt(2.0 * np.array(told))
+        self.ends, self.unit = list(ends if given is None else given), 1.0 / np.sqrt(2.0 * np.array(told))
         self.size = len(self.start) + len(self.ends)
         self._at, self.value = np.zeros(self.size), self._log(trained)
 
@@ -96,8 +98,14 @@ class MarginalDensity:
         return float(np.linalg.norm(self._at[: len(self.start)]))
 
     def moved_to(self, u: np.ndarray) -> bool:
-        """Whether the density is larger there, the motion solved for; then the solution is there."""
-        trained = self.evidence.train(self._levels(u), self._followed(self._parameters(u)))
+        """Whether the density is larger there, the motion solved for; then the solution is there.
+
+        A hysteresis that creates energy is none: with forces that take it up again it explains as much as a true one.
+        """
+        point = self._followed(self._parameters(u))
+        if self.evidence.creates_energy(point) and not self.evidence.creates_energy(self.last.solution.point):
+            return False
+        trained = self.evidence.train(self._levels(u), point)
         value = -math.inf if trained is None else self._log(trained)
         if trained is None or not value > self.value:
             return False
@@ -192,16 +200,42 @@ def most_probable_parameters(inference: Inference) -> Inference | None:
         return replace(inference, at_marginal_peak=True)
     inference = fit_force_spectrum(inference) or _settled(inference)
     inference = set_force_level(inference) or inference
-    evidence, noise = inference.evidence, replace(inference.trained.noise, held=True)
-    trained = evidence.train(noise, inference.trained.solution.point)
-    if trained is None:
+    density = under_another_discrepancy(inference)
+    if density is None:
         return None
-    density = MarginalDensity(evidence, trained)
     slope = density.climbed()
     inference = replace(inference, trained=density.last)
     if density.far > NEGLIGIBLE_MOVE:
         return inference
     return _let_go(inference, density, slope) if slope @ slope < NEARLY_FLAT else None
+
+
+def under_another_discrepancy(inference: Inference) -> MarginalDensity | None:
+    """The density where what the model leaves out is as large as it is most probable, and the forces with it.
+
+    Both push alike, so that levels in turns come to rest wherever: under the true parameters of a hysteretic storey a
+    half of its wind was left out, and the record was exp(190) times as probable without.
+    """
+    evidence, noise = inference.evidence, replace(inference.trained.noise, held=True)
+    trained = evidence.train(noise, inference.trained.solution.point)
+    if trained is None:
+        return None
+    best = MarginalDensity(evidence, trained)
+    least = min(map(negligible, evidence.equations.by_record, noise.records))
+    for factor in (1.0 / SCAN_FACTOR, SCAN_FACTOR):
+        before = best
+        while noise.discrepancy * factor > least:
+            again = evidence.train(noise.with_discrepancy(factor * noise.discrepancy), best.last.solution.point)
+            told = again and set_force_level(replace(inference, trained=again))
+            if not told:
+                break
+            other = MarginalDensity(evidence, told.trained, best.ends)
+            if not other.value > best.value + NEGLIGIBLE_GAIN:
+                break
+            best, noise = other, told.trained.noise
+        if best is not before:
+            break
+    return best
 
 
 def _settled(inference: Inference) -> Inference:

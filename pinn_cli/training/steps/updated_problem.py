@@ -100,7 +100,7 @@ def place_knots(inference: Inference) -> Inference | None:
     first = inference.problem.first
     if first.priors or not _chooses_its_basis(inference):
         return None
-    structure = bending_at(first.structure, _values(inference))
+    structure = bending_at(first.structure, inference.evidence.values(inference.trained.solution.point))
     if shares_basis(structure, first.structure):
         return None
     again = _carried_to(inference, inference.problem.in_basis_of(structure), inference.solver)
@@ -163,7 +163,7 @@ def refine_features(inference: Inference) -> Inference | None:
 
 def _present(inference: Inference) -> JointProblem:
     """The problem of a solution, with damping of the whole and coordinates in the modes of the structure there."""
-    problem, values = inference.problem, _values(inference)
+    problem, values = inference.problem, inference.evidence.values(inference.trained.solution.point)
     is_exact = FACTOR not in values or is_exact_at(problem.structure, values[FACTOR], SAME_FACTORS)
     if not is_exact and _chooses_its_basis(inference):
         problem = problem.in_basis_of(reduced_at(problem.structure, values[FACTOR]))
@@ -173,12 +173,6 @@ def _present(inference: Inference) -> JointProblem:
 def _chooses_its_basis(inference: Inference) -> bool:
     """A state that is handed over has its coordinates, and so have parameters that spectra or earlier records tell."""
     return not inference.is_informed and inference.problem.first.hand_over is None
-
-
-def _values(inference: Inference) -> dict[str, np.ndarray]:
-    """Every parameter of the structure by kind."""
-    equations, point = inference.by_record[0]
-    return {kind: x.numpy() for kind, x in equations.parameters(point).items()}
 
 
 def _carried_to(inference: Inference, problem: JointProblem, solver: Solver) -> Inference | None:

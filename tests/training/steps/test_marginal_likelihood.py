@@ -15,9 +15,14 @@ from pinn_cli.scheme.problem import Problem, inputs_of
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.training.history import History
 from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.solver import starting_noise
-from pinn_cli.training.steps.marginal_likelihood import MarginalDensity, log_density_beyond
+from pinn_cli.training.solver import Inference, Solver, starting_noise
+from pinn_cli.training.steps.marginal_likelihood import (
+    MarginalDensity,
+    log_density_beyond,
+    under_another_discrepancy,
+)
 
 M, C, K = 50.0, 120.0, 2e4  # 3.2 Hz
 RATE, FINER, SAMPLES, END = 50.0, 8, 2000, 12.0
@@ -122,3 +127,25 @@ def test_of_a_linear_mass_it_is_whittle_s(solved):
     np.testing.assert_allclose(by_parameter * std, expected * std, atol=0.3)  # in standard deviations
     # Some per cent of the values belong to the ends of the record, or to both sides of the forces' end.
     assert slope[2] / density.unit[0] == pytest.approx(by_level, abs=0.04 * SAMPLES)
+
+
+def test_what_is_left_out_is_as_large_as_it_is_most_probable_and_no_part_of_the_wind(solved):
+    evidence, trained = solved
+    wind = trained.noise.records[0].innovation[-1]
+    confused = evidence.train(replace(trained.noise.with_discrepancy(0.5 * wind), held=True), trained.solution.point)
+    density = under_another_discrepancy(Inference(evidence, confused, Solver((Spline(),), History(False))))
+    assert density.value > MarginalDensity(evidence, confused, density.ends).value + 1.0
+    assert density.last.noise.discrepancy < 0.1 * wind
+    assert density.last.noise.records[0].innovation[-1] == pytest.approx(wind, rel=0.1)
+
+
+def test_no_step_leads_to_a_hysteresis_that_creates_energy(solved, monkeypatch):
+    evidence, trained = solved
+    held = evidence.train(replace(trained.noise, held=True), trained.solution.point)
+    density = MarginalDensity(evidence, held)
+    slope = density.slope()
+    uphill, start = 0.3 * slope / np.linalg.norm(slope), held.solution.point.parameters
+    monkeypatch.setattr(evidence, "creates_energy", lambda point: not torch.equal(point.parameters, start))
+    assert not density.moved_to(uphill)
+    monkeypatch.undo()
+    assert density.moved_to(uphill)
