@@ -116,11 +116,22 @@ class MarginalDensity:
         """(q + records,), of the density's logarithm at the solution."""
         return self._slope(np.zeros(self.size), self.size)
 
+    def within_bounds(self, slope: np.ndarray) -> np.ndarray:
+        """(q + records,), what a slope is along the bounds beyond which it leads."""
+        q, x = len(self.start), self.last.solution.point.parameters.numpy()
+        by_parameter = np.linalg.solve(self.root.T, slope[:q])
+        by_parameter[(x <= self.evidence.equations.lower) & (by_parameter < 0.0)] = 0.0
+        return np.concatenate((self.root.T @ by_parameter, slope[q:]))
+
     def _slope(self, beside: np.ndarray, number: int) -> np.ndarray:
-        """(number,), by as many of the unknowns at a step from the solution, by central differences."""
+        """(number,), by as many of the unknowns at a step from the solution, by differences to one side.
+
+        The unknowns are white: what these leave out is half of the width.
+        """
+        here = self._nearby(self._at + beside) if beside.any() else self.value
         steps = WIDTH_OF_DIFFERENCE * np.eye(self.size)[:number]
-        above, below = ([self._nearby(self._at + beside + sign * step) for step in steps] for sign in (1.0, -1.0))
-        slope: np.ndarray = np.nan_to_num((np.array(above) - np.array(below)) / (2.0 * WIDTH_OF_DIFFERENCE))
+        gains = np.array([self._nearby(self._at + beside + step) - here for step in steps])
+        slope: np.ndarray = np.nan_to_num(gains / WIDTH_OF_DIFFERENCE + WIDTH_OF_DIFFERENCE / 2.0)
         return slope
 
     def spread_of_levels(self, slope: np.ndarray) -> np.ndarray:
@@ -199,7 +210,6 @@ def most_probable_parameters(inference: Inference) -> Inference | None:
     if not inference.evidence.equations.uncertain:
         return replace(inference, at_marginal_peak=True)
     inference = fit_force_spectrum(inference) or _settled(inference)
-    inference = set_force_level(inference) or inference
     density = under_another_discrepancy(inference)
     if density is None:
         return None
@@ -207,7 +217,8 @@ def most_probable_parameters(inference: Inference) -> Inference | None:
     inference = replace(inference, trained=density.last)
     if density.far > NEGLIGIBLE_MOVE:
         return inference
-    return _let_go(inference, density, slope) if slope @ slope < NEARLY_FLAT else None
+    left = density.within_bounds(slope)
+    return _let_go(inference, density, slope) if left @ left < NEARLY_FLAT else None
 
 
 def under_another_discrepancy(inference: Inference) -> MarginalDensity | None:
@@ -222,19 +233,14 @@ def under_another_discrepancy(inference: Inference) -> MarginalDensity | None:
         return None
     best = MarginalDensity(evidence, trained)
     least = min(map(negligible, evidence.equations.by_record, noise.records))
-    for factor in (1.0 / SCAN_FACTOR, SCAN_FACTOR):
-        before = best
+    for factor in (1.0, 1.0 / SCAN_FACTOR, SCAN_FACTOR):
         while noise.discrepancy * factor > least:
             again = evidence.train(noise.with_discrepancy(factor * noise.discrepancy), best.last.solution.point)
             told = again and set_force_level(replace(inference, trained=again))
-            if not told:
+            other = told and MarginalDensity(evidence, told.trained, best.ends)
+            if not other or not other.value > best.value + NEGLIGIBLE_GAIN:
                 break
-            other = MarginalDensity(evidence, told.trained, best.ends)
-            if not other.value > best.value + NEGLIGIBLE_GAIN:
-                break
-            best, noise = other, told.trained.noise
-        if best is not before:
-            break
+            best, noise = other, other.noise
     return best
 
 

@@ -149,3 +149,14 @@ def test_no_step_leads_to_a_hysteresis_that_creates_energy(solved, monkeypatch):
     assert not density.moved_to(uphill)
     monkeypatch.undo()
     assert density.moved_to(uphill)
+
+
+def test_a_peak_on_a_bound_is_one(solved, monkeypatch):
+    evidence, trained = solved
+    density = MarginalDensity(evidence, evidence.train(replace(trained.noise, held=True), trained.solution.point))
+    down = density.root.T @ np.array([0.0, -5.0])  # less of the damper
+    free = np.concatenate((down, [0.5]))
+    np.testing.assert_allclose(density.within_bounds(free), free, atol=1e-9)
+    monkeypatch.setattr(evidence.equations, "lower", density.last.solution.point.parameters.numpy())
+    np.testing.assert_allclose(density.within_bounds(free), [0.0, 0.0, 0.5], atol=1e-9)
+    np.testing.assert_allclose(density.within_bounds(-free), -free, atol=1e-9)
