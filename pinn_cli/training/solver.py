@@ -107,6 +107,7 @@ class Inference:
         narrowed: How many times as large the deviation of an unknown parameter was before the features were last made
             finer; of all the most.
         at_marginal_peak: Whether the parameters are the most probable ones with the motion integrated out.
+        ends: Of the forces that nobody measured, of every record, Hz: on the way to that peak they come down only.
         free: Where the model does not quite hold, solutions whose structure runs free.
         smooth: There, too, the solution in which the force that it leaves out is smooth; None: it was not found.
         log_odds_of_place: Of such a solution with one force alone, the logarithm of how many times as probable the
@@ -120,6 +121,7 @@ class Inference:
     discrepancy: DiscrepancyEvidence | None = None
     narrowed: float = 1.0
     at_marginal_peak: bool = False
+    ends: tuple[float, ...] = ()
     free: Sequence[FreeRunning] = ()
     smooth: Inference | None = None
     log_odds_of_place: float = 0.0

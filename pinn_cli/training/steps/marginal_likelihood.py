@@ -63,7 +63,8 @@ class MarginalDensity:
         self.start, self.noise = trained.solution.point.parameters.numpy().copy(), trained.noise
         self.root = np.linalg.cholesky(trained.factor.corner_covariance)
         ends, told = zip(*evidence.each_record(_of_drive, trained), strict=True)
-        self.ends, self.unit = list(ends if given is None else given), 1.0 / np.sqrt(2.0 * np.array(told))
+        self.ends = ends if given is None else tuple(given)
+        self.unit = 1.0 / np.sqrt(2.0 * np.array(told))
         self.size = len(self.start) + len(self.ends)
         self._at, self.value = np.zeros(self.size), self._log(trained)
 
@@ -124,14 +125,10 @@ class MarginalDensity:
         return np.concatenate((self.root.T @ by_parameter, slope[q:]))
 
     def _slope(self, beside: np.ndarray, number: int) -> np.ndarray:
-        """(number,), by as many of the unknowns at a step from the solution, by differences to one side.
-
-        The unknowns are white: what these leave out is half of the width.
-        """
-        here = self._nearby(self._at + beside) if beside.any() else self.value
+        """(number,), by as many of the unknowns at a step from the solution, by central differences."""
         steps = WIDTH_OF_DIFFERENCE * np.eye(self.size)[:number]
-        gains = np.array([self._nearby(self._at + beside + step) - here for step in steps])
-        slope: np.ndarray = np.nan_to_num(gains / WIDTH_OF_DIFFERENCE + WIDTH_OF_DIFFERENCE / 2.0)
+        above, below = ([self._nearby(self._at + beside + sign * step) for step in steps] for sign in (1.0, -1.0))
+        slope: np.ndarray = np.nan_to_num((np.array(above) - np.array(below)) / (2.0 * WIDTH_OF_DIFFERENCE))
         return slope
 
     def spread_of_levels(self, slope: np.ndarray) -> np.ndarray:
@@ -214,7 +211,9 @@ def most_probable_parameters(inference: Inference) -> Inference | None:
     if density is None:
         return None
     slope = density.climbed()
-    inference = replace(inference, trained=density.last)
+    # What is found of wrong parameters is no end; once they have moved it is, and no later one lies above it.
+    ends = density.ends if inference.ends else len(density.ends) * (math.inf,)
+    inference = replace(inference, trained=density.last, ends=ends)
     if density.far > NEGLIGIBLE_MOVE:
         return inference
     left = density.within_bounds(slope)
@@ -232,6 +231,8 @@ def under_another_discrepancy(inference: Inference) -> MarginalDensity | None:
     if trained is None:
         return None
     best = MarginalDensity(evidence, trained)
+    if any(end < now for end, now in zip(inference.ends, best.ends, strict=False)):
+        best = MarginalDensity(evidence, trained, list(map(min, inference.ends, best.ends)))
     least = min(map(negligible, evidence.equations.by_record, noise.records))
     for factor in (1.0, 1.0 / SCAN_FACTOR, SCAN_FACTOR):
         while noise.discrepancy * factor > least:
