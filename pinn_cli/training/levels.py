@@ -18,6 +18,7 @@ from pinn_cli.record.channels import FINEST_KNOWN
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.record_evidence import ForceResiduals, RecordEvidence, RecordSolution
 from pinn_cli.training.sensor_samples import SensorSamples
 from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN, negligible
@@ -68,11 +69,9 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
         updates = evidence.each_record(updated, trained, floors)
         updates = [noise.pooled() for noise in updates] if pooled else updates
         levels = trained.noise.records
-        if trained.noise.held:  # what acts, and what the model leaves out, have their own density
-            updates = [
-                replace(new, discrepancy=old.discrepancy, innovation=old.innovation)
-                for new, old in zip(updates, levels, strict=True)
-            ]
+        if trained.noise.held:
+            triples = zip(updates, levels, evidence.equations.by_record, strict=True)
+            updates = [_acting_as_before(*triple) for triple in triples]
         change = [_log_levels(new) - _log_levels(old) for new, old in zip(updates, levels, strict=True)]
         strides = list(map(_stride, before, change))
         moves = zip(levels, strides, floors, strict=True)
@@ -98,6 +97,15 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
         if np.abs(np.concatenate([*change, rougher])).max(initial=0.0) < SETTLED or abs(gain) < NEGLIGIBLE_GAIN:
             break
     return _with_its_spread(evidence, best)
+
+
+def _acting_as_before(new: NoiseModel, old: NoiseModel, equations: NormalEquations) -> NoiseModel:
+    """The same, but for forces that nobody measured and what the model leaves out.
+
+    The density that moves held parameters says how large these are.
+    """
+    new, forces = replace(new, discrepancy=old.discrepancy), equations.dynamics.forces
+    return new if old.innovation is None else new.driven_by(old.innovation[forces], forces)
 
 
 def _with_its_spread(evidence: Evidence, trained: Trained) -> Trained:
