@@ -24,7 +24,7 @@ from pinn_cli.system.quantities import GROUND, SUPPORT
 # Part of a channel's spread, or of whatever else is estimated, to which it is known at best: below it rounding and the
 # splines' own error rule.
 FINEST_KNOWN = 1e-6
-# Records whose band is kept: a run asks for that of the same few some hundred times.
+# Records whose band and amplitudes are kept: a run asks for those of the same few some hundred times.
 RECENT = 4
 
 
@@ -62,6 +62,7 @@ def record_band(record: Record) -> float:
     return max(*bands, 1.0 / record.duration)
 
 
+@lru_cache(maxsize=RECENT)
 def motion_amplitudes(record: Record) -> dict[str, float]:
     """Root mean square of displacement (m), velocity (m/s) and acceleration (m/s^2) where the record moves most.
 

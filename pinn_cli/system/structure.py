@@ -429,11 +429,10 @@ class Structure:
         return stiffness, damping
 
     def creates_energy(self, parameters: Mapping[str, np.ndarray] | None = None) -> np.ndarray:
-        """(C,) bool: connections whose hysteresis allows a cycle that gives more energy than it takes; see above."""
+        """(C,) bool: connections whose hysteresis allows a cycle that gives more energy than it takes."""
         p = self.parameters_like(np.empty(0)) if parameters is None else parameters
-        by_group = zip((group.nonlinearity for group in self.groups), self.parts, strict=True)
         out = np.zeros(self.incidence.shape[0], dtype=bool)
-        for law, part in by_group:
-            if isinstance(law, Hysteresis):
-                out[part.connections] = law.creates_energy(part.of_group(p))
+        for group, part in zip(self.groups, self.parts, strict=True):
+            if isinstance(group.nonlinearity, Hysteresis):
+                out[part.connections] = group.nonlinearity.creates_energy(part.of_group(p))
         return out
