@@ -49,7 +49,7 @@ def fit_smooth_force(inference: Inference) -> Inference | None:
     if everywhere is None:
         return None
     smooth = _of_own_spectrum(everywhere)
-    return replace(inference, smooth=_on_one_dof(smooth) or smooth)
+    return replace(inference, smooth=_on_one_dof(smooth, inference) or smooth)
 
 
 def _of_own_spectrum(smooth: Inference) -> Inference:
@@ -62,8 +62,11 @@ def _of_own_spectrum(smooth: Inference) -> Inference:
     return set_force_level(smooth) or smooth
 
 
-def _on_one_dof(smooth: Inference) -> Inference | None:
-    """The same story of one force alone, with which the record is far more probable; None: there is none."""
+def _on_one_dof(smooth: Inference, white: Inference) -> Inference | None:
+    """The same story of one force alone, with which the record is far more probable; None: there is none.
+
+    More probable than with smooth forces on all DOFs and than with white ones: either may come to rest anywhere.
+    """
     forces = smooth.problem.first.inputs.forces
     alone = (one for number in range(len(forces)) if (one := _of_one(smooth, number)))
     # No more of them are held at once: each has a factor of its own.
@@ -71,7 +74,7 @@ def _on_one_dof(smooth: Inference) -> Inference | None:
     if not nearest:
         return None
     best = _of_own_spectrum(max(map(_settled, nearest), key=_log_evidence))
-    gain = _log_evidence(best) - _log_evidence(smooth) - np.log(len(forces))
+    gain = _log_evidence(best) - max(map(_log_evidence, (smooth, white))) - np.log(len(forces))
     return replace(best, log_odds_of_place=float(gain)) if gain > DECISIVE_PLACE else None
 
 
