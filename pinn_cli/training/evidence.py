@@ -181,14 +181,23 @@ def sensors_term(evidence: RecordEvidence, solution: RecordSolution) -> float:
     losses, forces = equations.losses(point, noise), evidence.force_residuals(point, noise)
     if forces.observer is not None:
         return math.nan
-    alone = equations.assemble(point, of_motion(evidence, noise)).eliminated()
-    if alone is None:
-        return math.nan
+    (alone,) = equations.log_determinants(point, [of_motion(evidence, noise)])
     physics = float((forces.seen / noise.physics_variance)[forces.enforced].sum())
     rest = sum(value for name, value in losses.items() if name not in ("physics", *OF_PARAMETERS))
-    change = solution.factor.readout.log_determinant - alone.readout.log_determinant
+    change = solution.factor.readout.log_determinant - alone
     count = int(sum(channels.samples[channels.present].sum() for channels in equations.channels))
     return -0.5 * (physics + rest + evidence.log_variances(noise) + count * math.log(2.0 * math.pi) + change)
+
+
+def left_by_motion(evidence: RecordEvidence, point: Point, noise: NoiseModel) -> float:
+    """The logarithm of (det P / det H)^(1/2) at a point, with P the Hessian of the equations alone and H that of all.
+
+    By its differences the density of parameters follows from the most probable motion of each. Traces of P^-1 would be
+    quicker. But motions that the equations alone hardly know are large in it, and rounding of these is all that is left
+    of them where the equations meet them.
+    """
+    alone, of_all = evidence.equations.log_determinants(point, [of_motion(evidence, noise), noise])
+    return 0.5 * (alone - of_all)
 
 
 def of_motion(evidence: RecordEvidence, noise: NoiseModel) -> NoiseModel:

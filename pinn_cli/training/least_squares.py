@@ -106,11 +106,8 @@ class LeastSquares:
     def placed(self, point: Point) -> list[Any]:
         """The point of every record, where the record is: the very same for the same point, which is computed once."""
         if self._placed[0] is not point:
-            arrays = (
-                [x.numpy() for x in (record_point.unknowns, record_point.parameters)]
-                for record_point in self.split(point)
-            )
-            self._placed = point, self.members.keep(_point, self.members.held, *zip(*arrays, strict=True))
+            arrays = zip(*(record_point.arrays for record_point in self.split(point)), strict=True)
+            self._placed = point, self.members.keep(placed, self.members.held, *arrays)
         return self._placed[1]
 
     def share_ridges(self, other: LeastSquares) -> None:
@@ -209,7 +206,8 @@ def joined_parameters(parameters: Sequence[Sequence[Parameter]]) -> tuple[tuple[
     return tuple(joint), columns
 
 
-def _point(record: RecordEvidence, unknowns: np.ndarray, parameters: np.ndarray) -> Point:
+def placed(record: RecordEvidence, unknowns: np.ndarray, parameters: np.ndarray) -> Point:
+    """A point of a record from its :attr:`Point.arrays`, where the record is."""
     like = record.equations.target.force
     return Point(*(torch.as_tensor(x).to(like) for x in (unknowns, parameters)))
 

@@ -326,6 +326,11 @@ class Point:
     unknowns: Tensor
     parameters: Tensor
 
+    @property
+    def arrays(self) -> tuple[np.ndarray, np.ndarray]:
+        """Both, as they are sent to where a record is."""
+        return self.unknowns.numpy(), self.parameters.numpy()
+
     def moved(self, step: tuple[Tensor, Tensor]) -> Point:
         """The point after a step."""
         return Point(self.unknowns + step[0], self.parameters + step[1])

@@ -11,17 +11,18 @@ What separate outputs of displacement and velocity leave between them, d(displac
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
+from collections.abc import Sequence
 
 import numpy as np
 import torch
-from scipy.sparse import identity
+from scipy.sparse import csr_matrix, identity
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.physics import observation_masks
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.system.coupling import Coupling
 from pinn_cli.system.quantities import FORCE, GROUND, SUPPORT
 from pinn_cli.training.factors.calibrated_channels import CalibratedChannels, Gains, SensorFilter
 from pinn_cli.training.factors.constant_channels import ConstantRows, ResponseChannels
@@ -36,7 +37,6 @@ from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_matrix.bordered import BorderedSystem, order_of_elimination
 from pinn_cli.training.normal_matrix.elimination import Order
 from pinn_cli.training.normal_matrix.row_sums import RowSums
-from pinn_cli.training.normal_matrix.traced_sums import Met, TracedSums
 from pinn_cli.training.whittle.whittle_estimate import KnownParameters
 
 
@@ -192,9 +192,7 @@ class NormalEquations(Frame):
 
     def assemble(self, point: Point, noise: NoiseModel, prior: np.ndarray | None = None) -> BorderedSystem:
         """Normal matrix and gradient at a point; arguments as of :meth:`losses`."""
-        sums, pick = RowSums(*self._shape), self.vector.column
-        for factor in self.factors:
-            factor.add_to(sums, point, noise)
+        sums, pick = self._added(self.factors, point, noise), self.vector.column
         border, corner, slope = sums.border(pick), sums.corner[np.ix_(pick, pick)], sums.slope[pick]
         if prior is not None:
             corner = corner + prior
@@ -204,17 +202,23 @@ class NormalEquations(Frame):
             self._order = order_of_elimination(self.layout.dissection, border)
         return BorderedSystem(sums.band, border, corner, sums.gradient, slope, self._order)
 
-    def traced(self, factor: Factor, point: Point, noise: NoiseModel, met: Met) -> TracedSums:
-        """What a factor adds to the normal matrix of the readout weights, for traces with a matrix."""
-        sums = TracedSums(met, *self._shape)
-        factor.add_to(sums, point, noise)
-        return sums
+    def log_determinants(self, point: Point, levels: Sequence[NoiseModel]) -> list[float]:
+        """Of the readout weights' normal matrix under levels that weigh the equations alike; NaN: not definite."""
+        none, found = csr_matrix((self.layout.size, 0)), []
+        order = (self._order or order_of_elimination(self.layout.dissection, none)).alone
+        shared = self._added([self.motion], point, levels[0]).band
+        others = [factor for factor in self.factors if factor is not self.motion]
+        for noise in levels:
+            readout = order.eliminated(shared + self._added(others, point, noise).band, none)
+            found.append(math.nan if readout is None else readout.log_determinant)
+        return found
 
-    @property
-    def _shape(self) -> tuple[int, int, int, Coupling, int]:
-        """Of sums over rows."""
-        alive = self.physics.feature.shape[1]
-        return self.network.channels, alive, self.physics.count, self.dynamics.coupling, self.pattern.count
+    def _added(self, factors: Sequence[Factor], point: Point, noise: NoiseModel) -> RowSums:
+        alive, count = self.physics.feature.shape[1], self.physics.count
+        sums = RowSums(self.network.channels, alive, count, self.dynamics.coupling, self.pattern.count)
+        for factor in factors:
+            factor.add_to(sums, point, noise)
+        return sums
 
     @property
     def joint_precision(self) -> np.ndarray | None:

@@ -71,17 +71,8 @@ class BorderedSystem:
 
     def readout_step(self) -> np.ndarray | None:
         """W (size,) of the solution with the parameters held; None if A is not positive definite."""
-        readout = self._readout_alone()
+        readout = self.order.alone.eliminated(self.band, csr_matrix((self.band.size, 0)))
         return None if readout is None else -readout.solved(readout.half_solved(self.gradient)[0], np.zeros(0))
-
-    def readout_inverse(self) -> Diagonals | None:
-        """A^-1, where two weights may be in one row of a residual; None if A is not positive definite."""
-        readout = self._readout_alone()
-        return None if readout is None else readout.inverse()
-
-    def _readout_alone(self) -> Elimination | None:
-        """A, factored without the border."""
-        return self.order.alone.eliminated(self.band, csr_matrix((self.band.size, 0)))
 
     def decrease(self, step: tuple[np.ndarray, np.ndarray]) -> float:
         """What the system's own solution (w, x) takes off 2 [g, h] [w, x] + [w, x] H [w, x]."""
@@ -134,6 +125,30 @@ class ParameterFactor:
     def parameter_log_determinant(self) -> float:
         """Logarithm of the determinant of the Schur complement."""
         return 2.0 * float(np.log(np.diag(self.schur)).sum())
+
+    def solved(self, right: np.ndarray, lower: np.ndarray | None = None) -> np.ndarray:
+        """(p,), of the Schur complement S the x >= lower that makes x S x - 2 x right least; None: without bounds."""
+        x = self.corner_covariance @ right
+        return self._bounded(right, lower) if lower is not None and np.any(x < lower) else x
+
+    def _bounded(self, right: np.ndarray, lower: np.ndarray) -> np.ndarray:
+        """The x >= lower (lower <= 0) that makes |R^T x - R^-1 right| least, R R^T the Schur complement.
+
+        With the unbounded x first and R^T = Q T, T upper triangular, the others are a non-negative least-squares
+        problem in the rows of T below. Lawson and Hanson's method ends at its solution; scipy's bounded one (bvls)
+        stops short where a freed variable is blocked at once.
+        """
+        lower, unit = np.minimum(lower, 0.0), 1.0 / np.linalg.norm(self.schur, axis=1)
+        order = np.argsort(np.isfinite(lower), kind="stable")
+        free, bound = np.split(order, [int(np.isinf(lower).sum())])
+        q, t = np.linalg.qr((self.schur.T * unit)[:, order])
+        target = q.T @ solve_triangular(self.schur, right, lower=True)
+        n, least = len(free), lower[bound] / unit[bound]
+        above, _ = nnls(t[n:, n:], target[n:] - t[n:, n:] @ least, maxiter=NNLS_STEPS * len(order))
+        x = np.empty(len(order))
+        x[bound] = lower[bound] + unit[bound] * above
+        x[free] = unit[free] * solve_triangular(t[:n, :n], target[:n] - t[:n, n:] @ (least + above))
+        return x
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,8 +259,7 @@ class SharedFactor(ParameterFactor):
         reduced = self._reduced(system)
         right = self._right_hand_side(system, reduced)
         right = np.zeros_like(right) if system.motion_alone or system.held is not None else right
-        x = self.corner_covariance @ right
-        x = self._bounded(right, lower) if lower is not None and np.any(x < lower) else x
+        x = self.solved(right, lower)
         members, parts = system.members, [x[places] for places in system.columns]
         return np.concatenate(members.map(Eliminated.readout_step, self.eliminated, reduced, parts)), x
 
@@ -266,25 +280,6 @@ class SharedFactor(ParameterFactor):
         for places, part in zip(system.columns, system.members.map(itemgetter(1), reduced), strict=True):
             right[places] += part
         return right
-
-    def _bounded(self, right: np.ndarray, lower: np.ndarray) -> np.ndarray:
-        """The x >= lower (lower <= 0) that makes |R^T x - R^-1 right| least, R R^T the Schur complement.
-
-        With the unbounded x first and R^T = Q T, T upper triangular, the others are a non-negative least-squares
-        problem in the rows of T below. Lawson and Hanson's method ends at its solution; scipy's bounded one (bvls)
-        stops short where a freed variable is blocked at once.
-        """
-        lower, unit = np.minimum(lower, 0.0), 1.0 / np.linalg.norm(self.schur, axis=1)
-        order = np.argsort(np.isfinite(lower), kind="stable")
-        free, bound = np.split(order, [int(np.isinf(lower).sum())])
-        q, t = np.linalg.qr((self.schur.T * unit)[:, order])
-        target = q.T @ solve_triangular(self.schur, right, lower=True)
-        n, least = len(free), lower[bound] / unit[bound]
-        above, _ = nnls(t[n:, n:], target[n:] - t[n:, n:] @ least, maxiter=NNLS_STEPS * len(order))
-        x = np.empty(len(order))
-        x[bound] = lower[bound] + unit[bound] * above
-        x[free] = unit[free] * solve_triangular(t[:n, :n], target[:n] - t[:n, n:] @ (least + above))
-        return x
 
     def schur_of(self, columns: np.ndarray) -> np.ndarray:
         """Cholesky factor of the precision of some parameters, the others integrated out."""

@@ -320,18 +320,12 @@ class Diagonals:
                 line[: self.size - offset] /= scale[: self.size - offset] * scale[offset:]
         return self
 
-    def trace_of_product(self, other: Diagonals) -> float:
-        """The trace of its product with another, which keeps no diagonal that this one does not."""
-        lines = self.values[self.lines(other.offsets)]
-        by_line = np.einsum("ij,ij->i", lines, other.values)
-        return float(2.0 * by_line.sum() - by_line[0])
-
-    def __sub__(self, other: Diagonals) -> Diagonals:
-        """The difference, with the diagonals of either."""
+    def __add__(self, other: Diagonals) -> Diagonals:
+        """The sum, with the diagonals of either."""
         offsets = np.union1d(self.offsets, other.offsets)
         values = np.zeros((len(offsets), self.size))
-        values[np.searchsorted(offsets, self.offsets)] += self.values
-        values[np.searchsorted(offsets, other.offsets)] -= other.values
+        for one in (self, other):
+            values[np.searchsorted(offsets, one.offsets)] += one.values
         return Diagonals(offsets, values)
 
     def dense(self) -> np.ndarray:

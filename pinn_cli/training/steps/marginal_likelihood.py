@@ -25,10 +25,12 @@ from dataclasses import replace
 import numpy as np
 
 from pinn_cli.system.quantities import MOTION
-from pinn_cli.training.evidence import Evidence, Trained, model_log_evidence
+from pinn_cli.training.evidence import Evidence, Trained, left_by_motion, model_log_evidence
 from pinn_cli.training.factors.channel_at_point import weighted
+from pinn_cli.training.least_squares import placed
 from pinn_cli.training.minimise import Point
-from pinn_cli.training.noise_model import NoiseLevels
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+from pinn_cli.training.normal_matrix.bordered import ParameterFactor
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.solver import Inference
 from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN, SCAN_FACTOR, negligible
@@ -42,6 +44,8 @@ WIDTH_OF_DIFFERENCE, NEGLIGIBLE_MOVE = 0.2, 0.3
 CLIMBING_STEPS, LONGEST_STEP, PARTS_OF_STEP, FLAT_GAIN = 6, 3.0, (1.0, 0.3, 0.1, 0.03), 0.3
 # Slopes whose squares add up to no more are those of a peak on which the motion turns round now here, now there.
 NEARLY_FLAT = 4.0
+# Of one record: its readout weights, its parameters and its levels.
+End = tuple[np.ndarray, np.ndarray, NoiseModel]
 # Frequencies at most at which what lies beyond the end is looked at: a resonance there must be among them.
 FREQUENCIES_BEYOND = 1024
 
@@ -60,12 +64,11 @@ class MarginalDensity:
 
     def __init__(self, evidence: Evidence, trained: Trained, given: Sequence[float] | None = None) -> None:
         self.evidence, self.last = evidence, trained
-        self.start, self.noise = trained.solution.point.parameters.numpy().copy(), trained.noise
         self.root = np.linalg.cholesky(trained.factor.corner_covariance)
         ends, told = zip(*evidence.each_record(_of_drive, trained), strict=True)
         self.ends = ends if given is None else tuple(given)
         self.unit = 1.0 / np.sqrt(2.0 * np.array(told))
-        self.size = len(self.start) + len(self.ends)
+        self.size = len(self.root) + len(self.ends)
         self._at, self.value = np.zeros(self.size), self._log(trained)
 
     def climbed(self) -> np.ndarray:
@@ -74,124 +77,117 @@ class MarginalDensity:
         Steps of Broyden, Fletcher, Goldfarb and Shanno (Nocedal and Wright 2006, section 6.1) from the identity, since
         the unknowns are white but for what is integrated out; none is longer than twice the one before.
         """
-        slope, inverse, longest = self.slope(), np.eye(self.size), LONGEST_STEP
+        slope, bend, longest = self.slope(), np.eye(self.size), LONGEST_STEP
         for _ in range(CLIMBING_STEPS):
-            step, before, from_here = inverse @ slope, slope, self._at
+            step, before, from_here = self.within_bounds(slope, bend), slope, self._at
             if step @ slope < FLAT_GAIN:
                 break
             step *= min(1.0, longest / np.linalg.norm(step))
             if not any(self.moved_to(from_here + share * step) for share in PARTS_OF_STEP):
-                if np.array_equal(inverse, np.eye(self.size)):
+                if np.array_equal(bend, np.eye(self.size)):
                     break
-                inverse = np.eye(self.size)
+                bend = np.eye(self.size)
                 continue
             longest = max(LONGEST_STEP, 2.0 * float(np.linalg.norm(self._at - from_here)))
             slope = self.slope()
             made, bent = self._at - from_here, before - slope
             if made @ bent > 0.0:
-                turned = np.eye(self.size) - np.outer(made, bent) / (made @ bent)
-                inverse = turned @ inverse @ turned.T + np.outer(made, made) / (made @ bent)
+                known = bend @ made
+                bend += np.outer(bent, bent) / (made @ bent) - np.outer(known, known) / (made @ known)
         return slope
 
     @property
     def far(self) -> float:
         """How far the parameters have moved, in standard deviations."""
-        return float(np.linalg.norm(self._at[: len(self.start)]))
+        return float(np.linalg.norm(self._at[: len(self.root)]))
 
     def moved_to(self, u: np.ndarray) -> bool:
         """Whether the density is larger there, the motion solved for; then the solution is there.
 
         A hysteresis that creates energy is none: with forces that take it up again it explains as much as a true one.
         """
-        point = self._followed(self._parameters(u))
+        point, noise = self._beside(self.last, u - self._at)
         if self.evidence.creates_energy(point) and not self.evidence.creates_energy(self.last.solution.point):
             return False
-        trained = self.evidence.train(self._levels(u), point)
+        trained = self.evidence.train(noise, point)
         value = -math.inf if trained is None else self._log(trained)
         if trained is None or not value > self.value:
             return False
         self.last, self.value, self._at = trained, value, u
         return True
 
-    def slope(self) -> np.ndarray:
-        """(q + records,), of the density's logarithm at the solution."""
-        return self._slope(np.zeros(self.size), self.size)
+    def within_bounds(self, slope: np.ndarray, bend: np.ndarray | None = None) -> np.ndarray:
+        """(q + records,), of the steps that no bound is in the way of that which gains most.
 
-    def within_bounds(self, slope: np.ndarray) -> np.ndarray:
-        """(q + records,), what a slope is along the bounds beyond which it leads."""
-        q, x = len(self.start), self.last.solution.point.parameters.numpy()
-        by_parameter = np.linalg.solve(self.root.T, slope[:q])
-        by_parameter[(x <= self.evidence.equations.lower) & (by_parameter < 0.0)] = 0.0
-        return np.concatenate((self.root.T @ by_parameter, slope[q:]))
+        Args:
+            slope: (q + records,), of the density's logarithm.
+            bend: Minus its second derivatives; None: the identity.
+        """
+        q, room = len(self.root), self.evidence.equations.room_below(self.last.solution.point)
+        white = np.eye(self.size)
+        white[:q, :q] = np.linalg.inv(self.root)
+        curved = white.T @ (np.eye(self.size) if bend is None else bend) @ white
+        least = np.concatenate((room, np.full(self.size - q, -np.inf)))
+        step: np.ndarray = white @ ParameterFactor(np.linalg.cholesky(curved)).solved(white.T @ slope, least)
+        return step
 
-    def _slope(self, beside: np.ndarray, number: int) -> np.ndarray:
-        """(number,), by as many of the unknowns at a step from the solution, by central differences."""
-        steps = WIDTH_OF_DIFFERENCE * np.eye(self.size)[:number]
-        above, below = ([self._nearby(self._at + beside + sign * step) for step in steps] for sign in (1.0, -1.0))
-        slope: np.ndarray = np.nan_to_num((np.array(above) - np.array(below)) / (2.0 * WIDTH_OF_DIFFERENCE))
-        return slope
+    def slope(self, trained: Trained | None = None) -> np.ndarray:
+        """(q + records,), of the density's logarithm at a solution; None: at the last one.
 
-    def spread_of_levels(self, slope: np.ndarray) -> np.ndarray:
+        Of the loss it is that of the normal equations, since the motion is the most probable one; of all else see
+        :func:`log_density_beside_loss`.
+        """
+        at, equations, q = trained or self.last, self.evidence.equations, len(self.root)
+        steps = WIDTH_OF_DIFFERENCE * np.eye(self.size)
+        ends = [self._beside(at, step) for step in (0.0 * steps[0], *steps, *-steps[q:])]
+        # The motion follows levels as well.
+        ends[q + 1 :] = [(equations.followed(point, noise), noise) for point, noise in ends[q + 1 :]]
+        split = (zip(equations.split(point), noise.records, strict=True) for point, noise in ends)
+        by_record = zip(*([(*of.arrays, levels) for of, levels in parts] for parts in split), strict=True)
+        told = self.evidence.each_record(log_density_beside_loss, at, self.ends, list(by_record))
+        here, by_parameter, above, below = np.split(np.sum(told, axis=0), [1, q + 1, self.size + 1])
+        # All that bends with the parameters is the loss, but for a little; levels bend the rest.
+        slope = np.concatenate((2.0 * (by_parameter - here), above - below)) / (2.0 * WIDTH_OF_DIFFERENCE)
+        slope[:q] += self.root.T @ at.factor.slope(equations.assemble(at.solution.point, at.noise))
+        return np.nan_to_num(slope)
+
+    def spread_of_levels(self) -> np.ndarray:
         """(q, records), by how much the parameters follow one standard deviation of the forces' levels, all else free.
 
         With parameters that are white they follow a level by the mixed second derivative. What is known of the level is
-        the curvature of the density along that. The slope (q + records,) is that at the solution.
+        the curvature of the density along that.
         """
-        q, steps, bent = len(self.start), WIDTH_OF_DIFFERENCE * np.eye(self.size), []
-        along = np.eye(self.size)[q:]
-        for direction, level in zip(along, steps[q:], strict=True):
-            direction[:q] = (self._slope(level, q) - slope[:q]) / WIDTH_OF_DIFFERENCE
-            # All four with the step of the motion that follows levels: what it gains by itself is in none alone.
-            far, near = (
-                sum(self._nearby(self._at + sign * width * direction) for sign in (1.0, -1.0))
-                for width in (2.0 * WIDTH_OF_DIFFERENCE, WIDTH_OF_DIFFERENCE)
-            )
-            bent.append(np.nan_to_num(near - far) / (3.0 * WIDTH_OF_DIFFERENCE**2))
-        # No level is less certain than by a factor of e.
-        spread: np.ndarray = along[:, :q].T / np.sqrt(np.maximum(bent, self.unit**2))
+        q = len(self.root)
+        along, known = np.eye(self.size)[q:], self.unit**2  # no level is less certain than by a factor of e
+        for i, direction in enumerate(along):
+            direction[:q] = self._bent(direction)[:q]
+            known[i] = max(known[i], -direction @ self._bent(direction))
+        spread: np.ndarray = along[:, :q].T / np.sqrt(known)
         return spread
 
-    def _nearby(self, u: np.ndarray) -> float:
-        """The logarithm of the density; NaN where it cannot be had.
+    def _bent(self, direction: np.ndarray) -> np.ndarray:
+        """(q + records,), how the slope changes along a direction; 0 where it cannot be had."""
+        ends = [self._beside(self.last, sign * direction) for sign in (WIDTH_OF_DIFFERENCE, -WIDTH_OF_DIFFERENCE)]
+        found = [self.evidence.at(self.evidence.equations.followed(*end), end[1]) for end in ends]
+        slopes = [self.slope(trained) for trained in found if trained is not None]
+        change: np.ndarray = (slopes[0] - slopes[-1]) / (2.0 * WIDTH_OF_DIFFERENCE) if slopes else np.zeros(self.size)
+        return change
 
-        The motion follows the parameters to first order, and by a step of its own where that is of use: under stiff
-        physics it is, about corners of a law it is not.
-        """
-        noise, equations = self._levels(u), self.evidence.equations
-        point = self._followed(self._parameters(u))
-        loss, changed = self._loss(point, noise), u[len(self.start) :] != self._at[len(self.start) :]
-        if changed.any() or loss > self.last.solution.loss + NEGLIGIBLE_GAIN:
-            again = equations.followed(point, noise)
-            point = again if self._loss(again, noise) < loss else point
-        trained = self.evidence.at(point, noise)
-        return math.nan if trained is None else self._log(trained)
-
-    def _loss(self, point: Point, noise: NoiseLevels) -> float:
-        return sum(self.evidence.equations.losses(point, noise).values())
-
-    def _parameters(self, u: np.ndarray) -> np.ndarray:
-        x: np.ndarray = self.start + self.root @ u[: len(self.start)]
-        return np.maximum(x, self.evidence.equations.lower)
-
-    def _levels(self, u: np.ndarray) -> NoiseLevels:
-        factors = np.exp(u[len(self.start) :] * self.unit)
-        records = zip(self.noise.records, factors, self.evidence.equations.by_record, strict=True)
+    def _beside(self, trained: Trained, step: np.ndarray) -> tuple[Point, NoiseLevels]:
+        """A step (q + records,) from a solution: the motion follows the parameters, and levels are larger."""
+        equations, point, q = self.evidence.equations, trained.solution.point, len(self.root)
+        x = point.parameters.numpy()
+        moved = np.maximum(x + self.root @ step[:q], equations.lower) - x
+        if moved.any():
+            following = trained.factor.following(equations.members, equations.columns, moved)
+            point = equations.moved(point, (following, moved))
         driven = []
-        for noise, factor, equations in records:
-            forces = equations.dynamics.forces
+        records = zip(trained.noise.records, np.exp(step[q:] * self.unit), equations.by_record, strict=True)
+        for noise, factor, of_record in records:
+            forces = of_record.dynamics.forces
             level = None if noise.innovation is None else factor * noise.innovation[forces]
             driven.append(noise if level is None else noise.driven_by(level, forces))
-        return replace(self.noise, records=tuple(driven))
-
-    def _followed(self, x: np.ndarray) -> Point:
-        """The last solution with these parameters (p,), the motion following them."""
-        last, equations = self.last, self.evidence.equations
-        point = last.solution.point
-        step = x - point.parameters.numpy()
-        if not step.any():
-            return point
-        following = last.factor.following(equations.members, equations.columns, step)
-        return equations.moved(point, (following, step))
+        return point, replace(trained.noise, records=tuple(driven))
 
     def _log(self, trained: Trained) -> float:
         beyond = self.evidence.each_record(log_density_beyond, trained, self.ends)
@@ -217,7 +213,7 @@ def most_probable_parameters(inference: Inference) -> Inference | None:
     if density.far > NEGLIGIBLE_MOVE:
         return inference
     left = density.within_bounds(slope)
-    return _let_go(inference, density, slope) if left @ left < NEARLY_FLAT else None
+    return _let_go(inference, density) if left @ left < NEARLY_FLAT else None
 
 
 def under_another_discrepancy(inference: Inference) -> MarginalDensity | None:
@@ -241,7 +237,7 @@ def under_another_discrepancy(inference: Inference) -> MarginalDensity | None:
             other = told and MarginalDensity(evidence, told.trained, best.ends)
             if not other or not other.value > best.value + NEGLIGIBLE_GAIN:
                 break
-            best, noise = other, other.noise
+            best, noise = other, other.last.noise
     return best
 
 
@@ -250,13 +246,13 @@ def _settled(inference: Inference) -> Inference:
     return replace(inference, trained=trained)
 
 
-def _let_go(inference: Inference, density: MarginalDensity, slope: np.ndarray) -> Inference | None:
+def _let_go(inference: Inference, density: MarginalDensity) -> Inference | None:
     """The same with parameters that are solved for, and that what is integrated out holds where they are.
 
     What is known of them is what is said with the levels of the forces integrated out as well.
     """
     evidence, trained = inference.evidence, inference.trained
-    along = density.root @ density.spread_of_levels(slope)
+    along = density.root @ density.spread_of_levels()
     noise, point = replace(trained.noise, held=False), trained.solution.point
     system = evidence.equations.assemble(point, noise)
     columns = evidence.equations.columns
@@ -272,6 +268,20 @@ def _let_go(inference: Inference, density: MarginalDensity, slope: np.ndarray) -
 def pulled(evidence: RecordEvidence, solution: RecordSolution, pull: np.ndarray | None) -> None:
     """Let it pull at the parameters of one record from now on; None: nothing does."""
     evidence.equations.pull, evidence.equations.pulled_from = pull, solution.point.parameters
+
+
+def log_density_beside_loss(
+    evidence: RecordEvidence, solution: RecordSolution, end: float, ends: Sequence[End]
+) -> np.ndarray:
+    """(ends,), of a record's part of the density at points nearby; of the loss only what levels make of it.
+
+    That is of the equations' part, the motion held; then of the determinants, and of what lies beyond the end.
+    """
+    at = [replace(solution, point=placed(evidence, *of), noise=noise) for *of, noise in ends]
+    # First the losses: of the motion of one point the residuals are kept.
+    told = np.array([-0.5 * evidence.equations.motion.loss(solution.point, here.noise) for here in at])
+    told += [left_by_motion(evidence, here.point, here.noise) - log_density_beyond(evidence, here, end) for here in at]
+    return told
 
 
 def _of_drive(evidence: RecordEvidence, solution: RecordSolution) -> tuple[float, float]:

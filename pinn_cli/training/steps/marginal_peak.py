@@ -14,30 +14,18 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from torch import Tensor
 
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
-from pinn_cli.training.evidence import converged, model_log_evidence, of_motion
-from pinn_cli.training.factors.factor import Factor
-from pinn_cli.training.minimise import Point
-from pinn_cli.training.noise_model import NoiseModel
-from pinn_cli.training.normal_equations import NormalEquations
-from pinn_cli.training.normal_matrix.traced_sums import Met
+from pinn_cli.training.evidence import converged, left_by_motion, model_log_evidence
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.solver import Inference
 from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN
-from pinn_cli.training.steps.marginal_likelihood import most_probable_parameters, pulled
+from pinn_cli.training.steps.marginal_likelihood import WIDTH_OF_DIFFERENCE, most_probable_parameters, pulled
 
 # How far a round may move any parameter, in its standard deviations, and how far is not worth a round.
 LARGEST_MOVE, NEGLIGIBLE_PULL = 2.0, 0.1
 # Parts of a change of what pulls that are tried, one after the other, where a law bends within it.
 PARTS_OF_PULL = (1.0, 0.25)
-# Central differences of a matrix by a parameter. Where equations are linear in it a wide one is exact: this part of its
-# value, and a deviation at least. Elsewhere P^-1, which hardly knows some motions, makes large numbers of what bends:
-# how far to either side, in its deviations, and the weight of each, so that the second takes the first order away.
-PART_OF_VALUE, OF_BENT = 0.1, ((0.02, 8.0 / 0.24), (0.04, -1.0 / 0.24))
-# Part of what residuals move with a parameter that they may bend, and be linear but for rounding.
-LEAST_BENT = 1e-8
 
 
 def move_to_marginal_peak(inference: Inference) -> Inference | None:
@@ -73,10 +61,8 @@ def move_to_marginal_peak(inference: Inference) -> Inference | None:
 def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray | None, np.ndarray, float]:
     """What pulled before, and what is to pull: (p,) slope of the logarithm of that factor, by prior deviations.
 
-    tr(P^-1 dP - H^-1 dH) / 2 for each parameter of the equations that is looked for; 0 of the others. Parameters are in
-    the equations, which weigh the same in both. Derivatives are differences, see :data:`PART_OF_VALUE`. Where the
-    change would take a parameter too far, less of it: all of it together, for what parameters have in common pulls at
-    each of them.
+    Of each parameter of the equations that is looked for, the motion held; 0 of the others. Where the change would take
+    a parameter too far, less of it: all of it together, for what parameters have in common pulls at each of them.
 
     Returns:
         Both, and how far all of the change moves any parameter, in its standard deviations; NaN where nothing tells.
@@ -86,44 +72,14 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
     covariance = solution.factor.corner_covariance[:p, :p]
     std, pull = np.sqrt(np.diag(covariance)), np.zeros(p)
     before = np.zeros(p) if equations.pull is None else equations.pull
-    start = np.array([p.prescribed for p in equations.uncertain])
-    values = start / equations.scale.numpy() + point.parameters.numpy()
     wanted = [p.unknown and p.kind not in OUTSIDE_THE_EQUATIONS for p in equations.uncertain]
-    if any(wanted):
-        alone = of_motion(evidence, noise)
-        of_equations, of_all = (equations.assemble(point, levels).readout_inverse() for levels in (alone, noise))
-        if of_equations is None or of_all is None:
-            return equations.pull, pull, np.nan
-        coupling = equations.dynamics.coupling
-        through: list[tuple[Factor, NoiseModel, Met, float]] = [
-            (equations.motion, noise, Met(of_equations - of_all, coupling), 0.5)
-        ]
-        if equations.observer is not None:  # accelerometers through the equations
-            through += [
-                (equations.observer, alone, Met(of_equations, coupling), 0.5),
-                (equations.observer, noise, Met(of_all, coupling), -0.5),
-            ]
-    residual = equations.motion.residual(point)
     for i in np.flatnonzero(wanted).tolist():
-        # Wide beside rounding: where a parameter is known well, a part of its value.
-        wide = max(std[i], PART_OF_VALUE * abs(values[i]))
-        straight = _is_straight(equations, residual, point.beside(i, wide))
-        slope = 0.0
-        for width, weight in ((wide, 0.5 / wide),) if straight else ((w * std[i], s / std[i]) for w, s in OF_BENT):
-            for factor, levels, met, share in through:
-                above, below = (equations.traced(factor, end, levels, met) for end in point.beside(i, width))
-                slope += weight * share * met.trace(above, below)
+        width = WIDTH_OF_DIFFERENCE * std[i]
+        above, below = (left_by_motion(evidence, end, noise) for end in point.beside(i, width))
         # A discrepancy in a part of the band has as much fewer values: it was widened for these.
-        pull[i] = noise.occupied * slope
+        pull[i] = noise.occupied * (above - below) / (2.0 * width)
     # The record may be computed in another process, which alone knows what pulls at it.
     change = pull - before
     move = float(np.max(np.abs(covariance @ change) / std, initial=0.0))
     change *= min(1.0, LARGEST_MOVE / max(move, NEGLIGIBLE_PULL))
     return equations.pull, before + change, move
-
-
-def _is_straight(equations: NormalEquations, between: Tensor, ends: tuple[Point, Point]) -> bool:
-    """Whether the equations are linear in what parts the ends, from their residual half-way."""
-    above, below = map(equations.motion.residual, ends)
-    bent, moved = (float(x.abs().max()) for x in (above + below - 2.0 * between, above - below))
-    return bent <= LEAST_BENT * moved

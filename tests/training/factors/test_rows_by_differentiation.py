@@ -6,6 +6,7 @@ differences.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -35,6 +36,7 @@ from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.normal_matrix.bordered import BorderedFactor, BorderedSystem
 from pinn_cli.training.normal_matrix.dissection import Dissection
+from pinn_cli.training.normal_matrix.elimination import ROUNDING_JITTER
 from pinn_cli.training.record_evidence import RecordEvidence
 from pinn_cli.training.reported.connection_forces import connection_forces, dissipated_energy
 
@@ -157,6 +159,19 @@ def assert_moves(rows: Linearised, step: Point) -> None:
             assert_close(change.flatten(), moved[rows.rows[f"{factor.name} {i} {j}"]])
 
 
+def assert_determinants(rows: Linearised, rng: np.random.Generator) -> None:
+    """Of the readout weights' Hessian under several noise levels of the sensors."""
+    own = rows.own
+    other = Linearised(own, rows.at, replace(rows.noise, response=noise_of(own, rng).response))
+    found = own.log_determinants(rows.at, [other.noise, rows.noise])
+    for of, determinant in zip((other, rows), found, strict=True):
+        jacobian = of.jacobian[:, : own.layout.size]
+        scale = np.linalg.norm(jacobian, axis=0)
+        eigenvalues = np.linalg.svd(jacobian / scale, compute_uv=False) ** 2 + ROUNDING_JITTER
+        expected = np.log(eigenvalues).sum() + 2.0 * np.log(scale).sum()
+        assert determinant == pytest.approx(expected, abs=1e-7 + (ROUNDING_JITTER / eigenvalues).sum())
+
+
 def reported(own: NormalEquations, at: Point) -> dict[str, torch.Tensor]:
     """(N, any), what an estimate tells: motion at sensors, every function, forces of DOFs and connections, energy."""
     dynamics, values = own.dynamics, own.parameters(at)
@@ -242,6 +257,7 @@ def check_together(each: list[NormalEquations], rng: np.random.Generator, spread
         given = np.append(at.unknowns, at.parameters)
         assert_system(systems.systems[i], rows.hessian + prior, rows.gradient + prior @ given)
         assert_moves(rows, somewhere(own, rng))
+        assert_determinants(rows, rng)
         places, start = np.append(np.arange(start, stop), count + columns), stop
         hessian[np.ix_(places, places)] += rows.hessian
         gradient[places] += rows.gradient
