@@ -11,7 +11,7 @@ What the model leaves out hides a part of each parameter, in the old records and
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,10 +20,12 @@ from scipy.special import chdtrc
 from pinn_cli.model.knowledge import ParameterKnowledge
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.training.estimate import Change, Changes, Estimate, RunContext
 from pinn_cli.training.estimator import TrainedNetwork
 from pinn_cli.training.noise_model import updated_spread
+from pinn_cli.training.record_scales import force_and_velocity_scale
 
 # Probability of a false alarm per record.
 IMPROBABLE = 1e-3
@@ -111,23 +113,23 @@ class _Comparison:
         return solved[:, 0], np.diag(solved[:, 1:])
 
 
-def released(problem: Problem, changes: Changes) -> Problem:
-    """The problem with the parameters that changed left open: earlier records say nothing of what they are now."""
+def released(problem: Problem, changed: Collection[Parameter]) -> Problem:
+    """The problem with parameters that changed left open: earlier records say nothing of what they are now."""
     known = _earlier(problem)
     covariance = known.covariance.copy()  # below, squares of an array are rounded in another way
-    for change in changes.found:
-        j = problem.uncertain.index(change.parameter)
+    for parameter in changed:
+        j = problem.uncertain.index(parameter)
         covariance[j, j] += _open(problem, j) ** 2
-    return _knowing(problem, replace(left_open(known, problem, changes), covariance=covariance))
+    return _knowing(problem, replace(left_open(known, problem, changed), covariance=covariance))
 
 
-def left_open(known: ParameterKnowledge, problem: Problem, changes: Changes) -> ParameterKnowledge:
+def left_open(known: ParameterKnowledge, problem: Problem, changed: Collection[Parameter]) -> ParameterKnowledge:
     """What a window hands over of its parameters, those that changed left open.
 
     When in the window they changed is not known: what it says of them lies between what they were and what they are,
     and the next window would find the rest of the change a second time.
     """
-    places = [problem.uncertain.index(change.parameter) for change in changes.found]
+    places = [problem.uncertain.index(parameter) for parameter in changed]
     size = np.array([_open(problem, j) for j in places])
     covariance, told, weight, first = (
         values.copy() for values in (known.covariance, known.told, known.weight, known.first_std)
@@ -187,6 +189,8 @@ def _by_itself(information: np.ndarray, pull: np.ndarray) -> tuple[np.ndarray, n
 SPREAD_ROUNDS, SPREAD_SETTLED = 200, 1e-4
 # Solutions at most until the changes that one finds are those that it was solved with.
 SOLUTIONS = 3
+# Of the force that acts, what a model leaves out from which on a record hardly tells that a parameter changed.
+HARDLY_TELLS = 0.1
 # Relative change of what prescribed parameters are off in common from which on it is worth another solution.
 WORTH_ANOTHER = 0.05
 
@@ -222,23 +226,27 @@ class UpdatedNetwork(TrainedNetwork):
         """See :meth:`Estimator.solve`; where something changed, again with it left open.
 
         A parameter that changed much is pulled by the others' prior as well: only a solution with it left open says by
-        how much it changed, and whether another one did.
+        how much it changed, and whether another one did. What the record tells is little where much is left out, as it
+        is where the prior is far off: then all are left open at first.
         """
         if not problem.is_informed:
             return super().solve(problem, run)
-        alone, estimate = self._under_their_spread(problem.alone, run)
-        solved, changes = alone, None
-        for number in range(SOLUTIONS):
-            estimate = estimate if number == 0 else super().solve(JointProblem.of(solved), run)
+        alone, held = self._under_their_spread(problem.alone, run)
+        estimate, changes, opened = held, None, list[Parameter]()
+        if held.noise.discrepancy > HARDLY_TELLS * force_and_velocity_scale(alone)[0]:
+            opened = [p for p in alone.uncertain if p.kind not in CALIBRATION_UNITS]
+        for _ in range(SOLUTIONS):
+            solved = released(alone, opened) if opened else alone
+            estimate = super().solve(JointProblem.of(solved), run) if opened else held
             if estimate.known is None:
                 return estimate
-            before, changes = changes, found_changes(alone, estimate.known, solved)
-            if _names(changes) == _names(before):
+            changes = found_changes(alone, estimate.known, solved)
+            before, opened = {p.name for p in opened}, [change.parameter for change in changes.found]
+            if {p.name for p in opened} == before:
                 break
-            solved = released(alone, changes)
         handed = estimate.handed_over
-        if handed is not None and changes is not None:
-            handed = replace(handed, known=left_open(handed.known, alone, changes))
+        if handed is not None:
+            handed = replace(handed, known=left_open(handed.known, alone, opened))
         return replace(estimate, changes=changes, handed_over=handed)
 
     def _under_their_spread(self, problem: Problem, run: RunContext) -> tuple[Problem, Estimate]:
@@ -251,8 +259,3 @@ class UpdatedNetwork(TrainedNetwork):
             return problem, estimate
         problem = under_spread(problem, spread)
         return problem, super().solve(JointProblem.of(problem), run)
-
-
-def _names(changes: Changes | None) -> set[str]:
-    """Of the parameters that changed."""
-    return set() if changes is None else {change.parameter.name for change in changes.found}

@@ -84,6 +84,15 @@ def test_a_spring_that_lost_a_twentieth_is_named_and_left_open():
     assert found.std > usual.std
 
 
+def test_a_spring_that_lost_a_sixth_is_named_however_well_it_was_known():
+    """Held by a prior that is a thousand deviations off, the record would say nothing: all would be left out."""
+    problem = SCHEME.pose(PRESCRIBED, [record(1, snr_db=80.0).record])
+    model = model_of(problem, estimated(problem))
+    less = estimated(Update(model).pose(PRESCRIBED, [record(2, third=0.84, snr_db=80.0).record]), UpdatedNetwork)
+    assert [change.parameter.name for change in less.changes.found] == ["k_3"]
+    assert less.changes.found[0].by == pytest.approx(-0.16 * K[2], abs=4.0 * less.changes.found[0].std)
+
+
 def test_a_new_record_without_a_search():
     _, model = first()
     new = record(2)

@@ -12,6 +12,7 @@ from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.changes import IMPROBABLE, common_spread, found_changes, left_open, released, under_spread
+from pinn_cli.training.estimate import Changes
 
 P = 6
 
@@ -95,11 +96,15 @@ def test_a_change_is_found_with_its_size_and_its_place():
     assert np.std(errors) == pytest.approx(1.0, abs=0.15)
 
 
+def parameters_of(changes: Changes) -> list[Parameter]:
+    return [change.parameter for change in changes.found]
+
+
 def test_with_changed_parameters_released_it_says_the_same():
     given = case()
     problem, known, measured = with_the_third_changed(seed=8)
     changes = found_changes(problem, known)
-    again = released(problem, changes)
+    again = released(problem, parameters_of(changes))
     prior = prior_covariance(again)
     covariance = np.linalg.inv(np.linalg.inv(prior) + np.linalg.inv(given.R))
     mean = np.array([p.prescribed for p in problem.uncertain])
@@ -114,7 +119,7 @@ def test_with_changed_parameters_released_it_says_the_same():
 def test_of_what_changed_nothing_is_handed_over():
     problem, known, _ = with_the_third_changed(seed=9)
     changes = found_changes(problem, known)
-    handed = left_open(known, problem, changes)
+    handed = left_open(known, problem, parameters_of(changes))
     assert np.sqrt(handed.covariance[2, 2]) > 100.0
     assert (handed.weight == np.array([2.0, 2.0, 0.0, 2.0, 2.0, 2.0])).all()
     others = np.arange(P) != 2
@@ -178,7 +183,7 @@ def test_released_opens_the_changed_parameter_alone():
     problem, known, _ = with_the_third_changed(seed=7)
     changes = found_changes(problem, known)
     assert [found.parameter.index for found in changes.found] == [2]
-    opened = prior_covariance(released(problem, changes)) - case().C
+    opened = prior_covariance(released(problem, parameters_of(changes))) - case().C
     assert opened[2, 2] >= problem.uncertain[2].prescribed ** 2
     opened[2, 2] = 0.0
     np.testing.assert_allclose(opened, 0.0, atol=1e-9)
