@@ -26,6 +26,8 @@ from pinn_cli.training.steps.marginal_likelihood import WIDTH_OF_DIFFERENCE, mos
 LARGEST_MOVE, NEGLIGIBLE_PULL = 2.0, 0.1
 # Parts of a change of what pulls that are tried, one after the other, where a law bends within it.
 PARTS_OF_PULL = (1.0, 0.25)
+# Of a parameter that is known better differences reach as if it were known to this part of its value: beside rounding.
+PART_OF_VALUE = 0.05
 
 
 def move_to_marginal_peak(inference: Inference) -> Inference | None:
@@ -72,9 +74,10 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
     covariance = solution.factor.corner_covariance[:p, :p]
     std, pull = np.sqrt(np.diag(covariance)), np.zeros(p)
     before = np.zeros(p) if equations.pull is None else equations.pull
+    values = np.array([p.prescribed for p in equations.uncertain]) / equations.scale.numpy() + point.parameters.numpy()
     wanted = [p.unknown and p.kind not in OUTSIDE_THE_EQUATIONS for p in equations.uncertain]
     for i in np.flatnonzero(wanted).tolist():
-        width = WIDTH_OF_DIFFERENCE * std[i]
+        width = WIDTH_OF_DIFFERENCE * max(std[i], PART_OF_VALUE * abs(values[i]))
         above, below = (left_by_motion(evidence, end, noise) for end in point.beside(i, width))
         # A discrepancy in a part of the band has as much fewer values: it was widened for these.
         pull[i] = noise.occupied * (above - below) / (2.0 * width)
